@@ -1,0 +1,108 @@
+"""Every setting with its default, one record per section of robot.toml; config.py resolves them."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+Colour = str | Mapping[str, tuple[int, int, int]]
+"""A name ("green"), or {"low": (h, s, v), "high": (h, s, v)} in OpenCV ranges; low h > high h wraps around red."""
+
+
+@dataclass(frozen=True)
+class Topics:
+    """[topics]: which topic plays which role, with a message path where a field must be named; None is guessed."""
+
+    joints: str | None = None
+    camera: str | None = None
+    skin: str | None = None
+    truth: str | None = None
+
+
+@dataclass(frozen=True)
+class Body:
+    """[body]: joint names in the order wanted (None: those that move), and the unit the log speaks, rad or deg."""
+
+    joints: tuple[str, ...] | None = None
+    unit: str = "rad"
+
+
+@dataclass(frozen=True)
+class Colours:
+    """[colours]: what to look for in the pictures; `shapes` names further features on the arm."""
+
+    effector: Colour = "green"
+    hand: Colour = "red"
+    shapes: Mapping[str, Colour] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Skin:
+    """[skin]: a cell is touched above `threshold` until below `release`; shorter than `shortest` s is noise."""
+
+    threshold: float = 0.7
+    release: float = 0.6
+    shortest: float = 0.02
+
+
+@dataclass(frozen=True)
+class Time:
+    """[time]: which clock dates each stream, "header", "log" or "auto" (header where there is a sound one)."""
+
+    joints: str = "auto"
+    camera: str = "auto"
+    skin: str = "auto"
+    truth: str = "auto"
+
+
+@dataclass(frozen=True)
+class Video:
+    """[video]: a side-car video as camera: time of its first frame (s since epoch; None: first joint), frames/s."""
+
+    start: float | None = None
+    rate: float | None = None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """[fit]: preset default or paper · most samples kept · use every n-th frame · seed of restarts."""
+
+    preset: str = "default"
+    samples: int = 2000
+    every: int = 1
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """[estimate]: method, senses (None: all that are there), output rate in Hz (None: as the encoders, at most 100)."""
+
+    method: str = "laplace"
+    preset: str = "default"
+    senses: tuple[str, ...] | None = None
+    without: tuple[str, ...] = ()
+    rate: float | None = None
+    precision: str = "auto"
+    bias: str = "auto"
+    touch: str = "likelihood"
+    step: str = "implicit"
+
+
+@dataclass(frozen=True)
+class Settings:
+    """All sections."""
+
+    topics: Topics = field(default_factory=Topics)
+    body: Body = field(default_factory=Body)
+    colours: Colours = field(default_factory=Colours)
+    skin: Skin = field(default_factory=Skin)
+    time: Time = field(default_factory=Time)
+    video: Video = field(default_factory=Video)
+    fit: Fit = field(default_factory=Fit)
+    estimate: Estimation = field(default_factory=Estimation)
+
+
+def plain(settings: Settings) -> dict[str, Any]:
+    """The settings as nested plain values, to be written beside a result."""
+    from dataclasses import asdict
+
+    return asdict(settings)

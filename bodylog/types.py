@@ -1,0 +1,266 @@
+"""The records that flow between stages: frozen dataclasses of arrays, nothing else.
+
+Times `t` are float64 seconds since the recording's `start_ns`. A NaN row means: looked, saw nothing.
+`source_ns` is the int64 log time (ns) of the message that brought a row, so that what is derived
+from it can be written back beside it.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """One signal: t (N,) s · values (N,D) in `unit` · names (D,) · source_ns (N,) · std (N,D) in `unit`, or None."""
+
+    t: Array
+    values: Array
+    names: tuple[str, ...]
+    unit: str
+    source_ns: Array
+    std: Array | None = None
+
+
+@dataclass(frozen=True)
+class Health:
+    """What became of one topic's messages: counts, the reasons for rejection, the largest gap in s."""
+
+    seen: int
+    used: int
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    largest_gap_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One remark on a log: severity `info`, `warning` or `lost` (input was lost: exit 3), and one line of text."""
+
+    severity: str
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Topic:
+    """One channel of a log as its file declares it; `type` is normalised to package/msg/Name."""
+
+    id: int
+    name: str
+    type: str
+    encoding: str
+    definition: bytes
+    definition_encoding: str
+    messages: int
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Messages of one topic id, undecoded: payload i is data[offset[i] : offset[i] + length[i]].
+
+    log_ns (n,) int64 · data (bytes,) uint8 · offset, length (n,) int64. `data` may be a reused buffer:
+    it is valid only until the next batch is asked for.
+    """
+
+    topic_id: int
+    log_ns: Array
+    data: Array
+    offset: Array
+    length: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Outgoing:
+    """Messages of one topic ready to be written: payloads as in Batch, log_ns (n,) int64 ascending."""
+
+    topic: str
+    type: str
+    definition: bytes
+    log_ns: Array
+    data: Array
+    offset: Array
+    length: Array
+    encoding: str = "cdr"
+    definition_encoding: str = "ros2msg"
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One picture, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe."""
+
+    t: float
+    source_ns: int
+    decode: Callable[[int], Array]
+
+    @property
+    def image(self) -> Array:
+        """The whole picture (H,W,3) uint8 BGR."""
+        return self.decode(1)
+
+
+@dataclass(frozen=True)
+class Touch:
+    """One touch on the skin: onset, offset (s) · cell indices · peak in 0..1 · strongest cell · log time of onset."""
+
+    onset: float
+    offset: float
+    cells: tuple[int, ...]
+    peak: float
+    strongest: int
+    source_ns: int
+
+
+@dataclass(frozen=True)
+class Stroke:
+    """One contact stroke of the other's hand: start, end (s) and where it began and ended (u, v px)."""
+
+    start: float
+    end: float
+    start_px: tuple[float, float]
+    end_px: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Synchrony:
+    """How well a touch agrees with a stroke: delay = seen − felt (s), weight 0..1; unpaired: None, NaN, 0."""
+
+    touch: int
+    stroke: int | None
+    delay: float
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class Features:
+    """What perception found: tracks (name -> Series of u, v in px with std), touches, strokes, synchrony.
+
+    `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of those names.
+    """
+
+    joints: Series | None
+    tracks: Mapping[str, Series]
+    touches: tuple[Touch, ...] | None
+    strokes: tuple[Stroke, ...]
+    synchrony: tuple[Synchrony, ...]
+    health: Mapping[str, Health]
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def effector(self) -> Series | None:
+        """The end effector's track (N,2) px."""
+        return self.tracks.get("effector")
+
+    @property
+    def hand(self) -> Series | None:
+        """The other's hand's track (N,2) px."""
+        return self.tracks.get("hand")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One log: signals, and frames() as a lazy iterator in time order; `features` if the log already carries them."""
+
+    name: str
+    format: str
+    start_ns: int
+    duration_s: float
+    topics: tuple[Topic, ...]
+    roles: Mapping[str, str]
+    joints: Series | None
+    skin: Series | None
+    truth: Series | None
+    frames: Callable[[], Iterator[Frame]] | None
+    features: Features | None
+    health: Mapping[str, Health]
+    findings: tuple[Finding, ...] = ()
+
+
+class ForwardModel(Protocol):
+    """What one sense is expected to read, given joint angles."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the D outputs."""
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · model variance (N,D), sensor noise excluded."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Learned variances: encoders (M,) rad² · senses {name: (D,) unit²} · process (M,) rad²/s³ (white acceleration)."""
+
+    encoder: tuple[float, ...]
+    senses: Mapping[str, tuple[float, ...]]
+    process: tuple[float, ...]
+    std_error: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TouchConstants:
+    """g_t = a1 exp(−b1 |g_v − o_v|²) · a2 exp(−b2 δ²): b1 in 1/px², b2 in 1/s² (paper eq. touch)."""
+
+    a1: float
+    b1: float
+    a2: float
+    b2: float
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """A learned body: joint names in the order of x, one ForwardModel per sense, noise, touch constants, provenance."""
+
+    joints: tuple[str, ...]
+    senses: Mapping[str, ForwardModel]
+    noise: Noise
+    touch: TouchConstants
+    provenance: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One sensor that lied: which joint or sense, what kind, since when (s), how much (`unit`)."""
+
+    sense: str
+    name: str
+    kind: str
+    since: float
+    size: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Where the body was: joints (N,M) rad, rate (N,M) rad/s, cov (N,M,M) rad², free energy (N,) nats.
+
+    errors {sense: Series in standard deviations at the times it was heard} · used {sense: Health} ·
+    predicted {track: Series px with std at the track's times} · predicted_cov {track: (K,2,2) px²} ·
+    bias (N,M) rad or None · faults · settings as resolved.
+    """
+
+    method: str
+    joints: Series
+    rate: Series
+    cov: Array
+    errors: Mapping[str, Series]
+    free_energy: Array
+    used: Mapping[str, Health]
+    predicted: Mapping[str, Series]
+    predicted_cov: Mapping[str, Array]
+    settings: Mapping[str, Any]
+    bias: Series | None = None
+    faults: tuple[Fault, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True)
+class Score:
+    """One figure of merit that knows its unit."""
+
+    name: str
+    value: float
+    unit: str

@@ -1,0 +1,29 @@
+"""Side-by-side timing: every case runs in turn, round after round, so that all see the same machine."""
+
+import gc
+import statistics
+import time
+from collections.abc import Callable
+
+
+def side_by_side(title: str, cases: dict[str, Callable[[], object]], repeats: int = 5) -> dict[str, float]:
+    """Median wall seconds of each case, printed with its ratio to the first; one warm-up round is not counted."""
+    runs: dict[str, list[float]] = {name: [] for name in cases}
+    for round_number in range(repeats + 1):
+        for name, case in cases.items():
+            gc.collect()
+            started = time.perf_counter()
+            case()
+            if round_number:
+                runs[name].append(time.perf_counter() - started)
+    medians = {name: statistics.median(values) for name, values in runs.items()}
+    _print(title, medians, runs)
+    return medians
+
+
+def _print(title: str, medians: dict[str, float], runs: dict[str, list[float]]) -> None:
+    first = next(iter(medians.values()))
+    print(f"\n{title}")
+    for name, median in medians.items():
+        low, high = min(runs[name]), max(runs[name])
+        print(f"  {name:<52} {median * 1e3:10.2f} ms  (min {low * 1e3:.2f}, max {high * 1e3:.2f})  x{median / first:.2f}")
