@@ -1,6 +1,39 @@
-"""The bodylog command line."""
+"""The bodylog command line: one file per command; errors become one line and an exit code here."""
+
+import os
+import sys
+from collections.abc import Sequence
+
+# Small matrices are faster on one BLAS thread, and one thread gives the same bytes on every machine size.
+for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
 
 
-def main() -> None:
-    """Run the command line."""
-    raise SystemExit(0)
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65."""
+    sys.exit(run(arguments))
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code."""
+    import click
+
+    from bodylog.errors import BodylogError
+
+    from .commands import bodylog
+
+    try:
+        code = bodylog.main(arguments, prog_name="bodylog", standalone_mode=False)
+        return code if isinstance(code, int) else 0
+    except BodylogError as err:
+        click.echo(f"bodylog: {' '.join(str(err).split())}", err=True)
+        return err.exit_code
+    except click.ClickException as err:
+        err.show()
+        return err.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("bodylog: interrupted; nothing half-written was left", err=True)
+        return 130
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141

@@ -1,0 +1,51 @@
+# make demo   record, learn, estimate, evaluate; make test   everything CI runs; make soak   long runs; make bench   speed
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: demo test lint soak bench wheel docs clean
+
+$(VENV)/installed: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test]'
+	touch $@
+
+# Explore, learn the body from it, replay a second log against it, score it, draw it.
+demo: $(VENV)/installed
+	mkdir -p demo
+	$(BIN)/bodylog record babble -o demo/explore.mcap --seed 1
+	$(BIN)/bodylog record reach -o demo/reach.mcap --seed 2
+	$(BIN)/bodylog fit demo/explore.mcap -o demo/body.npz
+	$(BIN)/bodylog estimate demo/reach.mcap --body demo/body.npz -o demo/estimate.mcap
+	$(BIN)/bodylog plot demo/estimate.mcap -o demo/estimate.png
+	$(BIN)/bodylog report demo/estimate.mcap -o demo/report.html
+	@echo
+	@echo "How good it is (rad; raw encoders beside it):"
+	@$(BIN)/bodylog evaluate demo/estimate.mcap
+	@echo
+	@echo "The annotated log, for any MCAP viewer:  $(CURDIR)/demo/estimate.mcap"
+	@echo "The report, for a browser:               $(CURDIR)/demo/report.html"
+	@echo "The picture:                             $(CURDIR)/demo/estimate.png"
+
+lint: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/mypy --strict bodylog cli
+
+test: lint wheel
+	$(BIN)/pytest
+
+soak: $(VENV)/installed
+	$(BIN)/pytest -m soak
+
+bench: $(VENV)/installed
+	$(BIN)/python -m tests.benchmarks
+
+# The wheel, built and used where nothing of the checkout can be seen.
+wheel: $(VENV)/installed
+	$(BIN)/python tests/wheel.py
+
+docs: $(VENV)/installed
+	$(BIN)/python -m docs.generate_cli
+
+clean:
+	rm -rf $(VENV) build dist demo *.egg-info

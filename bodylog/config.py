@@ -1,0 +1,171 @@
+"""Defaults in code, then robot.toml, then the command line: resolved once, each key checked by name and type."""
+
+import difflib
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from .errors import ConfigError
+from .settings import Settings
+
+NAMED_COLOURS = ("blue", "cyan", "green", "magenta", "orange", "red", "yellow")
+
+
+def load(path: Path | None, overrides: Mapping[str, Mapping[str, Any]] | None = None) -> Settings:
+    """Settings from a robot.toml (None: defaults), then {section: {key: value}} overrides; ConfigError if unsound."""
+    settings = Settings()
+    if path is not None:
+        settings = merge(settings, _parse(path), str(path))
+    return merge(settings, overrides or {}, "command line")
+
+
+def merge(settings: Settings, given: Mapping[str, Any], where: str) -> Settings:
+    """Settings with the given sections' keys replaced; ConfigError names the nearest known key."""
+    for section, values in given.items():
+        _known(section, [f.name for f in fields(settings)], where, "section", f"[{section}]")
+        if not isinstance(values, Mapping):
+            raise ConfigError(f"{where}: [{section}] is {values!r}; it must be a table of keys")
+        settings = replace(settings, **{section: _section(getattr(settings, section), section, values, where)})
+    return settings
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as err:
+        raise ConfigError(f"{path}: cannot be read ({err.strerror}); give --config a robot.toml") from err
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
+        raise ConfigError(f"{path}: not TOML: {err}") from err
+
+
+def _section(current: Any, section: str, values: Mapping[str, Any], where: str) -> Any:
+    hints = typing.get_type_hints(type(current))
+    known = [f.name for f in fields(current)]
+    changed = {}
+    for key, value in values.items():
+        _known(key, known, where, "key", f"{section}.{key}")
+        changed[key] = _typed(value, hints[key], f"{where}: {section}.{key}")
+        _allowed(section, key, changed[key], where)
+    return replace(current, **changed)
+
+
+def _known(name: str, known: list[str], where: str, kind: str, shown: str) -> None:
+    if name not in known:
+        near = difflib.get_close_matches(name, known, 1, 0.0)
+        raise ConfigError(f"{where}: unknown {kind} {shown}; did you mean {near[0]}? known: {', '.join(known)}")
+
+
+def _typed(value: Any, hint: Any, what: str) -> Any:
+    """The value as the setting's type: lists become tuples, whole numbers become floats where floats are meant."""
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    for option in options:
+        fitted = _fit(value, option)
+        if fitted is not _MISFIT:
+            return fitted
+    raise ConfigError(f"{what} is {value!r}; it must be {_names(options)}")
+
+
+_MISFIT = object()
+
+
+def _fit(value: Any, option: Any) -> Any:
+    origin = typing.get_origin(option)
+    if option is type(None):
+        return None if value is None else _MISFIT
+    if origin is tuple:
+        return tuple(value) if isinstance(value, list | tuple) and _all_fit(value, option) else _MISFIT
+    if origin is not None and issubclass(origin, Mapping):
+        return _fit_mapping(value, typing.get_args(option)[1])
+    if option is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    return value if isinstance(value, option) and not (option is int and isinstance(value, bool)) else _MISFIT
+
+
+def _all_fit(values: Any, option: Any) -> bool:
+    wanted = typing.get_args(option)
+    kinds = [wanted[0]] * len(values) if wanted[-1] is Ellipsis else wanted
+    return len(kinds) == len(values) and all(_fit(v, k) is not _MISFIT for v, k in zip(values, kinds, strict=True))
+
+
+def _fit_mapping(value: Any, hint: Any) -> Any:
+    if not isinstance(value, Mapping):
+        return _MISFIT
+    options = typing.get_args(hint) if isinstance(hint, types.UnionType) else (hint,)
+    fitted = {k: next((f for o in options if (f := _fit(v, o)) is not _MISFIT), _MISFIT) for k, v in value.items()}
+    return _MISFIT if any(v is _MISFIT for v in fitted.values()) else fitted
+
+
+def _names(options: tuple[Any, ...]) -> str:
+    readable = {str: "text", int: "a whole number", float: "a number", type(None): "left out"}
+    return " or ".join(readable.get(o, "a list" if typing.get_origin(o) is tuple else "a table") for o in options)
+
+
+ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = {
+    ("body", "unit"): ("rad", "deg"),
+    ("time", "joints"): ("auto", "header", "log"),
+    ("time", "camera"): ("auto", "header", "log"),
+    ("time", "skin"): ("auto", "header", "log"),
+    ("time", "truth"): ("auto", "header", "log"),
+    ("fit", "preset"): ("default", "paper"),
+    ("estimate", "preset"): ("default", "paper"),
+    ("estimate", "precision"): ("auto", "model", "fixed"),
+    ("estimate", "bias"): ("auto", "on", "off"),
+    ("estimate", "touch"): ("likelihood", "literal"),
+    ("estimate", "step"): ("implicit", "explicit"),
+}
+
+
+def _allowed(section: str, key: str, value: Any, where: str) -> None:
+    possible = ALLOWED.get((section, key))
+    if possible and value not in possible:
+        near = difflib.get_close_matches(str(value), possible, 1, 0.0)
+        raise ConfigError(
+            f"{where}: {section}.{key} is {value!r}; possible: {', '.join(possible)}; did you mean {near[0]}?"
+        )
+    if section == "colours":
+        for colour in value.values() if key == "shapes" else [value]:
+            _colour(colour, f"{where}: {section}.{key}")
+
+
+RANGES = "{low = [h,s,v], high = [h,s,v]} with h 0..180, s and v 0..255"
+
+
+def _colour(colour: Any, what: str) -> None:
+    if isinstance(colour, str) and colour not in NAMED_COLOURS:
+        raise ConfigError(f"{what} is {colour!r}; possible: {', '.join(NAMED_COLOURS)}, or {RANGES}")
+    if isinstance(colour, Mapping) and (set(colour) != {"low", "high"} or not all(_hsv(v) for v in colour.values())):
+        raise ConfigError(f"{what} is {dict(colour)!r}; it must be {RANGES}")
+
+
+def _hsv(values: tuple[int, ...]) -> bool:
+    return len(values) == 3 and 0 <= values[0] <= 180 and all(0 <= v <= 255 for v in values[1:])
+
+
+def toml(settings: Any) -> str:
+    """The settings as a robot.toml; what is None (guessed) is written as a comment."""
+    return "\n".join(_toml_section(f.name, getattr(settings, f.name)) for f in fields(settings))
+
+
+def _toml_section(name: str, section: Any) -> str:
+    assert is_dataclass(section)
+    lines = [_toml_line(f.name, getattr(section, f.name)) for f in fields(section)]
+    return "\n".join([f"[{name}]", *lines, ""])
+
+
+def _toml_line(key: str, value: Any) -> str:
+    return f"# {key} = (guessed)" if value is None else f"{key} = {toml_value(value)}"
+
+
+def toml_value(value: Any) -> str:
+    """One value in TOML spelling."""
+    import json
+
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{k} = {toml_value(v)}" for k, v in value.items()) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(toml_value(v) for v in value) + "]"
+    return json.dumps(value, ensure_ascii=False)

@@ -1,0 +1,212 @@
+"""The stages in order, each taking files and leaving files: reads as a table of contents."""
+
+import json
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from . import __version__
+from .errors import LogError, UsageError
+from .files import sha256
+from .settings import Settings, plain
+from .types import BodyModel, Estimate, Features, Finding, Health, Outgoing, Recording, Score
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What a command did: the file it left, figures of merit, health per topic, remarks."""
+
+    output: Path | None
+    scores: tuple[Score, ...] = ()
+    health: Mapping[str, Health] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def record(scenario: str, out: Path, **options: Any) -> Result:
+    """Simulate a scenario into an ordinary log; UsageError names the scenarios and options possible."""
+    from . import sim
+
+    sim.record(scenario, out, **options)
+    return Result(out)
+
+
+def info(log: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
+    """What is in a log: topics, rates, roles, clocks (see the command line's `info --json`)."""
+    from .logs import recording
+
+    return recording.info(log, settings, strict)
+
+
+def observe(log: Path, settings: Settings, progress: Progress | None = None) -> tuple[Recording, Features]:
+    """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over."""
+    from . import perception
+    from .logs import recording
+
+    read = recording.read(log, settings)
+    return read, perception.observe(read, settings, progress)
+
+
+def extract(log: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
+    """Write the log's signals with tracks, touches and synchrony, without its pictures."""
+    from .logs import annotate
+
+    _distinct(log, out)
+    read, features = observe(log, settings, progress)
+    _something_seen(log, features)
+    outgoing = _feature_messages(read, features)
+    kept = [read.roles[role].partition(".")[0] for role in ("joints", "truth", "skin") if role in read.roles]
+    lost = annotate.annotate(log, outgoing, _provenance([log], settings), out, only=kept)
+    return Result(out, (), features.health, (*read.findings, *features.findings, *lost), plain(settings))
+
+
+def fit(logs: Sequence[Path], out: Path, settings: Settings, progress: Progress | None = None) -> Result:
+    """Learn a body model from exploration logs and write it as .npz."""
+    from . import body
+    from .body import model
+
+    observed = [observe(log, settings, progress) for log in logs]
+    features = [found for _, found in observed]
+    learned = body.learn(features, settings, _provenance(logs, settings))
+    model.save(learned.model, out)
+    findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
+    return Result(out, learned.scores, _merged(features), (*findings, *learned.findings), plain(settings))
+
+
+def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
+    """Replay a log against a learned body and write it back with the estimate in it."""
+    from .body import model
+    from .logs import annotate
+
+    _distinct(log, out)
+    learned = model.load(body)
+    read, features = observe(log, settings, progress)
+    found = infer(features, learned, settings)
+    outgoing = _estimate_messages(read, features, found)
+    provenance = _provenance([log], settings) | {"body_sha256": sha256(body), "resolved": _json(found.settings)}
+    lost = annotate.annotate(log, outgoing, provenance, out)
+    remarks = (*read.findings, *features.findings, *found.findings, *lost)
+    return Result(out, judge(found, read), {**features.health, **found.used}, remarks, dict(found.settings))
+
+
+def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
+    """Where the body was, from what was found in a log and a learned body."""
+    from . import estimation
+
+    return estimation.estimate(features, learned, settings.estimate)
+
+
+def judge(found: Estimate, read: Recording) -> tuple[Score, ...]:
+    """Figures of merit; those against truth only where the recording carries it."""
+    from .evaluation.scores import scores
+
+    return scores(found, read.truth, read.joints)
+
+
+def evaluate(log: Path, settings: Settings) -> Result:
+    """Score the estimate an annotated log carries."""
+    from .logs import annotated, recording
+
+    read = recording.read(log, settings)
+    found = annotated.read_estimate(log, read.start_ns)
+    if read.truth is None:
+        absent = Finding("warning", f"{log}: no truth topic, so no error against truth; name one in [topics] truth")
+        return Result(log, judge(found, read), found.used, (*read.findings, absent))
+    return Result(log, judge(found, read), found.used, read.findings)
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One line of a comparison: what ran on which senses, how good it was, how long it took (s)."""
+
+    method: str
+    senses: tuple[str, ...]
+    scores: tuple[Score, ...]
+    seconds: float
+
+
+def compare(
+    log: Path, body: Path, settings: Settings, progress: Progress | None = None
+) -> tuple[list[Row], tuple[Finding, ...]]:
+    """Every method with every subset of the senses the log has."""
+    from . import estimation
+    from .body import model
+
+    learned = model.load(body)
+    read, features = observe(log, settings, progress)
+    subsets = estimation.subsets(features, learned)
+    runs = [(method, senses) for method in estimation.METHODS for senses in subsets]
+    rows = [_row(method, senses, features, learned, settings, read) for method, senses in runs]
+    return [row for row in rows if row is not None], (*read.findings, *features.findings)
+
+
+def _row(
+    method: str, senses: tuple[str, ...], features: Features, learned: BodyModel, settings: Settings, read: Recording
+) -> Row | None:
+    from . import estimation
+
+    if not estimation.usable(method, senses):
+        return None
+    started = time.perf_counter()
+    chosen = replace(settings, estimate=replace(settings.estimate, method=method, senses=senses, without=()))
+    found = infer(features, learned, chosen)
+    return Row(method, senses, judge(found, read), time.perf_counter() - started)
+
+
+def ingest(log: Path, out: Path, settings: Settings, **window: float | None) -> Result:
+    """Write any log as one tidy MCAP with its roles named."""
+    from .logs import ingest as tidy
+
+    _distinct(log, out)
+    return Result(out, findings=tuple(tidy.ingest(log, out, settings, **window)))
+
+
+def doctor(log: Path, repair: Path | None = None) -> Result:
+    """What is wrong with a log; with `repair`, what is sound of it is written there."""
+    from .logs import doctor as logs_doctor
+
+    findings = logs_doctor.examine(log)
+    if repair is not None:
+        _distinct(log, repair)
+        logs_doctor.repair(log, repair)
+    return Result(repair, findings=findings)
+
+
+def _feature_messages(read: Recording, features: Features) -> list[Outgoing]:
+    from .logs import messages
+
+    return messages.from_features(features, read.start_ns, read.roles.get("camera"))
+
+
+def _estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
+    from .logs import messages
+
+    camera = read.roles.get("camera")
+    return [*_feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns, camera)]
+
+
+def _something_seen(log: Path, features: Features) -> None:
+    if not features.tracks and not features.touches:
+        raise LogError(f"{log}: neither camera nor skin gave anything to extract; type: bodylog info {log}")
+
+
+def _distinct(log: Path, out: Path) -> None:
+    if out.exists() and log.exists() and out.resolve() == log.resolve():
+        raise UsageError(f"{out}: is the log itself, which is never written to; give another name with -o")
+
+
+def _provenance(logs: Sequence[Path], settings: Settings) -> dict[str, str]:
+    inputs = {log.name: sha256(log) for log in logs}
+    return {"version": __version__, "settings": _json(plain(settings)), "inputs": _json(inputs)}
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, default=float)
+
+
+def _merged(features: Sequence[Features]) -> dict[str, Health]:
+    return {topic: health for found in features for topic, health in found.health.items()}

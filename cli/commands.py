@@ -1,0 +1,35 @@
+"""The table of commands."""
+
+import click
+
+from bodylog import __version__
+
+from . import compare, config, doctor, estimate, evaluate, extract, fit, info, ingest, plot, record, report
+
+COMMANDS = (
+    record.record,
+    ingest.ingest,
+    info.info,
+    doctor.doctor,
+    extract.extract,
+    fit.fit,
+    estimate.estimate,
+    evaluate.evaluate,
+    compare.compare,
+    plot.plot,
+    report.report,
+    config.config,
+)
+
+
+@click.group(
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog="Example: bodylog fit explore.bag -o body.npz && bodylog estimate run.bag --body body.npz -o run.mcap",
+)
+@click.version_option(__version__, prog_name="bodylog")
+def bodylog() -> None:
+    """Where was the robot's body, how sure is that, and which sensor lied: from any log (.bag, rosbag2, .mcap)."""
+
+
+for _command in COMMANDS:
+    bodylog.add_command(_command)

@@ -1,0 +1,46 @@
+"""bodylog compare."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from . import options
+
+if TYPE_CHECKING:
+    from bodylog.pipeline import Row
+
+COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence")
+
+
+@click.command(epilog="Example: bodylog compare run.bag --body body.npz")
+@options.log_argument
+@click.option("--body", type=options.PATH, required=True, help="The body model that fit wrote.")
+@options.common_options
+def compare(log: Path, body: Path, config_file: Path | None, as_json: bool) -> int:
+    """Every method with every subset of senses on one log, in one table."""
+    from bodylog import pipeline
+
+    from .output import data, lost, progress, talk
+
+    with progress("compare") as tick:
+        rows, findings = pipeline.compare(log, body, options.settings(config_file), tick)
+    talk(findings)
+    if as_json:
+        data({"rows": [_plain(row) for row in rows], "output": None})
+    else:
+        _table(rows)
+    return lost(findings)
+
+
+def _plain(row: "Row") -> dict[str, Any]:
+    scores = {score.name: score.value for score in row.scores}
+    return {"method": row.method, "senses": row.senses, "seconds": row.seconds, "scores": scores}
+
+
+def _table(rows: "list[Row]") -> None:
+    click.echo(f"{'method':<18} {'senses':<24} " + " ".join(f"{name:>15}" for name in COLUMNS) + f" {'seconds':>9}")
+    for row in rows:
+        scores = {score.name: score.value for score in row.scores}
+        cells = " ".join(f"{scores[name]:>15.5g}" if name in scores else f"{'-':>15}" for name in COLUMNS)
+        click.echo(f"{row.method:<18} {','.join(row.senses):<24} {cells} {row.seconds:>9.3f}")

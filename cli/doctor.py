@@ -1,0 +1,30 @@
+"""bodylog doctor."""
+
+from pathlib import Path
+
+import click
+
+from .options import PATH, common_options, logs_argument
+
+
+@click.command(epilog="Example: bodylog doctor crashed.mcap --repair sound.mcap")
+@logs_argument
+@click.option("--repair", type=PATH, metavar="OUT.mcap", help="Write what is sound of one log there.")
+@common_options
+def doctor(logs: tuple[Path, ...], repair: Path | None, config_file: Path | None, as_json: bool) -> int:
+    """What is wrong with a log, and what can be saved of it."""
+    from bodylog import pipeline
+
+    from .output import as_data, data, lost
+
+    if repair is not None and len(logs) != 1:
+        raise click.UsageError("--repair takes exactly one LOG")
+    results = {str(log): pipeline.doctor(log, repair) for log in logs}
+    if as_json:
+        data([{"path": path, **as_data(result)} for path, result in results.items()])
+    else:
+        for path, result in results.items():
+            click.echo(f"{path}: {'sound' if not result.findings else f'{len(result.findings)} findings'}")
+            for finding in result.findings:
+                click.echo(f"  {finding.severity}: {finding.text}")
+    return max(lost(result.findings) for result in results.values())

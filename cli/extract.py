@@ -1,0 +1,22 @@
+"""bodylog extract."""
+
+from pathlib import Path
+
+import click
+
+from .options import common_options, log_argument, out_option, settings
+
+
+@click.command(epilog="Example: bodylog extract run.bag -o features.mcap")
+@log_argument
+@out_option("The features MCAP to write.")
+@common_options
+def extract(log: Path, out: Path, config_file: Path | None, as_json: bool) -> int:
+    """Find effector, hand, touches, strokes and synchrony; write them with the signals, without the pictures."""
+    from bodylog import pipeline
+
+    from .output import progress, show
+
+    with progress("extract") as tick:
+        result = pipeline.extract(log, out, settings(config_file), tick)
+    return show(result, as_json)

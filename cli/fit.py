@@ -1,0 +1,35 @@
+"""bodylog fit."""
+
+from pathlib import Path
+
+import click
+
+from .options import common_options, logs_argument, out_option, settings
+
+
+@click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
+@logs_argument
+@out_option("The body model to write (.npz).")
+@click.option("--preset", help="paper: the printed constants and 46 samples.")
+@click.option("--joints", help="Learn over these joints, e.g. pan,lift,elbow; default: those that move.")
+@click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
+@common_options
+def fit(
+    logs: tuple[Path, ...],
+    out: Path,
+    preset: str | None,
+    joints: str | None,
+    every: int | None,
+    config_file: Path | None,
+    as_json: bool,
+) -> int:
+    """Learn the robot's body from exploration logs: what each sense is expected to read at any joint angles."""
+    from bodylog import pipeline
+
+    from .output import progress, show
+
+    named = tuple(joints.split(",")) if joints else None
+    chosen = settings(config_file, fit={"preset": preset, "every": every}, body={"joints": named})
+    with progress("fit") as tick:
+        result = pipeline.fit(logs, out, chosen, tick)
+    return show(result, as_json)

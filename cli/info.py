@@ -1,0 +1,42 @@
+"""bodylog info."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .options import common_options, logs_argument, settings
+
+
+@click.command(epilog="Example: bodylog info run.bag --json")
+@logs_argument
+@click.option("--strict", is_flag=True, help="Refuse a damaged log instead of reading what is sound.")
+@common_options
+def info(logs: tuple[Path, ...], strict: bool, config_file: Path | None, as_json: bool) -> int:
+    """What is in a log: topics, types, counts, rates, clocks, and which topic plays which role."""
+    from bodylog import pipeline
+
+    from .output import data
+
+    chosen = settings(config_file)
+    found = [pipeline.info(log, chosen, strict) for log in logs]
+    if as_json:
+        data(found)
+    else:
+        for one in found:
+            _print(one)
+    return 3 if any(f["severity"] == "lost" for one in found for f in one["findings"]) else 0
+
+
+def _print(one: dict[str, Any]) -> None:
+    click.echo(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")
+    width = max((len(topic["topic"]) for topic in one["topics"]), default=0)
+    for topic in one["topics"]:
+        rate = "" if topic["rate_hz"] is None else f"{topic['rate_hz']:.2f} Hz"
+        click.echo(f"  {topic['topic']:<{width}}  {topic['messages']:>8}  {rate:>12}  {topic['type']}")
+    for role, topic in one["roles"].items():
+        click.echo(f"  {role}: {topic}")
+    if one["joints"]:
+        click.echo(f"  joint names: {', '.join(one['joints'])}")
+    for finding in one["findings"]:
+        click.echo(f"  {finding['severity']}: {finding['text']}")

@@ -1,0 +1,22 @@
+"""bodylog plot."""
+
+from pathlib import Path
+
+import click
+
+from .options import PATH, common_options, settings
+
+
+@click.command(epilog="Example: bodylog plot run.bag -o run.png")
+@click.argument("source", metavar="LOG|BODY.npz", type=PATH)
+@click.option("-o", "--output", "out", type=PATH, required=True, help="The picture to write (.png or .svg).")
+@common_options
+def plot(source: Path, out: Path, config_file: Path | None, as_json: bool) -> int:
+    """Draw a log (joints, pixels, skin, touches, trajectories), or a body model's mean and variance."""
+    from bodylog import pipeline
+
+    from .output import progress, show
+
+    with progress("plot") as tick:
+        result = pipeline.plot(source, out, settings(config_file), tick)
+    return show(result, as_json)

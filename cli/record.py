@@ -1,0 +1,39 @@
+"""bodylog record."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .options import out_option
+
+
+@click.command(epilog="Example: bodylog record babble -o explore.mcap --seed 1 --duration 40")
+@click.argument("scenario")
+@out_option("The log to write (.mcap).")
+@click.option("--seed", type=int, default=0, show_default=True, help="Same seed, same bytes.")
+@click.option("--duration", type=click.FloatRange(0, min_open=True), metavar="S", help="Default: the scenario's.")
+@click.option("--image", type=click.Choice(["jpeg", "raw"]), default="jpeg", show_default=True)
+@click.option("--size", metavar="WxH", default="640x480", show_default=True, help="Picture size.")
+@click.option("--noise", type=click.FloatRange(0), metavar="RAD", help="Standard deviation of the encoders.")
+@click.option("--full", is_flag=True, help="babble: move every joint.")
+@click.option("--arm", default="ur5", show_default=True, help="ur5 or seven.")
+@click.option("--variant", help="touch, rubber-hand: sync, late, jitter or slow.")
+@click.option("--place", help="rubber-hand: left, centre or right.")
+def record(scenario: str, out: Path, size: str, **options: Any) -> None:
+    """Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth.
+
+    SCENARIO is babble (exploration), reach, ...; an unknown one lists them all.
+    """
+    from bodylog import pipeline
+
+    from .output import show
+
+    show(pipeline.record(scenario, out, size=_size(size), **options), False)
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit() and 16 <= int(width) <= 4096 and 16 <= int(height) <= 4096):
+        raise click.BadParameter(f"{text!r}; it must be WIDTHxHEIGHT, e.g. 640x480", param_hint="--size")
+    return int(width), int(height)

@@ -1,0 +1,20 @@
+"""bodylog report."""
+
+from pathlib import Path
+
+import click
+
+from .options import common_options, log_argument, out_option, settings
+
+
+@click.command(epilog="Example: bodylog report run.mcap -o report.html")
+@log_argument
+@out_option("The page to write (.html).")
+@common_options
+def report(log: Path, out: Path, config_file: Path | None, as_json: bool) -> int:
+    """One self-contained HTML page on an annotated log."""
+    from bodylog import pipeline
+
+    from .output import show
+
+    return show(pipeline.report(log, out, settings(config_file)), as_json)

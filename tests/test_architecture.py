@@ -1,0 +1,56 @@
+"""Who may import whom (docs/architecture.md), read from the source."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+STAGES = {"logs", "perception", "body", "estimation", "sim", "evaluation", "report"}
+RECORDS = {"types", "errors", "settings", "files"}
+
+
+def _imported(path: Path) -> set[str]:
+    """First part below bodylog of everything a file of the package imports."""
+    package = ["bodylog", *path.relative_to(ROOT / "bodylog").parent.parts]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            base = package[: len(package) + 1 - node.level] if node.level else []
+            full = [*base, *(node.module or "").split(".")] if node.module else base
+            names = [".".join([*full, alias.name]) for alias in node.names]
+        elif isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        else:
+            continue
+        found |= {name for name in names if name.split(".")[0] in ("bodylog", "click", "cli", "bodylog_cli")}
+    return {name.split(".")[1] if name.startswith("bodylog.") else name.split(".")[0] for name in found}
+
+
+def test_stages_import_only_records_and_themselves():
+    wrong = {}
+    for path in (ROOT / "bodylog").rglob("*.py"):
+        parts = path.relative_to(ROOT / "bodylog").parts
+        allowed = RECORDS | {parts[0]} if parts[0] in STAGES else None
+        if allowed is not None and (extra := _imported(path) - allowed):
+            wrong[str(path)] = extra
+    assert not wrong
+
+
+def test_library_never_prints_exits_or_reads_the_environment():
+    wrong = []
+    for path in (ROOT / "bodylog").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in ("print", "exit", "sys.exit", "os.getenv"):
+                wrong.append(f"{path}:{node.lineno}")
+            if isinstance(node, ast.Attribute) and ast.unparse(node) == "os.environ":
+                wrong.append(f"{path}:{node.lineno}")
+            if isinstance(node, ast.Import | ast.ImportFrom) and "click" in ast.unparse(node).split():
+                wrong.append(f"{path}:{node.lineno}")
+    assert not wrong
+
+
+def test_importing_bodylog_and_asking_for_help_imports_nothing_heavy():
+    code = "import sys, bodylog, bodylog_cli\nbodylog_cli.run(['--help'])\nprint(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"numpy", "scipy", "cv2", "rosbags", "mcap", "pybullet", "matplotlib", "rich"} & set(loaded)
