@@ -1,0 +1,65 @@
+"""robot.toml over defaults, command line over robot.toml, and what is refused by name."""
+
+import pytest
+
+from bodylog.config import load, toml
+from bodylog.errors import ConfigError
+from bodylog.settings import Settings
+
+
+def _file(tmp_path, text):
+    path = tmp_path / "robot.toml"
+    path.write_text(text)
+    return path
+
+
+def test_defaults_when_nothing_is_given():
+    assert load(None) == Settings()
+
+
+def test_file_overrides_defaults_and_command_line_overrides_file(tmp_path):
+    path = _file(tmp_path, '[estimate]\nmethod = "kalman"\nrate = 50\n[skin]\nthreshold = 0.5\n')
+    settings = load(path, {"estimate": {"method": "smoother"}})
+    assert (settings.estimate.method, settings.estimate.rate, settings.skin.threshold) == ("smoother", 50.0, 0.5)
+    assert isinstance(settings.estimate.rate, float)
+
+
+def test_colours_take_a_name_or_ranges_and_shapes_a_table_of_them(tmp_path):
+    text = '[colours]\neffector = {low = [50, 80, 80], high = [70, 255, 255]}\nshapes = {elbow = "blue"}\n'
+    colours = load(_file(tmp_path, text)).colours
+    assert colours.effector == {"low": (50, 80, 80), "high": (70, 255, 255)}
+    assert colours.shapes == {"elbow": "blue"}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[topic]\njoints = '/j'", "did you mean topics"),
+        ("[body]\njoint = ['a']", "did you mean joints"),
+        ("[body]\njoints = 3", "must be a list"),
+        ("[body]\njoints = [3]", "must be a list"),
+        ("[body]\nunit = 'degrees'", "did you mean deg"),
+        ("[colours]\nhand = 'puce'", "possible: blue"),
+        ("[colours]\nhand = {low = [1, 2], high = [3, 4, 5]}", "must be"),
+        ("[colours]\nhand = {low = [1, 2, 300], high = [3, 4, 5]}", "h 0..180"),
+        ("[estimate]\nrate = true", "must be a number"),
+        ("[fit]\nevery = 1.5", "must be a whole number"),
+        ("skin = 3", "must be a table"),
+        ("[skin", "not TOML"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_one_line(tmp_path, text, said):
+    with pytest.raises(ConfigError, match=said) as caught:
+        load(_file(tmp_path, text))
+    assert "robot.toml" in str(caught.value)
+
+
+def test_absent_file_is_a_usage_error(tmp_path):
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load(tmp_path / "none.toml")
+
+
+def test_printed_settings_read_back_as_they_were(tmp_path):
+    given = '[body]\njoints = ["pan \\" lift", "b"]\n[colours]\nshapes = {elbow = {low = [1,2,3], high = [4,5,6]}}\n'
+    settings = load(_file(tmp_path, given))
+    assert load(_file(tmp_path, toml(settings))) == settings
