@@ -1,0 +1,177 @@
+"""Which blob is the target: blobs linked to runs through time, runs judged by size and motion."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..types import Array
+from .blobs import BORDER, MASS, STD_U, STD_V, U, V
+
+_PATIENCE = 0.5
+_REACH = 0.08
+_RESIZED = 2.5
+_LARGER = 1.6
+_SMALL = 0.4
+_STILL = 3.0
+_MOVING = 12.0
+_DEFICIT = 0.12
+_TOLERATED = 0.05
+
+HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY = (
+    "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
+)
+
+
+@dataclass
+class _Run:
+    """One blob followed through time: frame indices and its rows of fields."""
+
+    frames: list[int] = field(default_factory=list)
+    rows: list[Array] = field(default_factory=list)
+
+    @property
+    def table(self) -> Array:
+        return np.array(self.rows)
+
+
+def best(t: Array, found: Array, width: float) -> tuple[Array, Array]:
+    """u, v, std_u, std_v (N,4) px of the target among found (N,candidates,FIELDS), NaN where unsure; why (N,) str."""
+    track = np.full((len(t), 4), np.nan)
+    why = np.full(len(t), HIDDEN, dtype=object)
+    runs = _link(t, found, _REACH * width)
+    if not runs:
+        return track, why
+    runs = _of_right_size(_undominated(runs, why), why)
+    runs = _reachable(t, runs, _REACH * width, why)
+    mass = np.full(len(t), np.nan)
+    for run in runs:
+        rows = run.table
+        clear = (rows[:, BORDER] == 0) & (why[run.frames] != RIVAL)
+        index = np.array(run.frames)
+        why[index[rows[:, BORDER] == 1]] = EDGE
+        track[index[clear]] = rows[clear][:, [U, V, STD_U, STD_V]]
+        mass[index[clear]] = rows[clear][:, MASS]
+    _drop_partly_hidden(t, track, mass, why)
+    return track, why
+
+
+def _link(t: Array, found: Array, reach: float) -> list[_Run]:
+    """Blobs joined to the nearest open run that is close enough and of like size; others open a run."""
+    open_runs: list[_Run] = []
+    closed: list[_Run] = []
+    for index in np.flatnonzero(np.isfinite(found[:, 0, U])).tolist():
+        still_open = [run for run in open_runs if t[index] - t[run.frames[-1]] <= _PATIENCE]
+        closed += [run for run in open_runs if t[index] - t[run.frames[-1]] > _PATIENCE]
+        open_runs = still_open
+        taken: set[int] = set()
+        for row in found[index][np.isfinite(found[index, :, U])]:
+            run = _nearest(open_runs, taken, row, reach)
+            if run is None:
+                run = _Run()
+                open_runs.append(run)
+            taken.add(id(run))
+            run.frames.append(index)
+            run.rows.append(row)
+    return sorted(closed + open_runs, key=lambda run: run.frames[0])
+
+
+def _nearest(runs: list[_Run], taken: set[int], row: Array, reach: float) -> _Run | None:
+    best_run, best_distance = None, reach
+    for run in runs:
+        last = run.rows[-1]
+        distance = float(np.hypot(row[U] - last[U], row[V] - last[V]))
+        alike = row[BORDER] or last[BORDER] or 1 / _RESIZED < row[MASS] / last[MASS] < _RESIZED
+        if id(run) not in taken and alike and distance <= best_distance:
+            best_run, best_distance = run, distance
+    return best_run
+
+
+def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
+    """Runs that lose to no run they share frames with; where two tie, those frames are marked RIVAL."""
+    beaten: set[int] = set()
+    for first in range(len(runs)):
+        for second in range(first + 1, len(runs)):
+            shared = np.intersect1d(runs[first].frames, runs[second].frames)
+            if not shared.size:
+                continue
+            winner = _winner(runs[first], runs[second])
+            if winner is None:
+                why[shared] = RIVAL
+            else:
+                beaten.add(second if winner == 0 else first)
+    return [run for index, run in enumerate(runs) if index not in beaten]
+
+
+def _winner(first: _Run, second: _Run) -> int | None:
+    """0 or 1 for the larger run, or else for the moving one beside a still one; None when neither is clear."""
+    ratio = np.median(first.table[:, MASS]) / np.median(second.table[:, MASS])
+    if ratio >= _LARGER or ratio <= 1 / _LARGER:
+        return 0 if ratio > 1 else 1
+    extents = [_extent(first), _extent(second)]
+    if min(extents) < _STILL and max(extents) > _MOVING:
+        return int(np.argmax(extents))
+    return None
+
+
+def _extent(run: _Run) -> float:
+    """How far (px) a run strays: the larger of its central 80 % ranges in u and v."""
+    low, high = np.quantile(run.table[:, [U, V]], (0.1, 0.9), axis=0)
+    return float((high - low).max())
+
+
+def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
+    """Runs not much smaller than most of what was seen."""
+    usual = np.median(np.concatenate([run.table[:, MASS] for run in runs]))
+    kept = []
+    for run in runs:
+        if np.median(run.table[:, MASS]) >= _SMALL * usual or run.table[:, BORDER].any():
+            kept.append(run)
+        else:
+            why[run.frames] = SIZE
+    return kept
+
+
+def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Run]:
+    """Runs the target can have moved between: the longest is believed, the others must be within its speed."""
+    speed = 2.0 * max(_fastest(t, run) for run in runs)
+    kept: list[_Run] = []
+    for run in sorted(runs, key=lambda run: -len(run.frames)):
+        if all(_within(t, run, other, reach, speed) for other in kept):
+            kept.append(run)
+        else:
+            why[run.frames] = JUMP
+    return kept
+
+
+def _within(t: Array, run: _Run, other: _Run, reach: float, speed: float) -> bool:
+    early, late = (run, other) if run.frames[0] < other.frames[0] else (other, run)
+    gap = float(t[late.frames[0]] - t[early.frames[-1]])
+    step = late.rows[0] - early.rows[-1]
+    return gap < 0 or float(np.hypot(step[U], step[V])) <= reach + speed * gap
+
+
+def _fastest(t: Array, run: _Run) -> float:
+    """The 95th percentile of a run's speed, px/s."""
+    if len(run.frames) < 3:
+        return 0.0
+    step = np.diff(run.table[:, [U, V]], axis=0)
+    return float(np.quantile(np.hypot(step[:, 0], step[:, 1]) / np.maximum(np.diff(t[run.frames]), 1e-3), 0.95))
+
+
+def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None:
+    """Rows where area is missing against the second around them go; a little missing area widens their std."""
+    seen = np.flatnonzero(np.isfinite(mass))
+    usual = _usual(t[seen], mass[seen])
+    missing = 1 - mass[seen] / usual
+    bad = seen[missing > _DEFICIT]
+    track[bad] = np.nan
+    why[bad] = PARTLY
+    # a disc of radius r that lost a share f of its area has its centre off by about f r
+    shift = np.maximum(missing - _TOLERATED, 0) * np.sqrt(usual / np.pi)
+    track[seen, 2:] = np.hypot(track[seen, 2:], shift[:, None])
+
+
+def _usual(t: Array, mass: Array) -> Array:
+    """The 70th percentile of the areas seen within 1 s of each time: partial views are the smaller ones."""
+    low, high = np.searchsorted(t, t - 1.0), np.searchsorted(t, t + 1.0, side="right")
+    return np.array([np.quantile(mass[a:b], 0.7) for a, b in zip(low, high, strict=True)])

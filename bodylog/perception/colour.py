@@ -1,0 +1,137 @@
+"""Pictures to colour tracks: decoding and looking on a pool of threads, in order, a bounded number ahead."""
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import numpy as np
+
+from ..errors import InputError
+from ..settings import Colour
+from ..types import Array, Finding, Frame, Health, Series
+from . import blobs, choose
+from .ranges import Range, nearest, resolve
+
+_THREADS = 2
+_AHEAD = 8
+
+Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
+
+
+def track(
+    frames: Callable[[], Iterator[Frame]],
+    colours: Mapping[str, Colour],
+    progress: Callable[[int], None] | None = None,
+) -> Tracks:
+    """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
+
+    `progress` is told how many more pictures are done. Raises ConfigError for a colour that means nothing.
+    OpenCV's own threads are left as they are: the pictures' threads are the pool's.
+    """
+    ranges = [resolve(colour, name) for name, colour in colours.items()]
+    t, source_ns, found, broken, size = _look_at_all(frames(), ranges, progress)
+    tracks, health, findings = {}, {}, []
+    for index, name in enumerate(colours):
+        track, reasons = choose.best(t, found[:, index], size)
+        tracks[name] = Series(t, track[:, :2], ("u", "v"), "px", source_ns, track[:, 2:])
+        health[name] = _health(t, track, reasons, broken)
+    unseen = [name for name in colours if health[name].used == 0]
+    if unseen and t.size:
+        instead = _saturated(frames(), t.size)
+        findings += [_unseen(name, colours[name], t.size, instead) for name in unseen]
+    if broken.any():
+        findings.append(Finding("lost", f"{int(broken.sum())} of {t.size} pictures could not be decoded"))
+    return tracks, health, tuple(findings)
+
+
+def in_order(
+    frames: Iterable[Frame], task: Callable[[Frame], Array | None], threads: int = _THREADS
+) -> Iterator[tuple[Frame, Array | None]]:
+    """Each frame with task(frame), in order; at most _AHEAD frames are under way, on `threads` threads."""
+    waiting: deque[tuple[Frame, Future[Array | None]]] = deque()
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            for frame in frames:
+                waiting.append((frame, pool.submit(task, frame)))
+                if len(waiting) > _AHEAD:
+                    yield _first(waiting)
+            while waiting:
+                yield _first(waiting)
+        finally:
+            for _, future in waiting:
+                future.cancel()
+
+
+def _first(waiting: "deque[tuple[Frame, Future[Array | None]]]") -> tuple[Frame, Array | None]:
+    frame, future = waiting.popleft()
+    return frame, future.result()
+
+
+def _look_at_all(
+    frames: Iterator[Frame], ranges: Sequence[Range], progress: Callable[[int], None] | None
+) -> tuple[Array, Array, Array, Array, float]:
+    """t (N,) · source_ns (N,) · blobs (N,colours,…) · undecodable (N,) bool · width of the pictures in px."""
+    none = np.full((len(ranges), blobs.CANDIDATES, blobs.FIELDS), np.nan)
+    t, source_ns, found, broken, widths = [], [], [], [], [0.0]
+
+    def task(frame: Frame) -> Array | None:
+        try:
+            image = frame.decode(1)
+        except InputError:
+            return None
+        widths[0] = max(widths[0], float(image.shape[1]))
+        return blobs.look(image, ranges)
+
+    for frame, seen in in_order(frames, task):
+        t.append(frame.t)
+        source_ns.append(frame.source_ns)
+        found.append(none if seen is None else seen)
+        broken.append(seen is None)
+        if progress:
+            progress(1)
+    stacked = np.stack(found) if found else none[None][:0]
+    return np.array(t), np.array(source_ns, dtype=np.int64), stacked, np.array(broken, dtype=bool), widths[0]
+
+
+def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:
+    """Counts of one track: rejected = frames looked at that gave no point, by reason."""
+    used = np.isfinite(track[:, 0])
+    reasons = np.where(broken, "undecodable picture", reasons)
+    kinds, counts = np.unique(reasons[~used].astype(str), return_counts=True)
+    gaps = np.diff(t[used])
+    return Health(
+        int(t.size),
+        int(used.sum()),
+        {str(kind): int(count) for kind, count in zip(kinds, counts, strict=True)},
+        float(gaps.max()) if gaps.size else 0.0,
+    )
+
+
+def _saturated(frames: Iterator[Frame], count: int) -> dict[str, float]:
+    """Share (0..1) of each colour name among all pixels of a dozen pictures, where saturated, largest first."""
+    import cv2
+
+    histogram, pixels = np.zeros(180), 0
+    for index, frame in enumerate(frames):
+        if index % max(1, count // 12):
+            continue
+        try:
+            hsv = cv2.cvtColor(np.ascontiguousarray(frame.decode(1)[::4, ::4]), cv2.COLOR_BGR2HSV)
+        except InputError:
+            continue
+        pixels += hsv[..., 0].size
+        histogram += np.bincount(hsv[..., 0][(hsv[..., 1] >= 90) & (hsv[..., 2] >= 50)], minlength=180)
+    shares: dict[str, float] = {}
+    for hue in np.flatnonzero(histogram):
+        name = nearest(float(hue))
+        shares[name] = shares.get(name, 0.0) + float(histogram[hue]) / pixels
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float]) -> Finding:
+    wanted = f"'{colour}'" if isinstance(colour, str) else str(dict(colour))
+    others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in instead.items() if share >= 1e-4)
+    hint = f"; type: [colours] {name} = \"{next(iter(instead))}\"" if others else ""
+    return Finding(
+        "warning", f"{name}: colour {wanted} was never found in {count} pictures; seen instead: {others or 'none'}{hint}"
+    )
