@@ -1,0 +1,53 @@
+import builtins
+
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.report.canvas import figure, label
+
+
+@pytest.mark.parametrize("name", ["f.pdf", "f", "f.jpeg"])
+def test_an_unknown_suffix_names_the_known_and_writes_nothing(tmp_path, name):
+    with pytest.raises(UsageError, match=r"f\.png or .*f\.svg"), figure(tmp_path / name, 2, 2):
+        pytest.fail("drawn all the same")
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_matplotlib_the_error_says_what_to_type(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def refuse(name, *rest):
+        if name.startswith("matplotlib"):
+            raise ImportError(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(UsageError, match=r"pip install 'bodylog\[report\]'"), figure(tmp_path / "f.png", 2, 2):
+        pytest.fail("drawn all the same")
+
+
+def test_a_failed_drawing_leaves_the_old_figure_alone(tmp_path):
+    (tmp_path / "f.svg").write_text("old")
+    with pytest.raises(ZeroDivisionError), figure(tmp_path / "f.svg", 2, 2):
+        raise ZeroDivisionError
+    assert (tmp_path / "f.svg").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_the_users_matplotlib_settings_are_neither_used_nor_changed(tmp_path):
+    import matplotlib
+
+    def draw(name):
+        with figure(tmp_path / name, 2, 2) as drawing:
+            drawing.add_subplot().plot([0, 1], [1, 0])
+        return (tmp_path / name).read_bytes()
+
+    plain = draw("plain.svg")
+    with matplotlib.rc_context({"axes.facecolor": "pink", "font.size": 30}):
+        assert draw("pink.svg") == plain
+        assert matplotlib.rcParams["font.size"] == 30
+
+
+def test_labels_are_one_printable_line_that_a_legend_shows():
+    assert label("_hidden") == " _hidden"
+    assert label("two\nlines\x1b[31m") == "two lines [31m"
+    assert len(label("x" * 1000)) == 40

@@ -1,0 +1,120 @@
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.report.figures import body_figure, estimate_figure, recording_figure
+
+from .records import Blind, Bowl, body, estimate, features, recording
+
+HOSTILE = ("$\\frac{", "_hidden", "</text><script>", "名前", "a" * 500, "line\nbreak")
+
+
+def words(path):
+    """What the text of an SVG says: matplotlib keeps each text as a comment beside its outlines."""
+    return re.findall(r"<!-- (.*?) -->", path.read_text(), re.S)
+
+
+def axes_of(path):
+    return len(re.findall(r'<g id="axes_\d+">', path.read_text()))
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_same_log_same_bytes(tmp_path, suffix):
+    first, second = tmp_path / f"1{suffix}", tmp_path / f"2{suffix}"
+    for out in (first, second):
+        recording_figure(recording(), features(), out)
+    assert first.read_bytes() == second.read_bytes()
+    assert first.stat().st_size > 20_000
+
+
+def test_the_whole_log_has_joints_pixels_skin_events_and_trajectories(tmp_path):
+    recording_figure(recording(), features(), tmp_path / "f.svg")
+    said = words(tmp_path / "f.svg")
+    assert {"joints, rad", "pixels", "skin cell", "felt", "seen", "u, pixels", "0.93", "time, s"} <= set(said)
+    assert {"shoulder_pan_joint", "effector u", "hand v", "reach.mcap"} <= set(said)
+
+
+@pytest.mark.parametrize(
+    ("log", "seen", "count", "absent"),
+    [
+        ({"skin": None}, {"touches": None, "synchrony": (), "strokes": ()}, 3, {"skin cell", "felt"}),
+        ({"joints": None}, {}, 5, {"joints, rad"}),
+        ({}, {"tracks": {}, "strokes": (), "synchrony": (), "touches": None}, 3, {"pixels", "u, pixels", "felt"}),
+    ],
+)
+def test_what_is_absent_is_left_out(tmp_path, log, seen, count, absent):
+    recording_figure(replace(recording(), **log), features(**seen), tmp_path / "f.svg")
+    assert axes_of(tmp_path / "f.svg") == count  # the colour bar of the skin is one
+    assert not absent & set(words(tmp_path / "f.svg"))
+
+
+def test_a_recording_without_features_shows_its_signals(tmp_path):
+    recording_figure(recording(), None, tmp_path / "f.svg")
+    assert axes_of(tmp_path / "f.svg") == 3
+
+
+def test_an_empty_recording_is_refused_by_name(tmp_path):
+    with pytest.raises(UsageError, match=r"reach\.mcap: no joints"):
+        recording_figure(replace(recording(), joints=None, skin=None), None, tmp_path / "f.svg")
+
+
+@pytest.mark.parametrize("cells", [1, 4, 5, 117])
+def test_skin_is_lines_for_few_cells_and_a_picture_for_many(tmp_path, cells):
+    skin = recording().skin
+    some = replace(skin, values=np.tile(skin.values[:, :1], cells), names=tuple(f"cell {c}" for c in range(cells)))
+    recording_figure(replace(recording(), skin=some), None, tmp_path / "f.svg")
+    assert ("skin cell" in words(tmp_path / "f.svg")) == (cells >= 5)
+
+
+def test_names_from_a_log_stay_text(tmp_path):
+    recording_figure(replace(recording(joints=HOSTILE), name="$x^{<&>"), features(), tmp_path / "f.svg")
+    estimate_figure(estimate(joints=HOSTILE), recording(joints=HOSTILE).truth, None, tmp_path / "e.svg")
+    for path in (tmp_path / "f.svg", tmp_path / "e.svg"):
+        assert "<script" not in path.read_text()
+        assert any("$\\frac{" in text for text in words(path))
+        assert any("_hidden" in text for text in words(path))
+
+
+def test_body_surfaces_run_over_the_two_joints_that_moved_most(tmp_path):
+    body_figure(body(), tmp_path / "b.svg")
+    said = words(tmp_path / "b.svg")
+    assert {"effector u: mean", "effector v: standard deviation"} <= set(said)
+    assert {"shoulder_pan_joint, rad", "shoulder_lift_joint, rad"} <= set(said)
+    assert "elbow_joint, rad" not in said
+    x = np.random.default_rng(0).uniform(-1, 1, (30, 3)) * (0.01, 0.5, 2.0)
+    body_figure(body(senses={"effector": Bowl(x)}), tmp_path / "c.svg")
+    assert "shoulder_pan_joint, rad" not in words(tmp_path / "c.svg")
+
+
+def test_a_body_without_samples_or_with_one_joint(tmp_path):
+    body_figure(body(senses={"touch": Blind()}), tmp_path / "b.png")
+    assert (tmp_path / "b.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(UsageError, match="1 joint"):
+        body_figure(body(joints=("elbow",)), tmp_path / "c.png")
+    with pytest.raises(UsageError, match="without a sense"):
+        body_figure(body(senses={}), tmp_path / "d.png")
+
+
+def test_an_estimate_shows_belief_truth_encoder_faults_errors_and_free_energy(tmp_path):
+    log = recording()
+    estimate_figure(estimate(), log.truth, log.joints, tmp_path / "e.svg")
+    said = set(words(tmp_path / "e.svg"))
+    assert {"belief", "truth", "encoder", "off truth, mrad", "drift since 8.2 s"} <= said
+    assert {"encoders error, σ", "effector error, σ", "free energy, nats"} <= said
+    assert axes_of(tmp_path / "e.svg") == 3 + 3 + 2 + 1
+
+
+def test_an_estimate_without_truth_has_no_deviation(tmp_path):
+    estimate_figure(estimate(), None, None, tmp_path / "e.svg")
+    assert not {"truth", "encoder", "off truth, mrad"} & set(words(tmp_path / "e.svg"))
+    assert axes_of(tmp_path / "e.svg") == 6
+
+
+def test_a_long_log_stays_a_small_figure(tmp_path):
+    log = recording(duration=2000.0)
+    recording_figure(log, features(duration=2000.0), tmp_path / "f.svg")
+    estimate_figure(estimate(duration=2000.0), log.truth, log.joints, tmp_path / "e.svg")
+    assert max(p.stat().st_size for p in tmp_path.iterdir()) < 3_000_000

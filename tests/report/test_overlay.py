@@ -1,0 +1,90 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from bodylog.errors import FormatError, UsageError
+from bodylog.report.overlay import overlay, overlay_sheet, pictures
+from bodylog.types import Frame
+
+from .records import estimate, features, recording
+
+GREY = np.full((200, 300, 3), 128, np.uint8)
+LOST = np.array([np.nan, np.nan])
+
+
+def marked(image):
+    """v, u of every pixel that is no longer grey."""
+    return np.argwhere((image != 128).any(axis=2))
+
+
+@pytest.mark.parametrize("place", [(100.0, 50.0), (220.4, 150.7), (30.0, 30.0)])
+@pytest.mark.parametrize("which", ["seen", "predicted", "hand"])
+def test_a_mark_is_centred_where_it_was_seen(place, which):
+    marks = {"seen": None, "predicted": None, "hand": None} | {which: np.array(place)}
+    found = marked(overlay(GREY, cov=None, **marks))
+    assert (found.min(axis=0) + found.max(axis=0)) / 2 == pytest.approx(place[::-1], abs=0.6)
+
+
+@pytest.mark.parametrize("turn", np.linspace(0, np.pi, 7))
+def test_the_ellipse_is_two_sigma_along_its_axes(turn):
+    axis = np.array([np.cos(turn), np.sin(turn)])
+    across = np.array([-axis[1], axis[0]])
+    cov = 25.0**2 * np.outer(axis, axis) + 12.0**2 * np.outer(across, across)
+    centre = np.array([150.0, 100.0])
+    off = marked(overlay(GREY, None, centre, cov, None))[:, ::-1] - centre
+    far = np.sqrt(np.einsum("ni,ij,nj->n", off, np.linalg.inv(cov), off))
+    rim = far[far > 1]  # the cross is nearer
+    assert rim.mean() == pytest.approx(2.0, abs=0.05)
+    assert rim.min() > 1.6 and rim.max() < 2.4  # the line is 4 px wide
+
+
+@pytest.mark.parametrize("cov", [np.full((2, 2), np.nan), np.diag([1e12, 1.0]), np.zeros((2, 2)), -np.eye(2)])
+def test_marks_that_cannot_be_drawn_are_left_out(cov):
+    assert len(marked(overlay(GREY, LOST, np.array([1e30, 5.0]), cov, LOST))) == 0
+    cross = marked(overlay(GREY, None, np.array([150.0, 100.0]), cov, None))
+    assert np.abs(cross - (100, 150)).max() <= 9
+
+
+def test_the_picture_given_is_not_drawn_on():
+    image = GREY.copy()
+    overlay(image, np.array([50.0, 50.0]), None, None, None)
+    assert (image == GREY).all()
+
+
+def test_pictures_are_spread_over_the_log_and_say_what_was_seen():
+    drawn = pictures(recording(), features(), estimate(), 6)
+    assert np.allclose([p.t for p in drawn], (np.arange(6) + 0.5) * 20 / 6, atol=0.04)
+    assert all("px apart" in p.caption for p in drawn if not 6 < p.t < 8)
+    hidden = pictures(recording(), features(), estimate(), 20)
+    assert any(p.caption.endswith("not seen") for p in hidden)
+
+
+def test_without_a_camera_there_are_no_pictures():
+    assert pictures(replace(recording(), frames=None), features(), estimate()) == ()
+
+
+def test_a_damaged_picture_gives_way_to_the_next():
+    def broken(k):
+        raise FormatError("frame")
+
+    good = recording()
+    frames = [Frame(0.0, 0, broken), *good.frames()]
+    frames[100:110] = [replace(f, decode=broken) for f in frames[100:110]]
+    assert len(pictures(replace(good, frames=lambda: iter(frames)), None, None, 6)) == 6
+
+
+def test_a_sheet_is_one_png_of_all_pictures_and_the_same_twice(tmp_path):
+    drawn = pictures(recording(), features(), estimate(), 5)
+    for name in ("a.png", "b.png"):
+        overlay_sheet(drawn, tmp_path / name, columns=3, width=200)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    assert cv2.imread(str(tmp_path / "a.png")).shape == (2 * (150 + 26) + 26, 600, 3)
+
+
+def test_a_sheet_of_nothing_or_of_another_kind_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="no pictures"):
+        overlay_sheet((), tmp_path / "a.png")
+    with pytest.raises(UsageError, match=r"type: .*a\.png"):
+        overlay_sheet(pictures(recording(), None, None, 1), tmp_path / "a.jpg")
