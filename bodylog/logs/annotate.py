@@ -1,0 +1,129 @@
+"""Write what we found beside what was recorded: the log's own bytes are copied as they are, ours follow."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FormatError, LogError, UsageError
+from ..files import replacing
+from ..types import Finding, Outgoing
+from .append import NAME, Base, keepable, messages
+from .mcap_write import Messages
+from .records import MAGIC
+from .write import Contents, Writer
+
+PROFILE = "ros2"
+LIBRARY = "bodylog"
+_BLOCK = 1 << 20
+
+
+def annotate(source: Path, outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> tuple[Finding, ...]:
+    """`out` becomes an MCAP with all that is in `source`, the messages given, and a metadata record `bodylog`.
+
+    A chunked MCAP is copied bit for bit; any other log is rewritten. /bodylog/ topics of an earlier run are replaced.
+    Findings name topics that could not be carried over whole. UsageError if `out` is the source, LogError if the copy
+    does not hold what it should.
+    """
+    if out.exists() and source.exists() and out.samefile(source):
+        raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
+    with replacing(out) as beside:
+        base = _base(source)
+        if isinstance(base, Base):
+            expected = _append(source, base, outgoing, metadata, beside)
+            findings: tuple[Finding, ...] = ()
+        else:
+            from .transcode import rewrite
+
+            expected, findings = rewrite(source, outgoing, metadata, beside, base)
+        _verify(beside, expected, out)
+    return findings
+
+
+def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> None:
+    """`out` becomes an MCAP of the messages given and a metadata record `bodylog`."""
+    with replacing(out) as beside:
+        with beside.open("wb") as stream:
+            writer = Writer(stream, Contents())
+            writer.begin(PROFILE, LIBRARY)
+            add(writer, outgoing, metadata)
+            writer.finish()
+        _verify(beside, sum(len(o.log_ns) for o in outgoing), out)
+
+
+def add(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str, str]) -> None:
+    """Our topics, messages in order of log time, and the metadata record."""
+    numbers = [writer.topic(o.topic, o.type, o.encoding, o.definition, o.definition_encoding, {}) for o in outgoing]
+    if outgoing:
+        writer.write(_table(outgoing, numbers))
+    writer.about(NAME, metadata)
+
+
+def _base(source: Path) -> Base | str:
+    """What can be kept of `source`, or why it must be rewritten."""
+    if not source.is_file():
+        return "not an MCAP"
+    with source.open("rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            return "not an MCAP"
+    try:
+        return keepable(source)
+    except FormatError as reason:
+        return str(reason)
+
+
+def _append(source: Path, base: Base, outgoing: Sequence[Outgoing], metadata: Mapping[str, str], beside: Path) -> int:
+    kept = sum(base.contents.counts.values())
+    with source.open("rb") as original, beside.open("wb") as stream:
+        _copy(original.fileno(), stream.fileno(), base.end)
+        stream.seek(base.end)
+        writer = Writer(stream, base.contents, base.end, base.crc)
+        add(writer, outgoing, metadata)
+        writer.finish()
+    return kept + sum(len(o.log_ns) for o in outgoing)
+
+
+def _copy(source: int, target: int, size: int) -> None:
+    """The first `size` bytes, by the kernel where it can."""
+    done = 0
+    try:
+        while done < size:
+            count = os.copy_file_range(source, target, size - done, done, done)
+            if not count:
+                break
+            done += count
+    except (OSError, AttributeError):
+        pass  # another file system, or one that cannot: the plain copy below takes over where this stopped
+    os.lseek(target, done, os.SEEK_SET)
+    while done < size:
+        block = os.pread(source, min(_BLOCK, size - done), done)
+        if not block:
+            raise LogError(f"the log ended at byte {done} of {size} while it was copied; was it still being recorded?")
+        done += os.write(target, block)
+
+
+def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:
+    counts = [len(o.log_ns) for o in outgoing]
+    shift = np.cumsum([0, *(o.data.size for o in outgoing)])
+    log_ns = np.concatenate([o.log_ns for o in outgoing])
+    order = np.argsort(log_ns, kind="stable")
+    return Messages(
+        channel=np.repeat(numbers, counts)[order],
+        sequence=np.concatenate([np.arange(count) for count in counts])[order],
+        log_ns=log_ns[order],
+        publish_ns=log_ns[order],
+        data=np.concatenate([o.data for o in outgoing]),
+        offset=np.concatenate([o.offset + start for o, start in zip(outgoing, shift, strict=False)])[order],
+        length=np.concatenate([o.length for o in outgoing])[order],
+    )
+
+
+def _verify(beside: Path, expected: int, out: Path) -> None:
+    """Open what was written and count it by its message indexes."""
+    try:
+        found = messages(beside)
+    except FormatError as problem:
+        raise LogError(f"{out}: was not written soundly ({problem}); is the disk full?") from None
+    if found != expected:
+        raise LogError(f"{out}: holds {found} messages where {expected} were written; is the disk full?")

@@ -1,0 +1,187 @@
+"""What we write into a log: features and estimates as ready messages, each beside the message that caused it."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..types import Array, Estimate, Fault, Features, Outgoing, Series, Synchrony, Touch
+from . import cdr, overlay
+from .cdr import Field, Payloads
+from .vocabulary import definition
+
+ROOT = "/bodylog/"
+TRACK = ROOT + "track/"
+PREDICTED = ROOT + "predicted/"
+ERROR = ROOT + "prediction_error/"
+TRACK_NAMES = ("u", "v", "std_u", "std_v")
+PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
+
+
+def escape(name: str) -> str:
+    """`name` as one segment of a topic name: what ROS does not allow there becomes _x<hex>_."""
+    return re.sub(r"^[0-9]|[^A-Za-z0-9_]|_(?=x[0-9a-f]+_)", lambda m: f"_x{ord(m[0]):x}_", name)
+
+
+def unescape(segment: str) -> str:
+    """The name that `escape` was given."""
+    return re.sub(r"_x([0-9a-f]+)_", lambda m: chr(int(m[1], 16)), segment)
+
+
+def from_features(features: Features, start_ns: int, camera: str | None) -> list[Outgoing]:
+    """Tracks, sightings, touches and synchrony; `camera` is the frame_id of what lies in the picture."""
+    frame = camera or ""
+    out = [_track(name, track, start_ns, frame) for name, track in features.tracks.items()]
+    for name in ("effector", "hand"):
+        if name in features.tracks:
+            out.append(_points(ROOT + name, features.tracks[name], start_ns, frame))
+    if features.touches is not None:
+        out.append(_touches(features.touches, start_ns))
+        out.append(_synchrony(features.synchrony, features.touches, start_ns))
+    return out
+
+
+def from_estimate(estimate: Estimate, features: Features | None, start_ns: int, camera: str | None) -> list[Outgoing]:
+    """Belief, covariance, errors, predictions, faults, and the overlay of what was seen and what was predicted."""
+    frame, joints = camera or "", estimate.joints
+    out = [
+        from_joints(ROOT + "joint_states", joints, start_ns, estimate.rate.values),
+        _named(ROOT + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
+        _scalar(ROOT + "free_energy", joints, estimate.free_energy, start_ns),
+    ]
+    out += [_named(ERROR + escape(sense), "Vector", e, e.values, start_ns) for sense, e in estimate.errors.items()]
+    if estimate.bias is not None:
+        out.append(_named(ROOT + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
+    for name, series in estimate.predicted.items():
+        out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, frame))
+    if "effector" in estimate.predicted:
+        out.append(_points(ROOT + "effector_predicted", estimate.predicted["effector"], start_ns, frame))
+    if estimate.faults:
+        out.append(_faults(estimate.faults, joints, start_ns))
+    seen = features.tracks if features is not None else {}
+    if seen or estimate.predicted:
+        times, payloads = overlay.annotations(seen, estimate.predicted, estimate.predicted_cov, start_ns)
+        out.append(_outgoing(ROOT + "annotations", "foxglove_msgs/msg/ImageAnnotations", times, payloads))
+    return out
+
+
+def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:
+    """Joint angles (N,M) as sensor_msgs/JointState, with velocity when `rate` (N,M) rad/s is given."""
+    speed = np.zeros((len(joints.t), 0)) if rate is None else rate
+    fields: list[Field] = [
+        *cdr.header(stamps(joints.t, start_ns)),
+        ("string[]", joints.names),
+        ("float64[]", joints.values),
+        ("float64[]", speed),
+        ("float64[]", speed[:, :0]),
+    ]
+    return _plain(topic, "sensor_msgs/msg/JointState", joints.source_ns, fields)
+
+
+def from_skin(topic: str, skin: Series, start_ns: int) -> Outgoing:
+    """Proximity (N,cells) 0..1 as bodylog_msgs/Skin."""
+    fields: list[Field] = [*cdr.header(stamps(skin.t, start_ns)), ("float32[]", skin.values)]
+    return _plain(topic, "bodylog_msgs/msg/Skin", skin.source_ns, fields)
+
+
+def stamps(t: Array, start_ns: int) -> Array:
+    """Times in s since start_ns as int64 ns since the epoch."""
+    return start_ns + np.rint(np.asarray(t, float) * 1e9).astype(np.int64)
+
+
+def _track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
+    std = np.full_like(track.values, np.nan) if track.std is None else track.std
+    data = np.hstack([track.values, std])
+    return _vector(TRACK + escape(name), track, TRACK_NAMES, data, start_ns, frame)
+
+
+def _predicted(name: str, series: Series, cov: Array | None, start_ns: int, frame: str) -> Outgoing:
+    if cov is None:
+        variance = np.full((len(series.t), 3), np.nan)
+    else:
+        variance = np.column_stack([np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1]), cov[:, 0, 1]])
+    data = np.hstack([series.values, variance])
+    return _vector(PREDICTED + escape(name), series, PREDICTED_NAMES, data, start_ns, frame)
+
+
+def _points(topic: str, track: Series, start_ns: int, frame: str) -> Outgoing:
+    seen = np.isfinite(track.values).all(1)
+    point = np.column_stack([track.values[seen], np.zeros(seen.sum())])
+    fields: list[Field] = [*cdr.header(stamps(track.t[seen], start_ns), frame), ("float64*", point)]
+    return _plain(topic, "geometry_msgs/msg/PointStamped", track.source_ns[seen], fields)
+
+
+def _named(topic: str, kind: str, series: Series, data: Array, start_ns: int) -> Outgoing:
+    return _vector(topic, series, series.names, data, start_ns, "", kind)
+
+
+def _vector(
+    topic: str, series: Series, names: Sequence[str], data: Array, start_ns: int, frame: str, kind: str = "Vector"
+) -> Outgoing:
+    fields: list[Field] = [
+        *cdr.header(stamps(series.t, start_ns), frame),
+        ("string[]", names),
+        ("float64[]", data),
+    ]
+    return _plain(topic, f"bodylog_msgs/msg/{kind}", series.source_ns, fields)
+
+
+def _scalar(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
+    fields: list[Field] = [*cdr.header(stamps(series.t, start_ns)), ("float64", data)]
+    return _plain(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
+
+
+def _touches(touches: Sequence[Touch], start_ns: int) -> Outgoing:
+    parts = []
+    for i, touch in enumerate(touches):
+        onset, offset = stamps(np.array([[touch.onset], [touch.offset]]), start_ns)
+        cells = [touch.strongest, *(cell for cell in touch.cells if cell != touch.strongest)]
+        fields: list[Field] = [
+            *cdr.header(onset),
+            *cdr.time(offset - onset),
+            ("int32[]", np.array([cells])),
+            ("float32", touch.peak),
+        ]
+        parts.append((np.array([i]), cdr.serialise(1, fields)))
+    times = np.array([touch.source_ns for touch in touches], np.int64)
+    return _outgoing(ROOT + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge(parts, len(touches)))
+
+
+def _synchrony(synchrony: Sequence[Synchrony], touches: Sequence[Touch], start_ns: int) -> Outgoing:
+    caused = [touches[s.touch] for s in synchrony]
+    fields: list[Field] = [
+        *cdr.header(stamps(np.array([touch.onset for touch in caused]), start_ns)),
+        ("float64", np.array([s.delay for s in synchrony])),
+        ("float64", np.array([s.weight for s in synchrony])),
+    ]
+    times = np.array([touch.source_ns for touch in caused], np.int64)
+    return _plain(ROOT + "synchrony", "bodylog_msgs/msg/Synchrony", times, fields)
+
+
+def _faults(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
+    parts = []
+    for i, fault in enumerate(faults):
+        fields: list[Field] = [
+            *cdr.header(stamps(np.array([fault.since]), start_ns)),
+            ("string", fault.sense),
+            ("string", fault.name),
+            ("string", fault.kind),
+            ("float64", fault.size),
+            ("string", fault.unit),
+        ]
+        parts.append((np.array([i]), cdr.serialise(1, fields)))
+    last = np.searchsorted(joints.t, [fault.since for fault in faults], "right") - 1
+    times = joints.source_ns[np.maximum(last, 0)]
+    return _outgoing(ROOT + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge(parts, len(faults)))
+
+
+def _plain(topic: str, kind: str, log_ns: Array, fields: Sequence[Field]) -> Outgoing:
+    return _outgoing(topic, kind, log_ns, cdr.serialise(len(log_ns), fields))
+
+
+def _outgoing(topic: str, kind: str, log_ns: Array, payloads: Payloads) -> Outgoing:
+    log_ns = np.asarray(log_ns, np.int64)
+    order = np.argsort(log_ns, kind="stable")
+    return Outgoing(
+        topic, kind, definition(kind), log_ns[order], payloads.data, payloads.offset[order], payloads.length[order]
+    )

@@ -1,0 +1,192 @@
+"""A file of chunks under way: messages go in, chunks with their indexes come out, then one summary of everything."""
+
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+
+from ..types import Array
+from . import mcap_write as mcap
+from .mcap_write import Messages
+from .records import (
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK_INDEX,
+    FOOTER,
+    HEAD,
+    MAGIC,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+    SUMMARY_OFFSET,
+)
+
+CHUNK_BYTES = 1 << 20
+_LEVEL = 1
+_WORTH = 0.95
+_MOST = 0xFFFF
+
+
+@dataclass
+class Contents:
+    """What the summary will say: records by id or in file order, messages per channel, first and last log time."""
+
+    schemas: dict[int, bytes] = field(default_factory=dict)
+    channels: dict[int, bytes] = field(default_factory=dict)
+    chunks: list[bytes] = field(default_factory=list)
+    attachments: list[bytes] = field(default_factory=list)
+    metadata: list[bytes] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+    span: tuple[int, int] | None = None
+
+    def seen(self, start_ns: int, end_ns: int) -> None:
+        """Widen the span of log times."""
+        first, last = self.span or (start_ns, end_ns)
+        self.span = min(first, start_ns), max(last, end_ns)
+
+
+class Writer:
+    """Appends records to a stream at `position`; crc is that of all bytes before, or None where it is not kept."""
+
+    def __init__(self, stream: BinaryIO, contents: Contents, position: int = 0, crc: int | None = None) -> None:
+        """Start at `position` of the stream, whose CRC so far is `crc`."""
+        import zstandard
+
+        self.contents = contents
+        self._stream, self._position, self._crc = stream, position, crc
+        self._compressor = zstandard.ZstdCompressor(_LEVEL)
+        self._schema_ids = {record[11:]: number for number, record in contents.schemas.items()}
+
+    def begin(self, profile: str, library: str) -> None:
+        """Magic and header of a new file."""
+        self.put(MAGIC + mcap.header(profile, library))
+
+    def put(self, *parts: bytes | memoryview) -> None:
+        """Bytes as they are."""
+        for part in parts:
+            self._stream.write(part)
+            self._position += len(part)
+            if self._crc is not None:
+                self._crc = zlib.crc32(part, self._crc)
+
+    def topic(
+        self, name: str, kind: str, encoding: str, definition: bytes, definition_encoding: str, about: Mapping[str, str]
+    ) -> int:
+        """Declare a topic; returns its channel id. Equal definitions share one schema."""
+        number = _free(self.contents.channels)
+        schema_id = self._schema(kind, definition_encoding, definition) if kind or definition else 0
+        self.contents.channels[number] = mcap.channel(number, schema_id, name, encoding, about)
+        self.contents.counts.setdefault(number, 0)
+        self.put(self.contents.channels[number])
+        return number
+
+    def write(self, table: Messages) -> None:
+        """Messages in the given order, as chunks of about 1 MiB each."""
+        edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
+        cuts = np.flatnonzero(np.diff(edges)) + 1
+        for first, last in zip([0, *cuts.tolist()], [*cuts.tolist(), len(edges)], strict=True):
+            if last > first:
+                self._chunk(_part(table, slice(first, last)))
+
+    def about(self, name: str, pairs: Mapping[str, str]) -> None:
+        """A metadata record."""
+        self.keep_metadata(name, mcap.metadata(name, pairs))
+
+    def keep_metadata(self, name: str, record: bytes) -> None:
+        """A metadata record as it was in another file."""
+        self.contents.metadata.append(mcap.metadata_index(self._position, len(record), name))
+        self.put(record)
+
+    def keep_attachment(self, record: bytes, index_tail: bytes) -> None:
+        """An attachment as it was in another file, and its index record behind offset and length."""
+        place = struct.pack("<QQ", self._position, len(record))
+        self.contents.attachments.append(mcap.record(ATTACHMENT_INDEX, place, index_tail))
+        self.put(record)
+
+    def finish(self) -> None:
+        """DataEnd, the summary, its offsets, the footer."""
+        self.put(mcap.data_end(self._crc or 0))
+        self._stream.write(_summary(self.contents, self._position))
+
+    def _schema(self, kind: str, encoding: str, definition: bytes) -> int:
+        number = _free(self.contents.schemas)
+        record = mcap.schema(number, kind, encoding, definition)
+        known = self._schema_ids.setdefault(record[11:], number)
+        if known == number:
+            self.contents.schemas[number] = record
+            self.put(record)
+        return known
+
+    def _chunk(self, table: Messages) -> None:
+        raw, start = mcap.messages(table)
+        span = int(table.log_ns.min()), int(table.log_ns.max())
+        compression, stored = self._pack(raw)
+        head, length = mcap.chunk(*span, raw.size, zlib.crc32(raw.data), compression, stored)
+        place = self._position, length
+        self.put(head, stored)
+        indexes_at, indexes = self._position, {}
+        for number in np.unique(table.channel).tolist():
+            rows = np.flatnonzero(table.channel == number)
+            indexes[number] = self._position
+            self.put(mcap.message_index(number, table.log_ns[rows], start[rows]))
+            self.contents.counts[number] += len(rows)
+        sizes = len(stored), raw.size
+        self.contents.chunks.append(
+            mcap.chunk_index(span, place, indexes, self._position - indexes_at, compression, sizes)
+        )
+        self.contents.seen(*span)
+
+    def _pack(self, raw: Array) -> tuple[str, bytes]:
+        packed = self._compressor.compress(raw.data)
+        return ("zstd", packed) if len(packed) < _WORTH * raw.size else ("", raw.tobytes())
+
+
+def _free(taken: Mapping[int, bytes]) -> int:
+    last = max(taken, default=0)
+    return last + 1 if last < _MOST else next(n for n in range(1, _MOST + 1) if n not in taken)
+
+
+def _part(table: Messages, rows: slice) -> Messages:
+    return Messages(
+        table.channel[rows],
+        table.sequence[rows],
+        table.log_ns[rows],
+        table.publish_ns[rows],
+        table.data,
+        table.offset[rows],
+        table.length[rows],
+    )
+
+
+def _summary(contents: Contents, start: int) -> bytes:
+    groups = [
+        (SCHEMA, [contents.schemas[number] for number in sorted(contents.schemas)]),
+        (CHANNEL, [contents.channels[number] for number in sorted(contents.channels)]),
+        (STATISTICS, [_statistics(contents)]),
+        (CHUNK_INDEX, contents.chunks),
+        (ATTACHMENT_INDEX, contents.attachments),
+        (METADATA_INDEX, contents.metadata),
+    ]
+    body, offsets = b"", b""
+    for opcode, records in groups:
+        group = b"".join(records)
+        if group:
+            place = struct.pack("<BQQ", opcode, start + len(body), len(group))
+            offsets += mcap.record(SUMMARY_OFFSET, place)
+            body += group
+    foot = body + offsets + HEAD.pack(FOOTER, 20) + struct.pack("<QQ", start, start + len(body))
+    return foot + struct.pack("<I", zlib.crc32(foot)) + MAGIC
+
+
+def _statistics(contents: Contents) -> bytes:
+    numbers = (
+        len(contents.schemas),
+        len(contents.channels),
+        len(contents.attachments),
+        len(contents.metadata),
+        len(contents.chunks),
+    )
+    return mcap.statistics(contents.counts, numbers, contents.span or (0, 0))
