@@ -1,0 +1,131 @@
+"""Marginal likelihood of an SE-ARD Gaussian process with constant mean, its gradient, and what maximises it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from .gp import se
+
+_JITTER = 1e-10
+
+
+@dataclass(frozen=True, eq=False)
+class Hyper:
+    """Kernel of one group of outputs: scales (M,) · amplitude · noise, white variance beyond the floor."""
+
+    scales: Array
+    amplitude: float
+    noise: float
+
+    @property
+    def theta(self) -> Array:
+        """Logarithms: amplitude, scales, noise."""
+        return np.asarray(np.log(np.concatenate([[self.amplitude], self.scales, [self.noise]])))
+
+
+def hyper(theta: Array) -> Hyper:
+    """The inverse of Hyper.theta."""
+    values = np.exp(theta)
+    return Hyper(values[1:-1], float(values[0]), float(values[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Exact posterior: alpha (n,G) = K⁻¹(y − mean) · mean (G,) · chol (n,n) lower · evidence in nats."""
+
+    alpha: Array
+    mean: Array
+    chol: Array
+    evidence: float
+
+
+def condition(kernel: Hyper, x: Array, y: Array, floor: Array) -> Posterior:
+    """Posterior of outputs y (n,G) that share `kernel`, with known noise variance `floor` (n,) per sample."""
+    return _condition(_gram(kernel, x), kernel, y, floor)
+
+
+def evidence(theta: Array, x: Array, y: Array, floor: Array) -> tuple[float, Array]:
+    """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
+    from scipy.linalg.lapack import dpotri
+
+    kernel = hyper(theta)
+    gram = _gram(kernel, x)
+    found = _condition(gram, kernel, y, floor)
+    inverse, _ = dpotri(found.chol, lower=1, overwrite_c=1)
+    group = y.shape[1]
+    trace = found.alpha.ravel() @ found.alpha.ravel() - group * np.trace(inverse)
+    z = np.column_stack([np.ones(len(x)), (x - x.mean(axis=0)) / kernel.scales])
+    # the factor leaves zeros above the diagonal: twice the lower triangle, less its diagonal
+    inverse *= gram.T
+    inverse *= -2.0 * group
+    inverse[np.diag_indices_from(inverse)] *= 0.5
+    rows, columns = inverse @ z, inverse.T @ z
+    for a in found.alpha.T:
+        spread = a[:, None] * (gram @ (a[:, None] * z))
+        rows, columns = rows + spread, columns + spread
+    # Σ P (zᵢ − zⱼ)² = zᵢ²·row sums + zⱼ²·column sums − 2 zᵢ P zⱼ, P not symmetric
+    scales = np.square(z[:, 1:]).T @ (rows[:, 0] + columns[:, 0]) - 2.0 * (z[:, 1:] * rows[:, 1:]).sum(axis=0)
+    gradient = 0.5 * np.concatenate([[rows[:, 0].sum()], scales, [kernel.noise * trace]])
+    return found.evidence, gradient
+
+
+def maximise(x: Array, y: Array, floor: Array, starts: list[Hyper], iterations: int = 100) -> Hyper:
+    """The kernel of greatest evidence reached by L-BFGS-B from any of the starts; x and y of order one."""
+    from scipy.optimize import minimize
+
+    bounds = [(-10.0, 16.0)] + [(-5.0, 10.0)] * x.shape[1] + [(-23.0, 3.0)]
+    best, value = starts[0], -np.inf
+    for start in starts:
+        first = np.clip(start.theta, *np.transpose(bounds))
+        found = minimize(
+            _loss, first, (x, y, floor), "L-BFGS-B", True, bounds=bounds, options={"maxiter": iterations, "ftol": 1e-10}
+        )
+        if -found.fun > value:
+            best, value = hyper(found.x), -found.fun
+    return best
+
+
+def starts(x: Array, seed: int, count: int) -> list[Hyper]:
+    """A typical first guess for x, y of order one, then seeded ones around it."""
+    draw = np.random.default_rng(seed)
+    first = Hyper(np.full(x.shape[1], 2.0), 1.0, 1e-2)
+    jumps = draw.normal(0.0, 1.0, (count - 1, x.shape[1] + 2))
+    return [first, *(hyper(first.theta + jump) for jump in jumps)]
+
+
+def _loss(theta: Array, x: Array, y: Array, floor: Array) -> tuple[float, Array]:
+    value, gradient = evidence(theta, x, y, floor)
+    return -value, -gradient
+
+
+def _gram(kernel: Hyper, x: Array) -> Array:
+    z = (x - x.mean(axis=0)) / kernel.scales
+    return se(z, z, kernel.amplitude)
+
+
+def _condition(gram: Array, kernel: Hyper, y: Array, floor: Array) -> Posterior:
+    from scipy.linalg.lapack import dpotrs
+
+    chol = cholesky(gram, floor + kernel.noise)
+    solved, _ = dpotrs(chol, np.column_stack([np.ones(len(y)), y]), lower=1)
+    mean = solved[:, 1:].sum(axis=0) / solved[:, 0].sum()
+    alpha = solved[:, 1:] - solved[:, :1] * mean
+    fit = ((y - mean) * alpha).sum()
+    entropy = y.shape[1] * (np.log(np.diag(chol)).sum() + 0.5 * len(y) * np.log(2.0 * np.pi))
+    return Posterior(alpha, mean, chol, float(-0.5 * fit - entropy))
+
+
+def cholesky(gram: Array, diagonal: Array) -> Array:
+    """Lower factor (n,n) of gram + diag(diagonal), zeros above; jitter grows tenfold until it exists."""
+    from scipy.linalg.lapack import dpotrf
+
+    jitter = _JITTER * float(np.mean(np.diag(gram)))
+    for _ in range(9):
+        matrix = gram.T.copy(order="F")
+        matrix[np.diag_indices_from(matrix)] += diagonal + jitter
+        chol, failed = dpotrf(matrix, lower=1, overwrite_a=1)
+        if not failed:
+            return np.asarray(chol)
+        jitter *= 10.0
+    raise np.linalg.LinAlgError(f"the kernel of {len(gram)} samples is not positive definite")

@@ -1,0 +1,101 @@
+"""From features to training pairs: smoothed joint angles with their variance beside each sighting."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ConfigError, LogError
+from ..types import Array, Features, Series
+from .smooth import Chain, Motion, chain, fit, posterior
+
+_LEAST_RANGE = 0.02
+_BLOCKS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """x (n,M) rad, variance (n,M) · y (n,D) px, floor (n,D) variance · block (n,) of time · frames looked at."""
+
+    x: Array
+    variance: Array
+    y: Array
+    floor: Array
+    block: Array
+    frames: int
+
+    def rows(self, chosen: Array) -> "Pairs":
+        """Only the chosen rows."""
+        x, variance, y, floor = (a[chosen] for a in (self.x, self.variance, self.y, self.floor))
+        return Pairs(x, variance, y, floor, self.block[chosen], self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One joint over all logs: its chains (one per log), and its motion as white acceleration and as white jerk."""
+
+    name: str
+    chains: tuple[Chain, ...]
+    acceleration: Motion
+    jerk: Motion
+
+    @property
+    def motion(self) -> Motion:
+        """The motion of greater evidence."""
+        return max(self.acceleration, self.jerk, key=lambda m: m.evidence)
+
+    @property
+    def range(self) -> float:
+        """Smoothed angles' span, rad, the outer 1 % at each end left out."""
+        means = [posterior(c, self.motion, c.t)[0] for c in self.chains]
+        low, high = np.percentile(np.concatenate(means), [1, 99])
+        return float(high - low)
+
+
+def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list[Joint]:
+    """The joints common to all logs, or those wanted; LogError without readings, ConfigError for an unknown name."""
+    readings = [_readings(f, i, len(features)) for i, f in enumerate(features)]
+    common = [n for n in readings[0].names if all(n in r.names for r in readings)]
+    unknown = [n for n in wanted or () if n not in common]
+    if unknown:
+        raise ConfigError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(common)}; type: bodylog info LOG")
+    return [_joint(n, readings) for n in wanted or common if _heard(n, readings)]
+
+
+def moves(joint: Joint) -> bool:
+    """Whether the joint moved: noise alone smooths to far less than this."""
+    return joint.range > _LEAST_RANGE
+
+
+def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
+    """Sightings of one track with the angles of the chosen joints at the same instants."""
+    found = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
+    x, variance, y, floor, block = (
+        np.concatenate([getattr(p, field) for p in found]) for field in ("x", "variance", "y", "floor", "block")
+    )
+    return Pairs(x, variance, y, floor, block, sum(p.frames for p in found))
+
+
+def _readings(features: Features, index: int, count: int) -> Series:
+    if features.joints is None or not len(features.joints.t):
+        raise LogError(f"log {index + 1} of {count}: no joint readings to learn from; type: bodylog info LOG")
+    return features.joints
+
+
+def _heard(name: str, readings: Sequence[Series]) -> bool:
+    return all(np.isfinite(r.values[:, r.names.index(name)]).sum() > 3 for r in readings)
+
+
+def _joint(name: str, readings: Sequence[Series]) -> Joint:
+    chains = tuple(chain(r.t, r.values[:, r.names.index(name)]) for r in readings)
+    return Joint(name, chains, fit(chains, 2), fit(chains, 3))
+
+
+def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pairs:
+    t, y = track.t[::every], track.values[::every]
+    floor = np.zeros_like(y) if track.std is None else track.std[::every] ** 2
+    both = [posterior(j.chains[log], j.motion, t) for j in chosen]
+    x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
+    sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)
+    block = log * _BLOCKS + np.arange(sound.sum()) * _BLOCKS // max(sound.sum(), 1)
+    return Pairs(x[sound], variance[sound], y[sound], floor[sound], block, len(t))
