@@ -1,0 +1,115 @@
+"""Decompress one chunk after another into one buffer that stays: fresh buffers cost more than lz4 itself."""
+
+import bz2
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..types import Array
+
+NAMES = ("", "none", "lz4", "zstd", "bz2")
+"""Compressions of chunks, as MCAP and ROS 1 bags name them."""
+
+_ALWAYS = 64 << 20
+_RATIO = 1024
+_PIECE = 128 << 10
+
+
+class Buffer:
+    """The reused buffer; what `load` returns is valid until the next `load`."""
+
+    def __init__(self) -> None:
+        self._bytes: Array = np.empty(0, np.uint8)
+
+    def load(self, compression: str, packed: memoryview, size: int) -> Array:
+        """The `size` bytes (size,) uint8 that `packed` unpacks to; FormatError if it does not, or claims too much."""
+        if compression in ("", "none"):
+            if len(packed) != size:
+                raise FormatError(f"{len(packed)} bytes stored where {size} are declared")
+            return np.frombuffer(packed, np.uint8)
+        if compression not in _PIECES:
+            raise FormatError(f"compression {compression!r}; known are none, lz4, zstd, bz2")
+        if size > max(_ALWAYS, _RATIO * len(packed)):
+            raise FormatError(f"{len(packed)} packed bytes claim to hold {size}")
+        if size > len(self._bytes):
+            self._bytes = np.empty(size, np.uint8)
+        _fill(self._bytes[:size], compression, packed)
+        return self._bytes[:size]
+
+
+def _fill(target: Array, compression: str, packed: memoryview) -> None:
+    at, view = 0, memoryview(target)
+    try:
+        for count in _PIECES[compression](packed, view):
+            at += count
+    except (OSError, EOFError, RuntimeError, ValueError, _zstd_error()) as problem:
+        raise FormatError(f"{compression} data is damaged after {at} bytes: {problem}") from None
+    if at != len(target):
+        raise FormatError(f"{compression} data holds {at} bytes where {len(target)} are declared")
+
+
+def _zstd_error() -> type[Exception]:
+    import zstandard
+
+    return zstandard.ZstdError
+
+
+def _zstd(packed: memoryview, target: memoryview) -> Iterator[int]:
+    import zstandard
+
+    with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
+        at = 0
+        while at < len(target) and (count := reader.readinto(target[at:])):
+            at += count
+            yield count
+        yield len(reader.read(1))
+
+
+def _lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
+    import lz4.frame as lz4
+
+    context, used, at, ended = lz4.create_decompression_context(), 0, 0, False
+    while (not ended and used < len(packed)) or (at < len(target) and not ended):
+        piece, taken, ended = lz4.decompress_chunk(context, packed[used:], max_length=_PIECE)
+        if not piece and not taken:
+            return
+        used += taken
+        yield _place(piece, target, at)
+        at += len(piece)
+
+
+def _bz2(packed: memoryview, target: memoryview) -> Iterator[int]:
+    unpacker, at, rest = bz2.BZ2Decompressor(), 0, packed
+    while not unpacker.eof:
+        piece = unpacker.decompress(rest, max_length=_PIECE)
+        if not piece and unpacker.needs_input and not rest:
+            return
+        rest = packed[:0]
+        yield _place(piece, target, at)
+        at += len(piece)
+
+
+def _place(piece: bytes, target: memoryview, at: int) -> int:
+    if at + len(piece) > len(target):
+        raise ValueError(f"more than the {len(target)} bytes declared")
+    target[at : at + len(piece)] = piece
+    return len(piece)
+
+
+_PIECES: dict[str, Any] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
+
+
+def unpack_zstd(payload: memoryview, limit: int) -> bytes:
+    """One zstd frame, at most `limit` bytes of it; FormatError if it is damaged or larger."""
+    import zstandard
+
+    try:
+        with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
+            content = bytes(reader.read(limit + 1))
+    except zstandard.ZstdError as problem:
+        raise FormatError(f"zstd data is damaged: {problem}") from None
+    if len(content) > limit:
+        raise FormatError(f"zstd data of {len(payload)} bytes holds more than {limit}")
+    return content

@@ -1,0 +1,117 @@
+"""Open any log: the file's first bytes say what it is, FORMATS who reads it."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self
+
+from ..errors import LogError
+from ..types import Batch, Finding, Topic
+
+_LFS = b"version https://git-lfs"
+_ZSTD = b"\x28\xb5\x2f\xfd"
+
+
+class Log(Protocol):
+    """One recorded log: its topics, when it was, and its messages, undecoded."""
+
+    path: Path
+    topics: tuple[Topic, ...]
+    start_ns: int
+    end_ns: int
+
+    @property
+    def format(self) -> str:
+        """mcap, bag, rosbag2 or db3."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong so far; reading on may add to it."""
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
+
+    def close(self) -> None:
+        """Let go of the file."""
+
+    def __enter__(self) -> Self:
+        """The log itself."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+
+
+def open_log(path: Path, strict: bool = False) -> Log:
+    """The log in a file or folder; LogError when it is none, or when `strict` and something in it is lost."""
+    if not path.exists():
+        raise LogError(f"{path}: there is no such file or folder; check the name")
+    if path.is_dir():
+        return _rosbag2(path, strict)
+    with path.open("rb") as stream:
+        first = stream.read(32)
+    for magic, opener in FORMATS.items():
+        if first.startswith(magic):
+            return opener(path, strict)
+    raise LogError(f"{path}: {_what_it_is(first)}; logs are .mcap, .bag, .db3 or a rosbag2 folder")
+
+
+def payloads(batch: Batch) -> Iterator[memoryview]:
+    """Each message of a batch as a view of its bytes, valid as long as the batch is."""
+    data = memoryview(batch.data)
+    ends = (batch.offset + batch.length).tolist()
+    for start, end in zip(batch.offset.tolist(), ends, strict=True):
+        yield data[start:end]
+
+
+def _what_it_is(first: bytes) -> str:
+    if not first:
+        return "the file is empty"
+    if first.startswith(_LFS):
+        return "this is a git-LFS pointer, not the log itself; type: git lfs pull"
+    if first.startswith((b"\x89MCAP0\n", b"\x89MCAP\n", b"\x89MCAP0\r\r\n")):
+        return "an MCAP whose line ends were converted (git or FTP in text mode): it is damaged throughout; copy it as binary"
+    if first.startswith(b"#ROSBAG V"):
+        version = str(first[8:13], "ascii", "replace").strip()
+        return f"a ROS 1 bag of version {version}, where only V2.0 is read; type: rosbag fix OLD.bag NEW.bag"
+    return f"not a log: it begins with {first[:12]!r}"
+
+
+def _mcap(path: Path, strict: bool) -> Log:
+    from .mcap import McapLog
+
+    return McapLog(path, strict)
+
+
+def _bag(path: Path, strict: bool) -> Log:
+    from .rosbag import BagLog
+
+    return BagLog(path, strict)
+
+
+def _db3(path: Path, strict: bool) -> Log:
+    from .sqlite import Db3Log
+
+    return Db3Log(path, strict)
+
+
+def _zst(path: Path, strict: bool) -> Log:
+    from .unpacked import open_unpacked
+
+    return open_unpacked(path, strict)
+
+
+def _rosbag2(path: Path, strict: bool) -> Log:
+    from .rosbag2 import Rosbag2Log
+
+    return Rosbag2Log(path, strict)
+
+
+FORMATS: Mapping[bytes, Callable[[Path, bool], Log]] = {
+    b"\x89MCAP0\r\n": _mcap,
+    b"#ROSBAG V2.0": _bag,
+    b"SQLite format 3\x00": _db3,
+    _ZSTD: _zst,
+}
+"""First bytes of a file -> who opens it."""

@@ -1,0 +1,59 @@
+"""What was found wrong with one log while reading it: each place once, losses in bytes, messages and seconds."""
+
+from pathlib import Path
+
+from ..errors import LogError
+from ..types import Finding
+
+_SHOWN = 8
+
+
+class Ledger:
+    """Findings of the log at `path`; with `strict` the first loss is raised as LogError."""
+
+    def __init__(self, path: Path, strict: bool = False) -> None:
+        """Start empty."""
+        self._path = path
+        self._strict = strict
+        self._remarks: dict[str, Finding] = {}
+        self._losses: dict[int, tuple[int, int | None, float | None, str]] = {}
+
+    def warn(self, text: str) -> None:
+        """Something is wrong, but nothing was lost by it."""
+        self._remarks.setdefault(text, Finding("warning", f"{self._path}: {text}"))
+
+    def info(self, text: str) -> None:
+        """Something worth knowing."""
+        self._remarks.setdefault(text, Finding("info", f"{self._path}: {text}"))
+
+    def lost(self, start: int, size: int, messages: int | None, seconds: float | None, why: str) -> None:
+        """`size` bytes at byte `start` cannot be used; messages and seconds when known; LogError when strict."""
+        if start not in self._losses:
+            self._losses[start] = (size, messages, seconds, why)
+            if self._strict:
+                text = self._losses_text([(start, *self._losses[start])])[0]
+                raise LogError(f"{self._path}: {text}; type the command without --strict to use the rest")
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Remarks in the order made, then losses in file order; beyond eight, their sum."""
+        losses = [(start, *loss) for start, loss in sorted(self._losses.items())]
+        texts = self._losses_text(losses if len(losses) <= _SHOWN else losses[: _SHOWN - 1])
+        if len(losses) > _SHOWN:
+            rest = losses[_SHOWN - 1 :]
+            texts.append(f"{len(rest)} more places are lost: {_amount(rest)}")
+        return (*self._remarks.values(), *(Finding("lost", f"{self._path}: {text}") for text in texts))
+
+    @staticmethod
+    def _losses_text(losses: list[tuple[int, int, int | None, float | None, str]]) -> list[str]:
+        return [f"from byte {max(0, loss[0])} {_amount([loss])} lost: {loss[4]}" for loss in losses]
+
+
+def _amount(losses: list[tuple[int, int, int | None, float | None, str]]) -> str:
+    messages = [loss[2] for loss in losses if loss[2] is not None]
+    seconds = [loss[3] for loss in losses if loss[3] is not None]
+    said = f"{sum(messages)} messages" if len(messages) == len(losses) else "an unknown number of messages"
+    if messages and len(messages) < len(losses):
+        said = f"at least {sum(messages)} messages"
+    lasting = f"{sum(seconds):.3f} s" if seconds else "an unknown time"
+    return f"{sum(loss[1] for loss in losses)} bytes, {said}, {lasting}"

@@ -1,0 +1,125 @@
+"""MCAP records: one table of fields per opcode, read with every length checked against its record."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import FormatError
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
+"""A record's opcode and the length of its body."""
+
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+
+FIELDS: dict[int, tuple[str, str]] = {
+    HEADER: ("Header", "profile:str library:str"),
+    FOOTER: ("Footer", "summary_start:u64 summary_offset_start:u64 summary_crc:u32"),
+    SCHEMA: ("Schema", "id:u16 name:str encoding:str data:bytes"),
+    CHANNEL: ("Channel", "id:u16 schema_id:u16 topic:str message_encoding:str metadata:texts"),
+    MESSAGE: ("Message", "channel_id:u16 sequence:u32 log_time:u64 publish_time:u64 data:rest"),
+    CHUNK: (
+        "Chunk",
+        "message_start_time:u64 message_end_time:u64 uncompressed_size:u64 uncompressed_crc:u32 compression:str "
+        "records:long",
+    ),
+    MESSAGE_INDEX: ("MessageIndex", "channel_id:u16 records:bytes"),
+    CHUNK_INDEX: (
+        "ChunkIndex",
+        "message_start_time:u64 message_end_time:u64 chunk_start_offset:u64 chunk_length:u64 "
+        "message_index_offsets:offsets message_index_length:u64 compression:str compressed_size:u64 "
+        "uncompressed_size:u64",
+    ),
+    ATTACHMENT: ("Attachment", "log_time:u64 create_time:u64 name:str media_type:str data:long crc:u32"),
+    ATTACHMENT_INDEX: (
+        "AttachmentIndex",
+        "offset:u64 length:u64 log_time:u64 create_time:u64 data_size:u64 name:str media_type:str",
+    ),
+    STATISTICS: (
+        "Statistics",
+        "message_count:u64 schema_count:u16 channel_count:u32 attachment_count:u32 metadata_count:u32 "
+        "chunk_count:u32 message_start_time:u64 message_end_time:u64 channel_message_counts:offsets",
+    ),
+    METADATA: ("Metadata", "name:str metadata:texts"),
+    METADATA_INDEX: ("MetadataIndex", "offset:u64 length:u64 name:str"),
+    SUMMARY_OFFSET: ("SummaryOffset", "group_opcode:u8 group_start:u64 group_length:u64"),
+    DATA_END: ("DataEnd", "data_section_crc:u32"),
+}
+"""opcode -> name of the record and its fields in order, each with its kind."""
+
+_NUMBERS = {"u8": struct.Struct("<B"), "u16": struct.Struct("<H"), "u32": struct.Struct("<I"), "u64": struct.Struct("<Q")}
+
+
+@dataclass(frozen=True)
+class Record:
+    """One record: opcode, where it starts in its file or chunk, and its fields by name."""
+
+    opcode: int
+    start: int
+    fields: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """The record's name in the MCAP specification."""
+        return FIELDS[self.opcode][0]
+
+
+class _Reader:
+    """A cursor over one record's body."""
+
+    def __init__(self, body: memoryview) -> None:
+        self._body = body
+        self._at = 0
+
+    def take(self, size: int) -> memoryview:
+        """The next `size` bytes; FormatError when the record is shorter."""
+        if size > len(self._body) - self._at:
+            raise FormatError(f"a field of {size} bytes in a record with {len(self._body) - self._at} bytes left")
+        self._at += size
+        return self._body[self._at - size : self._at]
+
+    def read(self, kind: str) -> Any:
+        """The next field of that kind."""
+        number = _NUMBERS.get(kind)
+        if number is not None:
+            return number.unpack(self.take(number.size))[0]
+        if kind == "rest":
+            return bytes(self.take(len(self._body) - self._at))
+        if kind == "long":
+            return self.take(self.read("u64"))
+        content = self.take(self.read("u32"))
+        if kind == "str":
+            return str(content, "utf-8", "replace")
+        return bytes(content) if kind == "bytes" else _pairs(content, kind)
+
+
+def _pairs(content: memoryview, kind: str) -> dict[Any, Any]:
+    inner = _Reader(content)
+    key, value = ("str", "str") if kind == "texts" else ("u16", "u64")
+    pairs = {}
+    while inner._at < len(content):
+        name = inner.read(key)
+        pairs[name] = inner.read(value)
+    return pairs
+
+
+def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
+    """The record in `body`; FormatError when a length inside contradicts it."""
+    reader = _Reader(body)
+    named = (field.split(":") for field in FIELDS[opcode][1].split())
+    return Record(opcode, start, {name: reader.read(kind) for name, kind in named})
+
+
+def walk(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """(opcode, body start, body length) of the records from `start`; FormatError where one passes `end`."""
+    at = start
+    while at < end:
+        if end - at < HEAD.size:
+            raise FormatError(f"byte {at}: {end - at} bytes where a record header takes {HEAD.size}")
+        opcode, length = HEAD.unpack_from(data, at)
+        if opcode == 0 or length > end - at - HEAD.size:
+            raise FormatError(f"byte {at}: opcode {opcode} with {length} bytes; {end - at - HEAD.size} are left")
+        yield opcode, at + HEAD.size, length
+        at += HEAD.size + length

@@ -1,0 +1,59 @@
+"""One Topic per name, type, encoding and definition, however many channels or connections carry it; batches by topic."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ..types import Array, Batch, Topic
+
+
+class Topics:
+    """The topics of one log, numbered from 0 in the order met."""
+
+    def __init__(self) -> None:
+        """Start empty."""
+        self._topics: dict[tuple[str, str, str, bytes, str], Topic] = {}
+
+    def add(
+        self,
+        name: str,
+        type_name: str,
+        encoding: str,
+        definition: bytes,
+        definition_encoding: str,
+        messages: int,
+        metadata: Mapping[str, str],
+    ) -> int:
+        """The id of the topic with these properties; its messages are added to."""
+        key = (name, normalised(type_name), encoding, definition, definition_encoding)
+        known = self._topics.get(key) or Topic(len(self._topics), *key, 0, dict(metadata))
+        self._topics[key] = replace(known, messages=known.messages + messages)
+        return known.id
+
+    def all(self) -> tuple[Topic, ...]:
+        """Every topic, by id."""
+        return tuple(self._topics.values())
+
+
+def normalised(type_name: str) -> str:
+    """package/Name as package/msg/Name; other names as they are."""
+    package, slash, name = type_name.partition("/")
+    return f"{package}/msg/{name}" if slash and "/" not in name else type_name
+
+
+def split(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array) -> Iterator[Batch]:
+    """One Batch per topic id in topic (n,), in the order first met inside each; ids below 0 are left out."""
+    if not len(topic):
+        return
+    if topic[0] == topic[-1] and (topic == topic[0]).all():
+        if topic[0] >= 0:
+            yield Batch(int(topic[0]), log_ns.astype(np.int64), data, offset, length)
+        return
+    order = np.argsort(topic, kind="stable")
+    ids, firsts = np.unique(topic[order], return_index=True)
+    bounds = [*firsts.tolist(), len(order)]
+    for number, low, high in zip(ids.tolist(), bounds, bounds[1:], strict=False):
+        if number >= 0:
+            rows = order[low:high]
+            yield Batch(number, log_ns[rows].astype(np.int64), data, offset[rows], length[rows])
