@@ -1,8 +1,9 @@
 """Write what we found beside what was recorded: the log's own bytes are copied as they are, ours follow."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -12,32 +13,39 @@ from ..types import Finding, Outgoing
 from .append import NAME, Base, keepable, messages
 from .mcap_write import Messages
 from .records import MAGIC
+from .transcode import LIBRARY, PROFILE, carry
 from .write import Contents, Writer
 
-PROFILE = "ros2"
-LIBRARY = "bodylog"
 _BLOCK = 1 << 20
 
 
-def annotate(source: Path, outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> tuple[Finding, ...]:
+def annotate(
+    source: Path,
+    outgoing: Sequence[Outgoing],
+    metadata: Mapping[str, str],
+    out: Path,
+    only: Collection[str] | None = None,
+) -> tuple[Finding, ...]:
     """`out` becomes an MCAP with all that is in `source`, the messages given, and a metadata record `bodylog`.
 
-    A chunked MCAP is copied bit for bit; any other log is rewritten. /bodylog/ topics of an earlier run are replaced.
+    A chunked MCAP is copied bit for bit; any other log is rewritten, and so is one of which `only` some topics are
+    wanted. /bodylog/ topics of an earlier run are replaced.
     Findings name topics that could not be carried over whole. UsageError if `out` is the source, LogError if the copy
     does not hold what it should.
     """
     if out.exists() and source.exists() and out.samefile(source):
         raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
     with replacing(out) as beside:
-        base = _base(source)
-        if isinstance(base, Base):
-            expected = _append(source, base, outgoing, metadata, beside)
+        base = _base(source) if only is None else None
+        with beside.open("wb") as stream:
             findings: tuple[Finding, ...] = ()
-        else:
-            from .transcode import rewrite
-
-            expected, findings = rewrite(source, outgoing, metadata, beside, base)
-        _verify(beside, expected, out)
+            if base is not None:
+                writer, kept = _copied(source, base, stream)
+            else:
+                writer, kept, findings = carry(source, stream, only)
+            add(writer, outgoing, metadata)
+            writer.finish()
+        _verify(beside, kept + sum(len(o.log_ns) for o in outgoing), out)
     return findings
 
 
@@ -60,28 +68,26 @@ def add(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str, str
     writer.about(NAME, metadata)
 
 
-def _base(source: Path) -> Base | str:
-    """What can be kept of `source`, or why it must be rewritten."""
+def _base(source: Path) -> Base | None:
+    """What can be kept of `source` as it is; None when it must be rewritten."""
     if not source.is_file():
-        return "not an MCAP"
+        return None
     with source.open("rb") as stream:
         if stream.read(len(MAGIC)) != MAGIC:
-            return "not an MCAP"
+            return None
     try:
         return keepable(source)
-    except FormatError as reason:
-        return str(reason)
+    except FormatError:
+        return None
 
 
-def _append(source: Path, base: Base, outgoing: Sequence[Outgoing], metadata: Mapping[str, str], beside: Path) -> int:
+def _copied(source: Path, base: Base, stream: BinaryIO) -> tuple[Writer, int]:
+    """A writer behind a copy of what can be kept, and how many messages that holds."""
     kept = sum(base.contents.counts.values())
-    with source.open("rb") as original, beside.open("wb") as stream:
+    with source.open("rb") as original:
         _copy(original.fileno(), stream.fileno(), base.end)
-        stream.seek(base.end)
-        writer = Writer(stream, base.contents, base.end, base.crc)
-        add(writer, outgoing, metadata)
-        writer.finish()
-    return kept + sum(len(o.log_ns) for o in outgoing)
+    stream.seek(base.end)
+    return Writer(stream, base.contents, base.end, base.crc), kept
 
 
 def _copy(source: int, target: int, size: int) -> None:

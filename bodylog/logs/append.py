@@ -92,8 +92,8 @@ def _keepable(data: memoryview, root: str | None) -> Base:
     parts = _parts(data, start, summary)
     ours = _ours(summary, root)
     foreign = {r.fields["offset"] for r in summary.get(METADATA_INDEX, []) if r.fields["name"] != NAME}
-    cut = _cut(parts, ours, foreign, start - _DATA_END)
-    crc = _crc(data, cut, start - _DATA_END)
+    cut = _cut(parts, ours, foreign)
+    crc = _crc(data, cut, parts[-1].start)
     return Base(cut, crc, _contents(summary, raw, [p for p in parts if p.start < cut], ours))
 
 
@@ -127,7 +127,7 @@ def _parts(data: memoryview, end: int, summary: Mapping[int, list[Record]]) -> l
         _agree([p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata")
     if not parts or parts[-1].opcode != DATA_END:
         raise FormatError("the summary does not follow the end of the data")
-    return parts[:-1]
+    return parts
 
 
 def _part(data: memoryview, opcode: int, at: int, size: int, indexed: Mapping[int, Mapping[int, int]]) -> _Part:
@@ -139,7 +139,8 @@ def _part(data: memoryview, opcode: int, at: int, size: int, indexed: Mapping[in
         if not channels:
             raise FormatError(f"the chunk at byte {start} has no message index")
     elif opcode == MESSAGE_INDEX:
-        channels, messages = frozenset([int.from_bytes(data[at : at + 2], "little")]), (size - 6) // 16
+        index = parse(opcode, data[at : at + size]).fields
+        channels, messages = frozenset([index["channel_id"]]), len(index["records"]) // 16
     elif opcode == CHANNEL:
         channels = frozenset([int.from_bytes(data[at : at + 2], "little")])
     return _Part(opcode, start, channels, messages)
@@ -155,19 +156,19 @@ def _ours(summary: Mapping[int, list[Record]], root: str | None) -> frozenset[in
     return frozenset(int(c["id"]) for c in channels if root is not None and str(c["topic"]).startswith(root))
 
 
-def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int], end: int) -> int:
-    """Where the tail begins that an earlier run appended: at the schemas in front of its first channel."""
-    first = next((i for i, p in enumerate(parts) if p.channels is not None and p.channels & ours), len(parts))
-    tail = parts[first:]
-    kept = (p for p in tail if p.opcode == ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours)
-    if any(True for _ in kept):
+def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
+    """Where the tail begins that an earlier run appended, at the schemas in front of its first channel; or DataEnd."""
+    first = next((i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1)
+    tail = parts[first:-1]
+    if any(p.opcode == ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours for p in tail):
         raise FormatError(f"{ROOT} messages lie between others")
     while tail and first and parts[first - 1].opcode == SCHEMA:
         first -= 1
-    return parts[first].start if tail else end
+    return parts[first].start
 
 
 def _crc(data: memoryview, cut: int, end: int) -> int | None:
+    """The CRC of the bytes kept; None where the file does not keep one."""
     stored = int(parse(DATA_END, data[end + HEAD.size : end + _DATA_END]).fields["data_section_crc"])
     if not stored:
         return None

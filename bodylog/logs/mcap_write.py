@@ -3,11 +3,13 @@
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..types import Array
 from .records import (
+    ATTACHMENT_INDEX,
     CHANNEL,
     CHUNK,
     CHUNK_INDEX,
@@ -98,6 +100,12 @@ def metadata_index(offset: int, length: int, name: str) -> bytes:
     return record(METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
 
 
+def attachment_index(offset: int, length: int, said: Mapping[str, Any]) -> bytes:
+    """Where an attachment with the fields `said` lies."""
+    numbers = struct.pack("<QQQQQ", offset, length, said["log_time"], said["create_time"], len(said["data"]))
+    return record(ATTACHMENT_INDEX, numbers, string(said["name"]), string(said["media_type"]))
+
+
 def chunk(start_ns: int, end_ns: int, size: int, crc: int, compression: str, stored: bytes) -> tuple[bytes, int]:
     """The head of a chunk record, to be followed by `stored`, and the length of the whole record."""
     head = struct.pack("<QQQI", start_ns, end_ns, size, crc) + string(compression) + struct.pack("<Q", len(stored))
@@ -153,6 +161,14 @@ def messages(table: Messages) -> tuple[Array, Array]:
     out = np.empty(int(size.sum()), np.uint8)
     out[start[:, None] + np.arange(MESSAGE_HEAD)] = head.view(np.uint8).reshape(-1, MESSAGE_HEAD)
     _copy(table.data, table.offset, out, start + MESSAGE_HEAD, table.length)
+    return out, start
+
+
+def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
+    """Pieces of `data` one after another (bytes,) uint8, and where each begins (n,)."""
+    start = np.cumsum(length) - length
+    out = np.empty(int(length.sum()), np.uint8)
+    _copy(data, offset, out, start, length)
     return out, start
 
 

@@ -4,7 +4,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -100,10 +100,9 @@ class Writer:
         self.contents.metadata.append(mcap.metadata_index(self._position, len(record), name))
         self.put(record)
 
-    def keep_attachment(self, record: bytes, index_tail: bytes) -> None:
-        """An attachment as it was in another file, and its index record behind offset and length."""
-        place = struct.pack("<QQ", self._position, len(record))
-        self.contents.attachments.append(mcap.record(ATTACHMENT_INDEX, place, index_tail))
+    def keep_attachment(self, record: bytes, said: Mapping[str, Any]) -> None:
+        """An attachment as it was in another file; `said` are its fields."""
+        self.contents.attachments.append(mcap.attachment_index(self._position, len(record), said))
         self.put(record)
 
     def finish(self) -> None:

@@ -1,0 +1,190 @@
+"""A log of any container as a new chunked MCAP, one batch of messages at a time."""
+
+import mmap
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ..errors import FormatError
+from ..types import Array, Batch, Finding, Topic
+from .append import NAME, ROOT
+from .containers import Log, open_log, payloads
+from .mcap import heads_of
+from .mcap_write import MESSAGE_HEAD, Messages, gather
+from .records import ATTACHMENT, HEAD, HEADER, MAGIC, MESSAGE, METADATA, parse, walk
+from .ros1 import Convert, converter, known_definition
+from .write import CHUNK_BYTES, Contents, Writer
+
+PROFILE = "ros2"
+LIBRARY = "bodylog"
+_PENDING = 4 * CHUNK_BYTES
+
+
+@dataclass
+class _Carrier:
+    """One topic on its way: its channel, what makes its payloads CDR, and the channel of those that resisted."""
+
+    topic: Topic
+    channel: int
+    convert: Convert | None = None
+    carried: int = 0
+    spare: int | None = None
+    resisted: int = 0
+
+
+def carry(
+    source: Path, stream: BinaryIO, only: Collection[str] | None = None
+) -> tuple[Writer, int, tuple[Finding, ...]]:
+    """Write all messages of a log but /bodylog/ ones (`only`: of those topics) to an MCAP that is not finished yet.
+
+    Returns its writer, how many messages were written, and what could not be carried over whole. ROS 1 payloads of
+    bags become CDR; those that cannot stay as they are. An MCAP's own payloads, attachments and metadata stay.
+    """
+    with open_log(source) as log:
+        writer = Writer(stream, Contents())
+        findings: list[Finding] = []
+        writer.begin(_profile(source) if log.format == "mcap" else PROFILE, LIBRARY)
+        wanted = [t for t in log.topics if not t.name.startswith(ROOT) and (only is None or t.name in only)]
+        carriers = {topic.id: _carrier(writer, topic, log.format, findings) for topic in wanted}
+        for table in _tables(log, carriers, writer):
+            writer.write(table)
+        if log.format == "mcap" and only is None:
+            _extras(source, writer)
+        findings += [_resistance(source, c) for c in carriers.values() if c.resisted]
+        return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
+
+
+def _carrier(writer: Writer, topic: Topic, container: str, findings: list[Finding]) -> _Carrier:
+    kind, encoding, definition, form = topic.type, topic.encoding, topic.definition, topic.definition_encoding
+    convert = None
+    if container != "mcap" and topic.encoding == "ros1":
+        try:
+            convert, definition = converter(topic)
+            encoding, form = "cdr", "ros2msg"
+        except FormatError as problem:
+            findings.append(Finding("warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"))
+            return _Carrier(topic, _keep(writer, topic))
+    if container != "mcap" and not definition:
+        definition, form = known_definition(kind), "ros2msg"
+        if not definition:
+            text = f"topic {topic.name}: the log has no definition of {kind}; its messages stay without one"
+            findings.append(Finding("warning", text))
+    if topic.encoding == "ros1" and convert is None:
+        return _Carrier(topic, _keep(writer, topic))
+    return _Carrier(topic, writer.topic(topic.name, kind, encoding, definition, form, topic.metadata), convert)
+
+
+def _keep(writer: Writer, topic: Topic) -> int:
+    """A channel for payloads as they are; ROS 1 writes types without /msg/."""
+    kind = topic.type.replace("/msg/", "/") if topic.encoding == "ros1" else topic.type
+    form = topic.definition_encoding or "ros1msg"
+    return writer.topic(topic.name, kind, topic.encoding, topic.definition, form, topic.metadata)
+
+
+def _tables(log: Log, carriers: Mapping[int, _Carrier], writer: Writer) -> Iterator[Messages]:
+    """Batches in groups of a few MiB, each in order of log time."""
+    pending: list[Messages] = []
+    size = 0
+    for batch in log.batches(list(carriers)):
+        pending.append(_taken(batch, carriers[batch.topic_id], writer))
+        size += pending[-1].data.size
+        if size >= _PENDING:
+            yield _sorted(pending)
+            pending, size = [], 0
+    if pending:
+        yield _sorted(pending)
+
+
+def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> Messages:
+    """A batch as messages of the new file, in bytes of their own."""
+    count = len(batch.log_ns)
+    channel = np.full(count, carrier.channel)
+    sequence, publish_ns = _heads(batch, carrier)
+    if carrier.convert is None:
+        data, offset, length = *gather(batch.data, batch.offset, batch.length), batch.length
+    else:
+        data, offset, length = _converted(batch, carrier, channel, writer)
+    carrier.carried += count
+    return Messages(channel, sequence, batch.log_ns, publish_ns, data, offset, length)
+
+
+def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
+    """Sequence numbers and publish times: in an MCAP's batch each payload follows its record's head; others have none."""
+    start = batch.offset - MESSAGE_HEAD
+    if len(start) and start.min() >= 0:
+        heads = heads_of(batch.data)[start]
+        if (heads["opcode"] == MESSAGE).all() and (heads["log"] == batch.log_ns).all():
+            return heads["sequence"], heads["publish"]
+    return carrier.carried + np.arange(len(batch.log_ns)), batch.log_ns
+
+
+def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) -> tuple[Array, Array, Array]:
+    """The payloads as CDR; one that is not what its definition says stays ROS 1, on a channel of its own."""
+    assert carrier.convert is not None
+    parts: list[bytes | memoryview] = []
+    for i, payload in enumerate(payloads(batch)):
+        try:
+            parts.append(carrier.convert(payload))
+        except FormatError:
+            carrier.spare = carrier.spare or _keep(writer, carrier.topic)
+            carrier.resisted += 1
+            channel[i] = carrier.spare
+            parts.append(bytes(payload))
+    length = np.array([len(part) for part in parts], np.int64)
+    return np.frombuffer(b"".join(parts), np.uint8), np.cumsum(length) - length, length
+
+
+def _resistance(source: Path, carrier: _Carrier) -> Finding:
+    name = carrier.topic.name
+    text = f"{source}: topic {name}: {carrier.resisted} of {carrier.carried} messages contradict their definition"
+    return Finding("warning", f"{text}; they stay ROS 1, which ROS 2 tools do not read")
+
+
+def _sorted(parts: list[Messages]) -> Messages:
+    shift = np.cumsum([0, *(part.data.size for part in parts)])
+    log_ns = np.concatenate([part.log_ns for part in parts])
+    order = np.argsort(log_ns, kind="stable")
+    return Messages(
+        np.concatenate([part.channel for part in parts])[order],
+        np.concatenate([part.sequence for part in parts])[order],
+        log_ns[order],
+        np.concatenate([part.publish_ns for part in parts])[order],
+        np.concatenate([part.data for part in parts]),
+        np.concatenate([part.offset + start for part, start in zip(parts, shift, strict=False)])[order],
+        np.concatenate([part.length for part in parts])[order],
+    )
+
+
+def _profile(source: Path) -> str:
+    for opcode, body in _top_level(source):
+        return str(parse(opcode, body).fields["profile"]) if opcode == HEADER else ""
+    return ""
+
+
+def _extras(source: Path, writer: Writer) -> None:
+    """Attachments and metadata as they are, up to where the file is damaged."""
+    for opcode, body in _top_level(source):
+        if opcode == ATTACHMENT:
+            writer.keep_attachment(HEAD.pack(opcode, len(body)) + bytes(body), parse(opcode, body).fields)
+        elif opcode == METADATA:
+            name = parse(opcode, body).fields["name"]
+            if name != NAME:
+                writer.keep_metadata(name, HEAD.pack(opcode, len(body)) + bytes(body))
+
+
+def _top_level(source: Path) -> Iterator[tuple[int, memoryview]]:
+    """(opcode, body) of each sound record outside chunks."""
+    with (
+        source.open("rb") as stream,
+        mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as mapped,
+        memoryview(mapped) as data,
+    ):
+        try:
+            for opcode, at, size in walk(data, len(MAGIC), len(data) - len(MAGIC)):
+                with data[at : at + size] as body:
+                    yield opcode, body
+        except FormatError:
+            return
