@@ -40,7 +40,7 @@ class Buffer:
 
 
 def _fill(target: Array, compression: str, packed: memoryview) -> None:
-    at, view = 0, memoryview(target)
+    at, view = 0, target.data
     try:
         for count in _PIECES[compression](packed, view):
             at += count

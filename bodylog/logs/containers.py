@@ -59,7 +59,7 @@ def open_log(path: Path, strict: bool = False) -> Log:
 
 def payloads(batch: Batch) -> Iterator[memoryview]:
     """Each message of a batch as a view of its bytes, valid as long as the batch is."""
-    data = memoryview(batch.data)
+    data = batch.data.data
     ends = (batch.offset + batch.length).tolist()
     for start, end in zip(batch.offset.tolist(), ends, strict=True):
         yield data[start:end]

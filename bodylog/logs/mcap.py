@@ -170,7 +170,7 @@ def load(data: memoryview, chunk: Chunk, buffer: Buffer, ledger: Ledger) -> Arra
     try:
         _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
         content = buffer.load(compression, packed, size)
-        found = zlib.crc32(content) if crc else 0
+        found = zlib.crc32(content.data) if crc else 0
         if found != crc:
             raise FormatError(f"the chunk's CRC is {found:08x} where {crc:08x} is declared")
         return content
@@ -230,7 +230,7 @@ def _tiled(content: Array, starts: Array, sizes: Array) -> bool:
     highs = np.concatenate((starts, [len(content)]))
     if (lows > highs).any():
         return False
-    view = memoryview(content)
+    view = content.data
     try:
         between = [walk(view, lows[i].item(), highs[i].item()) for i in np.flatnonzero(lows < highs)]
         return all(opcode != MESSAGE for records in between for opcode, _, _ in records)
@@ -241,7 +241,7 @@ def _tiled(content: Array, starts: Array, sizes: Array) -> bool:
 def _walked(content: Array, chunk: Chunk, ledger: Ledger) -> Messages:
     starts = []
     try:
-        for opcode, body, length in walk(memoryview(content), 0, len(content)):
+        for opcode, body, length in walk(content.data, 0, len(content)):
             if opcode == MESSAGE and length >= MESSAGE_HEAD.itemsize - HEAD.size:
                 starts.append(body - HEAD.size)
     except FormatError as problem:

@@ -145,7 +145,7 @@ def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
             continue
         content = load(data, chunk, buffer, ledger)
         if content is not None:
-            _declare(memoryview(content), survey)
+            _declare(content.data, survey)
             heads = messages(content, data, chunk, ledger).heads
             survey.count(heads["channel"], heads["log"])
 
