@@ -37,11 +37,15 @@ class Colours:
 
 @dataclass(frozen=True)
 class Skin:
-    """[skin]: a cell is touched above `threshold` until below `release`; shorter than `shortest` s is noise."""
+    """[skin]: a cell is touched above `threshold` until below `release`; shorter than `shortest` s is noise.
+
+    Cells neighbour by number, or by row and column where `columns` says how many cells make a row.
+    """
 
     threshold: float = 0.7
     release: float = 0.6
     shortest: float = 0.02
+    columns: int | None = None
 
 
 @dataclass(frozen=True)
@@ -85,6 +89,7 @@ class Estimation:
     bias: str = "auto"
     touch: str = "likelihood"
     step: str = "implicit"
+    start: tuple[float, ...] | None = None
 
 
 @dataclass(frozen=True)

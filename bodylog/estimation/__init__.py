@@ -1,1 +1,22 @@
-"""Stage: estimation."""
+"""Estimation: from features and a learned body to a belief about the joint angles, one file per method."""
+
+from collections.abc import Callable, Mapping
+
+from ..errors import UsageError
+from ..settings import Estimation
+from ..types import BodyModel, Estimate, Features
+from . import kalman, laplace, predictive_coding
+
+METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
+    "laplace": laplace.estimate,
+    "ekf": laplace.extended,
+    "kalman": kalman.estimate,
+    "predictive-coding": predictive_coding.estimate,
+}
+
+
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """The belief by `settings.method`; ModelError, EvidenceError or UsageError when it cannot be had."""
+    if settings.method not in METHODS:
+        raise UsageError(f"method: {settings.method!r} is none of {', '.join(METHODS)}")
+    return METHODS[settings.method](features, body, settings)

@@ -1,0 +1,54 @@
+"""The paper's baseline: a Kalman filter on the encoders alone, with a static model and fixed variances."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..settings import Estimation
+from ..types import Array, BodyModel, Estimate, Features
+from . import results
+from .predictive_coding import RATE, on_grid
+from .results import Beliefs
+from .senses import gather, start
+from .timeline import timeline
+
+PROCESS, NOISE = 0.001, 1.0
+"""rad² per step and rad², as printed."""
+
+
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """The belief on the paper's grid of 20 Hz, or `rate`; EvidenceError without encoders."""
+    evidence = gather(features, body, replace(settings, senses=("encoders",), without=()))
+    assert evidence.encoders is not None
+    line = timeline(evidence, settings.rate or RATE)
+    t = line.t[line.outputs]
+    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
+    x, var, before, before_var, nats = static(s, start(evidence, settings, len(body.joints)))
+    held = np.maximum(np.searchsorted(t, line.t, "right") - 1, 0)
+    errors = np.full((len(line.t), s.shape[1]), np.nan)
+    errors[line.outputs] = (s - before) / np.sqrt(before_var + NOISE)
+    rate = np.diff(x, axis=0, prepend=x[:1]) * (settings.rate or RATE)
+    every = np.zeros(len(line.t))
+    every[line.outputs] = nats
+    cov, before_cov = (v[held][:, :, None] * np.eye(s.shape[1]) for v in (var, before_var))
+    used = {"process": PROCESS, "encoder": NOISE}
+    beliefs = Beliefs(np.concatenate([x, rate], axis=1)[held], cov, every, before[held], before_cov, errors, {}, used)
+    return results.estimate("kalman", body, evidence, line, beliefs)
+
+
+def static(s: Array, x: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Belief and variance (N,M) after, then before each row of s (N,M), NaN where silent, and nats (N,)."""
+    var, n = np.full(len(x), NOISE), len(s)
+    after, after_var, before, before_var = np.empty((4, n, len(x)))
+    heard = np.isfinite(s)
+    for k in range(n):
+        var = var + PROCESS
+        before[k], before_var[k] = x, var
+        gain = heard[k] * var / (var + NOISE)
+        x = x + gain * np.where(heard[k], s[k] - x, 0.0)
+        var = (1.0 - gain) * var
+        after[k], after_var[k] = x, var
+    total = before_var + NOISE
+    nu = np.where(heard, s - before, 0.0)
+    nats = np.where(heard, 0.5 * (np.log(2 * np.pi * total) + nu**2 / total), 0.0).sum(axis=1)
+    return after, after_var, before, before_var, nats

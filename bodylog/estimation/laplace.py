@@ -1,0 +1,186 @@
+"""The generalised free-energy filter: belief over angles and rates, Gauss–Newton to convergence at every instant.
+
+Under the Laplace approximation that is an iterated extended Kalman filter. All frames are linearised at once, all
+stretches of the log are filtered side by side from the ends of their predecessors, and this is repeated until neither
+the points of linearisation nor the starts move: the fixed point is the sequential filter's own.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..settings import Estimation
+from ..types import Array, BodyModel, Estimate, Features, Finding
+from . import results
+from .folds import Fold, fold_for
+from .precision import Precision, resolve
+from .results import Beliefs
+from .scan import Dynamics, Readings, Trace, scan
+from .senses import Evidence, gather, start
+from .timeline import Timeline, timeline
+
+START_STD = 1.0
+"""rad and rad/s: how little is known of angles and rates before the first reading."""
+OFFSET_STD = 0.01
+"""rad: how far an encoder that is allowed an offset may be off before the first reading."""
+SWEEPS = 60
+SETTLED = 1e-9
+"""Standard deviations: how little a point of linearisation or a start may still move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One log to be filtered: evidence, its instants, where the belief starts, and the precisions."""
+
+    evidence: Evidence
+    timeline: Timeline
+    start: Array
+    precision: Precision
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """How the state moves."""
+        return Dynamics(self.precision.process, self.precision.drift)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A filtered log: fold, its readings as last linearised, their points (F,M) per sighting, trace."""
+
+    fold: Fold
+    readings: Readings
+    points: tuple[Array, ...]
+    trace: Trace
+
+
+def prior(problem: Problem) -> tuple[Array, Array]:
+    """State z (K,) and covariance p (K,K) before anything is heard."""
+    m, drift = len(problem.start), problem.precision.drift
+    z = np.concatenate([problem.start, np.zeros(problem.dynamics.size - m)])
+    var = np.full(len(z), START_STD**2)
+    if drift is not None:
+        var[2 * m :] = np.where(drift > 0, OFFSET_STD**2, 0.0)
+    return z, np.diag(var)
+
+
+def solve(problem: Problem, points: tuple[Array, ...] | None = None, at: str = "posterior") -> Solution:
+    """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean."""
+    fold = fold_for(len(problem.timeline.t))
+    readings = heard(problem, fold)
+    points = guesses(problem) if points is None else points
+    z, p = starts(problem, fold)
+    for _ in range(SWEEPS):
+        readings = linearise(problem, fold, readings, points)
+        trace = scan(readings, problem.dynamics, z, p)
+        moved = [_points(problem, fold, trace, events, at) for events in problem.timeline.sightings]
+        next_z, next_p = handed_over(z, p, trace)
+        far = max(_far(z, p, next_z, next_p), *(_shift(a, b) for a, b in zip(moved, points, strict=True)), 0.0)
+        z, p, points = next_z, next_p, tuple(moved)
+        if far < SETTLED:
+            break
+    return Solution(fold, readings, points, trace)
+
+
+def heard(problem: Problem, fold: Fold) -> Readings:
+    """Everything but the frames' linearisation, folded."""
+    line, m = problem.timeline, len(problem.start)
+    encoders = np.full((len(line.t), m), np.nan)
+    if problem.evidence.encoders is not None:
+        encoders[line.encoders] = problem.evidence.encoders.values
+    var = np.broadcast_to(problem.precision.encoder, encoders.shape)
+    tracks, d = len(problem.evidence.sightings), 2
+    shape = (fold.length, tracks, d)
+    y, lines = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
+    jac = np.zeros((*shape, m, fold.count))
+    dt = np.diff(line.t, prepend=line.t[0])
+    return Readings(fold.fold(dt, 0.0), fold.fold(encoders, np.nan), fold.fold(var, 1.0), y, jac, lines)
+
+
+def linearise(problem: Problem, fold: Fold, readings: Readings, points: tuple[Array, ...]) -> Readings:
+    """Readings with every frame's tangent at its point, in place: y = s − g + J x°, var = pixel + model variance."""
+    for index, (sighting, events, x) in enumerate(
+        zip(problem.evidence.sightings, problem.timeline.sightings, points, strict=True)
+    ):
+        mean, jac, var = sighting.model.predict(x)
+        scale = problem.precision.scale.get(sighting.name, 1.0)
+        fold.put(readings.y[:, index], events, sighting.values - mean + np.einsum("fdm,fm->fd", jac, x))
+        fold.put(readings.jac[:, index], events, jac)
+        fold.put(readings.var[:, index], events, scale * sighting.var + var)
+    return readings
+
+
+def guesses(problem: Problem) -> tuple[Array, ...]:
+    """First points of linearisation (F,M) per sighting: the encoders between their stamps, else the start."""
+    return tuple(_angles(problem, sighting.t) for sighting in problem.evidence.sightings)
+
+
+def _angles(problem: Problem, t: Array) -> Array:
+    x = np.repeat(problem.start[None], len(t), axis=0)
+    encoders = problem.evidence.encoders
+    for j in range(len(problem.start)):
+        if encoders is None:
+            break
+        known = np.isfinite(encoders.values[:, j])
+        if known.any():
+            x[:, j] = np.interp(t, encoders.t[known], encoders.values[known, j])
+    return x
+
+
+def starts(problem: Problem, fold: Fold) -> tuple[Array, Array]:
+    """Where each stretch starts, z (K,C), p (K,K,C): the prior for the first, a vague guess for the others."""
+    z0, p0 = prior(problem)
+    z, p = np.repeat(z0[:, None], fold.count, axis=1), np.repeat(p0[:, :, None], fold.count, axis=2)
+    begin = problem.timeline.t[np.arange(1, fold.count) * fold.length - 1]
+    z[: len(problem.start), 1:] = _angles(problem, begin).T
+    return z, p
+
+
+def handed_over(z: Array, p: Array, trace: Trace) -> tuple[Array, Array]:
+    """Starts for the next sweep: each stretch begins where its predecessor ended."""
+    z, p = z.copy(), p.copy()
+    z[:, 1:], p[:, :, 1:] = trace.z[-1, :, :-1], trace.p[-1, :, :, :-1]
+    return z, p
+
+
+def _points(problem: Problem, fold: Fold, trace: Trace, events: Array, at: str) -> Array:
+    source = trace.prior if at == "prior" else trace.z
+    return fold.pick(source, events)[:, : len(problem.start)]
+
+
+def _far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
+    """The most a start moved, in standard deviations."""
+    std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
+    return float(max(np.abs((next_z - z) / std).max(), np.abs(before / std - 1.0).max()))
+
+
+def _shift(a: Array, b: Array) -> float:
+    return float(np.abs(a - b).max(initial=0.0))
+
+
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """Filtered belief: at each output time, all that was heard until then."""
+    return _estimate(features, body, settings, "laplace", "posterior")
+
+
+def extended(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """The plain extended Kalman filter: the same, but frames are linearised once, at the prior mean."""
+    return _estimate(features, body, settings, "ekf", "prior")
+
+
+def _estimate(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
+    problem, findings = pose(features, body, settings)
+    solution = solve(problem, at=at)
+    trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
+    beliefs = Beliefs(
+        unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
+        unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(), (), findings,
+    )  # fmt: skip
+    return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
+
+
+def pose(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Finding, ...]]:
+    """The log as a problem to be filtered, with precisions resolved, and what was noticed on the way."""
+    evidence = gather(features, body, settings)
+    first = start(evidence, settings, len(body.joints))
+    precision = resolve(evidence, body, settings)
+    return Problem(evidence, timeline(evidence, settings.rate), first, precision), ()

@@ -1,0 +1,41 @@
+"""Variances of the senses and of the motion: learned from this log's evidence, the body's, or the paper's."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..settings import Estimation
+from ..types import Array, BodyModel
+from . import motion
+from .senses import Evidence
+
+
+@dataclass(frozen=True, eq=False)
+class Precision:
+    """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}."""
+
+    encoder: Array
+    process: Array
+    drift: Array | None
+    scale: Mapping[str, float]
+
+    def plain(self) -> dict[str, Any]:
+        """As plain numbers, to be written beside the estimate."""
+        drift = None if self.drift is None else [float(v) for v in self.drift]
+        encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
+        return {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
+
+
+PAPER = (1.0, 5.0)
+"""The paper's variances of encoders (rad²) and pixels (px²)."""
+
+
+def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precision:
+    """By `settings.precision`: `auto` from this log, `model` from the body, `fixed` from the paper."""
+    encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
+    scale = {sighting.name: 1.0 for sighting in evidence.sightings}
+    if settings.precision == "auto" and evidence.encoders is not None:
+        encoder, process = motion.learn(evidence.encoders, encoder, process)
+    return Precision(encoder, process, None, scale)

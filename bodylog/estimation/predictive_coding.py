@@ -1,0 +1,256 @@
+"""The paper's Algorithm 1, with METHOD 4's errata: gradient descent on free energy, one Euler step per instant.
+
+The explicit step integrates belief, errors and prior as printed; the linearly implicit one puts the errors at their
+equilibrium and divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import UsageError
+from ..settings import Estimation
+from ..types import Array, BodyModel, Estimate, Features, Finding, ForwardModel
+from . import results
+from .literal import Literal, literal
+from .precision import resolve
+from .results import Beliefs
+from .senses import Evidence, gather, start
+from .timeline import Timeline, timeline
+
+RATE = 20.0
+"""Hz: the paper's Δt of 0.05 s."""
+LEARNING = 1.0
+"""The paper's λ: how fast the prior follows the belief."""
+PAPER = (1.0, 1.0, 5.0)
+"""The paper's σ_x, σ_p (rad²) and σ_v (pixels divided by the image width, squared)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sense:
+    """One sense on the grid: s (N,D), NaN where absent · model (None: the angles themselves) · σ (N,D) · unit of s."""
+
+    name: str
+    s: Array
+    model: ForwardModel | None
+    sigma: Array
+    unit: float = 1.0
+
+    def predict(self, x: Array) -> tuple[Array, Array]:
+        """g (D,) and J (D,M) at x (M,), in the sense's unit."""
+        if self.model is None:
+            return x, np.eye(len(x))
+        mean, jac, _ = self.model.predict(x[None])
+        return mean[0] / self.unit, jac[0] / self.unit
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,)."""
+
+    senses: tuple[Sense, ...]
+    touch: Literal | None
+    t: Array
+    dt: float
+    sigma_x: Array
+    start: Array
+
+
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """The belief on a grid of 20 Hz or `rate`; UsageError when an explicit step diverges."""
+    plan, evidence, line = plan_for(features, body, settings)
+    explicit = settings.step == "explicit" or settings.preset == "paper"
+    x, cov, nats = (explicitly if explicit else implicitly)(plan)
+    findings = step_warning(plan) if explicit else ()
+    if not np.isfinite(x).all():
+        raise UsageError(f"step: explicit diverged; {findings[0].text if findings else 'type --step implicit'}")
+    beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
+    return results.estimate("predictive-coding", body, evidence, line, beliefs)
+
+
+def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple[Plan, Evidence, Timeline]:
+    """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
+    printed = settings.preset == "paper" or settings.touch == "literal"
+    evidence = gather(features, body, settings)
+    rate = settings.rate or RATE
+    line = timeline(evidence, rate)
+    t, dt, m = line.t[line.outputs], 1.0 / rate, len(body.joints)
+    paper = settings.preset == "paper" or settings.precision == "fixed"
+    precision = None if paper else resolve(evidence, body, settings)
+    noise = None if precision is None else precision.encoder
+    senses = [] if evidence.encoders is None else [_encoders(evidence, body, t, noise)]
+    width = image_width(features, body)
+    for sighting in evidence.sightings:
+        if sighting.name == "touch" and printed:
+            continue
+        s, rows = on_grid(sighting.t, sighting.values, t)
+        unit = width if paper else 1.0
+        scale = 1.0 if precision is None else precision.scale.get(sighting.name, 1.0)
+        own = scale * sighting.var[rows] / unit**2
+        sigma = np.full(s.shape, PAPER[2]) if paper and sighting.name != "touch" else own
+        senses.append(Sense(sighting.name, s / unit, sighting.model, sigma, unit))
+    touch = literal(features, body, t, dt) if printed and any(s.name == "touch" for s in evidence.sightings) else None
+    sigma_x = np.full(m, PAPER[0]) if precision is None else _wander(senses[:1], precision.encoder)
+    return Plan(tuple(senses), touch, t, dt, sigma_x, start(evidence, settings, m)), evidence, line
+
+
+def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array | None) -> Sense:
+    assert evidence.encoders is not None
+    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
+    sigma = np.full(s.shape, PAPER[1]) if variance is None else np.broadcast_to(variance, s.shape)
+    return Sense("encoders", s, body.senses.get("encoders"), sigma)
+
+
+def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
+    """Values (N,D) at the grid times, each row of (t, values) heard once, at the nearest; and the rows' indices (N,).
+
+    A row is moved to its grid time along the line to its neighbour; NaN where no row is nearest.
+    """
+    rows = nearest(t, grid)
+    mine = nearest(grid, t)[rows] == np.arange(len(grid))
+    late = grid >= t[rows]
+    other = np.clip(rows + np.where(late, 1, -1), 0, len(t) - 1)
+    apart = np.where(other == rows, 1.0, t[other] - t[rows])
+    moved = values[rows] + ((grid - t[rows]) / apart)[:, None] * (values[other] - values[rows])
+    moved = np.where(np.isfinite(moved), moved, values[rows])
+    return np.where(mine[:, None], moved, np.nan), rows
+
+
+def nearest(t: Array, at: Array) -> Array:
+    """Index (N,) of the time in ascending t nearest to each of `at`."""
+    right = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
+    left = right - 1
+    closer = np.abs(at - t[left]) <= np.abs(t[np.minimum(right, len(t) - 1)] - at)
+    return np.where(closer, left, np.minimum(right, len(t) - 1))
+
+
+def image_width(features: Features, body: BodyModel) -> float:
+    """Pixels that count as 1: the image's width if the body remembers it, else the largest coordinate seen."""
+    if "image_width" in body.provenance:
+        return float(body.provenance["image_width"])
+    seen = [np.nanmax(np.abs(s.values)) for s in features.tracks.values() if np.isfinite(s.values).any()]
+    return float(max(seen, default=1.0))
+
+
+def _wander(encoders: list[Sense], noise: Array) -> Array:
+    """σ_x (M,): what a static belief must allow for motion, so that it foretells the next encoder reading best."""
+    if not encoders or encoders[0].name != "encoders":
+        return noise
+    gains = np.linspace(0.05, 0.95, 19)[:, None]
+    s = encoders[0].s
+    x, squares = np.where(np.isfinite(s[0]), s[0], 0.0) + 0.0 * gains, np.zeros((len(gains), s.shape[1]))
+    for row in s[1:]:
+        nu = np.where(np.isfinite(row), row - x, 0.0)
+        squares += nu * nu
+        x = x + gains * nu
+    best = gains[squares.argmin(axis=0), 0]
+    return np.asarray(noise * best / (1.0 - best))
+
+
+def implicitly(plan: Plan) -> tuple[Array, Array, Array]:
+    """x (N,M), covariance (N,M,M) as inverse Hessian, free energy (N,) nats; errors at their equilibrium."""
+    m, n = len(plan.start), len(plan.t)
+    x, mu, eye = plan.start.copy(), plan.start.copy(), np.eye(len(plan.start))
+    xs, cov, nats = np.empty((n, m)), np.empty((n, m, m)), np.empty(n)
+    follow = plan.dt * LEARNING / (plan.sigma_x + plan.dt * LEARNING)
+    for k in range(n):
+        force, hessian, nats[k] = descent(plan, k, x, mu)
+        x = x + np.linalg.solve(eye + plan.dt * hessian, plan.dt * force)
+        mu = mu + follow * (x - mu)
+        xs[k], cov[k] = x, np.linalg.inv(hessian)
+    return xs, cov, nats
+
+
+def descent(plan: Plan, k: int, x: Array, mu: Array) -> tuple[Array, Array, float]:
+    """Force ∂F/∂x (M,), its Gauss–Newton Hessian (M,M) and the free energy at step k, errors at equilibrium."""
+    e = x - mu
+    force, hessian = -e / plan.sigma_x, np.diag(1.0 / plan.sigma_x)
+    nats = 0.5 * float((e * e / plan.sigma_x + np.log(2 * np.pi * plan.sigma_x)).sum())
+    for sense in plan.senses:
+        here = np.isfinite(sense.s[k])
+        if here.any():
+            g, jac = sense.predict(x)
+            e, jac, sigma = (sense.s[k] - g)[here], jac[here], sense.sigma[k][here]
+            force = force + jac.T @ (e / sigma)
+            hessian = hessian + jac.T @ (jac / sigma[:, None])
+            nats += 0.5 * float((e * e / sigma + np.log(2 * np.pi * sigma)).sum())
+    if plan.touch is not None and plan.touch.active[k]:
+        pull, slope = plan.touch.pull(k, x)
+        force, hessian = force + slope * pull, hessian + np.outer(slope, slope)
+    return force, hessian, nats
+
+
+def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
+    """As `implicitly`, by Algorithm 1: belief, errors and prior integrated together, one Euler step per instant."""
+    m, n = len(plan.start), len(plan.t)
+    x, mu, ex = plan.start.copy(), plan.start.copy(), np.zeros(len(plan.start))
+    errors = [np.zeros(sense.s.shape[1]) for sense in plan.senses]
+    xs, cov, nats = np.full((n, m), np.nan), np.empty((n, m, m)), np.empty(n)
+    for k in range(n):
+        _, hessian, nats[k] = descent(plan, k, x, mu)
+        dx = -ex
+        for i, sense in enumerate(plan.senses):
+            here = np.isfinite(sense.s[k])
+            g, jac = sense.predict(x)
+            errors[i] = np.where(here, errors[i], 0.0)  # absent senses contribute nothing
+            dx = dx + jac.T @ errors[i]
+            errors[i] = errors[i] + plan.dt * np.where(here, sense.s[k] - g - sense.sigma[k] * errors[i], 0.0)
+        if plan.touch is not None and plan.touch.active[k]:
+            pull, slope = plan.touch.pull(k, x)
+            dx = dx + slope * pull
+        # METHOD 4: ė_x = x̂ − μ − σ_x e_x, and μ̇ = λ e_x
+        dex, dmu = x - mu - plan.sigma_x * ex, LEARNING * ex
+        x, ex, mu = x + plan.dt * dx, ex + plan.dt * dex, mu + plan.dt * dmu
+        if not np.abs(x).max() < 1e3:
+            break
+        xs[k], cov[k] = x, np.linalg.inv(hessian)
+    return xs, cov, nats
+
+
+def step_warning(plan: Plan) -> tuple[Finding, ...]:
+    """A finding when Δt exceeds what keeps Algorithm 1 stable at the start, naming the largest stable Δt."""
+    stable = stable_step(plan)
+    if plan.dt <= stable:
+        return ()
+    text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {stable:.2g} s; type --step implicit"
+    return (Finding("warning", f"step: {text}"),)
+
+
+def stable_step(plan: Plan) -> float:
+    """Largest Δt (s) for which one explicit step shrinks every mode of the linearised dynamics at the start."""
+    m = len(plan.start)
+    blocks = [(sense.predict(plan.start)[1], sense.sigma.min(axis=0)) for sense in plan.senses]
+    size = 3 * m + sum(len(sigma) for _, sigma in blocks)
+    a = np.zeros((size, size))  # rows: x, e_x, μ, then the senses' errors
+    x, ex, mu = slice(0, m), slice(m, 2 * m), slice(2 * m, 3 * m)
+    a[x, ex], a[ex, x], a[ex, mu] = -np.eye(m), np.eye(m), -np.eye(m)
+    a[ex, ex], a[mu, ex] = -np.diag(plan.sigma_x), LEARNING * np.eye(m)
+    at = 3 * m
+    for jac, sigma in blocks:
+        rows = slice(at, at + len(sigma))
+        a[x, rows], a[rows, x], a[rows, rows] = jac.T, -jac, -np.diag(sigma)
+        at += len(sigma)
+    modes = np.linalg.eigvals(a)
+    modes = modes[modes.real < -1e-9]
+    return float((-2.0 * modes.real / np.abs(modes) ** 2).min()) if len(modes) else np.inf
+
+
+def _beliefs(
+    plan: Plan, evidence: Evidence, line: Timeline, x: Array, cov: Array, nats: Array,
+    findings: tuple[Finding, ...], explicit: bool,
+) -> Beliefs:  # fmt: skip
+    """Beliefs on the grid held until the next, at every instant of the timeline."""
+    rate = np.diff(x, axis=0, prepend=x[:1]) / plan.dt
+    held = np.maximum(np.searchsorted(plan.t, line.t, "right") - 1, 0)
+    before = np.maximum(np.searchsorted(plan.t, line.t, "left") - 1, 0)
+    every = np.zeros(len(line.t))
+    every[line.outputs] = nats
+    errors = np.full((len(line.t), x.shape[1]), np.nan)
+    if evidence.encoders is not None:
+        sigma = plan.senses[0].sigma[before][line.encoders]
+        std = np.sqrt(sigma + np.einsum("nii->ni", cov[before][line.encoders]))
+        errors[line.encoders] = (evidence.encoders.values - x[before][line.encoders]) / std
+    settings = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
+    settings |= {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
+    z = np.concatenate([x, rate], axis=1)[held]
+    return Beliefs(z, cov[held], every, x[before], cov[before], errors, {}, settings, (), findings)

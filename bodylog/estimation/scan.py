@@ -1,0 +1,170 @@
+"""The Gaussian filter kernel: many stretches of one log side by side, one instant of each per numpy call.
+
+State z (K,C) = joint angles, rates and, where drift is given, encoder offsets; the last axis C is the stretch.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+
+GATE = 5.0
+"""Standard deviations: a rarer innovation d has its noise raised until its pull falls as GATE²/d (redescending)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """White acceleration (M,) rad²/s³ on the rates · random walk (M,) rad²/s of the encoder offsets, or None."""
+
+    process: Array
+    drift: Array | None = None
+
+    @property
+    def size(self) -> int:
+        """Length K of the state."""
+        return len(self.process) * (2 if self.drift is None else 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What is heard, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · lines (T tracks of D rows).
+
+    A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
+    """
+
+    dt: Array
+    encoders: Array
+    encoder_var: Array
+    y: Array
+    jac: Array
+    var: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Per instant: prior mean and covariance of x, posterior state z and covariance p, nats, gains for going back."""
+
+    prior: Array
+    prior_cov: Array
+    z: Array
+    p: Array
+    nats: Array
+    encoder_d: Array
+    back: tuple[Array, Array, Array] | None
+
+
+def scan(readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False) -> Trace:
+    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps gains for the smoother."""
+    z, p = z.copy(), p.copy()
+    length, m, c = readings.encoders.shape
+    k, rows = len(z), m + readings.y.shape[1] * readings.y.shape[2]
+    back = (np.empty((length, rows, k, c)), np.empty((length, rows, c)), np.empty((length, rows, c)))
+    trace = Trace(
+        np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
+        np.empty((length, c)), np.empty((length, m, c)), back if remember else None,
+    )  # fmt: skip
+    propagate = propagator(p, z, dynamics)
+    visual: Array = np.any(np.isfinite(readings.y), axis=(1, 2, 3))
+    for i in range(length):
+        propagate(readings.dt[i])
+        trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
+        gains = None if trace.back is None else tuple(part[i] for part in trace.back)
+        see = slice(None) if visual[i] or remember else slice(0, 0)
+        update(readings, i, see, z, p, trace.nats[i], trace.encoder_d[i], gains)
+        trace.z[i], trace.p[i] = z, p
+    return trace
+
+
+def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyped-def]
+    """A function of dt (C,) that moves z and p in place: constant velocity, exact discretisation."""
+    m = len(dynamics.process)
+    q = dynamics.process[:, None]
+    walk = None if dynamics.drift is None else dynamics.drift[:, None]
+    diagonal = np.einsum("iic->ic", p)
+    cross, mirror = np.einsum("iic->ic", p[:m, m : 2 * m]), np.einsum("iic->ic", p[m : 2 * m, :m])
+    x, v = z[:m], z[m : 2 * m]
+
+    def propagate(dt: Array) -> None:
+        x_step = dt * v
+        np.add(x, x_step, out=x)
+        p[:m] += dt * p[m : 2 * m]
+        p[:, :m] += dt * p[:, m : 2 * m]
+        qdt = q * dt
+        half = 0.5 * dt * qdt
+        diagonal[:m] += (2.0 / 3.0) * dt * half
+        diagonal[m : 2 * m] += qdt
+        np.add(cross, half, out=cross)
+        np.add(mirror, half, out=mirror)
+        if walk is not None:
+            diagonal[2 * m :] += walk * dt
+
+    return propagate
+
+
+def update(readings: Readings, i: int, see: slice, z: Array, p: Array, nats: Array, encoder_d: Array, back) -> None:  # type: ignore[no-untyped-def]
+    """Condition z, p in place on all that is heard at instant i; noise is gated by the prior, so order is no matter."""
+    m = readings.encoders.shape[1]
+    y, jac, lines = readings.y[i, see], readings.jac[i, see], readings.var[i, see]
+    joint_var, encoder_d[:] = _gated_encoders(readings.encoders[i], readings.encoder_var[i], z, p, m)
+    line_var = _gated_lines(y, jac, lines, z, p, m)
+    nats[:] = 0.0
+    for j in range(m):
+        ph = p[:, j] if len(z) == 2 * m else p[:, j] + p[:, 2 * m + j]
+        s = joint_var[j] + (ph[j] if len(z) == 2 * m else ph[j] + ph[2 * m + j])
+        nu = readings.encoders[i, j] - (z[j] if len(z) == 2 * m else z[j] + z[2 * m + j])
+        _condition(z, p, ph, s, nu, nats, back, j)
+    for index, (track, row) in enumerate(np.ndindex(y.shape[0], y.shape[1])):
+        h = jac[track, row]
+        ph = np.einsum("jc,kjc->kc", h, p[:, :m])
+        s = line_var[track, row] + np.einsum("jc,jc->c", h, ph[:m])
+        nu = y[track, row] - np.einsum("jc,jc->c", h, z[:m])
+        _condition(z, p, ph, s, nu, nats, back, m + index)
+
+
+def _condition(z: Array, p: Array, ph: Array, s: Array, nu: Array, nats: Array, back, row: int) -> None:  # type: ignore[no-untyped-def]
+    """One scalar reading: innovation nu (C,), its variance s (C,), ph = P Hᵀ (K,C); NaN readings change nothing."""
+    heard = np.isfinite(nu)
+    weight = heard / s
+    nu = np.where(heard, nu, 0.0)
+    gain = ph * weight
+    z += gain * nu
+    p -= gain[:, None] * ph[None]
+    nats += np.where(heard, 0.5 * (np.log(2.0 * np.pi * s) + nu * nu * weight), 0.0)
+    if back is not None:
+        back[0][row], back[1][row], back[2][row] = gain, weight, nu
+
+
+def _gated_encoders(y: Array, var: Array, z: Array, p: Array, m: int) -> tuple[Array, Array]:
+    """Encoder variances (M,C) after gating, and the innovations in standard deviations (M,C)."""
+    diagonal = np.einsum("iic->ic", p)
+    s, nu = diagonal[:m] + var, y - z[:m]
+    if len(z) > 2 * m:
+        s = s + diagonal[2 * m :] + 2.0 * np.einsum("iic->ic", p[:m, 2 * m :])
+        nu = nu - z[2 * m :]
+    d = nu / np.sqrt(s)
+    return var + s * _excess(d * d), d
+
+
+def _gated_lines(y: Array, jac: Array, var: Array, z: Array, p: Array, m: int) -> Array:
+    """Variances (T,D,C) of the tracks' rows after gating each track as a whole."""
+    if y.size == 0:
+        return var
+    nu = y - np.einsum("tdjc,jc->tdc", jac, z[:m])
+    s = np.einsum("tdkc,tekc->tdec", np.einsum("tdjc,jkc->tdkc", jac, p[:m, :m]), jac)
+    diagonal = np.einsum("tddc->tdc", s)
+    diagonal += var
+    if y.shape[1] == 2:
+        det = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] ** 2
+        d2 = (s[:, 1, 1] * nu[:, 0] ** 2 - 2.0 * s[:, 0, 1] * nu[:, 0] * nu[:, 1] + s[:, 0, 0] * nu[:, 1] ** 2) / det
+    else:
+        white = np.linalg.solve(np.moveaxis(s, -1, 0), np.moveaxis(nu, -1, 0)[..., None])[..., 0]
+        d2 = np.einsum("ctd,tdc->tc", white, nu)
+    gated: Array = var + diagonal * _excess(d2)[:, None]
+    return gated
+
+
+def _excess(d2: Array) -> Array:
+    """By how many prior variances the noise must grow: 0 inside the gate, (d/GATE)⁴ − 1 outside; NaN is inside."""
+    over = d2 > GATE * GATE
+    return np.where(over, (d2 / (GATE * GATE)) ** 2 - 1.0, 0.0) if over.any() else np.zeros_like(d2)

@@ -1,0 +1,183 @@
+"""What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import EvidenceError, LogError, ModelError, UsageError
+from ..settings import Estimation
+from ..types import Array, BodyModel, Features, Finding, ForwardModel, Health, Series
+from . import touch
+
+
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """Encoder rows: t (N,) s strictly rising · values (N,M) rad, NaN where silent · source_ns (N,)."""
+
+    t: Array
+    values: Array
+    source_ns: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Places seen of something the body predicts: t (N,) s · values, var (N,D) unit, unit² · source_ns · its model."""
+
+    name: str
+    model: ForwardModel
+    t: Array
+    values: Array
+    var: Array
+    source_ns: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything heard: `encoders` also when unused (then all NaN), for their clock; `first` (M,) rad, NaN if none."""
+
+    encoders: Encoders | None
+    sightings: tuple[Sighting, ...]
+    first: Array
+    used: Mapping[str, Health]
+    findings: tuple[Finding, ...]
+
+
+def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidence:
+    """The evidence the settings ask for; a named sense without observations raises EvidenceError."""
+    wanted = _wanted(features, body, settings)
+    encoders, used = _encoders(features.joints, body.joints, wanted)
+    first = _first(features.joints, body.joints)
+    sightings = [_sighting(track, features.tracks[track], body, used) for track in wanted if track in features.tracks]
+    if "touch" in wanted and "effector" in body.senses:
+        sightings.append(_touch(features, body, used))
+    findings = _check(used, settings.senses or (), features)
+    heard = tuple(s for s in sightings if used[s.name].used)
+    if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
+        raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
+    return Evidence(encoders, heard, first, used, findings)
+
+
+def _wanted(features: Features, body: BodyModel, settings: Estimation) -> set[str]:
+    visual = [name for name in features.tracks if name in body.senses]
+    groups = {"encoders": list(body.joints), "vision": visual, "touch": ["touch"]}
+    singles = {*body.joints, *body.senses, *visual}
+    for name in (*(settings.senses or ()), *settings.without):
+        if name not in groups and name not in singles:
+            raise UsageError(f"senses: {name!r} is none of {', '.join([*groups, *sorted(singles)])}")
+
+    def spread(names: tuple[str, ...]) -> set[str]:
+        return {single for name in names for single in groups.get(name, [name])}
+
+    chosen = ("encoders", "vision", "touch") if settings.senses is None else settings.senses
+    return spread(chosen) - spread(settings.without)
+
+
+def _encoders(
+    joints: Series | None, names: tuple[str, ...], wanted: set[str]
+) -> tuple[Encoders | None, dict[str, Health]]:
+    if joints is None:
+        return None, {"encoders": Health(0, 0)}
+    values = joints.values[:, _columns(joints, names)].astype(float)
+    silent = [index for index, name in enumerate(names) if name not in wanted]
+    rising = _rising(joints.t)
+    broken = ~np.isfinite(values).any(axis=1)
+    values[:, silent] = np.nan
+    values[~np.isfinite(values)] = np.nan
+    keep = rising & ~broken
+    reasons = {"time runs backwards": int((~rising).sum()), "not a number": int((rising & broken).sum())}
+    use = int(np.isfinite(values[keep]).any(axis=1).sum())
+    used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, _gap(joints.t[keep]))}
+    return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
+
+
+def _columns(joints: Series, names: tuple[str, ...]) -> list[int]:
+    missing = [name for name in names if name not in joints.names]
+    if missing:
+        raise ModelError(
+            f"joints: the body model knows {', '.join(names)}, but the log has {', '.join(joints.names)}: "
+            f"{', '.join(missing)} missing; fit a body from a log of this robot"
+        )
+    return [joints.names.index(name) for name in names]
+
+
+def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
+    """First finite reading (M,) of each joint, used or not: where the belief starts."""
+    first = np.full(len(names), np.nan)
+    if joints is not None:
+        for index, column in enumerate(joints.values[:, _columns(joints, names)].T):
+            finite = column[np.isfinite(column)]
+            first[index] = finite[0] if len(finite) else np.nan
+    return first
+
+
+def _rising(t: Array) -> Array:
+    """True where a time is later than all before it."""
+    t = np.where(np.isfinite(t), t, -np.inf)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]]) if len(t) else t
+    return t > before
+
+
+def _gap(t: Array) -> float:
+    return float(np.diff(t).max()) if len(t) > 1 else 0.0
+
+
+def _sighting(name: str, track: Series, body: BodyModel, used: dict[str, Health]) -> Sighting:
+    rising = _rising(track.t)
+    seen: Array = np.all(np.isfinite(track.values), axis=1)
+    use = int((rising & seen).sum())
+    reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
+    gap = _gap(track.t[rising & seen])
+    used[name] = Health(len(track.t), use, {k: v for k, v in reasons.items() if v}, gap)
+    var = _pixel_variance(track, np.asarray(body.noise.senses.get(name, (1.0, 1.0))))
+    values = np.where(seen[:, None], track.values, np.nan)
+    return Sighting(name, body.senses[name], track.t[rising], values[rising], var[rising], track.source_ns[rising])
+
+
+def _pixel_variance(track: Series, fallback: Array) -> Array:
+    """Variance (N,D) px² by the track's own word, or the body's where it gives none."""
+    var = np.broadcast_to(fallback, track.values.shape)
+    if track.std is not None:
+        var = np.where(np.isfinite(track.std) & (track.std > 0), track.std**2, var)
+    return np.array(var, float)
+
+
+def _touch(features: Features, body: BodyModel, used: dict[str, Health]) -> Sighting:
+    t, values, var, source_ns = touch.sightings(features, body.touch)
+    seen = 0 if features.touches is None else len(features.touches)
+    used["touch"] = Health(seen, len(t), {"no stroke seen in time": seen} if seen and not len(t) else {})
+    return Sighting("touch", body.senses["effector"], t, values, var, source_ns)
+
+
+def _check(used: Mapping[str, Health], named: tuple[str, ...], features: Features) -> tuple[Finding, ...]:
+    """EvidenceError for a named sense that is empty; a finding for a guessed one."""
+    visual = {name for name in used if name not in ("encoders", "touch")}
+    for name in named:
+        members = visual if name == "vision" else {name} if name in used else {"encoders"}
+        if not any(used[member].used for member in members if member in used):
+            raise EvidenceError(
+                f"{name}: asked for, but it gave no observation ({_counts(used)}; tracks: "
+                f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
+            )
+    empty = [name for name, health in used.items() if health.seen and not health.used and name not in named]
+    return tuple(Finding("warning", f"{name}: nothing usable ({_words(used[name])}), left out") for name in empty)
+
+
+def _counts(used: Mapping[str, Health]) -> str:
+    return "; ".join(f"{name}: {_words(health)}" for name, health in used.items()) or "no sense known to the body"
+
+
+def _words(health: Health) -> str:
+    reasons = ", ".join(f"{count} {reason}" for reason, count in health.rejected.items())
+    return f"{health.used} of {health.seen} used" + (f", {reasons}" if reasons else "")
+
+
+def start(evidence: Evidence, settings: Estimation, count: int) -> Array:
+    """Mean (M,) rad the belief starts from: as set, or the first readings."""
+    if settings.start is not None:
+        if len(settings.start) != count:
+            raise UsageError(f"start: {len(settings.start)} angles given, the body has {count} joints")
+        return np.array(settings.start, float)
+    if np.isnan(evidence.first).any():
+        raise LogError("joints: no reading tells where the arm starts; give `start`, one angle in rad per joint")
+    return evidence.first

@@ -1,0 +1,59 @@
+"""All times of a log in one order: what is heard at each instant, and when the belief is asked for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import EvidenceError, UsageError
+from ..types import Array
+from .senses import Evidence
+
+FASTEST = 100.0
+"""Hz: encoders faster than this are all heard, but the belief is written on a grid of this rate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Instants t (E,) s · events of encoder rows (N,), of sightings' rows (F,), of outputs (O,) · source_ns (O,)."""
+
+    t: Array
+    encoders: Array
+    sightings: tuple[Array, ...]
+    outputs: Array
+    source_ns: Array
+
+
+def timeline(evidence: Evidence, rate: float | None) -> Timeline:
+    """Union of all stamps and output times; equal times become one instant, so simultaneous senses have no order."""
+    clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
+    wanted = output_times(evidence, rate)
+    t = np.unique(np.concatenate([clock, *(s.t for s in evidence.sightings), wanted]))
+    encoders = np.searchsorted(t, clock)
+    sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
+    outputs = np.searchsorted(t, wanted)
+    return Timeline(t, encoders, sightings, outputs, _heard(evidence, t, encoders, sightings)[outputs])
+
+
+def output_times(evidence: Evidence, rate: float | None) -> Array:
+    """Times (O,) s: encoder stamps (frames without encoders) up to 100 Hz, else a 100 Hz grid; `rate` overrides."""
+    if rate is not None and not rate > 0:
+        raise UsageError(f"rate: {rate} found, a frequency above 0 Hz is possible; type --rate 100")
+    clocks = [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
+    t = np.unique(np.concatenate(clocks))
+    if len(t) == 0:
+        raise EvidenceError("joints: no sound time stamp to estimate at")
+    if rate is None and (len(t) < 2 or np.median(np.diff(t)) > 0.99 / FASTEST):
+        return t
+    rate = rate or FASTEST
+    return np.asarray(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate)
+
+
+def _heard(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:
+    """Log time (E,) of the last message heard by each instant."""
+    latest = np.full(len(t), np.iinfo(np.int64).min)
+    if evidence.encoders is not None:
+        np.maximum.at(latest, encoders, evidence.encoders.source_ns)
+    for sighting, events in zip(evidence.sightings, sightings, strict=True):
+        np.maximum.at(latest, events, sighting.source_ns)
+    latest = np.maximum.accumulate(latest)
+    return np.where(latest == np.iinfo(np.int64).min, latest.max(), latest)

@@ -1,0 +1,74 @@
+"""Figures of merit: how far the belief is from the truth, and whether its error bars are true."""
+
+import numpy as np
+
+from ..types import Array, Estimate, Score, Series
+
+
+def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
+    """joint_rmse, nees, coverage_2sigma (with truth), encoder_rmse (with encoders), evidence and counts per sense."""
+    found: list[Score] = []
+    if truth is not None:
+        names = [name for name in estimate.joints.names if name in truth.names]
+        found += against_truth(estimate, truth, names) if names else []
+        if joints is not None:
+            found += encoder_scores(estimate, truth, joints, names)
+    return (*found, *own_scores(estimate))
+
+
+def against_truth(estimate: Estimate, truth: Series, names: list[str]) -> list[Score]:
+    """Error, its ratio to the stated covariance, and how often it is within two standard deviations."""
+    rows, columns = overlap(estimate.joints.t, truth), [estimate.joints.names.index(name) for name in names]
+    error = (estimate.joints.values[:, columns] - at_times(truth, names, estimate.joints.t))[rows]
+    if not len(error):
+        return []
+    cov = estimate.cov[rows][:, columns][:, :, columns]
+    var = np.einsum("nii->ni", cov)
+    ratio = error**2 / var
+    nees = np.einsum("ni,ni->n", error, np.linalg.solve(cov, error[..., None])[..., 0]) / len(names)
+    return [
+        Score("joint_rmse", _rms(error), "rad"),
+        *(Score(f"joint_rmse/{name}", _rms(error[:, i]), "rad") for i, name in enumerate(names)),
+        Score("nees", float(nees.mean()), "1"),
+        *(Score(f"nees/{name}", float(ratio[:, i].mean()), "1") for i, name in enumerate(names)),
+        Score("coverage_2sigma", float((ratio <= 4.0).mean() * 100.0), "%"),
+    ]
+
+
+def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: list[str]) -> list[Score]:
+    """RMSE of the raw encoders over the estimate's time span, the figure to beat."""
+    names = [name for name in names if name in joints.names]
+    span = (joints.t >= estimate.joints.t[0]) & (joints.t <= estimate.joints.t[-1])
+    rows = span & overlap(joints.t, truth)
+    error = (joints.values[:, [joints.names.index(name) for name in names]] - at_times(truth, names, joints.t))[rows]
+    error = error[np.isfinite(error)]
+    return [Score("encoder_rmse", _rms(error), "rad")] if len(error) else []
+
+
+def own_scores(estimate: Estimate) -> list[Score]:
+    """What needs no truth: free energy per output, standardised errors and observations used per sense."""
+    found = [Score("free_energy", float(np.mean(estimate.free_energy)), "nats")] if len(estimate.free_energy) else []
+    for sense, errors in sorted(estimate.errors.items()):
+        finite = errors.values[np.isfinite(errors.values)]
+        if len(finite):
+            found.append(Score(f"error_squared/{sense}", float(np.mean(finite**2)), "1"))
+    found += [Score(f"used/{sense}", float(health.used), "messages") for sense, health in sorted(estimate.used.items())]
+    return found
+
+
+def at_times(truth: Series, names: list[str], t: Array) -> Array:
+    """The truth (N,len(names)) rad between its stamps."""
+    order = np.argsort(truth.t, kind="stable")
+    columns = truth.values[order][:, [truth.names.index(name) for name in names]]
+    return np.stack([np.interp(t, truth.t[order], column) for column in columns.T], axis=1)
+
+
+def overlap(t: Array, truth: Series) -> Array:
+    """Which times (N,) lie within the truth's span, with no extrapolation beyond half its step."""
+    step = float(np.median(np.diff(np.sort(truth.t)))) if len(truth.t) > 1 else 0.0
+    inside: Array = (t >= truth.t.min() - step / 2) & (t <= truth.t.max() + step / 2)
+    return inside
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.mean(error**2)))

@@ -1,0 +1,115 @@
+"""Worlds with a known answer: a linear body and a pinhole arm, drawn from a seed."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from bodylog.types import Array, BodyModel, Features, Noise, Series, Synchrony, Touch, TouchConstants
+
+JOINTS = ("pan", "lift", "elbow")
+
+
+@dataclass(frozen=True)
+class Linear:
+    """u, v as a plane over the angles."""
+
+    a: Array
+    b: Array
+    outputs: tuple[str, ...] = ("u", "v")
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        return x @ self.a.T + self.b, np.repeat(self.a[None], len(x), axis=0), np.zeros((len(x), 2))
+
+
+@dataclass(frozen=True)
+class Arm:
+    """A three-joint arm (pan, lift, elbow) before a pinhole camera; `blur` is the variance it admits to, px²."""
+
+    blur: float = 0.0
+    outputs: tuple[str, ...] = ("u", "v")
+
+    def place(self, x: Array) -> Array:
+        pan, lift, elbow = np.moveaxis(x, -1, 0)
+        reach = 0.425 * np.cos(lift) + 0.39 * np.cos(lift + elbow)
+        height = -0.425 * np.sin(lift) - 0.39 * np.sin(lift + elbow)
+        forward, side = reach * np.cos(pan), reach * np.sin(pan)
+        depth = 1.6 - 0.6 * forward + 0.3 * height
+        return np.stack([160 + 420 * side / depth, 120 - 420 * (height - 0.2 + 0.3 * forward) / depth], axis=-1)
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        # complex step: the derivative to machine precision
+        jac = np.stack([self.place(x + 1e-30j * e).imag / 1e-30 for e in np.eye(3)], axis=-1)
+        return self.place(x), jac, np.full((len(x), 2), self.blur)
+
+
+@dataclass
+class World:
+    features: Features
+    truth: Series
+    body: BodyModel
+    rate: Array = field(default_factory=lambda: np.empty(0))
+
+
+def motion(t: Array, rng: np.random.Generator, speed: float = 0.5) -> Array:
+    """Smooth angles (N,3): sums of slow sines about a bent arm."""
+    x = np.tile(np.array([-0.9, -0.9, 1.0]), (len(t), 1))
+    for _ in range(4):
+        w, phase = rng.uniform(0.5, 2.0, 3), rng.uniform(0, 2 * np.pi, 3)
+        x += speed * 0.35 / w * np.sin(np.outer(t, w) + phase)
+    return x
+
+
+def draw(
+    seed: int = 0, duration: float = 20.0, encoder_hz: float = 50.0, camera_hz: float = 12.0, encoder_std: float = 0.02,
+    pixel_std: float = 0.4, model: object = None, hidden: tuple[float, float] = (0.0, 0.0), speed: float = 0.5,
+    blunder: float = 0.0,
+) -> World:  # fmt: skip
+    """A world with its truth; `hidden` says when the effector is out of view, `blunder` how often it is mistaken."""
+    rng = np.random.default_rng(seed)
+    model = Arm() if model is None else model
+    t = np.arange(0.0, duration, 1 / encoder_hz)
+    frames = np.arange(0.003, duration, 1 / camera_hz)
+    both = np.concatenate([t, frames])
+    x = motion(both, rng, speed)
+    truth, at_frames = x[: len(t)], x[len(t) :]
+    heard = truth + rng.normal(0, encoder_std, truth.shape)
+    seen = model.predict(at_frames)[0] + rng.normal(0, pixel_std, (len(frames), 2))  # type: ignore[attr-defined]
+    wrong = rng.random(len(frames)) < blunder
+    seen[wrong] += rng.normal(0, 60, (int(wrong.sum()), 2))
+    seen[(frames >= hidden[0]) & (frames < hidden[1])] = np.nan
+    order = [2, 0, 1]  # alphabetical, as drivers publish
+    names = tuple(JOINTS[i] for i in order)
+    ns, frames_ns = (t * 1e9).astype(np.int64), (frames * 1e9).astype(np.int64)
+    joints = Series(t, heard[:, order], names, "rad", ns)
+    track = Series(frames, seen, ("u", "v"), "px", frames_ns, np.full(seen.shape, pixel_std))
+    features = Features(joints, {"effector": track}, None, (), (), {})
+    noise = Noise((encoder_std**2,) * 3, {"effector": (pixel_std**2,) * 2}, (0.3,) * 3)
+    body = BodyModel(JOINTS, {"effector": model}, noise, TouchConstants(1.0, 0.005, 1.0, 50.0), {})  # type: ignore[dict-item]
+    return World(features, Series(t, truth, JOINTS, "rad", ns), body)
+
+
+def strokes(world: World, weight: float, offset: tuple[float, float] = (0.0, 0.0)) -> Features:
+    """The world's features with touches of the given synchrony weight, the hand `offset` px from the effector."""
+    track = world.features.tracks["effector"]
+    touches = tuple(Touch(s, s + 1.0, (1,), 0.9, 1, int(s * 1e9)) for s in np.arange(5.0, track.t[-1] - 1, 2.5))
+    pairs = tuple(Synchrony(i, i, 0.0, weight) for i in range(len(touches)))
+    hand = Series(track.t, track.values + np.array(offset), ("u", "v"), "px", track.source_ns, track.std)
+    tracks = {**world.features.tracks, "hand": hand}
+    return Features(world.features.joints, tracks, touches, (), pairs, {})
+
+
+@pytest.fixture
+def world() -> Callable[..., World]:
+    return draw
+
+
+@pytest.fixture
+def stroked() -> Callable[..., Features]:
+    return strokes
+
+
+@pytest.fixture
+def linear_model() -> Linear:
+    return Linear(np.array([[300.0, -40.0, 20.0], [15.0, 250.0, 120.0]]), np.array([160.0, 120.0]))
