@@ -176,6 +176,29 @@ def doctor(log: Path, repair: Path | None = None) -> Result:
     return Result(repair, findings=findings)
 
 
+def plot(source: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
+    """Draw a body model (.npz), or any log: joints, pixels, skin, events and trajectories over time."""
+    from .report import figures
+
+    _distinct(source, out)
+    if source.suffix == ".npz":
+        from .body import model
+
+        figures.body_figure(model.load(source), out)
+        return Result(out)
+    read, features = observe(source, settings, progress)
+    figures.recording_figure(read, features, out)
+    return Result(out, (), features.health, (*read.findings, *features.findings), plain(settings))
+
+
+def count(log: Path) -> int:
+    """Messages a log declares."""
+    from .logs.containers import open_log
+
+    with open_log(log) as opened:
+        return sum(topic.messages for topic in opened.topics)
+
+
 def _feature_messages(read: Recording, features: Features) -> list[Outgoing]:
     from .logs import messages
 

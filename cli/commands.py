@@ -4,7 +4,7 @@ import click
 
 from bodylog import __version__
 
-from . import compare, config, doctor, estimate, evaluate, extract, fit, info, ingest, plot, record, report
+from . import batch, compare, config, doctor, estimate, evaluate, extract, fit, info, ingest, plot, record, report
 
 COMMANDS = (
     record.record,
@@ -18,6 +18,7 @@ COMMANDS = (
     compare.compare,
     plot.plot,
     report.report,
+    batch.batch,
     config.config,
 )
 

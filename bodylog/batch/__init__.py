@@ -1,0 +1,89 @@
+"""Many logs with one body: every log gets its row, whatever happens to it."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import UsageError
+from ..settings import Settings
+from . import jobs, local, results, resume
+from .jobs import Job
+
+Row = dict[str, Any]
+Report = Callable[[Row, int, int], None]
+"""Called with each finished row, how many are done and how many there are."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a batch is asked to do; `body` or `train` gives the body model."""
+
+    logs: tuple[str, ...]
+    out: Path
+    settings: Settings
+    body: Path | None = None
+    train: tuple[Path, ...] = ()
+    bounds: tuple[str, ...] = ()
+    workers: int = 1
+    shard: tuple[int, int] = (1, 1)
+    resume: bool = False
+    keep_going: bool = False
+    memory: int | None = None
+    scheduler: str | None = None
+
+
+def batch(plan: Plan, report: Report | None = None) -> list[Row]:
+    """One row per log, in name order; also left in plan.out as results.jsonl, junit.xml and summary.html."""
+    plan.out.mkdir(parents=True, exist_ok=True)
+    body = _body(plan)
+    logs = jobs.named(plan.logs, plan.shard)
+    planned = [Job(n, log, plan.out / n, body, plan.settings, plan.bounds, plan.resume) for n, log in logs.items()]
+    done = {job.name: row for job in planned if plan.resume and (row := resume.finished(job))}
+    open_jobs = [job for job in planned if job.name not in done]
+    with results.journal(plan.out) as write:
+        for row in done.values():
+            write(row)
+        for row in _run(plan, open_jobs):
+            done[row["name"]] = row
+            write(row)
+            if report:
+                report(row, len(done), len(planned))
+    rows = [done.get(job.name) or resume.not_run(job) for job in planned]
+    results.write(plan.out, rows)
+    return rows
+
+
+def exit_code(rows: Sequence[Row]) -> int:
+    """The worst kind met, from sound to our bug: 0, 3, 4, 65, 1."""
+    return max((row["exit_code"] for row in rows), key=(0, 3, 4, 65, 1).index, default=0)
+
+
+def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:
+    if plan.scheduler is not None:
+        from . import cluster
+
+        yield from cluster.run(open_jobs, plan.scheduler, plan.workers)
+        return
+    yield from local.run(open_jobs, plan.workers, plan.memory, plan.keep_going)
+
+
+def _body(plan: Plan) -> Path:
+    """The body model given, or the one learned from the training logs, kept when it is what would be learned again."""
+    if (plan.body is None) == (not plan.train):
+        raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
+    if plan.body is not None:
+        return plan.body
+    with _one_at_a_time(plan.out):
+        return resume.learned(plan.train, plan.out / "body.npz", plan.settings)
+
+
+@contextmanager
+def _one_at_a_time(folder: Path) -> Iterator[None]:
+    """Shards that share an output folder learn the body once, not at the same time."""
+    import fcntl
+
+    with (folder / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

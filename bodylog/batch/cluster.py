@@ -1,0 +1,48 @@
+"""The jobs of a batch on a Dask distributed scheduler, so on whatever dask-jobqueue and its kin can start."""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from ..errors import UsageError
+from . import work
+from .jobs import Job
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Row = dict[str, Any]
+TRIES = 3
+
+
+def run(jobs: Sequence[Job], scheduler: str, workers: int) -> Iterator[Row]:
+    """Rows as they finish; a job whose worker is lost is given to another. `scheduler`: tcp://host:port, or local."""
+    client = _client(scheduler, workers)
+    try:
+        yield from _gather(client, jobs)
+    finally:
+        client.close()
+
+
+def _client(scheduler: str, workers: int) -> "Client":
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as err:
+        raise UsageError("--scheduler needs Dask; type: pip install 'bodylog[dask]'") from err
+    if scheduler == "local":
+        return Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None))
+    try:
+        return Client(scheduler, timeout="10s")
+    except (OSError, ValueError, TimeoutError) as err:
+        raise UsageError(f"--scheduler {scheduler}: nothing answers there; type: tcp://HOST:PORT or local") from err
+
+
+def _gather(client: "Client", jobs: Sequence[Job]) -> Iterator[Row]:
+    from distributed import as_completed
+
+    # pure=False: the work lies in files, so an equal call is still a call to make.
+    futures = {client.submit(work.run, job, pure=False, retries=TRIES): job for job in jobs}
+    for future in as_completed(list(futures)):
+        if future.status == "finished":
+            yield future.result()
+        else:
+            yield work.died(futures[future], f"lost with its workers: {future.exception()!r}")

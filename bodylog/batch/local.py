@@ -1,0 +1,127 @@
+"""The jobs of a batch on this machine: a pool of processes, largest logs first, within a memory budget."""
+
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from . import work
+from .jobs import Job
+
+Row = dict[str, Any]
+BASE_BYTES = 300 << 20
+TRIES = 2
+
+
+def run(jobs: Sequence[Job], workers: int, memory: int | None, keep_going: bool) -> Iterator[Row]:
+    """Rows as they finish; after a bug no further log is started, unless `keep_going`."""
+    queue = sorted(jobs, key=lambda job: (-size(job.log), job.name))
+    if workers == 1:
+        yield from _here(queue, keep_going)
+        return
+    yield from Pool(workers, memory, keep_going).run(queue)
+
+
+def _here(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
+    for job in queue:
+        row = work.run(job)
+        yield row
+        if row["exit_code"] == 1 and not keep_going:
+            return
+
+
+def size(log: Path) -> int:
+    """Bytes of a log, file or folder; 0 when it cannot be read."""
+    try:
+        return sum(p.stat().st_size for p in log.rglob("*") if p.is_file()) if log.is_dir() else log.stat().st_size
+    except OSError:
+        return 0
+
+
+def need(job: Job) -> int:
+    """Bytes of memory a job is expected to want: signals are held, pictures are streamed."""
+    return BASE_BYTES + size(job.log) // 2
+
+
+class Pool:
+    """Worker processes, each with a pipe of its own, so that one that dies takes only its own job with it."""
+
+    def __init__(self, workers: int, memory: int | None, keep_going: bool) -> None:
+        """Start nothing yet."""
+        self._workers, self._memory, self._keep_going = workers, memory, keep_going
+        self._context = multiprocessing.get_context("spawn")
+        self._idle: list[tuple[BaseProcess, Connection]] = []
+        self._busy: dict[Connection, tuple[BaseProcess, Job]] = {}
+        self._tries: dict[str, int] = {}
+
+    def run(self, queue: list[Job]) -> Iterator[Row]:
+        """Rows as they finish; a job whose worker dies is tried once more, then it is a row."""
+        queue = list(queue)
+        try:
+            while queue or self._busy:
+                self._hand_out(queue)
+                for pipe in wait(list(self._busy)):
+                    assert isinstance(pipe, Connection)
+                    row = self._collect(pipe, queue)
+                    if row is not None:
+                        yield row
+                        if row["exit_code"] == 1 and not self._keep_going:
+                            queue.clear()
+        finally:
+            self._stop()
+
+    def _hand_out(self, queue: list[Job]) -> None:
+        while queue and len(self._busy) < self._workers and self._fits(queue[0]):
+            job = queue.pop(0)
+            process, pipe = self._idle.pop() if self._idle else self._start()
+            pipe.send(job)
+            self._busy[pipe] = (process, job)
+
+    def _fits(self, job: Job) -> bool:
+        """Whether memory allows one more; a job too large for the budget runs alone."""
+        taken = sum(need(busy) for _, busy in self._busy.values())
+        return not self._busy or self._memory is None or taken + need(job) <= self._memory
+
+    def _start(self) -> tuple[BaseProcess, Connection]:
+        here, there = self._context.Pipe()
+        process = self._context.Process(target=_worker, args=(there,), daemon=True)
+        process.start()
+        there.close()
+        return process, here
+
+    def _collect(self, pipe: Connection, queue: list[Job]) -> Row | None:
+        process, job = self._busy.pop(pipe)
+        try:
+            row: Row = pipe.recv()
+        except (EOFError, OSError):
+            return self._died(process, job, queue)
+        self._idle.append((process, pipe))
+        return row
+
+    def _died(self, process: BaseProcess, job: Job, queue: list[Job]) -> Row | None:
+        process.join()
+        self._tries[job.name] = self._tries.get(job.name, 0) + 1
+        if self._tries[job.name] < TRIES:
+            queue.insert(0, job)
+            return None
+        return work.died(job, f"the worker process died with {process.exitcode} on {job.log}, {TRIES} times")
+
+    def _stop(self) -> None:
+        for process, _ in [*self._idle, *((p, None) for p, _ in self._busy.values())]:
+            process.terminate()
+            process.join()
+
+
+def _worker(pipe: Connection) -> None:
+    """Do what comes through the pipe until it closes."""
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            job = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(work.run(job))

@@ -1,0 +1,109 @@
+"""One log of a batch: estimate, score, report, and the row that says how it went."""
+
+import fcntl
+import json
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from .. import pipeline
+from ..config import toml
+from ..errors import BodylogError, BoundError
+from ..evaluation import bounds
+from ..files import replacing, sha256
+from . import resume
+from .jobs import Job
+
+OUTPUTS = ("annotated.mcap", "report.html", "robot.toml")
+STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable", 2: "unusable", 1: "bug"}
+
+
+def run(job: Job) -> dict[str, Any]:
+    """Do one job and leave its row beside its outputs; every failure becomes a row."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    with _alone(job.folder):
+        earlier = resume.finished(job) if job.resume else None
+        return earlier or _anew(job)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """A worker that outlived its killed batch may still be at this log: wait for it rather than write beside it."""
+    with (folder / ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def _anew(job: Job) -> dict[str, Any]:
+    for stale in [*job.folder.glob(".*.part"), *(job.folder / name for name in (*OUTPUTS, resume.ROW))]:
+        stale.unlink(missing_ok=True)
+    row = _attempt(job)
+    _leave(job.folder / resume.ROW, json.dumps(row, sort_keys=True, ensure_ascii=False, allow_nan=False))
+    return row
+
+
+def died(job: Job, why: str) -> dict[str, Any]:
+    """The row of a job whose worker was lost."""
+    return _row(job, None, 1, why)
+
+
+def _attempt(job: Job) -> dict[str, Any]:
+    key = None
+    try:
+        key = resume.key(job)
+        return _row(job, key, **_estimate(job))
+    except BodylogError as err:
+        return _row(job, key, err.exit_code if err.exit_code != 2 else 65, str(err))
+    except OSError as err:
+        return _row(job, key, 65, f"{job.log}: {err.strerror or err}")
+    except Exception:
+        return _row(job, key, 1, traceback.format_exc())
+
+
+def _estimate(job: Job) -> dict[str, Any]:
+    """Keywords of _row; a broken bound is a row, not a failure."""
+    annotated = job.folder / "annotated.mcap"
+    result = pipeline.estimate(job.log, job.body, annotated, job.settings)
+    pipeline.report(annotated, job.folder / "report.html", job.settings)
+    _leave(job.folder / "robot.toml", toml(job.settings))
+    lost = any(finding.severity == "lost" for finding in result.findings)
+    code, error = (3 if lost else 0), None
+    try:
+        bounds.check({job.name: result.scores}, [bounds.parse(text) for text in job.bounds])
+    except BoundError as err:
+        code, error = err.exit_code, str(err)
+    return {"code": code, "error": error, "result": result, "messages": pipeline.count(annotated)}
+
+
+def _row(
+    job: Job,
+    key: str | None,
+    code: int,
+    error: str | None,
+    result: pipeline.Result | None = None,
+    messages: int | None = None,
+) -> dict[str, Any]:
+    return {
+        "name": job.name,
+        "log": str(job.log),
+        "key": key,
+        "status": STATUS[code],
+        "exit_code": code,
+        "error": error,
+        "messages": messages,
+        "outputs": {name: sha256(job.folder / name) for name in OUTPUTS if result},
+        "scores": {score.name: _finite(score.value) for score in result.scores} if result else {},
+        "used": {sense: health.used for sense, health in result.health.items()} if result else {},
+        "findings": [[f.severity, f.text] for f in dict.fromkeys(result.findings)] if result else [],
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if value - value == 0 else None
+
+
+def _leave(path: Path, text: str) -> None:
+    with replacing(path) as beside:
+        beside.write_text(text, encoding="utf-8")

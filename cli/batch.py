@@ -1,0 +1,72 @@
+"""bodylog batch."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import click
+
+from . import options
+
+
+@click.command(epilog="Example: bodylog batch logs/ -o out --train explore.bag --jobs 2 --fail-if 'joint_rmse>0.02'")
+@click.argument("logs", metavar="LOG|GLOB|DIR...", nargs=-1, required=True)
+@click.option("-o", "--output", "out", type=options.PATH, required=True, help="The folder for everything.")
+@click.option("--body", type=options.PATH, help="The body model that fit wrote.")
+@click.option("--train", type=options.PATH, multiple=True, metavar="LOG", help="Learn the body from this log first.")
+@click.option("--jobs", "workers", type=click.IntRange(min=1), default=1, show_default=True, help="Logs at a time.")
+@click.option("--memory", metavar="SIZE", help="Memory for all of them together, e.g. 4G.")
+@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, tcp://HOST:PORT, or local.")
+@click.option("--shard", metavar="I/N", default="1/1", show_default=True, help="Every N-th log, from the I-th.")
+@click.option("--resume", is_flag=True, help="Skip what an earlier run did with the same input, settings and version.")
+@click.option("--keep-going", is_flag=True, help="Go on to further logs even after a bug of ours.")
+@click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help="E.g. 'joint_rmse>0.02'; broken: exit 4.")
+@options.estimation_options
+@options.common_options
+def batch(
+    logs: tuple[str, ...], memory: str | None, shard: str, config_file: Path | None, as_json: bool, **typed: Any
+) -> int:
+    """Estimate, score and report on many logs: a row each in results.jsonl, junit.xml and summary.html."""
+    from bodylog.batch import Plan, exit_code
+    from bodylog.batch import batch as run
+
+    from .output import data
+
+    ours = {k: typed.pop(k) for k in ("out", "body", "train", "workers", "scheduler", "resume", "keep_going", "bounds")}
+    chosen = options.settings(config_file, estimate=options.estimation(typed))
+    plan = Plan(logs=logs, settings=chosen, shard=_shard(shard), memory=_bytes(memory), **ours)
+    rows = run(plan, _tell)
+    if as_json:
+        data({"rows": rows, "output": str(plan.out)})
+    else:
+        _summary(rows)
+    return exit_code(rows)
+
+
+def _tell(row: dict[str, Any], done: int, total: int) -> None:
+    click.echo(f"[{done}/{total}] {row['name']}: {row['status']}{_why(row)}", err=True)
+
+
+def _why(row: dict[str, Any]) -> str:
+    return f": {row['error'].strip().splitlines()[-1]}" if row["error"] else ""
+
+
+def _summary(rows: list[dict[str, Any]]) -> None:
+    for row in rows:
+        click.echo(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{_why(row)}")
+
+
+def _shard(text: str) -> tuple[int, int]:
+    found = re.fullmatch(r"(\d+)/(\d+)", text)
+    if not found:
+        raise click.BadParameter(f"{text!r}; it must be I/N, e.g. 2/4", param_hint="--shard")
+    return int(found[1]), int(found[2])
+
+
+def _bytes(text: str | None) -> int | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d+(?:\.\d+)?)([KMGT]?)B?", text.upper())
+    if not found:
+        raise click.BadParameter(f"{text!r}; it must be a size, e.g. 4G", param_hint="--memory")
+    return int(float(found[1]) * 1024 ** " KMGT".index(found[2] or " "))

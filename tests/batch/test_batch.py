@@ -1,0 +1,123 @@
+"""A folder of good and bad logs: every one has its row, and what is done is not done again."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+
+import pytest
+
+from bodylog.batch.jobs import named
+from bodylog.errors import LogError, UsageError
+
+
+@pytest.fixture(scope="module")
+def mixed(tmp_path_factory, robot):
+    """Good, truncated, empty, not a log; each in its place below one folder."""
+    folder = tmp_path_factory.mktemp("mixed")
+    good = (robot / "reach.mcap").read_bytes()
+    (folder / "good.mcap").write_bytes(good)
+    (folder / "truncated.mcap").write_bytes(good[: len(good) * 3 // 4])
+    (folder / "empty.mcap").write_bytes(b"")
+    (folder / "noise.bag").write_bytes(bytes(range(256)) * 20)
+    (folder / "notes.txt").write_text("not a log's name")
+    return folder
+
+
+def _rows(out):
+    return {row["name"]: row for row in map(json.loads, (out / "results.jsonl").read_text().splitlines())}
+
+
+def _tree(out):
+    return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+
+
+def test_every_log_has_its_row_and_the_worst_kind_is_the_exit_code(tmp_path, mixed, robot, bodylog):
+    assert bodylog("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 2) == 65
+    codes = {name: row["exit_code"] for name, row in _rows(tmp_path).items()}
+    assert codes == {"good.mcap": 0, "truncated.mcap": 3, "empty.mcap": 65, "noise.bag": 65}
+    assert (tmp_path / "good.mcap" / "report.html").exists()
+    assert not (tmp_path / "empty.mcap" / "annotated.mcap").exists()
+
+
+def test_junit_counts_failures_and_errors(tmp_path, mixed, robot, bodylog):
+    bodylog("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
+    suite = ET.parse(tmp_path / "junit.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "2")
+
+
+def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_path, mixed, robot, bodylog):
+    whole, resumed = tmp_path / "whole", tmp_path / "resumed"
+    for out in (whole, resumed):
+        bodylog("batch", mixed, "-o", out, "--body", robot / "body.npz")
+    kept = (resumed / "good.mcap" / "annotated.mcap").stat().st_mtime_ns
+    (resumed / "truncated.mcap" / "annotated.mcap").write_bytes(b"half")
+    (resumed / "results.jsonl").unlink()
+    bodylog("batch", mixed, "-o", resumed, "--body", robot / "body.npz", "--resume")
+    assert _tree(resumed) == _tree(whole)
+    assert (resumed / "good.mcap" / "annotated.mcap").stat().st_mtime_ns == kept
+
+
+def test_killed_at_any_instant_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, bodylog):
+    _killed_and_resumed(tmp_path, mixed, robot, bodylog, (0.3, 1.0, 1.7))
+
+
+@pytest.mark.soak
+def test_killed_at_twenty_instants_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, bodylog):
+    _killed_and_resumed(tmp_path, mixed, robot, bodylog, [0.2 + 0.2 * k for k in range(20)])
+
+
+def _killed_and_resumed(tmp_path, mixed, robot, bodylog, instants):
+    typed = ["batch", str(mixed), "--body", str(robot / "body.npz"), "--jobs", "2", "--resume", "-o"]
+    bodylog(*typed, tmp_path / "whole")
+    whole = _tree(tmp_path / "whole")
+    for instant in instants:
+        out = tmp_path / f"killed{instant:.1f}"
+        command = [sys.executable, "-m", "bodylog_cli", *typed, str(out)]
+        process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+        time.sleep(instant)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        bodylog(*typed, out)
+        assert _tree(out) == whole
+
+
+def test_a_lost_worker_is_replaced_and_its_log_done(tmp_path, mixed, robot):
+    command = [sys.executable, "-m", "bodylog_cli", "batch", str(mixed), "-o", str(tmp_path), "--jobs", "2"]
+    process = subprocess.Popen([*command, "--body", str(robot / "body.npz")], stderr=subprocess.DEVNULL)
+    killed = _kill_a_child(process)
+    assert killed
+    assert process.wait() == 65
+    assert {name: row["exit_code"] for name, row in _rows(tmp_path).items()}["good.mcap"] == 0
+
+
+def _kill_a_child(process):
+    while process.poll() is None:
+        children = subprocess.run(["pgrep", "-P", str(process.pid), "-f", "spawn_main"], capture_output=True, text=True)
+        if children.stdout.split():
+            os.kill(int(children.stdout.split()[0]), signal.SIGKILL)
+            return True
+        time.sleep(0.02)
+    return False
+
+
+def test_shards_cover_all_logs_once(tmp_path, mixed):
+    parts = [set(named([str(mixed)], (i, 3))) for i in (1, 2, 3)]
+    assert sorted(name for part in parts for name in part) == sorted(named([str(mixed)], (1, 1)))
+
+
+def test_logs_of_one_name_get_folders_of_their_own(tmp_path, mixed):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        shutil.copy(mixed / "empty.mcap", tmp_path / folder)
+    assert len(named([str(tmp_path)], (1, 1))) == 2
+
+
+@pytest.mark.parametrize(("logs", "shard", "said"), [(["none*"], (1, 1), "no such"), (["."], (3, 2), "runs from 1")])
+def test_nothing_to_do_is_said(tmp_path, logs, shard, said):
+    with pytest.raises((LogError, UsageError), match=said):
+        named(logs, shard)

@@ -1,0 +1,42 @@
+"""What many tests need once: a small simulated robot, its body, and the recorded arm where it is at hand."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import bodylog_cli
+import pytest
+
+SHARED = Path(__file__).parents[2] / "shared" / "logs"
+
+
+@pytest.fixture(scope="session")
+def bodylog() -> Callable[..., int]:
+    """Run a command and return its exit code."""
+    return lambda *arguments: bodylog_cli.run([str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="session")
+def robot(tmp_path_factory, bodylog) -> Path:
+    """A folder with explore.mcap, reach.mcap and body.npz of one small simulated robot."""
+    folder = tmp_path_factory.mktemp("robot")
+    record = ("--size", "160x120")
+    assert bodylog("record", "babble", "-o", folder / "explore.mcap", "--duration", 10, "--seed", 1, *record) == 0
+    assert bodylog("record", "reach", "-o", folder / "reach.mcap", "--duration", 4, "--seed", 2, *record) == 0
+    assert bodylog("fit", folder / "explore.mcap", "-o", folder / "body.npz") == 0
+    return folder
+
+
+@pytest.fixture(scope="session")
+def arm() -> Path:
+    """The independently drawn arm's logs."""
+    if not (SHARED / "arm").is_dir():
+        pytest.skip("the recorded arm (../shared/logs/arm) is not at hand")
+    return SHARED / "arm"
+
+
+@pytest.fixture(scope="session")
+def arm_body(tmp_path_factory, arm, bodylog) -> Path:
+    """The body learned from the arm's exploration."""
+    body = tmp_path_factory.mktemp("arm") / "body.npz"
+    assert bodylog("fit", arm / "explore.mcap", "-o", body) == 0
+    return body

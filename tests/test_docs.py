@@ -1,0 +1,49 @@
+"""The documentation is run, not believed."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from bodylog_cli.commands import bodylog
+
+ROOT = Path(__file__).parents[1]
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text()
+
+
+def _page() -> str:
+    sys.path.insert(0, str(ROOT))
+    try:
+        from docs.generate_cli import page
+    finally:
+        sys.path.remove(str(ROOT))
+    return page()
+
+
+def test_cli_reference_is_what_help_says():
+    assert (ROOT / "docs" / "cli.md").read_text() == _page(), "type: make docs"
+
+
+@pytest.mark.parametrize("name", bodylog.commands)
+def test_every_command_has_help_that_ends_with_an_example(name):
+    command = bodylog.commands[name]
+    assert command.help
+    assert command.epilog is not None and command.epilog.startswith(f"Example: bodylog {name}")
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/tutorial.md", "docs/formats.md", "docs/method.md"])
+def test_commands_in_the_pages_exist(page):
+    spoken = set(re.findall(r"^(?:\$ )?bodylog (\w+)", (ROOT / page).read_text(), re.MULTILINE))
+    assert spoken <= set(bodylog.commands)
+
+
+def test_tutorial_runs_word_for_word(tmp_path):
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    for block in re.findall(r"```bash\n(.*?)```", TUTORIAL, re.DOTALL):
+        done = subprocess.run(
+            ["bash", "-ec", block], cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PATH": path}
+        )
+        assert done.returncode == 0, f"{block}\n{done.stdout}\n{done.stderr}"
+    assert {"body.npz", "smooth.mcap", "smooth.png", "report.html", "results"} <= {p.name for p in tmp_path.iterdir()}
