@@ -112,7 +112,7 @@ def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> Messages:
 
 
 def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
-    """Sequence numbers and publish times: in an MCAP's batch each payload follows its record's head; others have none."""
+    """Sequence numbers and publish times: in an MCAP's batch a payload follows its record's head; others have none."""
     start = batch.offset - MESSAGE_HEAD
     if len(start) and start.min() >= 0:
         heads = heads_of(batch.data)[start]
@@ -159,14 +159,14 @@ def _sorted(parts: list[Messages]) -> Messages:
 
 
 def _profile(source: Path) -> str:
-    for opcode, body in _top_level(source):
+    for opcode, body in top_level(source):
         return str(parse(opcode, body).fields["profile"]) if opcode == HEADER else ""
     return ""
 
 
 def _extras(source: Path, writer: Writer) -> None:
     """Attachments and metadata as they are, up to where the file is damaged."""
-    for opcode, body in _top_level(source):
+    for opcode, body in top_level(source):
         if opcode == ATTACHMENT:
             writer.keep_attachment(HEAD.pack(opcode, len(body)) + bytes(body), parse(opcode, body).fields)
         elif opcode == METADATA:
@@ -175,7 +175,7 @@ def _extras(source: Path, writer: Writer) -> None:
                 writer.keep_metadata(name, HEAD.pack(opcode, len(body)) + bytes(body))
 
 
-def _top_level(source: Path) -> Iterator[tuple[int, memoryview]]:
+def top_level(source: Path) -> Iterator[tuple[int, memoryview]]:
     """(opcode, body) of each sound record outside chunks."""
     with (
         source.open("rb") as stream,

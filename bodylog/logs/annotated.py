@@ -1,0 +1,198 @@
+"""Read back what we wrote: tracks and touches for another run, the estimate for scoring and reports."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import LogError
+from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Synchrony, Topic, Touch
+from .append import NAME, ROOT
+from .columns import Columns, columns_of
+from .containers import Log, open_log
+from .messages import ERROR, PREDICTED, TRACK, unescape
+from .records import METADATA, parse
+from .transcode import top_level
+
+_VECTOR = ("header.stamp", "names", "data")
+_FIELDS: Mapping[str, tuple[str, ...]] = {
+    "bodylog_msgs/msg/Vector": _VECTOR,
+    "bodylog_msgs/msg/Covariance": _VECTOR,
+    "bodylog_msgs/msg/Scalar": ("header.stamp", "data"),
+    "bodylog_msgs/msg/Touch": ("header.stamp", "duration", "cells", "peak"),
+    "bodylog_msgs/msg/Synchrony": ("header.stamp", "delay", "weight"),
+    "bodylog_msgs/msg/Fault": ("header.stamp", "sense", "name", "kind", "size", "unit"),
+    "sensor_msgs/msg/JointState": ("header.stamp", "name", "position", "velocity"),
+}
+"""Type -> the fields of it that are read back."""
+
+
+def describe(estimate: Estimate) -> dict[str, str]:
+    """What of an estimate no topic carries, as entries for the metadata record; `read_estimate` reads them back."""
+    used = {sense: asdict(health) for sense, health in estimate.used.items()}
+    findings = [asdict(finding) for finding in estimate.findings]
+    return {
+        "method": estimate.method,
+        "used": json.dumps(used, sort_keys=True, default=dict),
+        "findings": json.dumps(findings, sort_keys=True),
+        "resolved": json.dumps(dict(estimate.settings), sort_keys=True, default=float),
+    }
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """The metadata record `bodylog` of an annotated MCAP; LogError when there is none."""
+    found = [
+        record.fields["metadata"]
+        for opcode, body in top_level(path)
+        if opcode == METADATA and (record := parse(opcode, body)).fields["name"] == NAME
+    ]
+    if not found:
+        raise _absent(path)
+    return dict(found[-1])
+
+
+def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
+    """The estimate an annotated MCAP carries, t in s since `start_ns` (None: the log's own); LogError without one."""
+    said = read_metadata(path)
+    with open_log(path) as log:
+        table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
+    joints, rate = table.joints()
+    size = len(joints.names)
+    predicted, predicted_cov = table.predicted()
+    return Estimate(
+        method=said.get("method", ""),
+        joints=joints,
+        rate=rate,
+        cov=table.aligned("joint_covariance", joints, size**2).reshape(-1, size, size),
+        errors=table.under(ERROR, "std"),
+        free_energy=table.aligned("free_energy", joints, 1).reshape(-1),
+        used={sense: Health(**health) for sense, health in json.loads(said.get("used", "{}")).items()},
+        predicted=predicted,
+        predicted_cov=predicted_cov,
+        settings=json.loads(said.get("resolved", "{}")),
+        bias=table.series(ROOT + "encoder_bias", "rad"),
+        faults=table.faults(),
+        findings=tuple(Finding(**finding) for finding in json.loads(said.get("findings", "[]"))),
+    )
+
+
+def read_features(log: Log, start_ns: int) -> Features | None:
+    """Tracks, touches and synchrony a log carries from an earlier run, without joints; None when it has none."""
+    names = {topic.name for topic in log.topics}
+    if not any(name.startswith(TRACK) or name == ROOT + "touch" for name in names):
+        return None
+    table = _Table(log, start_ns, log.path)
+    tracks = {name: _track(series) for name, series in table.under(TRACK, "px").items()}
+    touches = table.touches() if ROOT + "touch" in names else None
+    health = {name: Health(len(c.log_ns), len(c.sound)) for name, c in table.columns.items()}
+    return Features(None, tracks, touches, (), table.synchrony(touches or ()), health)
+
+
+class _Table:
+    """Columns of every topic of ours in a log."""
+
+    def __init__(self, log: Log, start_ns: int, path: Path) -> None:
+        topics = {t.id: t for t in log.topics if t.name.startswith(ROOT) and t.type in _FIELDS}
+        found = columns_of(log, {number: (topic, _FIELDS[topic.type]) for number, topic in topics.items()})
+        self.columns = {topics[number].name: columns for number, columns in found.items()}
+        self.start_ns, self.path = start_ns, path
+
+    def joints(self) -> tuple[Series, Series]:
+        """The belief (N,M) rad and its rate (N,M) rad/s."""
+        t, source_ns, (names, position, velocity) = self._rows(ROOT + "joint_states")
+        return Series(t, position, names, "rad", source_ns), Series(t, velocity, names, "rad/s", source_ns)
+
+    def series(self, topic: str, unit: str) -> Series | None:
+        """A vector topic (N,D), or None where there is none."""
+        if topic not in self.columns:
+            return None
+        t, source_ns, (names, data) = self._rows(topic)
+        return Series(t, data, names, unit, source_ns)
+
+    def under(self, prefix: str, unit: str) -> dict[str, Series]:
+        """All vector topics under a prefix, by the rest of their names."""
+        names = [topic for topic in self.columns if topic.startswith(prefix)]
+        return {unescape(name[len(prefix) :]): s for name in names if (s := self.series(name, unit)) is not None}
+
+    def aligned(self, name: str, joints: Series, width: int) -> Array:
+        """Values (N,width) that go with each row of `joints`; LogError when they do not."""
+        t, _, values = self._rows(ROOT + name)
+        data = values[-1].reshape(len(t), -1)
+        if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
+            raise LogError(f"{self.path}: {ROOT}{name} does not go with {ROOT}joint_states; {_again(self.path)}")
+        return data
+
+    def predicted(self) -> tuple[dict[str, Series], dict[str, Array]]:
+        """Predictions (K,2) px with their standard deviations, and covariances (K,2,2) px²."""
+        series, cov = {}, {}
+        for name, found in self.under(PREDICTED, "px").items():
+            series[name] = _track(found)
+            std, between = found.values[:, 2:4], found.values[:, 4]
+            rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
+            cov[name] = rows.reshape(-1, 2, 2)
+        return series, cov
+
+    def touches(self) -> tuple[Touch, ...]:
+        """Touches in order of onset."""
+        found = []
+        for part, log_ns in self._parts(ROOT + "touch"):
+            for stamp, lasting, cells, peak, source in zip(*part, log_ns, strict=True):
+                onset = (int(stamp) - self.start_ns) / 1e9
+                offset = (int(stamp) + int(lasting) - self.start_ns) / 1e9
+                numbers = tuple(sorted(int(cell) for cell in cells))
+                found.append(Touch(onset, offset, numbers, float(peak), int(cells[0]), int(source)))
+        return tuple(sorted(found, key=lambda touch: (touch.onset, touch.strongest)))
+
+    def synchrony(self, touches: tuple[Touch, ...]) -> tuple[Synchrony, ...]:
+        """One per touch that has the same onset; the stroke itself is not in the log."""
+        waiting: dict[int, list[int]] = {}
+        for i, touch in reversed(list(enumerate(touches))):
+            waiting.setdefault(round(touch.onset * 1e9), []).append(i)
+        found = []
+        for (stamp, delay, weight), _ in self._parts(ROOT + "synchrony"):
+            for s, d, w in zip(stamp.tolist(), delay.tolist(), weight.tolist(), strict=True):
+                if numbers := waiting.get(s - self.start_ns):
+                    found.append(Synchrony(numbers.pop(), None, d, w))
+        return tuple(sorted(found, key=lambda s: s.touch))
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults in order of onset."""
+        found = []
+        for (stamp, sense, name, kind, size, unit), _ in self._parts(ROOT + "faults"):
+            for since, amount in zip((stamp - self.start_ns) / 1e9, size, strict=True):
+                found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0]))
+        return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
+
+    def _parts(self, topic: str) -> list[tuple[tuple[Any, ...], Array]]:
+        columns = self.columns.get(topic)
+        return [(part.values, columns.log_ns[part.rows]) for part in columns.parts] if columns else []
+
+    def _rows(self, topic: str) -> tuple[Array, Array, tuple[Any, ...]]:
+        """t (N,), log times (N,) and the other fields of a topic whose names never change, in order of t."""
+        if topic not in self.columns:
+            raise _absent(self.path)
+        parts = self._parts(topic)
+        if len(parts) != 1:
+            raise LogError(f"{self.path}: {topic} holds {len(parts)} sets of names where 1 is needed; {_again(self.path)}")
+        (stamp, *values), log_ns = parts[0]
+        order = np.argsort(stamp, kind="stable")
+        sorted_values = tuple(v if isinstance(v, tuple) else v[order] for v in values)
+        return (stamp[order] - self.start_ns) / 1e9, log_ns[order], sorted_values
+
+
+def _track(found: Series) -> Series:
+    """u, v (N,2) px and their standard deviations out of a vector topic; unknown ones are None."""
+    std = found.values[:, 2:4]
+    known = std if np.isfinite(std).any() else None
+    return Series(found.t, found.values[:, :2], ("u", "v"), "px", found.source_ns, known)
+
+
+def _absent(path: Path) -> LogError:
+    return LogError(f"{path}: no {ROOT} topics of an estimate; {_again(path)}")
+
+
+def _again(path: Path) -> str:
+    return f"type: bodylog estimate {path} --body body.npz -o OUT.mcap"
