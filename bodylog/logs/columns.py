@@ -1,0 +1,288 @@
+"""Messages -> arrays: messages laid out alike are decoded all at once, the others one by one and counted."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import FormatError
+from ..types import Array, Batch, Topic
+from .definitions import Definition, parse
+from .layouts import CDR_KINDS, Layout, Leaf, leaf_field, rest, walk
+from .paths import Step
+from .paths import steps as read_steps
+
+_MOST_LAYOUTS = 8
+_OBJECTS = ("json", "protobuf")
+
+
+class Source(Protocol):
+    """What of a log is needed here."""
+
+    def batches(self, ids: Any = None) -> Iterator[Batch]:
+        """Undecoded messages in file order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Messages with equally many values: rows (m,) into the columns · per field an array (m,) or (m,K), or texts."""
+
+    rows: Array
+    values: tuple[Array | tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Fields of one topic: log_ns (n,) of every message in file order, parts that cover the sound ones, counts."""
+
+    fields: tuple[str, ...]
+    log_ns: Array
+    parts: tuple[Part, ...]
+    fast: int = 0
+    fallback: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def sound(self) -> Array:
+        """Rows (m,) that were decoded, ascending."""
+        return np.sort(np.concatenate([part.rows for part in self.parts])) if self.parts else np.empty(0, np.int64)
+
+    def column(self, name: str) -> Array:
+        """One field of the sound rows in file order: (m,) or (m,K); shorter rows of an array end in NaN."""
+        which = self.fields.index(name)
+        arrays = [_spread(part.values[which], len(part.rows)) for part in self.parts]
+        if not arrays:
+            return np.empty(0)
+        order = np.argsort(np.concatenate([part.rows for part in self.parts]), kind="stable")
+        widths = {array.shape[1:] for array in arrays}
+        if len(widths) > 1:
+            arrays = [_padded(array, max(shape[0] for shape in widths)) for array in arrays]
+        return np.concatenate(arrays)[order]
+
+
+def _spread(values: Array | tuple[str, ...], count: int) -> Array:
+    return values if isinstance(values, np.ndarray) else np.broadcast_to(np.array(values), (count, len(values)))
+
+
+def _padded(array: Array, width: int) -> Array:
+    out = np.full((len(array), width), np.nan)
+    out[:, : array.shape[1]] = array
+    return out
+
+
+def columns(log: Source, topic: Topic, fields: Sequence[str]) -> Columns:
+    """The fields (message paths without the topic) of one topic; ConfigError for a field that is not there."""
+    return columns_of(log, {topic.id: (topic, fields)})[topic.id]
+
+
+def columns_of(log: Source, wants: Mapping[int, tuple[Topic, Sequence[str]]]) -> dict[int, Columns]:
+    """Columns of several topics in one pass over the log, by topic id."""
+    decoders = {id_: decoder(topic, fields) for id_, (topic, fields) in wants.items()}
+    for batch in log.batches(tuple(wants)) if wants else ():
+        decoders[batch.topic_id].feed(batch)
+    return {id_: found.columns() for id_, found in decoders.items()}
+
+
+class Decoder(Protocol):
+    """Takes batches of one topic, gives its columns."""
+
+    def feed(self, batch: Batch) -> None:
+        """Decode one more batch."""
+
+    def columns(self) -> Columns:
+        """All that was fed."""
+
+
+def decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
+    """The decoder of a topic's encoding; FormatError or ConfigError when its definition cannot give the fields."""
+    paths = tuple(read_steps(text) for text in fields)
+    if topic.encoding in _OBJECTS:
+        from .objects import ObjectDecoder
+
+        return ObjectDecoder(topic, tuple(fields), paths)
+    definition = definition_of(topic)
+    for steps in paths:
+        leaf_field(definition, steps)
+    return _Decoder(definition, tuple(fields), paths, is_ros1(topic))
+
+
+def definition_of(topic: Topic) -> Definition:
+    """The parsed definition of a CDR or ROS 1 topic; FormatError names the topic."""
+    if topic.definition_encoding not in ("ros2msg", "ros1msg", "ros2idl", ""):
+        known = "ros2msg, ros1msg, ros2idl, jsonschema, protobuf"
+        raise FormatError(f"{topic.name}: the definition is {topic.definition_encoding!r}; known are {known}")
+    try:
+        return parse(topic.definition, topic.type, topic.definition_encoding or "ros2msg")
+    except FormatError as error:
+        raise FormatError(f"{topic.name}: {error}") from None
+
+
+def is_ros1(topic: Topic) -> bool:
+    """Whether the payloads are declared to be ROS 1's."""
+    return topic.encoding == "ros1"
+
+
+def speaks_ros1(definition: Definition, payload: bytes) -> bool:
+    """Whether a payload declared CDR is in truth a ROS 1 one: not readable as CDR, readable to its end as ROS 1."""
+    if tuple(payload[:2]) in CDR_KINDS and _left_over(definition, payload, False) is not None:
+        return False
+    return _left_over(definition, payload, True) == 0
+
+
+def _left_over(definition: Definition, payload: bytes, ros1: bool) -> int | None:
+    try:
+        return rest(definition, payload, ros1)
+    except FormatError:
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A layout made ready to compare eight bytes at a time: mask (w,) of its constants, their reference (w,)."""
+
+    layout: Layout
+    mask: Array
+    reference: Array
+
+
+class _Decoder:
+    """Columns of CDR and ROS 1 topics."""
+
+    def __init__(
+        self, definition: Definition, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...], ros1: bool
+    ) -> None:
+        self.definition, self.fields, self.paths, self.ros1 = definition, fields, paths, ros1
+        self.declared = ros1
+        self.known: list[_Known] = []
+        self.log_ns: list[Array] = []
+        self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
+        self.seen = self.fast = self.fallback = 0
+        self.rejected: Counter[str] = Counter()
+
+    def feed(self, batch: Batch) -> None:
+        """Decode one more batch: known layouts first, then new ones, then message by message."""
+        if not self.seen and len(batch.log_ns) and not self.declared:
+            self.ros1 = speaks_ros1(self.definition, _payload(batch, 0))
+        self.log_ns.append(np.array(batch.log_ns, np.int64))
+        left = np.arange(len(batch.log_ns))
+        for known in self.known:
+            left = self._take(batch, left, known)
+        while len(left) and len(self.known) < _MOST_LAYOUTS:
+            left = self._learn(batch, left)
+        for index in left:
+            self._one(batch, index)
+        self.seen += len(batch.log_ns)
+
+    def _learn(self, batch: Batch, left: Array) -> Array:
+        payload = _payload(batch, left[0])
+        layout = self._walk(payload)
+        if layout is None:
+            return left[1:]
+        self.known.append(_known(layout, payload))
+        return self._take(batch, left, self.known[-1])
+
+    def _one(self, batch: Batch, index: int) -> None:
+        payload = _payload(batch, index)
+        layout = self._walk(payload)
+        if layout is not None:
+            row = np.frombuffer(payload, np.uint8, layout.width)[None]
+            self._keep(np.array([index]), row, layout)
+            self.fallback += 1
+
+    def _walk(self, payload: bytes) -> Layout | None:
+        try:
+            return walk(self.definition, payload, self.paths, self.ros1)
+        except FormatError:
+            self.rejected["malformed"] += 1
+            return None
+
+    def _take(self, batch: Batch, left: Array, known: _Known) -> Array:
+        """Decode the messages of `left` that are laid out as `known`; gives those that are not."""
+        long = left[batch.length[left] >= known.layout.width]
+        rows = _gather(batch.data, batch.offset[long], 8 * len(known.mask))
+        same = ~((rows.view(np.uint64) ^ known.reference) & known.mask).any(axis=1)
+        if not same.all():
+            long, rows = long[same], rows[same]
+        if len(long):
+            self._keep(long, rows, known.layout)
+            self.fast += len(long)
+        return left[:0] if len(long) == len(left) else np.setdiff1d(left, long, assume_unique=True)
+
+    def _keep(self, index: Array, rows: Array, layout: Layout) -> None:
+        values = [_values(rows, leaf) for leaf in layout.leaves]
+        shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in values)
+        self.pieces.setdefault(shape, []).append((index + self.seen, values))
+
+    def columns(self) -> Columns:
+        """All that was fed."""
+        log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
+        parts = tuple(_part(pieces) for pieces in self.pieces.values())
+        return Columns(self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected))
+
+
+def _payload(batch: Batch, index: int) -> bytes:
+    start = int(batch.offset[index])
+    return batch.data[start : start + int(batch.length[index])].tobytes()
+
+
+def _known(layout: Layout, payload: bytes) -> _Known:
+    width = -(-layout.width // 8) * 8
+    mask, reference = np.zeros((2, width), np.uint8)
+    for start, stop in layout.constants:
+        mask[start:stop] = 0xFF
+        reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
+    return _Known(layout, mask.view(np.uint64), reference.view(np.uint64))
+
+
+def _gather(data: Array, offset: Array, width: int) -> Array:
+    """Rows (n,width) of bytes beginning at the offsets; what lies past the end of `data` reads as 0."""
+    if not len(offset) or not width:
+        return np.empty((len(offset), width), np.uint8)
+    over = int(offset.max()) + width - len(data)
+    if over > 0:
+        near = offset > len(data) - width
+        tail = np.concatenate([data[int(offset[near].min()) :], np.zeros(over, np.uint8)])
+        rows = np.empty((len(offset), width), np.uint8)
+        rows[near] = _gather(tail, offset[near] - offset[near].min(), width)
+        rows[~near] = _gather(data, offset[~near], width)
+        return rows
+    windows = np.ndarray((len(data) - width + 1,), f"V{width}", data, 0, (1,))
+    return windows[offset].view(np.uint8).reshape(len(offset), width)
+
+
+def _values(rows: Array, leaf: Leaf) -> Array | tuple[str, ...]:
+    """A leaf's values (m,) or (m,K) in native byte order, times in ns, missing ones NaN; or its texts."""
+    if leaf.texts is not None:
+        return leaf.texts
+    if leaf.single and not len(leaf.offsets):
+        return np.full(len(rows), np.nan)
+    values = _native(_strided(rows, leaf.offsets, leaf.dtype))
+    if (leaf.offsets < 0).any():
+        values = np.where(leaf.offsets < 0, np.nan, values)
+    return values[:, 0] if leaf.single else values
+
+
+def _strided(rows: Array, offsets: Array, dtype: np.dtype[Any]) -> Array:
+    count, width = rows.shape
+    steps = np.diff(offsets)
+    if not len(offsets):
+        return np.empty((count, 0), dtype)
+    if (offsets >= 0).all() and (not len(steps) or (steps == steps[0]).all()):
+        step = int(steps[0]) if len(steps) else 0
+        return np.ndarray((count, len(offsets)), dtype, rows, int(offsets[0]), (width, step))
+    single = [np.ndarray((count,), dtype, rows, max(int(offset), 0), (width,)) for offset in offsets]
+    return np.stack(single, axis=1)
+
+
+def _native(values: Array) -> Array:
+    if values.dtype.names:
+        return values["sec"].astype(np.int64) * 1_000_000_000 + values["nanosec"].astype(np.int64)
+    return np.array(values, values.dtype.newbyteorder("="), order="C")
+
+
+def _part(pieces: list[tuple[Array, list[Any]]]) -> Part:
+    rows = np.concatenate([index for index, _ in pieces])
+    columns = zip(*(values for _, values in pieces), strict=True)
+    return Part(rows, tuple(some[0] if isinstance(some[0], tuple) else np.concatenate(some) for some in columns))

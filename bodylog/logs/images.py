@@ -1,0 +1,188 @@
+"""Picture payloads -> BGR: ROS and Foxglove images, raw or compressed, checked before memory is taken."""
+
+import binascii
+import struct
+from base64 import b64decode
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..types import Array, Topic
+from .columns import definition_of, is_ros1, speaks_ros1
+from .layouts import pick
+from .objects import reader
+
+MOST_PIXELS = 1 << 27
+COMPRESSED = ("sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage")
+RAW = ("sensor_msgs/msg/Image", "foxglove_msgs/msg/RawImage", "foxglove.RawImage")
+_RAW_FIELDS = ("height", "width", "encoding", "step", "data")
+
+
+@dataclass(frozen=True)
+class _Encoding:
+    """Channels and bytes per channel of one pixel, and the OpenCV conversion to BGR; whole: not pixel by pixel."""
+
+    channels: int
+    size: int
+    code: str | None
+    whole: bool = False
+
+
+ENCODINGS: Mapping[str, _Encoding] = {
+    "bgr8": _Encoding(3, 1, None), "8UC3": _Encoding(3, 1, None), "bgr16": _Encoding(3, 2, None),
+    "rgb8": _Encoding(3, 1, "COLOR_RGB2BGR"), "rgb16": _Encoding(3, 2, "COLOR_RGB2BGR"),
+    "bgra8": _Encoding(4, 1, "COLOR_BGRA2BGR"), "8UC4": _Encoding(4, 1, "COLOR_BGRA2BGR"),
+    "bgra16": _Encoding(4, 2, "COLOR_BGRA2BGR"),
+    "rgba8": _Encoding(4, 1, "COLOR_RGBA2BGR"), "rgba16": _Encoding(4, 2, "COLOR_RGBA2BGR"),
+    "mono8": _Encoding(1, 1, "COLOR_GRAY2BGR"), "8UC1": _Encoding(1, 1, "COLOR_GRAY2BGR"),
+    "mono16": _Encoding(1, 2, "COLOR_GRAY2BGR"), "16UC1": _Encoding(1, 2, "COLOR_GRAY2BGR"),
+    **{
+        f"bayer_{pattern}{8 * size}": _Encoding(1, size, f"COLOR_Bayer{pattern.upper()}2BGR", True)
+        for pattern in ("rggb", "bggr", "gbrg", "grbg") for size in (1, 2)
+    },
+    **dict.fromkeys(("yuv422", "uyvy"), _Encoding(2, 1, "COLOR_YUV2BGR_UYVY", True)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), _Encoding(2, 1, "COLOR_YUV2BGR_YUY2", True)),
+}  # fmt: skip
+
+
+def refusal(topic: Topic, text: str) -> str | None:
+    """Why pictures with this format or encoding text cannot be read, or None."""
+    if topic.type in COMPRESSED:
+        return "compressedDepth holds depth, not a picture" if "compresseddepth" in text.lower() else None
+    return None if text in ENCODINGS else f"encoding {text!r} is none of {', '.join(ENCODINGS)}"
+
+
+def text_field(topic: Topic) -> str:
+    """The field that says how a topic's pictures are stored."""
+    return "format" if topic.type in COMPRESSED else "encoding"
+
+
+def decoder(topic: Topic) -> Callable[[bytes, int], Array]:
+    """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError says what is wrong."""
+    fields = ("format", "data") if topic.type in COMPRESSED else _RAW_FIELDS
+    read = _reader(topic, fields if topic.type not in RAW or "sensor" not in topic.type else (*fields, "is_bigendian"))
+    unpack = _compressed if topic.type in COMPRESSED else _raw
+
+    def decode(payload: bytes, k: int) -> Array:
+        try:
+            return unpack(read(payload), k)
+        except FormatError as error:
+            raise FormatError(f"{topic.name}: {error}") from None
+
+    return decode
+
+
+def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[bytes], Mapping[str, Any]]:
+    if topic.encoding in ("json", "protobuf"):
+        read = reader(topic)
+        return lambda payload: _with_bytes(read(payload))
+    definition, paths = definition_of(topic), tuple((name,) for name in fields)
+    declared = is_ros1(topic)
+
+    def from_layout(payload: bytes) -> Mapping[str, Any]:
+        ros1 = declared or speaks_ros1(definition, payload)
+        return dict(zip(fields, pick(definition, payload, paths, ros1), strict=True))
+
+    return from_layout
+
+
+def _with_bytes(message: Mapping[str, Any]) -> Mapping[str, Any]:
+    data = message.get("data", b"")
+    try:
+        return {**message, "data": b64decode(data, validate=True) if isinstance(data, str) else data}
+    except binascii.Error as error:
+        raise FormatError(f"data is not base64: {error}") from None
+
+
+def _compressed(message: Mapping[str, Any], k: int) -> Array:
+    import cv2
+
+    form = str(message.get("format", ""))
+    if "compresseddepth" in form.lower():
+        raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not a picture")
+    data = np.frombuffer(message.get("data", b""), np.uint8)
+    height, width, jpeg = _size(data[: 1 << 16].tobytes(), form)
+    _check_size(height, width)
+    flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if jpeg and k > 1 else cv2.IMREAD_COLOR
+    try:
+        image = cv2.imdecode(data, flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error as error:
+        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes: {error.err}") from None
+    if image is None:
+        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes cannot be decoded")
+    return image if jpeg else np.ascontiguousarray(image[::k, ::k])
+
+
+def _size(head: bytes, form: str) -> tuple[int, int, bool]:
+    """Height, width and whether it is JPEG, from a picture's first bytes."""
+    try:
+        if head[:2] == b"\xff\xd8":
+            return (*_jpeg_size(head), True)
+        if head[:8] == b"\x89PNG\r\n\x1a\n":
+            width, height = struct.unpack_from(">II", head, 16)
+            return height, width, False
+        if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+            return (*_webp_size(head), False)
+    except (struct.error, IndexError):
+        raise FormatError(f"a {form or 'compressed'} picture whose header is cut off") from None
+    raise FormatError(f"format {form!r} beginning with {head[:4].hex() or 'nothing'}; can read jpeg, png and webp")
+
+
+def _jpeg_size(head: bytes) -> tuple[int, int]:
+    pos = 2
+    while True:
+        marker, length = struct.unpack_from(">HH", head, pos)
+        if marker < 0xFF00:
+            raise FormatError(f"a jpeg picture with {marker:04x} where a marker belongs")
+        if 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
+            height, width = struct.unpack_from(">HH", head, pos + 5)
+            return height, width
+        pos += 1 if marker == 0xFFFF else 2 + length
+
+
+def _webp_size(head: bytes) -> tuple[int, int]:
+    if head[12:16] == b"VP8X":
+        return int.from_bytes(head[27:30], "little") + 1, int.from_bytes(head[24:27], "little") + 1
+    if head[12:16] == b"VP8L":
+        bits = struct.unpack_from("<I", head, 21)[0]
+        return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
+    width, height = struct.unpack_from("<HH", head, 26)
+    return height & 0x3FFF, width & 0x3FFF
+
+
+def _check_size(height: int, width: int) -> None:
+    if not 0 < height * width <= MOST_PIXELS:
+        raise FormatError(f"a picture of {width} x {height} pixels; at least 1 and at most {MOST_PIXELS} in all")
+
+
+def _raw(message: Mapping[str, Any], k: int) -> Array:
+    height, width, name = int(message.get("height", 0)), int(message.get("width", 0)), str(message.get("encoding", ""))
+    if name not in ENCODINGS:
+        raise FormatError(f"encoding {name!r} is none of {', '.join(ENCODINGS)}")
+    encoding = ENCODINGS[name]
+    _check_size(height, width)
+    data, line = message.get("data", b""), width * encoding.channels * encoding.size
+    step = int(message.get("step", 0)) or line
+    if step < line or len(data) < (height - 1) * step + line:
+        raise FormatError(f"{len(data)} bytes for {width} x {height} {name} with step {step}; {height} x {line} needed")
+    rows = np.lib.stride_tricks.as_strided(np.frombuffer(data, np.uint8), (height, line), (step, 1), writeable=False)
+    return _to_bgr(rows, encoding, bool(message.get("is_bigendian", 0)), k)
+
+
+def _to_bgr(rows: Array, encoding: _Encoding, big: bool, k: int) -> Array:
+    import cv2
+
+    pixels = rows.reshape(len(rows), -1, encoding.channels * encoding.size)
+    if not encoding.whole:
+        pixels = pixels[::k, ::k]
+    if encoding.size == 2:
+        # The high byte alone: what 16 to 8 bits means to every decoder.
+        pixels = pixels[:, :, 0 if big else 1 :: 2]
+    pixels = np.ascontiguousarray(pixels)
+    if encoding.code is None:
+        return pixels
+    image = cv2.cvtColor(pixels, getattr(cv2, encoding.code))
+    return np.ascontiguousarray(image[::k, ::k]) if encoding.whole and k > 1 else image

@@ -1,0 +1,122 @@
+"""JSON and protobuf payloads: decoded message by message into dictionaries, then read like any other columns."""
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError
+from ..types import Array, Batch, Topic
+from .columns import Columns, Part
+from .paths import Only, Range, Step, is_index
+
+_SECONDS = ("sec", "secs", "seconds")
+_NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
+Value = int | float | str | bytes
+
+
+def reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
+    """A function from payload to dictionary; FormatError when the topic's schema, or later a payload, is broken."""
+    if topic.encoding == "json":
+        return lambda payload: _json(topic.name, payload)
+    from .protobuf import message_reader
+
+    return message_reader(topic)
+
+
+def _json(name: str, payload: bytes) -> Mapping[str, Any]:
+    try:
+        value = json.loads(payload)
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"{name}: the payload is not JSON: {str(error)[:60]}") from None
+    if not isinstance(value, dict):
+        raise FormatError(f"{name}: the payload is a JSON {type(value).__name__}; expected an object")
+    return value
+
+
+def follow(value: Any, steps: tuple[Step, ...]) -> Iterator[Value]:
+    """The plain values the steps lead to, times as ns; KeyError when a field is missing."""
+    if not steps:
+        yield from _plain(value)
+    elif isinstance(steps[0], str):
+        yield from follow(_mapping(value)[steps[0]], steps[1:])
+    else:
+        for item in _picked(value, steps[0]):
+            yield from follow(item, steps[1:])
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise KeyError("not an object")
+    return value
+
+
+def _picked(value: Any, step: Range | Only) -> list[Any]:
+    if not isinstance(value, list):
+        raise KeyError("not an array")
+    if isinstance(step, Range):
+        return [value[index] for index in step.of(len(value))]
+    return [item for item in value if _mapping(item).get(step.field) == step.value]
+
+
+def _plain(value: Any) -> Iterator[Value]:
+    if isinstance(value, dict):
+        seconds = next(value[key] for key in _SECONDS if key in value) if set(_SECONDS) & value.keys() else None
+        if seconds is None:
+            raise KeyError("an object, not a value")
+        yield int(seconds) * 1_000_000_000 + int(next((value[key] for key in _NANOSECONDS if key in value), 0))
+    elif isinstance(value, list):
+        for item in value:
+            yield from _plain(item)
+    else:
+        yield float("nan") if value is None else value
+
+
+class ObjectDecoder:
+    """Columns of JSON and protobuf topics."""
+
+    def __init__(self, topic: Topic, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...]) -> None:
+        """Nothing fed yet; FormatError when the schema is broken."""
+        self.fields, self.paths, self.read = fields, paths, reader(topic)
+        self.single = [all(isinstance(s, str) or is_index(s) for s in steps) for steps in paths]
+        self.log_ns: list[Array] = []
+        self.rows: dict[Any, list[tuple[int, list[tuple[Value, ...]]]]] = {}
+        self.seen = 0
+        self.rejected: Counter[str] = Counter()
+
+    def feed(self, batch: Batch) -> None:
+        """Decode one more batch."""
+        self.log_ns.append(np.array(batch.log_ns, np.int64))
+        for start, length in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
+            self._one(batch.data[start : start + length].tobytes())
+            self.seen += 1
+
+    def _one(self, payload: bytes) -> None:
+        try:
+            message = self.read(payload)
+            values = [tuple(follow(message, steps)) for steps in self.paths]
+        except FormatError:
+            self.rejected["malformed"] += 1
+        except (KeyError, ValueError, TypeError):
+            self.rejected["field missing"] += 1
+        else:
+            shape = tuple(v if any(isinstance(x, str | bytes) for x in v) else len(v) for v in values)
+            self.rows.setdefault(shape, []).append((self.seen, values))
+
+    def columns(self) -> Columns:
+        """All that was fed."""
+        log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
+        parts = tuple(self._part(shape, rows) for shape, rows in self.rows.items())
+        return Columns(self.fields, log_ns, parts, 0, sum(len(p.rows) for p in parts), dict(self.rejected))
+
+    def _part(self, shape: Any, rows: list[tuple[int, list[tuple[Value, ...]]]]) -> Part:
+        values: list[Array | tuple[str, ...]] = []
+        for k, key in enumerate(shape):
+            if isinstance(key, tuple):
+                values.append(tuple(str(x) for x in key))
+                continue
+            array = np.array([v[k] for _, v in rows]).reshape(len(rows), key)
+            values.append(array[:, 0] if self.single[k] and key == 1 else array)
+        return Part(np.array([row for row, _ in rows]), tuple(values))

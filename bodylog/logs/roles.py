@@ -1,0 +1,156 @@
+"""Which topic is what: guessed from types, names and counts, or as robot.toml says."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from ..errors import BodylogError, LogError
+from ..settings import Topics
+from ..types import Topic
+from . import images
+from .columns import definition_of
+from .definitions import PRIMITIVES, Definition
+from .paths import parse
+
+ROLES = ("joints", "camera", "skin", "truth")
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
+_OURS = "/bodylog/"
+_JOINTS = "sensor_msgs/msg/JointState"
+_ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
+_WISHED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint", re.IGNORECASE)
+_TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)", re.IGNORECASE)
+_TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
+_COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
+_DEPTH = re.compile(r"depth|disparity|mask|segment", re.IGNORECASE)
+_GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class Role:
+    """One role's source: the topic (several records when it has several schemas) and the field, "" for the message."""
+
+    role: str
+    topic: str
+    field: str
+    topics: tuple[Topic, ...]
+
+    @property
+    def path(self) -> str:
+        """As it is written in robot.toml."""
+        return f"{self.topic}.{self.field}" if self.field else self.topic
+
+
+def roles(topics: Sequence[Topic], settings: Topics, name: str) -> dict[str, Role]:
+    """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have."""
+    found = {}
+    for role in ROLES:
+        said = getattr(settings, role)
+        if said is None:
+            guessed = _guess(role, topics)
+            found.update({role: guessed} if guessed else {})
+        elif not is_video(role, said):
+            found[role] = _named(role, said, topics, name)
+    return found
+
+
+def is_video(role: str, said: str | None) -> bool:
+    """Whether a camera setting names a video file."""
+    return role == "camera" and said is not None and said.lower().endswith(VIDEOS)
+
+
+def advice(found: Mapping[str, Role]) -> str:
+    """The roles as one line ready to paste into robot.toml."""
+    lines = ", ".join(f'{role} = "{found[role].path}"' for role in ROLES if role in found)
+    return f"topics = {{ {lines} }}"
+
+
+def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
+    ranked = [(_RANKS[role](topic), topic) for topic in topics if topic.messages and not topic.name.startswith(_OURS)]
+    usable = [(rank, topic) for rank, topic in ranked if rank is not None]
+    for _, topic in sorted(usable, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
+        field = _field(role, topic)
+        if field is not None:
+            return Role(role, topic.name, field, _same(topics, topic))
+    return None
+
+
+def _same(topics: Sequence[Topic], topic: Topic) -> tuple[Topic, ...]:
+    return tuple(other for other in topics if other.name == topic.name and other.type == topic.type)
+
+
+def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
+    path = parse(said, [topic.name for topic in topics])
+    same = [topic for topic in topics if topic.name == path.topic]
+    if not same:
+        likely = [topic.name for topic in topics if _RANKS[role](topic) is not None] or [t.name for t in topics]
+        raise LogError(
+            f'{name}: [topics] {role} = "{said}", but there is no topic {path.topic!r}; '
+            f"possible: {', '.join(sorted(likely)[:10]) or 'none, the log is empty'}"
+        )
+    best = max(same, key=lambda topic: topic.messages)
+    field = said[len(path.topic) :].removeprefix(".") or _field(role, best)
+    if field is None:
+        raise LogError(f'{name}: {said} ({best.type}) has no array; say which: [topics] {role} = "{said}.field[:]"')
+    return Role(role, path.topic, field, _same(topics, best))
+
+
+def _joints_rank(topic: Topic) -> tuple[int, ...] | None:
+    if topic.type != _JOINTS or _TRUTH.search(topic.name):
+        return None
+    return (not _WISHED.search(topic.name), topic.messages)
+
+
+def _truth_rank(topic: Topic) -> tuple[int, ...] | None:
+    return (topic.messages,) if topic.type == _JOINTS and _TRUTH.search(topic.name) else None
+
+
+def _camera_rank(topic: Topic) -> tuple[int, ...] | None:
+    if topic.type not in images.COMPRESSED + images.RAW or _DEPTH.search(topic.name):
+        return None
+    colour, grey = bool(_COLOUR.search(topic.name)), bool(_GREY.search(topic.name))
+    return (colour - grey, topic.messages, topic.type in images.COMPRESSED)
+
+
+def _skin_rank(topic: Topic) -> tuple[int, ...] | None:
+    named, skin = bool(_TOUCHED.search(topic.name)), "Skin" in topic.type
+    if not (named or skin or topic.type in _ARRAYS) or topic.type in (_JOINTS, *images.COMPRESSED, *images.RAW):
+        return None
+    return (named, skin, not _WISHED.search(topic.name), topic.messages)
+
+
+_RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
+    "joints": _joints_rank,
+    "truth": _truth_rank,
+    "camera": _camera_rank,
+    "skin": _skin_rank,
+}
+
+
+def _field(role: str, topic: Topic) -> str | None:
+    """The field a role reads when none was named: "" for whole messages, None when there is nothing to read."""
+    if role == "camera" or topic.type == _JOINTS:
+        return ""
+    if topic.encoding in ("json", "protobuf"):
+        return None
+    try:
+        return array_field(definition_of(topic))
+    except BodylogError:
+        return None
+
+
+def array_field(definition: Definition) -> str | None:
+    """Path of the first array of numbers: `data`, or within an array of structs `data[:].prox[0]`."""
+    fields = definition.types[definition.root]
+    for wanted in ("f", "iu"):
+        for field in fields:
+            if field.size is not None and PRIMITIVES.get(field.type, "?")[0] in wanted:
+                return field.name
+        for field in fields:
+            inner = definition.types.get(field.type, ()) if field.size is not None else ()
+            arrays = [f for f in inner if f.size is not None and PRIMITIVES.get(f.type, "?")[0] in wanted]
+            single = [f for f in inner if f.size is None and PRIMITIVES.get(f.type, "?")[0] in wanted]
+            if arrays:
+                return f"{field.name}[:].{arrays[0].name}[0]"
+            if single and wanted == "f":
+                return f"{field.name}[:].{single[0].name}"
+    return None

@@ -1,0 +1,146 @@
+"""Columns -> one signal: joints put in order by name, arrays side by side, whatever does not fit counted."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import LogError
+from ..types import Array
+from .columns import Columns
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Rows (m,) into the messages read · stamp_ns (m,) or None · values (m,D) · names (D,) · rejected by reason."""
+
+    rows: Array
+    stamp_ns: Array | None
+    values: Array
+    names: tuple[str, ...]
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+
+Block = tuple[Array, Array | None, tuple[Array | tuple[str, ...], ...]]
+"""Rows, stamps and the remaining fields of messages of one shape."""
+
+
+def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str]) -> Iterator[Block]:
+    """The parts of several topics of one name, rows counted through all of them."""
+    first = 0
+    for some in columns:
+        places = [some.fields.index(name) for name in fields]
+        for part in some.parts:
+            found = part.values[some.fields.index(stamp)] if stamp is not None else None
+            stamps = found if isinstance(found, np.ndarray) and found.dtype == np.int64 else None
+            yield part.rows + first, stamps, tuple(part.values[p] for p in places)
+        first += len(some.log_ns)
+
+
+def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True) -> Signal:
+    """Named joints (names, positions): values by name, NaN where a message lacks one.
+
+    LogError when `every` wanted joint must be there and one is not, or when the joints have no names.
+    """
+    rejected: Counter[str] = Counter()
+    good = []
+    for rows, stamps, (names, positions) in sorted(found, key=lambda block: int(block[0].min())):
+        if not isinstance(names, tuple) or not isinstance(positions, np.ndarray):
+            continue
+        if not names and positions.shape[1]:
+            names = _nameless(positions.shape[1], wanted, what)
+        if len(names) != positions.shape[1] or not names:
+            rejected["no positions" if names else "no joints"] += len(rows)
+            continue
+        good.append((rows, stamps, names, positions))
+    order = _order([names for _, _, names, _ in good], wanted, what, every)
+    values = [_by_name(names, positions, order) for _, _, names, positions in good]
+    return _joined([(r, s) for r, s, _, _ in good], values, order, rejected)
+
+
+def _nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[str, ...]:
+    if wanted is None:
+        raise LogError(f"{what}: the {count} joints have no names; say in robot.toml: [body] joints = [{count} names]")
+    if len(wanted) != count:
+        said = f"[body] joints names {len(wanted)}; name all {count}"
+        raise LogError(f"{what}: the {count} joints have no names, but {said}")
+    return wanted
+
+
+def _order(seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what: str, every: bool) -> tuple[str, ...]:
+    there = tuple(dict.fromkeys(name for names in seen for name in names))
+    if wanted is None or not there:
+        return wanted or there
+    unknown = [name for name in wanted if name not in there]
+    if unknown and every:
+        raise LogError(f"{what}: [body] joints names {unknown[0]!r}; the log has {', '.join(sorted(there))}")
+    return tuple(name for name in wanted if name in there)
+
+
+def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -> Array:
+    values = np.full((len(positions), len(order)), np.nan)
+    for place, name in enumerate(order):
+        if name in names:
+            values[:, place] = positions[:, names.index(name)]
+    return values
+
+
+def array(found: Sequence[Block]) -> Signal:
+    """Arrays of numbers: as wide as most messages are, the others rejected."""
+    widths: Counter[int] = Counter()
+    shaped = []
+    for rows, stamps, (values,) in found:
+        if isinstance(values, np.ndarray):
+            flat = values.reshape(len(values), -1)
+            widths[flat.shape[1]] += len(rows)
+            shaped.append((rows, stamps, flat))
+    width = widths.most_common(1)[0][0] if widths else 0
+    rejected = Counter({f"{w} values, not {width}": n for w, n in widths.items() if w != width})
+    good = [(r, s, v) for r, s, v in shaped if v.shape[1] == width and width]
+    if widths and not width:
+        rejected["empty array"] = widths[0]
+    names = tuple(str(cell) for cell in range(width))
+    return _joined([(r, s) for r, s, _ in good], [v for _, _, v in good], names, rejected)
+
+
+def texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> Signal:
+    """Messages told apart by one text (an image's encoding); those `refused` gives a reason for are rejected."""
+    rejected: Counter[str] = Counter()
+    good = []
+    for rows, stamps, (text,) in found:
+        reason = refused.get(str(text[0]) if len(text) else "", None)
+        if reason is None:
+            good.append((rows, stamps))
+        else:
+            rejected[reason] += len(rows)
+    return _joined(good, [np.empty((len(rows), 0)) for rows, _ in good], (), rejected)
+
+
+def _joined(
+    places: Sequence[tuple[Array, Array | None]],
+    values: Sequence[Array],
+    names: tuple[str, ...],
+    rejected: Counter[str],
+) -> Signal:
+    if not places:
+        return Signal(np.empty(0, np.int64), None, np.empty((0, len(names))), names, dict(rejected))
+    rows = np.concatenate([r for r, _ in places])
+    order = np.argsort(rows, kind="stable")
+    stamps = [s for _, s in places if s is not None]
+    stamp_ns = np.concatenate(stamps)[order] if len(stamps) == len(places) else None
+    joined = np.concatenate(values)[order] if len(values) > 1 else values[0][order]
+    return Signal(rows[order], stamp_ns, joined, names, dict(rejected))
+
+
+def merged(t_ns: Array, values: Array) -> tuple[Array, Array]:
+    """One row per stamp: keep (n,) is False for later ones; what they know and the first does not fills its NaN."""
+    keep = np.concatenate([[True], np.diff(t_ns) != 0]) if len(t_ns) else np.ones(0, bool)
+    if keep.all():
+        return keep, values
+    first = np.maximum.accumulate(np.where(keep, np.arange(len(keep)), 0))
+    values = values.copy()
+    for row in np.flatnonzero(~keep):
+        target = values[first[row]]
+        np.copyto(target, values[row], where=np.isnan(target))
+    return keep, values
