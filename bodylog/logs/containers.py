@@ -7,9 +7,9 @@ from typing import Protocol, Self
 
 from ..errors import LogError
 from ..types import Batch, Finding, Topic
+from .unpacked import ZSTD, unpack_file
 
 _LFS = b"version https://git-lfs"
-_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 class Log(Protocol):
@@ -51,9 +51,17 @@ def open_log(path: Path, strict: bool = False) -> Log:
         return _rosbag2(path, strict)
     with path.open("rb") as stream:
         first = stream.read(32)
+    if first.startswith(ZSTD):
+        return unpack_file(path, lambda inner: _opened(path, strict, inner))
+    return _opened(path, strict, path)
+
+
+def _opened(path: Path, strict: bool, source: Path) -> Log:
+    with source.open("rb") as stream:
+        first = stream.read(32)
     for magic, opener in FORMATS.items():
         if first.startswith(magic):
-            return opener(path, strict)
+            return opener(path, strict, source)
     raise LogError(f"{path}: {_what_it_is(first)}; logs are .mcap, .bag, .db3 or a rosbag2 folder")
 
 
@@ -71,35 +79,29 @@ def _what_it_is(first: bytes) -> str:
     if first.startswith(_LFS):
         return "this is a git-LFS pointer, not the log itself; type: git lfs pull"
     if first.startswith((b"\x89MCAP0\n", b"\x89MCAP\n", b"\x89MCAP0\r\r\n")):
-        return "an MCAP whose line ends were converted (git or FTP in text mode): it is damaged throughout; copy it as binary"
+        return "an MCAP whose line ends were converted, so damaged throughout; copy it again as a binary file"
     if first.startswith(b"#ROSBAG V"):
         version = str(first[8:13], "ascii", "replace").strip()
         return f"a ROS 1 bag of version {version}, where only V2.0 is read; type: rosbag fix OLD.bag NEW.bag"
     return f"not a log: it begins with {first[:12]!r}"
 
 
-def _mcap(path: Path, strict: bool) -> Log:
+def _mcap(path: Path, strict: bool, source: Path) -> Log:
     from .mcap import McapLog
 
-    return McapLog(path, strict)
+    return McapLog(path, strict, source)
 
 
-def _bag(path: Path, strict: bool) -> Log:
+def _bag(path: Path, strict: bool, source: Path) -> Log:
     from .rosbag import BagLog
 
-    return BagLog(path, strict)
+    return BagLog(path, strict, source)
 
 
-def _db3(path: Path, strict: bool) -> Log:
+def _db3(path: Path, strict: bool, source: Path) -> Log:
     from .sqlite import Db3Log
 
-    return Db3Log(path, strict)
-
-
-def _zst(path: Path, strict: bool) -> Log:
-    from .unpacked import open_unpacked
-
-    return open_unpacked(path, strict)
+    return Db3Log(path, strict, source)
 
 
 def _rosbag2(path: Path, strict: bool) -> Log:
@@ -108,10 +110,9 @@ def _rosbag2(path: Path, strict: bool) -> Log:
     return Rosbag2Log(path, strict)
 
 
-FORMATS: Mapping[bytes, Callable[[Path, bool], Log]] = {
+FORMATS: Mapping[bytes, Callable[[Path, bool, Path], Log]] = {
     b"\x89MCAP0\r\n": _mcap,
     b"#ROSBAG V2.0": _bag,
     b"SQLite format 3\x00": _db3,
-    _ZSTD: _zst,
 }
-"""First bytes of a file -> who opens it."""
+"""First bytes of a file -> who opens it: log's path, strict, and the file to read (unpacked, if it was packed)."""

@@ -7,6 +7,9 @@ from ..types import Finding
 
 _SHOWN = 8
 
+_Loss = tuple[int, int | None, int | None, float | None, str]
+"""Where, and how many bytes, messages, seconds (None: unknown), and why."""
+
 
 class Ledger:
     """Findings of the log at `path`; with `strict` the first loss is raised as LogError."""
@@ -16,7 +19,7 @@ class Ledger:
         self._path = path
         self._strict = strict
         self._remarks: dict[str, Finding] = {}
-        self._losses: dict[int, tuple[int, int | None, float | None, str]] = {}
+        self._losses: dict[int, tuple[int | None, int | None, float | None, str]] = {}
 
     def warn(self, text: str) -> None:
         """Something is wrong, but nothing was lost by it."""
@@ -26,7 +29,7 @@ class Ledger:
         """Something worth knowing."""
         self._remarks.setdefault(text, Finding("info", f"{self._path}: {text}"))
 
-    def lost(self, start: int, size: int, messages: int | None, seconds: float | None, why: str) -> None:
+    def lost(self, start: int, size: int | None, messages: int | None, seconds: float | None, why: str) -> None:
         """`size` bytes at byte `start` cannot be used; messages and seconds when known; LogError when strict."""
         if start not in self._losses:
             self._losses[start] = (size, messages, seconds, why)
@@ -45,15 +48,17 @@ class Ledger:
         return (*self._remarks.values(), *(Finding("lost", f"{self._path}: {text}") for text in texts))
 
     @staticmethod
-    def _losses_text(losses: list[tuple[int, int, int | None, float | None, str]]) -> list[str]:
+    def _losses_text(losses: list[_Loss]) -> list[str]:
         return [f"from byte {max(0, loss[0])} {_amount([loss])} lost: {loss[4]}" for loss in losses]
 
 
-def _amount(losses: list[tuple[int, int, int | None, float | None, str]]) -> str:
+def _amount(losses: list[_Loss]) -> str:
     messages = [loss[2] for loss in losses if loss[2] is not None]
     seconds = [loss[3] for loss in losses if loss[3] is not None]
     said = f"{sum(messages)} messages" if len(messages) == len(losses) else "an unknown number of messages"
     if messages and len(messages) < len(losses):
         said = f"at least {sum(messages)} messages"
     lasting = f"{sum(seconds):.3f} s" if seconds else "an unknown time"
-    return f"{sum(loss[1] for loss in losses)} bytes, {said}, {lasting}"
+    sizes = [loss[1] for loss in losses if loss[1] is not None]
+    bulk = f"{sum(sizes)} bytes" if sizes else "an unknown number of bytes"
+    return f"{bulk}, {said}, {lasting}"

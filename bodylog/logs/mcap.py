@@ -16,6 +16,7 @@ from .compression import Buffer
 from .ledger import Ledger
 from .records import CHUNK, HEAD, MESSAGE, MESSAGE_INDEX, SCHEMA, Record, walk
 from .topics import Topics, split
+from .unpacked import unpacked
 
 MESSAGE_HEAD = np.dtype(
     [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
@@ -109,6 +110,9 @@ class McapLog:
         topic_of = self._topic_of.copy()
         if ids is not None:
             topic_of[~np.isin(topic_of, list(ids))] = -1
+        yield from unpacked(self._batches(topic_of), self.topics, self._ledger)
+
+    def _batches(self, topic_of: Array) -> Iterator[Batch]:
         buffer = Buffer()
         for part in self._survey.parts:
             if isinstance(part, Loose):

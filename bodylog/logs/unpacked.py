@@ -1,0 +1,75 @@
+"""zstd around what a log holds: whole files, unpacked to a temporary file, and single messages (rosbag2)."""
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TypeVar
+
+import numpy as np
+
+from ..errors import FormatError, LogError
+from ..types import Array, Batch, Topic
+from .compression import unpack_zstd
+from .ledger import Ledger
+
+ZSTD = b"\x28\xb5\x2f\xfd"
+"""How a zstd frame begins; no CDR payload does."""
+
+_ALWAYS = 64 << 20
+_RATIO = 1024
+_MARGIN = 256 << 20
+
+Opened = TypeVar("Opened")
+
+
+def unpack_file(path: Path, use: Callable[[Path], Opened]) -> Opened:
+    """What `use` makes of the unpacked file, which is unlinked afterwards; LogError when the disk is too small."""
+    with TemporaryDirectory(prefix="bodylog-") as folder:
+        inner = Path(folder) / path.stem
+        _unpack(path, inner, shutil.disk_usage(folder).free - _MARGIN)
+        return use(inner)
+
+
+def _unpack(path: Path, inner: Path, limit: int) -> None:
+    import zstandard
+
+    written = 0
+    with path.open("rb") as stream, inner.open("wb") as target:
+        reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
+        try:
+            while piece := reader.read(1 << 20):
+                written += len(piece)
+                if written > limit:
+                    raise LogError(f"{path}: unpacked it takes more than the {limit} bytes free in {inner.parent}")
+                target.write(piece)
+        except zstandard.ZstdError as problem:
+            if not written:
+                raise LogError(f"{path}: zstd data is damaged: {problem}") from None
+
+
+def unpacked(batches: Iterable[Batch], topics: tuple[Topic, ...], ledger: Ledger) -> Iterator[Batch]:
+    """The batches, with CDR payloads that rosbag2 packed one by one unpacked."""
+    cdr = {topic.id for topic in topics if topic.encoding == "cdr"}
+    for batch in batches:
+        first = batch.data[batch.offset[0] : batch.offset[0] + 4].tobytes()
+        yield _each(batch, ledger) if first == ZSTD and batch.topic_id in cdr else batch
+
+
+def _each(batch: Batch, ledger: Ledger) -> Batch:
+    kept, payloads = np.ones(len(batch.length), bool), []
+    for i, payload in enumerate(_views(batch)):
+        try:
+            payloads.append(unpack_zstd(payload, max(_ALWAYS, _RATIO * len(payload))))
+        except FormatError as problem:
+            kept[i] = False
+            ledger.lost(int(batch.offset[i]), len(payload), 1, 0.0, f"a message packed by itself: {problem}")
+    length = np.array([len(payload) for payload in payloads], np.int64)
+    data: Array = np.frombuffer(b"".join(payloads), np.uint8)
+    return replace(batch, log_ns=batch.log_ns[kept], data=data, offset=np.cumsum(length) - length, length=length)
+
+
+def _views(batch: Batch) -> Iterator[memoryview]:
+    for start, size in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
+        yield batch.data.data[start : start + size]
