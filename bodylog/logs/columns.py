@@ -171,12 +171,12 @@ class _Decoder:
             left = self._take(batch, left, known)
         while len(left) and len(self.known) < _MOST_LAYOUTS:
             left = self._learn(batch, left)
-        for index in left:
+        for index in left.tolist():
             self._one(batch, index)
         self.seen += len(batch.log_ns)
 
     def _learn(self, batch: Batch, left: Array) -> Array:
-        payload = _payload(batch, left[0])
+        payload = _payload(batch, int(left[0]))
         layout = self._walk(payload)
         if layout is None:
             return left[1:]

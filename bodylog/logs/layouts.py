@@ -286,7 +286,7 @@ def _cdr_kind(root: str, payload: bytes) -> tuple[bool, int]:
     kind = tuple(payload[:2])
     if len(payload) < 4 or kind not in CDR_KINDS:
         raise FormatError(f"{root}: the payload begins with {payload[:4].hex() or 'nothing'}, which is not plain CDR")
-    return CDR_KINDS[kind]  # type: ignore[index]
+    return CDR_KINDS[kind]
 
 
 def _range(steps: tuple[Step, ...], count: int) -> range:

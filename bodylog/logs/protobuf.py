@@ -26,15 +26,26 @@ _Types = Mapping[str, Mapping[int, _Field]]
 
 def message_reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
     """A function from payload to dictionary; FormatError when the descriptor set lacks the topic's type."""
+    types, root = _root(topic)
+    return lambda payload: _message(memoryview(payload), root, types, topic.name, 0)
+
+
+def field_types(topic: Topic) -> dict[str, str]:
+    """Field name -> message type ("" for plain values) of the topic's type."""
+    types, root = _root(topic)
+    return {field.name: field.type for field in types[root].values()}
+
+
+def _root(topic: Topic) -> tuple[_Types, str]:
     try:
         types = _types(topic.definition)
-    except (FormatError, UnicodeDecodeError):
+    except (FormatError, UnicodeDecodeError, StopIteration):
         raise FormatError(f"{topic.name}: the schema is not a FileDescriptorSet") from None
     spelled = (topic.type, topic.type.replace("/msg/", "."), topic.type.replace("/", "."))
     root = next((name for name in spelled if name in types), None)
     if root is None:
         raise FormatError(f"{topic.name}: the schema defines no {topic.type}; it has {', '.join(sorted(types)[:5])}")
-    return lambda payload: _message(memoryview(payload), root, types, topic.name, 0)
+    return types, root
 
 
 def _types(descriptors: bytes) -> _Types:

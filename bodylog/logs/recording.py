@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import BodylogError, LogError
 from ..settings import Settings
 from ..types import Array, Features, Finding, Frame, Health, Recording, Series, Topic
 from . import frames as camera
@@ -65,9 +65,9 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
     )
 
 
-def info(path: Path, settings: Settings) -> dict[str, Any]:
+def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
     """What is in a log, as plain values: topics, rates, roles, joint names, clocks, findings."""
-    with open_log(path) as log:
+    with open_log(path, strict) as log:
         problems: list[Finding] = []
         found: dict[str, Role] = {}
         streams: dict[str, _Stream] = {}

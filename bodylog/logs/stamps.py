@@ -1,5 +1,7 @@
 """Where a topic's messages carry the time they speak of."""
 
+import json
+
 from ..errors import BodylogError
 from ..types import Topic
 from .columns import definition_of
@@ -10,12 +12,29 @@ _ALONE = ("stamp", "timestamp")
 
 def stamp_field(topic: Topic) -> str | None:
     """Message path of the stamp: header.stamp, or a time called stamp or timestamp; None when there is none."""
-    if topic.encoding in ("json", "protobuf"):
-        return "timestamp" if topic.type.startswith("foxglove") else "header.stamp"
     try:
+        if topic.encoding == "json":
+            return _in_schema(topic.definition)
+        if topic.encoding == "protobuf":
+            return _in_descriptors(topic)
         return _in_definition(definition_of(topic))
     except BodylogError:
         return None
+
+
+def _in_schema(schema: bytes) -> str | None:
+    try:
+        properties = json.loads(schema or b"{}").get("properties", {})
+    except (ValueError, AttributeError):
+        return None
+    return next((name for name in _ALONE if name in properties), "header.stamp" if "header" in properties else None)
+
+
+def _in_descriptors(topic: Topic) -> str | None:
+    from .protobuf import field_types
+
+    types = field_types(topic)
+    return next((name for name in _ALONE if types.get(name, "").endswith(("Timestamp", "Time"))), None)
 
 
 def _in_definition(definition: Definition) -> str | None:
