@@ -49,6 +49,13 @@ class Skin:
 
 
 @dataclass(frozen=True)
+class Clocks:
+    """[synchrony]: how much later (s) the camera's clock dates what the skin feels; "auto": the log's own median."""
+
+    clock_offset: float | str = 0.0
+
+
+@dataclass(frozen=True)
 class Time:
     """[time]: which clock dates each stream, "header", "log" or "auto" (header where there is a sound one)."""
 
@@ -104,6 +111,7 @@ class Settings:
     video: Video = field(default_factory=Video)
     fit: Fit = field(default_factory=Fit)
     estimate: Estimation = field(default_factory=Estimation)
+    synchrony: Clocks = field(default_factory=Clocks)
 
 
 def plain(settings: Settings) -> dict[str, Any]:

@@ -1,21 +1,38 @@
 """From a recording's signals and pictures to what they show: tracks, touches, strokes and their synchrony."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from ..settings import Colour, Colours, Settings
-from ..types import Features, Finding, Recording
-from . import colour
+from ..types import Features, Finding, Health, Recording, Series, Stroke
+from . import colour, skin, strokes, synchrony
 
 __all__ = ["observe"]
 
 
 def observe(recording: Recording, settings: Settings, progress: Callable[[int], None] | None = None) -> Features:
-    """Everything a recording shows; `progress` is told how many more pictures are done. Raises ConfigError."""
+    """Everything a recording shows; `progress` is told how many more pictures are done. Raises ConfigError.
+
+    What an earlier run wrote into the log is taken over. Health is kept per track, and for "touch".
+    """
+    if recording.features is not None:
+        return replace(recording.features, joints=recording.joints)
+    tracks, health, findings = _tracks(recording, settings, progress)
+    touches = None
+    if recording.skin is not None:
+        touches, health["touch"], felt = skin.touches(recording.skin, settings.skin)
+        findings += felt
+    seen: tuple[Stroke, ...] = strokes.strokes(tracks["hand"]) if "hand" in tracks else ()
+    pairs, remarks = synchrony.judge(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
+    return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks)
+
+
+def _tracks(
+    recording: Recording, settings: Settings, progress: Callable[[int], None] | None
+) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]:
     if recording.frames is None:
-        findings: tuple[Finding, ...] = (Finding("info", "no camera: no tracks, no strokes"),)
-        return Features(recording.joints, {}, None, (), (), {}, findings)
-    tracks, health, findings = colour.track(recording.frames, _wanted(settings.colours), progress)
-    return Features(recording.joints, tracks, None, (), (), health, findings)
+        return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),)
+    return colour.track(recording.frames, _wanted(settings.colours), progress)
 
 
 def _wanted(colours: Colours) -> Mapping[str, Colour]:

@@ -16,14 +16,16 @@ U, V, STD_U, STD_V, MASS, BORDER = range(6)
 FIELDS = 6
 _COARSE_WIDTH = 160
 _SMALLEST = 9.0
+_SURROUND = 6.5
 _DEADBAND = 0.15
 _QUIETEST = 0.02
+_SQUARE = np.ones((3, 3), dtype=np.uint8)
 
 
 def look(image: Array, ranges: Sequence[Range]) -> Array:
     """Blobs of each colour in image (H,W,3) BGR, largest first: (colours, CANDIDATES, FIELDS) px, NaN where none.
 
-    MASS is the blob's area in px², BORDER 1 where the blob touches the picture's edge.
+    MASS is the blob's area in px², BORDER 1 where the blob or the surround it is measured against leaves the picture.
     """
     import cv2
 
@@ -31,9 +33,8 @@ def look(image: Array, ranges: Sequence[Range]) -> Array:
     coarse = cv2.cvtColor(np.ascontiguousarray(image[::step, ::step]), cv2.COLOR_BGR2HSV)
     found = np.full((len(ranges), CANDIDATES, FIELDS), np.nan)
     for index, colour in enumerate(ranges):
-        rows = [_measure(image, box, colour) for box in _boxes(mask(coarse, colour), step)]
-        rows = _distinct([row for row in rows if row is not None])
-        for rank, row in enumerate(rows):
+        measured = [_measure(image, box, colour) for box in _boxes(mask(coarse, colour), step)]
+        for rank, row in enumerate(_distinct([row for row in measured if row is not None])):
             found[index, rank] = row
     return found
 
@@ -64,9 +65,9 @@ def _measure(image: Array, box: tuple[int, int, int, int], colour: Range) -> tup
     if cv2.countNonZero(core) < _SMALLEST:
         return None
     u, v, std_u, std_v, mass = _centre(window, core)
-    x, y, w, h = cv2.boundingRect(core)
-    border = left + x < 2 or top + y < 2 or left + x + w > image.shape[1] - 2 or top + y + h > image.shape[0] - 2
-    return left + u, top + v, std_u, std_v, mass, float(border)
+    u, v = left + u, top + v
+    room = min(u, v, image.shape[1] - 1 - u, image.shape[0] - 1 - v) - np.sqrt(mass / np.pi)
+    return u, v, std_u, std_v, mass, float(room < _SURROUND)
 
 
 def _largest(seen: Array) -> Array:
@@ -76,17 +77,17 @@ def _largest(seen: Array) -> Array:
     count, labels, stats, _ = cv2.connectedComponentsWithStats(seen, ltype=cv2.CV_16U)
     if count < 3:
         return np.minimum(seen, 1)
-    return (labels == 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
+    return np.equal(labels, 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))).astype(np.uint8)
 
 
 def _centre(window: Array, core: Array) -> tuple[float, float, float, float, float]:
     """u, v, std_u, std_v (px, in the window) and area of the blob whose sure part is core (H,W) 0 or 1."""
     import cv2
 
-    inner = cv2.erode(core, None, iterations=2)
+    inner = cv2.erode(core, _SQUARE, iterations=2)
     inner = inner if inner.any() else core
-    grown = cv2.dilate(core, None, iterations=3)
-    outer = 1 - cv2.dilate(grown, None, iterations=2)
+    grown = cv2.dilate(core, _SQUARE, iterations=3)
+    outer = 1 - cv2.dilate(grown, _SQUARE, iterations=2)
     blob = np.array(cv2.mean(window, inner)[:3], dtype=np.float32)
     ground = np.array(cv2.mean(window, outer)[:3], dtype=np.float32) if outer.any() else np.zeros(3, np.float32)
     axis = (blob - ground) / max(float((blob - ground) @ (blob - ground)), 1.0)
@@ -97,14 +98,14 @@ def _centre(window: Array, core: Array) -> tuple[float, float, float, float, flo
     y = np.arange(weight.shape[0], dtype=np.float32)
     u, v = float(weight.sum(0) @ x) / mass, float(weight.sum(1) @ y) / mass
     edge = (weight > 0) & (weight < 1)
-    noise = _noise(mixing, inner, outer)
+    noise = _noise(mixing, outer)
     spread_u = float(edge.sum(0) @ (x - u) ** 2)
     spread_v = float(edge.sum(1) @ (y - v) ** 2)
     std_u, std_v = (float(np.hypot(_QUIETEST, noise * np.sqrt(s) / mass)) for s in (spread_u, spread_v))
     return u, v, std_u, std_v, mass
 
 
-def _noise(mixing: Array, inner: Array, outer: Array) -> float:
+def _noise(mixing: Array, outer: Array) -> float:
     """Standard deviation of the mixing weight summed over 4 x 4 px, per square root of px: correlation included."""
     import cv2
 

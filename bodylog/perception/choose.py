@@ -15,7 +15,6 @@ _SMALL = 0.4
 _STILL = 3.0
 _MOVING = 12.0
 _DEFICIT = 0.12
-_TOLERATED = 0.05
 
 HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY = (
     "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
@@ -132,11 +131,13 @@ def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
 
 
 def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Run]:
-    """Runs the target can have moved between: the longest is believed, the others must be within its speed."""
+    """The runs without still ones, in a log that moves, that the target cannot have jumped to at its speed."""
     speed = 2.0 * max(_fastest(t, run) for run in runs)
+    moving = max(_extent(run) for run in runs) > _MOVING
     kept: list[_Run] = []
     for run in sorted(runs, key=lambda run: -len(run.frames)):
-        if all(_within(t, run, other, reach, speed) for other in kept):
+        still = moving and _extent(run) < _STILL
+        if not still or all(_within(t, run, other, reach, speed) for other in kept):
             kept.append(run)
         else:
             why[run.frames] = JUMP
@@ -161,13 +162,17 @@ def _fastest(t: Array, run: _Run) -> float:
 def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None:
     """Rows where area is missing against the second around them go; a little missing area widens their std."""
     seen = np.flatnonzero(np.isfinite(mass))
+    if not seen.size:
+        return
     usual = _usual(t[seen], mass[seen])
     missing = 1 - mass[seen] / usual
-    bad = seen[missing > _DEFICIT]
+    missing -= np.median(missing)
+    spread = 1.4826 * np.median(np.abs(missing))
+    bad = seen[missing > max(_DEFICIT, 5 * spread)]
     track[bad] = np.nan
     why[bad] = PARTLY
     # a disc of radius r that lost a share f of its area has its centre off by about f r
-    shift = np.maximum(missing - _TOLERATED, 0) * np.sqrt(usual / np.pi)
+    shift = np.maximum(missing - 3 * spread, 0) * np.sqrt(usual / np.pi)
     track[seen, 2:] = np.hypot(track[seen, 2:], shift[:, None])
 
 

@@ -36,7 +36,9 @@ def track(
         tracks[name] = Series(t, track[:, :2], ("u", "v"), "px", source_ns, track[:, 2:])
         health[name] = _health(t, track, reasons, broken)
     unseen = [name for name in colours if health[name].used == 0]
-    if unseen and t.size:
+    if not t.size:
+        findings.append(Finding("warning", "camera: no picture in this log; no tracks, no strokes"))
+    elif unseen:
         instead = _saturated(frames(), t.size)
         findings += [_unseen(name, colours[name], t.size, instead) for name in unseen]
     if broken.any():
@@ -132,6 +134,5 @@ def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float])
     wanted = f"'{colour}'" if isinstance(colour, str) else str(dict(colour))
     others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in instead.items() if share >= 1e-4)
     hint = f"; type: [colours] {name} = \"{next(iter(instead))}\"" if others else ""
-    return Finding(
-        "warning", f"{name}: colour {wanted} was never found in {count} pictures; seen instead: {others or 'none'}{hint}"
-    )
+    severity = "info" if name == "hand" else "warning"
+    return Finding(severity, f"{name}: {wanted} was never found in {count} pictures; seen: {others or 'none'}{hint}")

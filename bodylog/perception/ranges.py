@@ -14,9 +14,8 @@ _NAMED: dict[str, tuple[int, int]] = {
     "yellow": (20, 36),
     "green": (37, 85),
     "cyan": (80, 100),
-    "blue": (98, 128),
-    "purple": (126, 150),
-    "magenta": (142, 172),
+    "blue": (98, 132),
+    "magenta": (133, 172),
 }
 _SATURATION, _VALUE = 90, 50
 
@@ -37,10 +36,10 @@ def resolve(colour: Colour, key: str) -> Range:
         bounds = np.array([colour["low"], colour["high"]], dtype=np.int64)
     except (KeyError, TypeError, ValueError):
         bounds = np.zeros(0, dtype=np.int64)
-    if bounds.shape != (2, 3) or (bounds < 0).any() or (bounds > (179, 255, 255)).any():
+    if bounds.shape != (2, 3) or (bounds < 0).any() or (bounds > (180, 255, 255)).any():
         raise ConfigError(
-            f"colours.{key}: found {dict(colour)}; possible: low = [h, s, v] and high = [h, s, v] with h 0..179, s and v "
-            f"0..255; type: {key} = {{low = [37, 90, 50], high = [85, 255, 255]}}"
+            f"colours.{key}: found {dict(colour)}; possible: low = [h, s, v] and high = [h, s, v] with h 0..180, "
+            f"s and v 0..255; type: {key} = {{low = [37, 90, 50], high = [85, 255, 255]}}"
         )
     return Range(bounds[0].astype(np.uint8), bounds[1].astype(np.uint8))
 

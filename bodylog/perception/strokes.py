@@ -1,0 +1,183 @@
+"""Contact strokes of the other's hand: where its path slows down and turns between an approach and a retreat.
+
+The path is cut into straight, even pieces by dynamic programming; a stroke is the slow stretch between two faster
+ones, without the pieces in which the hand still comes the way of the approach, or already leaves the way of the
+retreat. Its start and end are where neighbouring pieces meet, which is finer than a frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ..types import Array, Series, Stroke
+
+_GAP = 0.35
+_LEAP = 5.0
+_LONGEST = 6.0
+_FEWEST = 2
+_SLOW = 0.8
+_SAME_WAY = 0.87
+_STEP = 3.0
+_SHORTEST = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Even motion from start to end (s): at `place` (2,) px when t = middle, moving with `speed` (2,) px/s."""
+
+    start: float
+    end: float
+    middle: float
+    place: Array
+    velocity: Array
+
+    @property
+    def speed(self) -> float:
+        return float(np.hypot(*self.velocity))
+
+    def at(self, t: float) -> Array:
+        return np.asarray(self.place + self.velocity * (t - self.middle))
+
+
+def strokes(hand: Series) -> tuple[Stroke, ...]:
+    """The contact strokes in a hand's track (N,2) px, in order; gaps in the track may hide some, but join none."""
+    seen = np.isfinite(hand.values).all(axis=1)
+    t, place = hand.t[seen], hand.values[seen]
+    found: list[Stroke] = []
+    for part in _stretches(t, place):
+        if len(t[part]) >= 3 * _FEWEST:
+            found += _contacts(_pieces(t[part], place[part]))
+    return tuple(found)
+
+
+def _stretches(t: Array, place: Array) -> list[slice]:
+    """Where the hand was followed without a long gap or a leap."""
+    step = np.hypot(*np.diff(place, axis=0).T) / np.maximum(np.diff(t), 1e-6)
+    usual = float(np.quantile(step, 0.9)) if step.size else 0.0
+    cuts = np.flatnonzero((np.diff(t) > _GAP) | (step > _LEAP * usual)) + 1
+    edges = [0, *cuts.tolist(), len(t)]
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def _pieces(t: Array, place: Array) -> list[_Piece]:
+    """The path as the fewest straight, even pieces its noise allows."""
+    edges = _cuts(t, place)
+    found = []
+    for first, last in pairwise(edges):
+        part_t, part = t[first:last], place[first:last]
+        middle = float(part_t.mean())
+        away = part_t - middle
+        velocity = away @ (part - part.mean(axis=0)) / float(away @ away)
+        found.append(_Piece(float(part_t[0]), float(part_t[-1]), middle, part.mean(axis=0), velocity))
+    return found
+
+
+def _cuts(t: Array, place: Array) -> list[int]:
+    """Edges of the pieces (0 … n) that minimise squared error over noise plus a price per piece (Bayes' criterion)."""
+    count = len(t)
+    price = 5.0 * np.log(count)
+    longest = max(2 * _FEWEST, int(np.searchsorted(t - t[0], _LONGEST)))
+    sums = _running_sums(t - t[0], place - place[0])
+    variance = _noise(place) ** 2
+    cost, came = np.full(count + 1, np.inf), np.zeros(count + 1, dtype=int)
+    cost[0] = 0.0
+    for end in range(_FEWEST, count + 1):
+        begins = np.arange(max(0, end - longest), end - _FEWEST + 1)
+        total = cost[begins] + _squared_error(sums[end] - sums[begins]) / variance + price
+        best = int(np.argmin(total))
+        cost[end], came[end] = total[best], begins[best]
+    edges = [count]
+    while edges[-1]:
+        edges.append(int(came[edges[-1]]))
+    return edges[::-1]
+
+
+def _running_sums(t: Array, place: Array) -> Array:
+    """Sums over the first k points of 1, t, t², u, v, tu, tv, u² + v²: (n + 1, 8)."""
+    u, v = place.T
+    columns = np.column_stack([np.ones_like(t), t, t * t, u, v, t * u, t * v, u * u + v * v])
+    return np.vstack([np.zeros((1, 8)), np.cumsum(columns, axis=0)])
+
+
+def _squared_error(sums: Array) -> Array:
+    """Squared error (k,) of the best line through each set of points given by its sums (k,8)."""
+    n, s, ss, u, v, su, sv, square = sums.T
+    spread = np.maximum(ss - s * s / n, 1e-12)
+    along = (su - s * u / n) ** 2 + (sv - s * v / n) ** 2
+    return np.asarray(np.maximum(square - (u * u + v * v) / n - along / spread, 0.0))
+
+
+def _noise(place: Array) -> float:
+    """Standard deviation (px) of one coordinate about a smooth path: third differences have 20 times its variance."""
+    third = np.diff(place, n=3, axis=0)
+    return max(0.1, 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0)) if third.size else 0.1
+
+
+def _contacts(pieces: Sequence[_Piece]) -> list[Stroke]:
+    """The slow stretches among pieces that have faster ones before and after."""
+    speeds = [piece.speed for piece in pieces]
+    found = []
+    after = 0
+    for index in range(1, len(pieces) - 1):
+        if index > after and speeds[index - 1] >= speeds[index] < speeds[index + 1]:
+            before, after = _peaks(speeds, index)
+            first, last = _slow(speeds, index, _SLOW * min(speeds[before], speeds[after]))
+            if first <= last:
+                found += _stroke(pieces, *_turned(pieces, first, last))
+    return found
+
+
+def _peaks(speeds: Sequence[float], valley: int) -> tuple[int, int]:
+    """Where the speed tops on either side of a valley."""
+    before = after = valley
+    while before > 0 and speeds[before - 1] >= speeds[before]:
+        before -= 1
+    while after + 1 < len(speeds) and speeds[after + 1] >= speeds[after]:
+        after += 1
+    return before, after
+
+
+def _slow(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]:
+    """First and last piece around a valley below a speed; last < first where the valley itself is not."""
+    if speeds[valley] >= limit:
+        return valley, valley - 1
+    first = last = valley
+    while speeds[first - 1] < limit:
+        first -= 1
+    while speeds[last + 1] < limit:
+        last += 1
+    return first, last
+
+
+def _turned(pieces: Sequence[_Piece], first: int, last: int) -> tuple[int, int]:
+    """The stretch without leading pieces along the approach and trailing ones along the retreat."""
+    approach, retreat = pieces[first - 1].velocity, pieces[last + 1].velocity
+    while first < last and _same_way(pieces[first].velocity, approach):
+        first += 1
+    while first < last and _same_way(pieces[last].velocity, retreat):
+        last -= 1
+    return first, last
+
+
+def _same_way(a: Array, b: Array) -> bool:
+    return float(a @ b) > _SAME_WAY * float(np.hypot(*a) * np.hypot(*b))
+
+
+def _stroke(pieces: Sequence[_Piece], first: int, last: int) -> list[Stroke]:
+    """The stroke made of pieces first … last, unless too short in time or way."""
+    start = _meeting(pieces[first - 1], pieces[first])
+    end = _meeting(pieces[last], pieces[last + 1])
+    begin_px, end_px = pieces[first].at(start), pieces[last].at(end)
+    if end - start < _SHORTEST or float(np.hypot(*(end_px - begin_px))) < _STEP:
+        return []
+    return [Stroke(start, end, (float(begin_px[0]), float(begin_px[1])), (float(end_px[0]), float(end_px[1])))]
+
+
+def _meeting(before: _Piece, after: _Piece) -> float:
+    """When two even motions are nearest to one another, between the last point of one and the first of the other."""
+    turn = after.velocity - before.velocity
+    apart = after.at(0.0) - before.at(0.0)
+    nearest = -float(apart @ turn) / max(float(turn @ turn), 1e-12)
+    return float(np.clip(nearest, before.end, after.start))
