@@ -1,0 +1,146 @@
+"""The words and tables of the page; everything a log says is escaped here."""
+
+import html
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from math import isfinite
+from typing import Any, NamedTuple
+
+from ..types import Estimate, Features, Health, Recording, Score, Synchrony, Touch
+from .traces import EVENTS, JOINTS, TRACKS
+
+_ROWS, _WORD, _TEXT = 200, 200, 40_000
+"""Most rows of a table, characters of a name, characters of a block of settings."""
+
+
+class Moment(NamedTuple):
+    """A cell of a table that leads to its moment (s) in the plots."""
+
+    start: float
+    end: float
+
+
+def escaped(text: str, longest: int = _WORD) -> str:
+    """Text from a log as text of a page: no tags, no control or direction characters, not endless."""
+    clean = "".join(c if c.isprintable() or c == "\n" else "\ufffd" for c in text)
+    return html.escape(clean if len(clean) <= longest else clean[: longest - 1] + "…")
+
+
+def header(recording: Recording, estimate: Estimate | None, scores: Sequence[Score]) -> str:
+    """Which log, when, how long, by which method, and the scores as cards."""
+    facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
+    facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"] if estimate else ["no estimate"]
+    said = escaped(" · ".join(facts))
+    cards = "".join(f"<div><b>{escaped(_quantity(s.value, s.unit))}</b>{escaped(s.name)}</div>" for s in scores[:_ROWS])
+    shown = f'\n<div class="cards">{cards}</div>' if cards else ""
+    return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{said}</p>{shown}'
+
+
+def faults(estimate: Estimate | None) -> str:
+    """Which sensor lied, how, since when and how much."""
+    rows = [
+        (x.sense, x.name, x.kind, Moment(x.since, x.since), _quantity(x.size, x.unit))
+        for x in (estimate.faults if estimate else ())
+    ]
+    return _table("Which sensor lied", ("sense", "name", "kind", "since", "size"), rows)
+
+
+def notes(features: Features | None, estimate: Estimate | None) -> list[str]:
+    """One line for everything there was too much of to draw."""
+    counted = [
+        (len(estimate.joints.names) if estimate else 0, JOINTS, "joints"),
+        (len(features.tracks) if features else 0, TRACKS, "tracks"),
+        (len(features.touches or ()) if features else 0, EVENTS, "touches"),
+        (len(features.strokes) if features else 0, EVENTS, "strokes"),
+    ]
+    return [f"Drawn: the first {most} of {count} {what}." for count, most, what in counted if count > most]
+
+
+def tables(recording: Recording, features: Features | None, estimate: Estimate | None) -> str:
+    """Remarks, touches, health per topic and sense, roles."""
+    findings = [x for part in (recording, features, estimate) if part is not None for x in part.findings]
+    parts = [
+        _table("Remarks", ("severity", "what"), [(x.severity, x.text) for x in findings]),
+        _health("Health of the log, per topic", recording.health),
+        _health("What perception found, per feature", features.health if features else {}),
+        _health("What the estimate used, per sense", estimate.used if estimate else {}),
+        _touches(features),
+        _table("Which topic is what", ("role", "topic"), list(recording.roles.items())),
+    ]
+    return "\n".join(part for part in parts if part)
+
+
+def settings(estimate: Estimate | None, provenance: Mapping[str, str]) -> str:
+    """Settings as resolved and where everything came from, as text."""
+    parts = []
+    if estimate:
+        parts.append(f"<h2>Settings</h2>\n<pre>{escaped(_pretty(estimate.settings), _TEXT)}</pre>")
+    if provenance:
+        said = {key: _parsed(value) for key, value in provenance.items()}
+        parts.append(f"<h2>Provenance</h2>\n<pre>{escaped(_pretty(said), _TEXT)}</pre>")
+    return "\n".join(parts)
+
+
+def _health(title: str, health: Mapping[str, Health]) -> str:
+    rows = [
+        (name, f"{h.seen}", f"{h.used}", f"{h.largest_gap_s:.3f} s", _reasons(h.rejected)) for name, h in health.items()
+    ]
+    return _table(title, ("name", "seen", "used", "largest gap", "rejected"), rows)
+
+
+def _touches(features: Features | None) -> str:
+    pairs = {pair.touch: pair for pair in (features.synchrony if features else ())}
+    rows = [_touch(x, pairs.get(i)) for i, x in enumerate(features.touches or () if features else ())]
+    return _table("Touches", ("from", "lasting", "cells", "peak", "seen later by", "synchrony"), rows)
+
+
+def _touch(touch: Touch, pair: Synchrony | None) -> tuple[str | Moment, ...]:
+    seen = (f"{pair.delay:.3f} s", f"{pair.weight:.2f}") if pair and pair.stroke is not None else ("–", "–")
+    cells = ", ".join(str(cell) for cell in touch.cells)
+    return Moment(touch.onset, touch.offset), f"{touch.offset - touch.onset:.3f} s", cells, f"{touch.peak:.2f}", *seen
+
+
+def _reasons(rejected: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "–"
+
+
+def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str | Moment]]) -> str:
+    """Nothing for no rows; `_ROWS` at most, the rest counted."""
+    if not rows:
+        return ""
+    head = "".join(f"<th>{escaped(name)}</th>" for name in heads)
+    body = "\n".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>" for row in rows[:_ROWS])
+    more = f'<p class="soft">and {len(rows) - _ROWS} more</p>' if len(rows) > _ROWS else ""
+    return f'<h2>{escaped(title)}</h2>\n<div class="scroll"><table><tr>{head}</tr>\n{body}\n</table></div>{more}'
+
+
+def _cell(value: str | Moment) -> str:
+    if isinstance(value, Moment):
+        margin = max(0.5, value.end - value.start)
+        target = f"#t={value.start - margin:.3f},{value.end + margin:.3f}"
+        return f'<td><a href="{target}">{value.start:.3f} s</a></td>' if isfinite(margin) else "<td>–</td>"
+    mark = f' class="{value}"' if value in ("warning", "lost") else ""
+    return f"<td{mark}>{escaped(value)}</td>"
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+
+
+def _when(start_ns: int) -> str:
+    try:
+        return datetime.fromtimestamp(start_ns // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except (ValueError, OverflowError, OSError):
+        return f"start {start_ns} ns"  # a clock that no calendar reaches
+
+
+def _parsed(value: str) -> Any:
+    try:
+        return json.loads(value)
+    except ValueError:
+        return value
+
+
+def _pretty(value: Any) -> str:
+    return json.dumps(value, indent=2, sort_keys=True, ensure_ascii=False, default=str)
