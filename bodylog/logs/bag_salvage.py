@@ -3,11 +3,21 @@
 import numpy as np
 
 from ..errors import FormatError
-from .bag_records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord
-from .bag_records import record_at, sound_records
+from .bag_chunks import BagChunk, BagRun, load, messages
+from .bag_records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    MAGIC,
+    MESSAGE,
+    BagRecord,
+    record_at,
+    sound_records,
+)
 from .compression import Buffer
 from .ledger import Ledger
-from .rosbag import BagChunk, BagRun, BagSurvey, load, messages
+from .rosbag import BagSurvey
 
 
 def survey_of(data: memoryview, ledger: Ledger) -> BagSurvey:
@@ -21,7 +31,8 @@ def survey_of(data: memoryview, ledger: Ledger) -> BagSurvey:
         survey = BagSurvey()
         _scan(data, survey, ledger)
     for connection in survey.counts.keys() - survey.connections.keys():
-        ledger.lost(-connection - 1, 0, survey.counts[connection], None, f"no record says what connection {connection} is")
+        why = f"no record says what connection {connection} is"
+        ledger.lost(-connection - 1, 0, survey.counts[connection], None, why)
     return survey
 
 

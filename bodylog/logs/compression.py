@@ -21,6 +21,7 @@ class Buffer:
     """The reused buffer; what `load` returns is valid until the next `load`."""
 
     def __init__(self) -> None:
+        """Start empty; the buffer grows to the largest chunk."""
         self._bytes: Array = np.empty(0, np.uint8)
 
     def load(self, compression: str, packed: memoryview, size: int) -> Array:

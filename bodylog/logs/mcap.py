@@ -1,50 +1,19 @@
-"""MCAP files -> undecoded batches: message indexes gathered with numpy, every offset checked before it is used."""
+"""MCAP files -> undecoded batches; nothing is read that the topics asked for do not need."""
 
 import mmap
-import struct
-import zlib
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import FormatError
 from ..types import Array, Batch, Finding, Topic
+from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, load, loose_messages, messages
 from .compression import Buffer
 from .ledger import Ledger
-from .records import CHUNK, HEAD, MESSAGE, MESSAGE_INDEX, SCHEMA, Record, walk
+from .records import HEAD, SCHEMA, Record
 from .topics import Topics, split
 from .unpacked import unpacked
-
-MESSAGE_HEAD = np.dtype(
-    [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
-)
-"""The first 31 bytes of a Message record: the payload follows."""
-
-_BLOCK = 4096
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_U64 = struct.Struct("<Q")
-_INDEX_HEAD = struct.Struct("<BQHI")
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known."""
-
-    start: int
-    length: int
-    start_ns: int
-    end_ns: int
-    indexes: Mapping[int, int] = field(default_factory=dict)
-
-
-class Loose(NamedTuple):
-    """A run of sound records, messages among them, that no chunk holds."""
-
-    start: int
-    end: int
 
 
 @dataclass
@@ -73,13 +42,6 @@ class Survey:
             for channel, number in zip(*np.unique(channels, return_counts=True), strict=True):
                 self.counts[int(channel)] = self.counts.get(int(channel), 0) + int(number)
             self.times += [int(log_ns.min()), int(log_ns.max())]
-
-
-class Messages(NamedTuple):
-    """Message records inside `data`: where each starts (n,) and its first 31 bytes (n,) MESSAGE_HEAD."""
-
-    starts: Array
-    heads: Array
 
 
 class McapLog:
@@ -116,7 +78,7 @@ class McapLog:
         buffer = Buffer()
         for part in self._survey.parts:
             if isinstance(part, Loose):
-                for found in _loose(self._data, part):
+                for found in loose_messages(self._data, part):
                     yield from _split(self._data, found, topic_of)
             elif not part.indexes or (topic_of[list(part.indexes)] >= 0).any():
                 content = load(self._data, part, buffer, self._ledger)
@@ -146,130 +108,12 @@ def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:
         if schema is not None:
             name, encoding, data = schema.fields["name"], schema.fields["encoding"], schema.fields["data"]
         elif said["schema_id"]:
-            ledger.warn(f"topic {said['topic']}: schema {said['schema_id']} is missing; its messages have no definition")
+            ledger.warn(f"topic {said['topic']}: schema {said['schema_id']} is missing; its messages are undefined")
+        count = survey.counts.get(channel, 0)
         topic_of[channel] = topics.add(
-            said["topic"], name, said["message_encoding"], data, encoding, survey.counts.get(channel, 0), said["metadata"]
+            said["topic"], name, said["message_encoding"], data, encoding, count, said["metadata"]
         )
     return topics.all(), topic_of
-
-
-def chunk_head(data: memoryview, start: int) -> tuple[int, int, int, int, str, memoryview]:
-    """Start, end (ns), unpacked size, CRC, compression and packed bytes of the Chunk at `start`; or FormatError."""
-    if start < 0 or len(data) - start < HEAD.size + _CHUNK_HEAD.size:
-        raise FormatError(f"byte {start}: too few bytes for a chunk")
-    opcode, length = HEAD.unpack_from(data, start)
-    first, last, size, crc, letters = _CHUNK_HEAD.unpack_from(data, start + HEAD.size)
-    at = start + HEAD.size + _CHUNK_HEAD.size + letters
-    if opcode != CHUNK or length > len(data) - start - HEAD.size or letters > 16 or at + 8 > len(data):
-        raise FormatError(f"byte {start}: opcode {opcode} with {length} bytes is no whole chunk")
-    packed = _U64.unpack_from(data, at)[0]
-    if at + 8 + packed > start + HEAD.size + length:
-        raise FormatError(f"byte {start}: a chunk of {length} bytes claims {packed} bytes of records")
-    compression = str(data[at - letters : at], "ascii", "replace")
-    return first, last, size, crc, compression, data[at + 8 : at + 8 + packed]
-
-
-def load(data: memoryview, chunk: Chunk, buffer: Buffer, ledger: Ledger) -> Array | None:
-    """The chunk's records (bytes,) uint8 once its CRC agrees, else None and the loss is in the ledger."""
-    try:
-        _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
-        content = buffer.load(compression, packed, size)
-        found = zlib.crc32(content.data) if crc else 0
-        if found != crc:
-            raise FormatError(f"the chunk's CRC is {found:08x} where {crc:08x} is declared")
-        return content
-    except FormatError as problem:
-        count = sum(len(index_of(data, at)) for at in chunk.indexes.values()) if chunk.indexes else None
-        seconds = max(0, chunk.end_ns - chunk.start_ns) / 1e9
-        ledger.lost(chunk.start, chunk.length, count, seconds, str(problem))
-        return None
-
-
-def index_of(data: memoryview, at: int) -> Array:
-    """The MessageIndex at byte `at`: (n, 2) int64 log time (ns) and offset in the chunk; empty when it is none."""
-    if not 0 <= at <= len(data) - _INDEX_HEAD.size:
-        return np.empty((0, 2), np.int64)
-    opcode, length, _, size = _INDEX_HEAD.unpack_from(data, at)
-    if opcode != MESSAGE_INDEX or size > length or at + _INDEX_HEAD.size + size > len(data):
-        return np.empty((0, 2), np.int64)
-    return np.frombuffer(data, "<i8", size // 16 * 2, at + _INDEX_HEAD.size).reshape(-1, 2)
-
-
-def messages(content: Array, data: memoryview, chunk: Chunk, ledger: Ledger) -> Messages:
-    """All messages of a loaded chunk in its own order: by its indexes where they are right, else by walking."""
-    if chunk.indexes:
-        found = _indexed(content, data, chunk.indexes)
-        if found is not None:
-            return found
-        ledger.warn(f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were walked")
-    return _walked(content, chunk, ledger)
-
-
-def heads_of(content: Array | memoryview) -> Array:
-    """A view whose item i is the message head that starts at byte i."""
-    return np.ndarray((max(0, len(content) - MESSAGE_HEAD.itemsize + 1),), MESSAGE_HEAD, content, 0, (1,))
-
-
-def _indexed(content: Array, data: memoryview, indexes: Mapping[int, int]) -> Messages | None:
-    offsets = [index_of(data, at)[:, 1] for at in indexes.values()]
-    starts = offsets[0] if len(offsets) == 1 else np.concatenate(offsets)
-    slide = heads_of(content)
-    if not len(starts) or starts.min() < 0 or starts.max() >= len(slide):
-        return None
-    heads = slide[starts]
-    channels = np.repeat(np.array(list(indexes), np.int64), [len(part) for part in offsets])
-    if (heads["opcode"] != MESSAGE).any() or (heads["channel"] != channels).any():
-        return None
-    if (starts[1:] <= starts[:-1]).any():
-        order = np.argsort(starts, kind="stable")
-        starts, heads = starts[order], heads[order]
-    return Messages(starts, heads) if _tiled(content, starts, heads["size"]) else None
-
-
-def _tiled(content: Array, starts: Array, sizes: Array) -> bool:
-    """Whether the records follow one another with nothing but other whole records between: no message is missing."""
-    if sizes.min() < MESSAGE_HEAD.itemsize - HEAD.size or sizes.max() > len(content):
-        return False
-    lows = np.concatenate(([0], starts + sizes + HEAD.size))
-    highs = np.concatenate((starts, [len(content)]))
-    if (lows > highs).any():
-        return False
-    view = content.data
-    try:
-        between = [walk(view, lows[i].item(), highs[i].item()) for i in np.flatnonzero(lows < highs)]
-        return all(opcode != MESSAGE for records in between for opcode, _, _ in records)
-    except FormatError:
-        return False
-
-
-def _walked(content: Array, chunk: Chunk, ledger: Ledger) -> Messages:
-    starts = []
-    try:
-        for opcode, body, length in walk(content.data, 0, len(content)):
-            if opcode == MESSAGE and length >= MESSAGE_HEAD.itemsize - HEAD.size:
-                starts.append(body - HEAD.size)
-    except FormatError as problem:
-        ledger.lost(chunk.start, chunk.length, None, None, f"inside the chunk, {problem}")
-    return _at(content, starts)
-
-
-def _at(content: Array | memoryview, starts: list[int]) -> Messages:
-    where = np.array(starts, np.int64)
-    return Messages(where, heads_of(content)[where])
-
-
-def _loose(data: memoryview, run: Loose) -> Iterator[Messages]:
-    starts, at, unpack = [], run.start, HEAD.unpack_from
-    while at < run.end:
-        opcode, length = unpack(data, at)
-        if opcode == MESSAGE:
-            starts.append(at)
-            if len(starts) == _BLOCK:
-                yield _at(data, starts)
-                starts = []
-        at += HEAD.size + length
-    if starts:
-        yield _at(data, starts)
 
 
 def _split(content: Array | memoryview, found: Messages, topic_of: Array) -> Iterator[Batch]:

@@ -49,7 +49,7 @@ FIELDS: dict[int, tuple[str, str]] = {
 }
 """opcode -> name of the record and its fields in order, each with its kind."""
 
-_NUMBERS = {"u8": struct.Struct("<B"), "u16": struct.Struct("<H"), "u32": struct.Struct("<I"), "u64": struct.Struct("<Q")}
+_NUMBERS = {kind: struct.Struct(code) for kind, code in (("u8", "<B"), ("u16", "<H"), ("u32", "<I"), ("u64", "<Q"))}
 
 
 @dataclass(frozen=True)

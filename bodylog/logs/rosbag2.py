@@ -91,7 +91,7 @@ def members(path: Path, ledger: Ledger) -> list[Path]:
     found = [p for p in found if not (p.suffix in (".zstd", ".zst") and p.stem in plain)]
     if not found:
         names = ", ".join(sorted(p.name for p in path.iterdir())[:5]) or "nothing"
-        raise LogError(f"{path}: a folder without .db3 or .mcap files (it holds {names}); name a log file or a rosbag2 folder")
+        raise LogError(f"{path}: a folder without .db3 or .mcap files (it holds {names}); name a log or rosbag2 folder")
     named = [Path(str(name)).name for name in metadata_of(path, ledger).get("relative_file_paths") or ()]
     listed = [p for name in named for p in found if p.name in (name, f"{name}.zstd", f"{name}.zst") or p.stem == name]
     missing = len(named) - len(listed)
@@ -110,7 +110,7 @@ def metadata_of(path: Path, ledger: Ledger) -> dict[str, Any]:
     """What metadata.yaml says about the bag; empty, with a remark, when it is missing or unreadable."""
     file = path / METADATA
     if not file.is_file():
-        ledger.info(f"there is no {METADATA}; the files' own contents are used")
+        ledger.warn(f"there is no {METADATA}; all logs in the folder are read as one")
         return {}
     try:
         from ruamel.yaml import YAML

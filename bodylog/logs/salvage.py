@@ -8,9 +8,10 @@ import numpy as np
 
 from ..errors import FormatError
 from ..types import Array
+from .chunks import MESSAGE_HEAD, Chunk, Loose, chunk_head, heads_of, index_of, load, messages
 from .compression import NAMES, Buffer
 from .ledger import Ledger
-from .mcap import MESSAGE_HEAD, Chunk, Loose, Survey, chunk_head, heads_of, index_of, load, messages
+from .mcap import Survey
 from .records import (
     CHANNEL,
     CHUNK,
@@ -32,6 +33,7 @@ _WINDOW = 1 << 20
 _BLOCK = 1 << 16
 _CHUNK_FIXED = 40
 _LONGEST_NS = 86400 * 10**9
+_CHANNEL = struct.Struct("<H")
 _MESSAGE = struct.Struct("<HIQ")
 _TIMES = struct.Struct("<QQ")
 _SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
@@ -90,7 +92,8 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
     for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost):
         ended = ended or opcode in (FOOTER, DATA_END)
         if opcode == MESSAGE:
-            run.add(*_MESSAGE.unpack_from(data, at + HEAD.size), at + HEAD.size + length)
+            channel, _, log_ns = _MESSAGE.unpack_from(data, at + HEAD.size)
+            run.add(channel, log_ns, at + HEAD.size + length)
         elif opcode in (SCHEMA, CHANNEL):
             survey.declare(parse(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
         elif opcode == CHUNK:
@@ -98,7 +101,7 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
             first, last, *_ = chunk_head(data, at)
             survey.parts.append(Chunk(at, HEAD.size + length, first, last))
         elif opcode == MESSAGE_INDEX and survey.parts and isinstance(survey.parts[-1], Chunk):
-            channel = _MESSAGE.unpack_from(data, at + HEAD.size)[0]
+            (channel,) = _CHANNEL.unpack_from(data, at + HEAD.size)
             survey.parts[-1] = replace(survey.parts[-1], indexes={**survey.parts[-1].indexes, channel: at})
     run.close(end)
     return ended
@@ -114,7 +117,7 @@ class _Run:
         self._channels: list[int] = []
         self._times: list[int] = []
 
-    def add(self, channel: int, _sequence: int, log_ns: int, end: int) -> None:
+    def add(self, channel: int, log_ns: int, end: int) -> None:
         """Count one message, which ends at byte `end`."""
         self._end = end
         self._channels.append(channel)

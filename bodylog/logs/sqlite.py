@@ -96,9 +96,10 @@ class Db3Log:
         chosen = "" if wanted is None else f" AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
         query = f"SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid > ?{chosen} ORDER BY rowid"
         last: Row | None = None
-        low: int | None = -(1 << 63)
-        while low is not None:
-            block, size, after = [], 0, low
+        low = -(1 << 63)
+        while True:
+            block: list[Row] = []
+            size, after = 0, low
             try:
                 for row in self._store.execute(query, (after,)):
                     low = row[0]
@@ -111,14 +112,16 @@ class Db3Log:
                     if len(block) == _ROWS or size > _BYTES:
                         yield block
                         block, size = [], 0
-                low = None
             except sqlite3.DatabaseError as problem:
-                if block:
-                    yield block
-                low = self._next(low, last, problem)
-                continue
+                failed: sqlite3.DatabaseError | None = problem
+            else:
+                failed = None
             if block:
                 yield block
+            following = self._next(low, last, failed) if failed else None
+            if following is None:
+                return
+            low = following
 
     def _next(self, low: int, last: Row | None, problem: sqlite3.Error) -> int | None:
         """The rowid after which rows can be read again, or None; what lies between is lost."""

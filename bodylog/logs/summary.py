@@ -5,8 +5,9 @@ from dataclasses import replace
 from typing import Any
 
 from ..errors import FormatError
+from .chunks import Chunk
 from .ledger import Ledger
-from .mcap import Chunk, Survey
+from .mcap import Survey
 from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, parse, walk
 
 _FOOTER = HEAD.size + 20
@@ -36,10 +37,11 @@ def summary_of(data: memoryview) -> list[Record] | None:
 
 
 def chunks_of(data: memoryview, records: list[Record]) -> list[tuple[Chunk, int]]:
-    """The chunks the summary lists, in file order, each with where its indexes end; FormatError if they are not there."""
+    """The chunks the summary lists, in file order, each with where its indexes end, or FormatError."""
     listed = sorted((record.fields for record in records if record.opcode == CHUNK_INDEX), key=_place)
     chunks = [_chunk(said) for said in listed]
-    ends = [chunk.start + chunk.length + said["message_index_length"] for chunk, said in zip(chunks, listed, strict=True)]
+    sizes = (said["message_index_length"] for said in listed)
+    ends = [chunk.start + chunk.length + size for chunk, size in zip(chunks, sizes, strict=True)]
     starts = [*(chunk.start for chunk in chunks[1:]), records[0].start]
     for chunk, end, following in zip(chunks, ends, starts, strict=False):
         if chunk.start < len(MAGIC) or end > following:

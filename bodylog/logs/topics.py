@@ -1,4 +1,4 @@
-"""One Topic per name, type, encoding and definition, however many channels or connections carry it; batches by topic."""
+"""One Topic per name, type, encoding and definition, however many channels carry it; batches by topic."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
