@@ -5,10 +5,11 @@ from collections.abc import Callable, Mapping
 from ..errors import UsageError
 from ..settings import Estimation
 from ..types import BodyModel, Estimate, Features
-from . import kalman, laplace, predictive_coding
+from . import kalman, laplace, predictive_coding, smoother
 
 METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
     "laplace": laplace.estimate,
+    "smoother": smoother.estimate,
     "ekf": laplace.extended,
     "kalman": kalman.estimate,
     "predictive-coding": predictive_coding.estimate,

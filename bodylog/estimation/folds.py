@@ -1,43 +1,79 @@
 """A long log folded into stretches that are filtered side by side: (E,…) in time order <-> (L,…,C)."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..types import Array
 
-SHORTEST = 64
+SHORTEST = 96
+OVERLAP = 32
 
 
 @dataclass(frozen=True)
 class Fold:
-    """C stretches of L instants hold E events; the last stretch is padded."""
+    """C stretches own `own` events each and look `over` further to both sides, so L = own + 2 over instants.
+
+    The overlap lets an error in where a stretch starts die out before its own events begin.
+    """
 
     events: int
-    length: int
+    own: int
+    over: int
     count: int
 
+    @property
+    def length(self) -> int:
+        """Instants L of a stretch."""
+        return self.own + 2 * self.over
+
     def fold(self, a: Array, fill: float) -> Array:
-        """(E,…) -> (L,…,C), padded with `fill`."""
-        padded = np.full((self.length * self.count, *a.shape[1:]), fill)
-        padded[: self.events] = a
-        return np.ascontiguousarray(np.moveaxis(padded.reshape(self.count, self.length, *a.shape[1:]), 0, -1))
+        """(E,…) -> (L,…,C), with `fill` before the first event and after the last."""
+        padded = np.full((self.own * self.count + 2 * self.over, *a.shape[1:]), fill)
+        padded[self.over : self.over + self.events] = a
+        rows = np.arange(self.length)[:, None] + self.own * np.arange(self.count)
+        return np.ascontiguousarray(np.moveaxis(padded[rows], 1, -1))
 
     def unfold(self, a: Array) -> Array:
-        """(L,…,C) -> (E,…)."""
-        return np.moveaxis(a, -1, 0).reshape(-1, *a.shape[1:-1])[: self.events]
+        """(L,…,C) -> (E,…): each event from the stretch that owns it."""
+        mine = a[self.over : self.over + self.own]
+        return np.moveaxis(mine, -1, 0).reshape(-1, *a.shape[1:-1])[: self.events]
 
     def pick(self, a: Array, events: Array) -> Array:
         """Rows (F,…) of the folded a (L,…,C) at the given events."""
-        rows: Array = a[events % self.length, ..., events // self.length]
+        rows: Array = a[events % self.own + self.over, ..., events // self.own]
         return rows
 
     def put(self, a: Array, events: Array, rows: Array) -> None:
-        """Write rows (F,…) into the folded a (L,…,C) at the given events."""
-        a[events % self.length, ..., events // self.length] = rows
+        """Write rows (F,…) into the folded a (L,…,C) at the given events, in every stretch that sees them."""
+        for which, instant, stretch in self._copies(events):
+            a[instant, ..., stretch] = rows[which]
+
+    def _copies(self, events: Array) -> Iterator[tuple[Array, Array, Array]]:
+        stretch, instant = events // self.own, events % self.own + self.over
+        for shift in (-1, 0, 1):
+            at, inside = stretch + shift, instant - shift * self.own
+            which = (at >= 0) & (at < self.count) & (inside >= 0) & (inside < self.length)
+            yield which, inside[which], at[which]
+
+    @property
+    def handover(self) -> int:
+        """Instant whose belief is where the next stretch starts."""
+        return self.own - 1
+
+    @property
+    def takeover(self) -> int:
+        """Instant before which the adjoint is where the previous stretch's way back starts."""
+        return 2 * self.over
+
+    def first_events(self) -> Array:
+        """Last event (C−1,) before each stretch but the first starts."""
+        return np.maximum(np.arange(1, self.count) * self.own - self.over - 1, 0)
 
 
-def fold_for(events: int) -> Fold:
+def fold_for(events: int, over: int = OVERLAP) -> Fold:
     """About as many stretches as instants in each, so that neither numpy calls nor restarts dominate."""
-    length = max(SHORTEST, int(np.ceil(np.sqrt(events))))
-    return Fold(events, length, -(-events // length))
+    own = max(SHORTEST, int(np.ceil(np.sqrt(events))))
+    count = -(-events // own)
+    return Fold(events, own, over if count > 1 else 0, count)

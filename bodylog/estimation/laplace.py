@@ -9,8 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import EvidenceError
 from ..settings import Estimation
-from ..types import Array, BodyModel, Estimate, Features, Finding
+from ..types import Array, BodyModel, Estimate, Fault, Features, Finding
 from . import results
 from .folds import Fold, fold_for
 from .precision import Precision, resolve
@@ -24,7 +25,7 @@ START_STD = 1.0
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""
 SWEEPS = 60
-SETTLED = 1e-9
+SETTLED = 1e-8
 """Standard deviations: how little a point of linearisation or a start may still move."""
 
 
@@ -73,12 +74,12 @@ def solve(problem: Problem, points: tuple[Array, ...] | None = None, at: str = "
         readings = linearise(problem, fold, readings, points)
         trace = scan(readings, problem.dynamics, z, p)
         moved = [_points(problem, fold, trace, events, at) for events in problem.timeline.sightings]
-        next_z, next_p = handed_over(z, p, trace)
-        far = max(_far(z, p, next_z, next_p), *(_shift(a, b) for a, b in zip(moved, points, strict=True)), 0.0)
+        next_z, next_p = handed_over(z, p, trace, fold)
+        rest = max(far(z, p, next_z, next_p), *(shift(a, b) for a, b in zip(moved, points, strict=True)), 0.0)
         z, p, points = next_z, next_p, tuple(moved)
-        if far < SETTLED:
-            break
-    return Solution(fold, readings, points, trace)
+        if rest < SETTLED:
+            return Solution(fold, readings, points, trace)
+    raise EvidenceError(f"laplace: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method predictive-coding")
 
 
 def heard(problem: Problem, fold: Fold) -> Readings:
@@ -130,15 +131,15 @@ def starts(problem: Problem, fold: Fold) -> tuple[Array, Array]:
     """Where each stretch starts, z (K,C), p (K,K,C): the prior for the first, a vague guess for the others."""
     z0, p0 = prior(problem)
     z, p = np.repeat(z0[:, None], fold.count, axis=1), np.repeat(p0[:, :, None], fold.count, axis=2)
-    begin = problem.timeline.t[np.arange(1, fold.count) * fold.length - 1]
+    begin = problem.timeline.t[fold.first_events()]
     z[: len(problem.start), 1:] = _angles(problem, begin).T
     return z, p
 
 
-def handed_over(z: Array, p: Array, trace: Trace) -> tuple[Array, Array]:
+def handed_over(z: Array, p: Array, trace: Trace, fold: Fold) -> tuple[Array, Array]:
     """Starts for the next sweep: each stretch begins where its predecessor ended."""
     z, p = z.copy(), p.copy()
-    z[:, 1:], p[:, :, 1:] = trace.z[-1, :, :-1], trace.p[-1, :, :, :-1]
+    z[:, 1:], p[:, :, 1:] = trace.z[fold.handover, :, :-1], trace.p[fold.handover, :, :, :-1]
     return z, p
 
 
@@ -147,13 +148,14 @@ def _points(problem: Problem, fold: Fold, trace: Trace, events: Array, at: str) 
     return fold.pick(source, events)[:, : len(problem.start)]
 
 
-def _far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
+def far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
     """The most a start moved, in standard deviations."""
     std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
     return float(max(np.abs((next_z - z) / std).max(), np.abs(before / std - 1.0).max()))
 
 
-def _shift(a: Array, b: Array) -> float:
+def shift(a: Array, b: Array) -> float:
+    """The most a point of linearisation moved, rad."""
     return float(np.abs(a - b).max(initial=0.0))
 
 
@@ -168,19 +170,21 @@ def extended(features: Features, body: BodyModel, settings: Estimation) -> Estim
 
 
 def _estimate(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
-    problem, findings = pose(features, body, settings)
+    problem, faults, findings = pose(features, body, settings)
     solution = solve(problem, at=at)
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     beliefs = Beliefs(
         unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
-        unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(), (), findings,
+        unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(), faults, findings,
     )  # fmt: skip
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
 
 
-def pose(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Finding, ...]]:
+def pose(
+    features: Features, body: BodyModel, settings: Estimation
+) -> tuple[Problem, tuple[Fault, ...], tuple[Finding, ...]]:
     """The log as a problem to be filtered, with precisions resolved, and what was noticed on the way."""
     evidence = gather(features, body, settings)
     first = start(evidence, settings, len(body.joints))
     precision = resolve(evidence, body, settings)
-    return Problem(evidence, timeline(evidence, settings.rate), first, precision), ()
+    return Problem(evidence, timeline(evidence, settings.rate), first, precision), (), ()

@@ -32,7 +32,7 @@ def learn_one(t: Array, y: Array) -> tuple[float, float] | None:
     """Noise variance and acceleration density of one joint that maximise the evidence; None when it never changes."""
     if np.ptp(y) == 0.0:
         return None
-    fold = fold_for(len(t))
+    fold = fold_for(len(t), over=0)
     fresh = _breaks(t, y)
     step = float(np.median(np.diff(t)))
     ratios = np.geomspace(1e-9, 1e6, 31) / step**3  # process / noise variance, scaled so that 1 is balanced per reading

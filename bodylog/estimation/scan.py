@@ -12,6 +12,9 @@ from ..types import Array
 GATE = 5.0
 """Standard deviations: a rarer innovation d has its noise raised until its pull falls as GATE²/d (redescending)."""
 
+EVEN = 16
+"""Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
+
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
@@ -68,6 +71,8 @@ def scan(readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: b
     visual: Array = np.any(np.isfinite(readings.y), axis=(1, 2, 3))
     for i in range(length):
         propagate(readings.dt[i])
+        if i % EVEN == 0:
+            p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
         gains = None if trace.back is None else tuple(part[i] for part in trace.back)
         see = slice(None) if visual[i] or remember else slice(0, 0)

@@ -1,0 +1,119 @@
+"""The full-interval posterior: Gauss–Newton over the whole log, each round one filter forth and one adjoint back.
+
+Linearising all frames at the smoothed angles until they rest gives the maximum a posteriori path. The way back is the
+Bryson–Frazier form, which needs the filter's gains but no inverse.
+"""
+
+import numpy as np
+
+from ..errors import EvidenceError
+from ..settings import Estimation
+from ..types import Array, BodyModel, Estimate, Features
+from . import results
+from .folds import Fold, fold_for
+from .laplace import SETTLED, SWEEPS, Problem, far, guesses, handed_over, heard, linearise, pose, shift, starts
+from .results import Beliefs
+from .scan import EVEN, Readings, Trace, scan
+
+FORTH = 2
+"""Sweeps that only go forth, until the stretches start nearly where they should."""
+
+
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """Smoothed belief: at each output time, all that the whole log says about it."""
+    problem, faults, findings = pose(features, body, settings)
+    fold, trace, (z, cov) = solve(problem)
+    m, plain = len(problem.start), problem.precision
+    beliefs = Beliefs(
+        fold.unfold(z), fold.unfold(cov), fold.unfold(trace.nats), fold.unfold(z[:, :m]), fold.unfold(cov),
+        fold.unfold(trace.encoder_d), plain.scale, plain.plain(), faults, findings,
+    )  # fmt: skip
+    return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
+
+
+def solve(problem: Problem) -> tuple[Fold, Trace, tuple[Array, Array]]:
+    """Fold, the last way forth, and the smoothed state (L,K,C) with the covariance (L,M,M,C) of the angles."""
+    fold, line = fold_for(len(problem.timeline.t)), problem.timeline
+    readings, points, (z, p) = heard(problem, fold), guesses(problem), starts(problem, fold)
+    ends = np.zeros_like(z), np.zeros_like(p)
+    for sweep in range(SWEEPS):
+        readings = linearise(problem, fold, readings, points)
+        trace = scan(readings, problem.dynamics, z, p, remember=sweep >= FORTH)
+        next_z, next_p = handed_over(z, p, trace, fold)
+        moved, (z, p) = far(z, p, next_z, next_p), (next_z, next_p)
+        if sweep < FORTH:
+            points = tuple(fold.pick(trace.z, events)[:, : len(problem.start)] for events in line.sightings)
+            continue
+        smooth, cov, at_start = back(readings, trace, ends, fold.takeover)
+        new_ends = before(at_start)
+        moved = max(moved, _adjoint_moved(ends, new_ends, p))
+        ends = new_ends
+        new = tuple(fold.pick(smooth, events)[:, : len(problem.start)] for events in line.sightings)
+        moved, points = max(moved, *(shift(a, b) for a, b in zip(new, points, strict=True)), 0.0), new
+        if moved < SETTLED:
+            return fold, trace, (smooth, cov)
+    raise EvidenceError(f"smoother: no rest after {SWEEPS} rounds, last move {moved:.2g}; type --method laplace")
+
+
+def back(
+    readings: Readings, trace: Trace, ends: tuple[Array, Array], keep: int
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Smoothed state (L,K,C), covariance (L,M,M,C) of the angles, and the adjoint before instant `keep`."""
+    adjoint, information = ends[0].copy(), ends[1].copy()
+    length, m, c = readings.encoders.shape
+    smooth, cov = np.empty_like(trace.z), np.empty((length, m, m, c))
+    for i in range(length - 1, -1, -1):
+        p = trace.p[i]
+        smooth[i] = trace.z[i] - np.einsum("klc,lc->kc", p, adjoint)
+        half = np.einsum("jkc,klc->jlc", p[:m], information)
+        cov[i] = p[:m, :m] - np.einsum("jlc,lkc->jkc", half, p[:, :m])
+        _unhear(readings, trace, i, adjoint, information)
+        dt = readings.dt[i]
+        adjoint[m : 2 * m] += dt * adjoint[:m]
+        information[m : 2 * m] += dt * information[:m]
+        information[:, m : 2 * m] += dt * information[:, :m]
+        if i % EVEN == 0:
+            information[:] = 0.5 * (information + information.transpose(1, 0, 2))
+        if i == keep:
+            kept = adjoint.copy(), information.copy()
+    return smooth, cov, kept
+
+
+def _unhear(readings: Readings, trace: Trace, i: int, adjoint: Array, information: Array) -> None:
+    """Carry the adjoint (K,C) and its information (K,K,C) back over all readings of instant i, last heard first."""
+    assert trace.back is not None
+    gains, weights, nus = (part[i] for part in trace.back)
+    m, k = readings.encoders.shape[1], len(adjoint)
+    jac = readings.jac[i].reshape(-1, m, adjoint.shape[1])
+    for row in range(len(gains) - 1, -1, -1):
+        gain, weight = gains[row], weights[row]
+        pull = np.einsum("kc,kc->c", gain, adjoint) + nus[row] * weight
+        b = np.einsum("klc,lc->kc", information, gain)
+        curve = np.einsum("kc,kc->c", gain, b) + weight
+        if row >= m:
+            h = jac[row - m]
+            adjoint[:m] -= h * pull
+            information[:m] -= h[:, None] * b[None]
+            information[:, :m] -= b[:, None] * h[None]
+            information[:m, :m] += (h * curve)[:, None] * h[None]
+            continue
+        rows = [row] if k == 2 * m else [row, 2 * m + row]
+        for j in rows:
+            adjoint[j] -= pull
+            information[j] -= b
+            information[:, j] -= b
+        for j in rows:
+            information[j, rows] += curve
+
+
+def before(at_start: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Ends for the next round: each stretch ends where its successor began, and nothing comes after the last."""
+    adjoint, information = (np.zeros_like(part) for part in at_start)
+    adjoint[:, :-1], information[..., :-1] = at_start[0][:, 1:], at_start[1][..., 1:]
+    return adjoint, information
+
+
+def _adjoint_moved(a: tuple[Array, Array], b: tuple[Array, Array], p: Array) -> float:
+    """The most the future's word moved any stretch's end, in standard deviations; p (K,K,C) sets the scale."""
+    std = np.sqrt(np.maximum(np.einsum("iic->ic", p), 0.0))
+    return float(max(np.abs((b[0] - a[0]) * std).max(), np.abs((b[1] - a[1]) * std[:, None] * std[None]).max()))
