@@ -43,9 +43,10 @@ def annotate(
                 writer, kept = _copied(source, base, stream)
             else:
                 writer, kept, findings = carry(source, stream, only)
-            add(writer, outgoing, metadata)
+            add(writer, outgoing)
+            writer.about(NAME, metadata)
             writer.finish()
-        _verify(beside, kept + sum(len(o.log_ns) for o in outgoing), out)
+        verify(beside, kept + sum(len(o.log_ns) for o in outgoing), out)
     return findings
 
 
@@ -55,17 +56,17 @@ def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) 
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, outgoing, metadata)
+            add(writer, outgoing)
+            writer.about(NAME, metadata)
             writer.finish()
-        _verify(beside, sum(len(o.log_ns) for o in outgoing), out)
+        verify(beside, sum(len(o.log_ns) for o in outgoing), out)
 
 
-def add(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str, str]) -> None:
-    """Our topics, messages in order of log time, and the metadata record."""
+def add(writer: Writer, outgoing: Sequence[Outgoing]) -> None:
+    """Topics with their messages in order of log time."""
     numbers = [writer.topic(o.topic, o.type, o.encoding, o.definition, o.definition_encoding, {}) for o in outgoing]
     if outgoing:
         writer.write(_table(outgoing, numbers))
-    writer.about(NAME, metadata)
 
 
 def _base(source: Path) -> Base | None:
@@ -125,7 +126,7 @@ def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:
     )
 
 
-def _verify(beside: Path, expected: int, out: Path) -> None:
+def verify(beside: Path, expected: int, out: Path) -> None:
     """Open what was written and count it by its message indexes."""
     try:
         found = messages(beside)

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError
-from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Synchrony, Topic, Touch
+from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Synchrony, Touch
 from .append import NAME, ROOT
-from .columns import Columns, columns_of
+from .columns import columns_of
 from .containers import Log, open_log
 from .messages import ERROR, PREDICTED, TRACK, unescape
 from .records import METADATA, parse

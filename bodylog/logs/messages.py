@@ -79,9 +79,9 @@ def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = 
 
 
 def from_skin(topic: str, skin: Series, start_ns: int) -> Outgoing:
-    """Proximity (N,cells) 0..1 as bodylog_msgs/Skin."""
+    """Proximity (N,cells) 0..1 as bodylog_msgs/SkinArray."""
     fields: list[Field] = [*cdr.header(stamps(skin.t, start_ns)), ("float32[]", skin.values)]
-    return _plain(topic, "bodylog_msgs/msg/Skin", skin.source_ns, fields)
+    return _plain(topic, "bodylog_msgs/msg/SkinArray", skin.source_ns, fields)
 
 
 def stamps(t: Array, start_ns: int) -> Array:

@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Batch, Finding, Topic
 from .append import NAME, ROOT
+from .chunks import heads_of
 from .containers import Log, open_log, payloads
-from .mcap import heads_of
 from .mcap_write import MESSAGE_HEAD, Messages, gather
 from .records import ATTACHMENT, HEAD, HEADER, MAGIC, MESSAGE, METADATA, parse, walk
 from .ros1 import Convert, converter, known_definition

@@ -22,7 +22,7 @@ _PARTS = {
     ),
     "bodylog_msgs/Vector": "std_msgs/Header header\nstring[] names\nfloat64[] data\n",
     "bodylog_msgs/Scalar": "std_msgs/Header header\nfloat64 data\n",
-    "bodylog_msgs/Skin": "# Proximity of each cell, 0..1.\nstd_msgs/Header header\nfloat32[] data\n",
+    "bodylog_msgs/SkinArray": "# Proximity of each cell, 0..1.\nstd_msgs/Header header\nfloat32[] data\n",
     "bodylog_msgs/Fault": (
         "# A sensor that lied since header.stamp: by `size` in `unit`.\n"
         "std_msgs/Header header\nstring sense\nstring name\nstring kind\nfloat64 size\nstring unit\n"
@@ -57,7 +57,7 @@ _NEEDS = {
     "bodylog_msgs/Covariance": _HEADER,
     "bodylog_msgs/Vector": _HEADER,
     "bodylog_msgs/Scalar": _HEADER,
-    "bodylog_msgs/Skin": _HEADER,
+    "bodylog_msgs/SkinArray": _HEADER,
     "bodylog_msgs/Fault": _HEADER,
     "foxglove_msgs/ImageAnnotations": (
         "foxglove_msgs/CircleAnnotation",

@@ -1,0 +1,111 @@
+"""Any recorded log as one tidy MCAP: roles named alike, every message dated by the clock chosen for its stream."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import LogError, UsageError
+from ..files import replacing, sha256
+from ..settings import Settings
+from ..types import Finding, Outgoing, Recording, Series
+from .annotate import add, verify
+from .append import NAME
+from .mcap_write import Messages
+from .messages import from_joints, from_skin, stamps
+from .pictures import Kind, Picture, pictures
+from .recording import read
+from .transcode import LIBRARY, PROFILE
+from .write import CHUNK_BYTES, Contents, Writer
+
+JOINTS, TRUTH, SKIN = "/joint_states", "/truth/joint_states", "/skin"
+Window = tuple[float, float]
+"""First and last time that is kept (s)."""
+
+ALWAYS: Window = (-np.inf, np.inf)
+
+
+def ingest(
+    path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None
+) -> tuple[Finding, ...]:
+    """`out` becomes an MCAP of the log's signals and pictures from `start` to `end` (s since its first joints).
+
+    LogError when the log has neither signals nor pictures there, UsageError when `out` is the log.
+    """
+    if out.exists() and path.exists() and out.samefile(path):
+        raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
+    recording = read(path, settings)
+    window = (-np.inf if start is None else start, np.inf if end is None else end)
+    signals = outgoing(recording, window)
+    with replacing(out) as beside:
+        with beside.open("wb") as stream:
+            writer = Writer(stream, Contents())
+            writer.begin(PROFILE, LIBRARY)
+            add(writer, signals)
+            count = sum(len(o.log_ns) for o in signals) + _pictures(path, recording, window, writer)
+            if not count:
+                raise LogError(f"{path}: no joints, skin, truth or pictures {_within(start, end)}; see: bodylog info {path}")
+            writer.about(NAME, {"source": path.name, "source_sha256": sha256(path)})
+            writer.finish()
+        verify(beside, count, out)
+    return recording.findings
+
+
+def outgoing(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
+    """The recording's signals within `window` as messages under their tidy names, logged when they were dated."""
+    start_ns = recording.start_ns
+    named = {role: cut(series, start_ns, window) for role, series in signals(recording).items()}
+    out = [from_joints(topic, named[role], start_ns) for role, topic in _JOINTS.items() if role in named]
+    return out + ([from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else [])
+
+
+_JOINTS = {"joints": JOINTS, "truth": TRUTH}
+
+
+def signals(recording: Recording) -> dict[str, Series]:
+    """The recording's signals by role."""
+    found = {"joints": recording.joints, "truth": recording.truth, "skin": recording.skin}
+    return {role: series for role, series in found.items() if series is not None}
+
+
+def cut(series: Series, start_ns: int, window: Window) -> Series:
+    """The rows within `window`, logged when they were dated."""
+    rows = (series.t >= window[0]) & (series.t <= window[1])
+    t = series.t[rows]
+    return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=None)
+
+
+def _pictures(path: Path, recording: Recording, window: Window, writer: Writer) -> int:
+    """Write the pictures within `window`, about a chunk at a time; returns how many."""
+    pending: list[Picture] = []
+    channels: dict[Kind, int] = {}
+    size = count = 0
+    for picture in pictures(path, recording):
+        if not window[0] <= picture.t <= window[1]:
+            continue
+        if picture.kind not in channels:
+            kind = picture.kind
+            channels[kind] = writer.topic(kind.topic, kind.type, "cdr", kind.definition, kind.form, {})
+        pending.append(picture)
+        size += len(picture.payload)
+        if size >= CHUNK_BYTES:
+            writer.write(_messages(pending, channels, count, recording.start_ns))
+            count, size, pending = count + len(pending), 0, []
+    if pending:
+        writer.write(_messages(pending, channels, count, recording.start_ns))
+    return count + len(pending)
+
+
+def _messages(pending: list[Picture], channels: dict[Kind, int], count: int, start_ns: int) -> Messages:
+    log_ns = stamps(np.array([picture.t for picture in pending]), start_ns)
+    length = np.array([len(picture.payload) for picture in pending])
+    data = np.frombuffer(b"".join(picture.payload for picture in pending), np.uint8)
+    channel = np.array([channels[picture.kind] for picture in pending])
+    sequence = count + np.arange(len(pending))
+    return Messages(channel, sequence, log_ns, log_ns, data, np.cumsum(length) - length, length)
+
+
+def _within(start: float | None, end: float | None) -> str:
+    if start is None and end is None:
+        return "in it"
+    return f"from {'the start' if start is None else f'{start} s'} to {'the end' if end is None else f'{end} s'}"

@@ -1,0 +1,127 @@
+"""A recording's pictures as ROS 2 messages: payloads pass undecoded wherever ROS 2 tools can read them."""
+
+from base64 import b64decode
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import FormatError
+from ..types import Array, Recording, Topic
+from . import cdr, images
+from .cdr import Field
+from .containers import open_log, payloads
+from .messages import stamps
+from .objects import reader
+from .ros1 import converter, known_definition
+
+COMPRESSED, RAW = "/camera/image/compressed", "/camera/image"
+_QUALITY = 95
+
+
+class Kind(NamedTuple):
+    """Topic, type, its definition and the definition's encoding."""
+
+    topic: str
+    type: str
+    definition: bytes
+    form: str
+
+
+class Picture(NamedTuple):
+    """One picture: what it is, when (s since start_ns), its payload in CDR."""
+
+    kind: Kind
+    t: float
+    payload: bytes
+
+
+_Convert = Callable[[bytes, int], bytes]
+"""A payload and its stamp (ns) -> CDR."""
+
+
+def pictures(path: Path, recording: Recording) -> Iterator[Picture]:
+    """All pictures the recording accepts, in the order of its file; those of a video or in JSON are made anew."""
+    camera = recording.roles.get("camera", "")
+    topics = {t.id: t for t in recording.topics if camera == t.name or camera.startswith(f"{t.name}.")}
+    if recording.frames is None:
+        return iter(())
+    return _passed(path, recording, topics) if topics else _encoded(recording)
+
+
+def _passed(path: Path, recording: Recording, topics: Mapping[int, Topic]) -> Iterator[Picture]:
+    accepted: dict[int, deque[float]] = {}
+    for frame in recording.frames() if recording.frames else ():
+        accepted.setdefault(frame.source_ns, deque()).append(frame.t)
+    carriers = {number: _carrier(topic) for number, topic in topics.items()}
+    with open_log(path) as log:
+        for batch in log.batches(list(topics)):
+            kind, convert = carriers[batch.topic_id]
+            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+                if times := accepted.get(log_ns):
+                    t = times.popleft()
+                    yield Picture(kind, t, convert(bytes(payload), _stamp(t, recording)))
+
+
+def _stamp(t: float, recording: Recording) -> int:
+    return int(stamps(np.array(t), recording.start_ns))
+
+
+def _carrier(topic: Topic) -> tuple[Kind, _Convert]:
+    name = COMPRESSED if topic.type in images.COMPRESSED else RAW
+    if topic.encoding == "ros1":
+        convert, definition = converter(topic)
+        return Kind(name, topic.type, definition, "ros2msg"), lambda payload, _: bytes(convert(memoryview(payload)))
+    if topic.encoding == "cdr":
+        definition, form = topic.definition, topic.definition_encoding
+        if not definition:
+            definition, form = known_definition(topic.type), "ros2msg"
+        return Kind(name, topic.type, definition, form), lambda payload, _: payload
+    read, make = reader(topic), _compressed if name == COMPRESSED else _raw
+    return _ros2(name), lambda payload, stamp: make(read(payload), stamp)
+
+
+def _ros2(name: str) -> Kind:
+    kind = "sensor_msgs/msg/CompressedImage" if name == COMPRESSED else "sensor_msgs/msg/Image"
+    return Kind(name, kind, known_definition(kind), "ros2msg")
+
+
+def _encoded(recording: Recording) -> Iterator[Picture]:
+    import cv2
+
+    kind = _ros2(COMPRESSED)
+    for frame in recording.frames() if recording.frames else ():
+        done, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        if not done:
+            raise FormatError(f"{recording.name}: the picture at {frame.t:.3f} s cannot be written as JPEG")
+        yield Picture(kind, frame.t, _compressed({"format": "jpeg", "data": jpeg.tobytes()}, _stamp(frame.t, recording)))
+
+
+def _compressed(message: Mapping[str, Any], stamp: int) -> bytes:
+    fields: list[Field] = [*_header(message, stamp), ("string", str(message.get("format", ""))), _bytes(message)]
+    return cdr.serialise(1, fields).data.tobytes()
+
+
+def _raw(message: Mapping[str, Any], stamp: int) -> bytes:
+    fields: list[Field] = [
+        *_header(message, stamp),
+        ("uint32", int(message.get("height", 0))),
+        ("uint32", int(message.get("width", 0))),
+        ("string", str(message.get("encoding", ""))),
+        ("uint8", 0),
+        ("uint32", int(message.get("step", 0))),
+        _bytes(message),
+    ]
+    return cdr.serialise(1, fields).data.tobytes()
+
+
+def _header(message: Mapping[str, Any], stamp: int) -> list[Field]:
+    return cdr.header(np.array([stamp]), str(message.get("frame_id", "")))
+
+
+def _bytes(message: Mapping[str, Any]) -> Field:
+    data = message.get("data", b"")
+    row: Array = np.frombuffer(b64decode(data) if isinstance(data, str) else data, np.uint8)
+    return "uint8[]", row[None]
