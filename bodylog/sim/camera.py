@@ -1,0 +1,135 @@
+"""The head camera: a pinhole, its noise, and spheres drawn to a fraction of a pixel.
+
+Pixel (0, 0) is the centre of the upper left pixel. The renderer that draws the arm has no anti-aliasing, so what is
+tracked, the end effector and the hand, is drawn here from its exact outline; the arm still hides it by its depth.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+
+NEAR, FAR = 0.1, 4.0
+GREEN, RED = (26.0, 190.0, 40.0), (200.0, 32.0, 36.0)
+_NOISE_GREY = 2.0
+_CARD = (96, 98, 102)
+_LIGHT = np.array([-0.4, -0.7, -0.6]) / np.sqrt(1.01)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole: size (px), focal length (px), position (3,) m, rotation (3,3) base -> optical (right, down, ahead)."""
+
+    width: int
+    height: int
+    focal: float
+    position: Array
+    rotation: Array
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """The principal point (px)."""
+        return (self.width - 1) / 2, (self.height - 1) / 2
+
+
+def look(position: Array, target: Array, size: tuple[int, int]) -> Camera:
+    """A camera at `position` that sees `target` in its centre, upright, 58 degrees wide."""
+    ahead = (target - position) / np.linalg.norm(target - position)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    return Camera(*size, 0.9 * size[0], position, np.array([right, np.cross(ahead, right), ahead]))
+
+
+def ellipse_centre(camera: Camera, centre: Array, radius: float) -> Array:
+    """Pixels (N,2) where the outlines of spheres at `centre` (N,3) m have their centroid.
+
+    A sphere at (X, Y, Z) projects to an ellipse centred on (X, Y)·Z/(Z² − r²), a little outside the projection of
+    its own centre: this, not the latter, is what the centroid of a coloured blob measures.
+    """
+    x, y, z = ((centre - camera.position) @ camera.rotation.T).T
+    scale = camera.focal * z / (z**2 - radius**2)
+    return np.column_stack([x * scale, y * scale]) + camera.centre
+
+
+def background(camera: Camera, rng: np.random.Generator) -> Array:
+    """A dark, unsaturated wall (H,W,3) uint8 with soft blotches."""
+    import cv2
+
+    coarse = rng.uniform(52.0, 72.0, (9, 12, 1)) + rng.uniform(-1.5, 1.5, (9, 12, 3))
+    wall = cv2.resize(coarse, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
+    return np.asarray(np.clip(wall, 0, 255).astype(np.uint8))
+
+
+def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: float, colour: Array) -> float:
+    """Draw a lit sphere into picture (H,W,3) uint8 and depth (H,W) m; what share of its outline is seen, 0..1.
+
+    What is less than one radius before its surface does not hide it: that is the neck that carries it.
+    """
+    place = camera.rotation @ (centre - camera.position)
+    if place[2] < NEAR + radius:
+        return 0.0
+    window, full_area = _window(camera, place, radius)
+    rows, columns = window
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        return 0.0
+    cover, surface, light = _shade(camera, place, radius, rows, columns)
+    cover = np.where(surface < depth[window] + radius, cover, 0.0)
+    old = picture[window].astype(float)
+    new = old + cover[..., None] * (light[..., None] * colour - old)
+    picture[window] = np.rint(new).astype(np.uint8)
+    depth[window] = np.where(cover > 0.5, surface, depth[window])
+    return float(cover.sum() / full_area)
+
+
+def _window(camera: Camera, place: Array, radius: float) -> tuple[tuple[slice, slice], float]:
+    """The rows and columns the outline touches, and its whole area in px²."""
+    x, y, z = place
+    flat = z**2 - radius**2
+    middle = np.array([x, y]) * z / flat
+    # Half axes of the outline along u and v: from the tangents of the cone.
+    half = radius * np.sqrt(np.array([x**2, y**2]) + flat) / flat
+    low = np.floor(camera.focal * (middle - half) + camera.centre).astype(int) - 1
+    high = np.ceil(camera.focal * (middle + half) + camera.centre).astype(int) + 2
+    low, high = np.maximum(low, 0), np.minimum(high, [camera.width, camera.height])
+    area = np.pi * radius**2 * np.sqrt(x**2 + y**2 + flat) / flat**1.5 * camera.focal**2
+    return (slice(low[1], high[1]), slice(low[0], high[0])), float(area)
+
+
+def _shade(
+    camera: Camera, place: Array, radius: float, rows: slice, columns: slice
+) -> tuple[Array, Array, Array]:
+    """Per pixel: covered share, depth of the surface (m), brightness."""
+    u, v = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
+    ray = np.stack([(u - camera.centre[0]) / camera.focal, (v - camera.centre[1]) / camera.focal, np.ones(u.shape)], -1)
+    along, square, reach = ray @ place, (ray**2).sum(-1), float(place @ place) - radius**2
+    # Inside the outline the discriminant is positive; divided by its gradient it is the distance to the edge in px.
+    inside = along**2 - reach * square
+    gradient = 2.0 * (along[..., None] * place[:2] - reach * ray[..., :2]) / camera.focal
+    cover = np.clip(0.5 + inside / np.maximum(np.linalg.norm(gradient, axis=-1), 1e-12), 0.0, 1.0)
+    distance = (along - np.sqrt(np.maximum(inside, 0.0))) / square
+    normal = (ray * distance[..., None] - place) / radius
+    return cover, distance, 0.82 + 0.18 * np.maximum(normal @ _LIGHT, 0.0)
+
+
+def card(picture: Array, depth: Array, box: tuple[int, int, int, int], distance: float) -> None:
+    """A grey card over columns and rows (left, top, right, bottom) hides all that is farther than `distance` m."""
+    left, top, right, bottom = box
+    picture[top:bottom, left:right] = _CARD
+    depth[top:bottom, left:right] = distance
+
+
+def grain(camera: Camera, rng: np.random.Generator) -> Array:
+    """Camera noise to crop from: larger than a picture, so that every crop differs; int8, 2 grey levels."""
+    noise = rng.standard_normal((camera.height + 64, camera.width + 64, 3), dtype=np.float32)
+    return np.asarray(np.rint(noise * _NOISE_GREY).astype(np.int8))
+
+
+def expose(picture: Array, noise: Array, rng: np.random.Generator) -> Array:
+    """The picture (H,W,3) uint8 with a random crop of `noise` added."""
+    import cv2
+
+    top, left = rng.integers(0, 65, 2)
+    height, width = picture.shape[:2]
+    crop = noise[top : top + height, left : left + width]
+    return np.asarray(cv2.add(picture, crop, dtype=cv2.CV_8U))

@@ -1,0 +1,143 @@
+"""The camera's stream: pictures with what is true at their stamps."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from . import camera as cameras
+from . import messages
+from .stage import FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
+from .world import EFFECTOR_RADIUS, HAND_RADIUS
+
+_CAMERA_HZ = 20.0
+_OFFSET_NS = 7_000_000
+_QUALITY = 90
+_WHOLE = 0.99
+_SLIDE = 0.25
+_MARGIN = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class _Shot:
+    """The arm without what moves before it: pose, link places and turns, picture and depth."""
+
+    q: Array
+    places: Array
+    turns: Array
+    picture: Array
+    depth: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Card:
+    """A card over columns and rows `box` at `depth` m, in place from `start` to `end` s, sliding in from below."""
+
+    box: tuple[int, int, int, int]
+    depth: float
+    start: float
+    end: float
+
+
+def camera_items(stage: Stage) -> Iterator[Item]:
+    """Pictures, CameraInfo, /tf, and the truth: effector pose and, when wholly in sight, effector and hand pixels."""
+    rng = stage.chance(3)
+    wall, noise = cameras.background(stage.camera, rng), cameras.grain(stage.camera, rng)
+    card = _card(stage)
+    shot: _Shot | None = None
+    for stamps in stamps_of(stage.duration, _CAMERA_HZ, _OFFSET_NS):
+        t = stamps / 1e9
+        q, hands = stage.plan.motion.position(t), seen_hand(stage, t)
+        for row, log in enumerate(late(stamps, 8.0, 14.0, rng)):
+            if shot is None or not np.array_equal(shot.q, q[row]):
+                shot = _shoot(stage, q[row], wall)
+            picture, seen = _compose(stage, shot, hands[row], card, t[row])
+            picture = cameras.expose(picture, noise, rng)
+            yield from _items(stage, shot, int(stamps[row]) + START_NS, int(log), picture, seen)
+
+
+def _shoot(stage: Stage, q: Array, wall: Array) -> _Shot:
+    places, turns = stage.world.pose(q)
+    return _Shot(q, places, turns, *stage.world.picture(stage.camera, wall))
+
+
+def _compose(stage: Stage, shot: _Shot, place: Array, card: _Card | None, t: float) -> tuple[Array, dict[str, Array]]:
+    """The picture at t, and the pixel of each thing that is wholly in sight."""
+    picture, depth = shot.picture.copy(), shot.depth.copy()
+    if card is not None:
+        _cover(picture, depth, card, t)
+    effector = shot.places[stage.world.links.index("effector")]
+    things = {
+        "/truth/hand_pixel": (place, HAND_RADIUS, cameras.RED),
+        "/truth/effector_pixel": (effector, EFFECTOR_RADIUS, cameras.GREEN),
+    }
+    seen = {}
+    for topic, (centre, radius, colour) in things.items():
+        if np.isnan(centre).any():
+            continue
+        if cameras.sphere(picture, depth, stage.camera, centre, radius, np.array(colour)) > _WHOLE:
+            seen[topic] = cameras.ellipse_centre(stage.camera, centre[None], radius)[0]
+    return picture, seen
+
+
+def _items(
+    stage: Stage, shot: _Shot, stamp: int, log: int, picture: Array, seen: dict[str, Array]
+) -> Iterator[Item]:
+    view = stage.camera
+    yield Item(log, stamp, stage.image_topic, _image(stage, stamp, picture))
+    info = messages.camera_info(stamp, FRAME, view.width, view.height, view.focal, view.centre)
+    yield Item(log, stamp, "/camera/camera_info", info)
+    frames = list(zip(stage.world.links, shot.places, shot.turns, strict=True))
+    frames.append((FRAME, view.position, _quaternion(view.rotation.T)))
+    yield Item(log, stamp, "/tf", messages.transforms(stamp, frames))
+    link = stage.world.links.index("effector")
+    yield Item(log, stamp, "/truth/effector_pose", messages.pose(stamp, shot.places[link], shot.turns[link]))
+    for topic, uv in seen.items():
+        yield Item(log, stamp, topic, messages.pixel(stamp, FRAME, uv))
+
+
+def _image(stage: Stage, stamp: int, picture: Array) -> object:
+    import cv2
+
+    if stage.image == "raw":
+        return messages.raw(stamp, FRAME, picture)
+    options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
+    jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)[1]
+    return messages.compressed(stamp, FRAME, jpeg.ravel())
+
+
+def _quaternion(rotation: Array) -> Array:
+    """Unit quaternion (4,) xyzw of a rotation (3,3): the eigenvector of Bar-Itzhack's symmetric matrix."""
+    r = rotation
+    k = np.zeros((4, 4))
+    k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
+    k[3, :3] = k[:3, 3] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
+    k[3, 3] = np.trace(r)
+    vector = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(vector * np.sign(vector[3]))
+
+
+def _card(stage: Stage) -> _Card | None:
+    """The card that hides the end effector wherever it goes while the plan says covered."""
+    if stage.plan.covered is None:
+        return None
+    start, end = stage.plan.covered
+    t = np.arange(max(start, 0.0), min(end, stage.duration) + 0.05, 0.05)
+    link = stage.world.links.index("effector")
+    path = np.array([stage.world.pose(q)[0][link] for q in stage.plan.motion.position(t)])
+    pixels = cameras.ellipse_centre(stage.camera, path, EFFECTOR_RADIUS)
+    ahead = (path - stage.camera.position) @ stage.camera.rotation[2]
+    margin = _MARGIN * stage.camera.width
+    left, top = np.maximum(pixels.min(0) - margin, 0).astype(int)
+    right, bottom = np.minimum(pixels.max(0) + margin, [stage.camera.width, stage.camera.height]).astype(int)
+    return _Card((left, top, right, bottom), float(ahead.min()) - 2.4 * EFFECTOR_RADIUS, start, end)
+
+
+def _cover(picture: Array, depth: Array, card: _Card, t: float) -> None:
+    """Draw the card where it is at t, if it is in the picture."""
+    left, top, right, bottom = card.box
+    out = max(card.start - t, t - card.end, 0.0) / _SLIDE
+    down = round(out * (picture.shape[0] - top))
+    if out < 1.0:
+        cameras.card(picture, depth, (left, top + down, right, min(bottom + down, picture.shape[0])), card.depth)

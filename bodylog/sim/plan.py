@@ -1,0 +1,132 @@
+"""What a scenario is asked for and what it answers with; the shared ways to build an answer."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+import numpy as np
+
+from ..errors import UsageError
+from ..types import Array
+from . import motion
+from .arms import Arm
+
+TRAVEL = 0.8
+"""Seconds the hand takes from outside the picture to the skin, and back."""
+
+Encoders = Callable[[Array, Array, Array], Array]
+"""(t (N,) s, true q (N,M) rad, noise (N,M) rad) -> what the encoders read (N,M)."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What was asked for: everything a scenario may depend on; `rng` is the scenario's own stream of chance."""
+
+    arm: Arm
+    duration: float
+    full: bool
+    variant: str
+    place: str
+    rng: np.random.Generator
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One stroke on the skin: felt from `onset` for `length` s, along the skin's axis from `start` to `stop` (m).
+
+    The picture shows it `delay` s later.
+    """
+
+    onset: float
+    length: float
+    delay: float
+    start: float
+    stop: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What happens: the motion, how encoders read it, contacts, when the view is covered, where the hand seems to be.
+
+    `noise` is the encoders' standard deviation (rad) unless the caller says otherwise; `covered` is the (start, end)
+    in s during which a card hides the end effector; `aside` displaces the picture of the hand, in picture widths.
+    """
+
+    motion: motion.Motion
+    noise: float
+    encoders: Encoders
+    contacts: tuple[Contact, ...] = ()
+    covered: tuple[float, float] | None = None
+    aside: float = 0.0
+
+
+def plain(t: Array, q: Array, noise: Array) -> Array:
+    """Encoders that read the joint angle plus noise."""
+    return q + noise
+
+
+def explore(request: Request, swing: Array, pace: float = 1.0) -> motion.Motion:
+    """Motor babbling: a spline through evenly spread points of the box home ± swing (M,)."""
+    home = np.array(request.arm.home)
+    points = home + motion.spread(int(np.ceil(request.duration / pace)) + 2, swing, request.rng)
+    return motion.wander(points, pace)
+
+
+def reach(request: Request, swing: Array, pace: float = 1.5) -> motion.Motion:
+    """Smooth reaches between places in the middle 70 % of the box home ± swing (M,), which exploration covers."""
+    home = np.array(request.arm.home)
+    points = home + motion.spread(int(np.ceil(request.duration / pace)) + 2, 0.7 * swing, request.rng)
+    return motion.reaches(points, pace)
+
+
+def swing(request: Request, joints: tuple[int, ...] | None = None) -> Array:
+    """The swing (M,) rad of `joints`, or of those that move by default; of all when the request is `full`."""
+    most = np.array(request.arm.swing)
+    chosen = range(len(most)) if request.full else joints or request.arm.moving
+    return np.where(np.isin(np.arange(len(most)), list(chosen)), most, 0.0)
+
+
+def strokes(request: Request, first: float, delay: Callable[[], float]) -> tuple[Contact, ...]:
+    """Contacts from `first` s to the end, each 0.7 to 1.1 s long; the next comes when the hand has left the picture."""
+    contacts: list[Contact] = []
+    onset = first
+    while True:
+        contact = _contact(onset, delay(), request.rng)
+        gone = onset + contact.length + contact.delay + TRAVEL
+        if gone > request.duration:
+            return tuple(contacts)
+        contacts.append(contact)
+        onset = gone + TRAVEL + request.rng.uniform(0.1, 0.9)
+
+
+def _contact(onset: float, delay: float, rng: np.random.Generator) -> Contact:
+    start = rng.uniform(0.08, 0.09)
+    return Contact(onset, rng.uniform(0.7, 1.1), delay, start, start - rng.uniform(0.06, 0.07))
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario: what it shows, its plan, its usual duration (s), its variants and places, the first being usual."""
+
+    summary: str
+    plan: Callable[[Request], Plan]
+    duration: float
+    variants: tuple[str, ...] = ("",)
+    places: tuple[str, ...] = ("",)
+
+
+def choose(scenario: str, option: str, value: str | None, possible: tuple[str, ...]) -> str:
+    """`value`, or the first of `possible` when it is None; UsageError naming the nearest when it is not possible."""
+    if value is None or value in possible:
+        return possible[0] if value is None else value
+    if possible == ("",):
+        raise UsageError(f"scenario {scenario}: it has no {option}s, {value!r} was given; leave --{option} out")
+    raise UsageError(f"scenario {scenario}: {unknown(option, value, possible)}; type: --{option} {possible[0]}")
+
+
+def unknown(what: str, value: str, possible: Iterable[str]) -> str:
+    """One line on a name nobody knows: the possible ones, and the nearest if one is near."""
+    names = list(possible)
+    near = get_close_matches(value, names, 1)
+    hint = f"; nearest: {near[0]}" if near else ""
+    return f"{what} {value!r} is not known; possible: {', '.join(names)}{hint}"

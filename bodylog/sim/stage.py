@@ -1,0 +1,103 @@
+"""What all streams of a recording share: the arm before its camera, the clocks, and chance.
+
+Every stream has its own clock and its own chance. A header stamp is the instant its values are true for; the log
+time is when a recorder would have received it, a few ms later.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..types import Array
+from . import camera as cameras
+from . import hand
+from .arms import Arm
+from .camera import Camera
+from .plan import Plan
+from .world import World, open_world
+
+START_NS = 1_767_225_600 * 1_000_000_000
+"""2026-01-01T00:00:00Z: every recording starts here."""
+
+FRAME = "camera_optical_frame"
+_BLOCK = 1000
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """One message on its way: topic, log time, stamp, message."""
+
+    log_ns: int
+    stamp_ns: int
+    topic: str
+    message: Any
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """All that the streams share; `column` is the column of skin cells the hand touches."""
+
+    world: World
+    arm: Arm
+    plan: Plan
+    camera: Camera
+    column: int
+    duration: float
+    seed: int
+    noise: float
+    image: str
+
+    @property
+    def image_topic(self) -> str:
+        """The topic of the pictures."""
+        return "/camera/image/compressed" if self.image == "jpeg" else "/camera/image"
+
+    def chance(self, stream: int) -> np.random.Generator:
+        """The random numbers of one stream; 0 is the scenario's."""
+        return np.random.default_rng([self.seed, stream])
+
+
+@contextmanager
+def open_stage(
+    arm: Arm, plan: Plan, duration: float, seed: int, size: tuple[int, int], noise: float, image: str
+) -> Iterator[Stage]:
+    """The arm loaded and the camera placed; closed afterwards."""
+    with open_world(arm) as world:
+        places, turns = world.pose(np.array(arm.home))
+        target = places[world.links.index("effector")]
+        camera = cameras.look(target + arm.camera, target, size)
+        link = world.links.index("skin")
+        column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
+        yield Stage(world, arm, plan, camera, column, duration, seed, noise, image)
+
+
+def matrix(xyzw: Array) -> Array:
+    """Rotation matrix (3,3) of a unit quaternion (4,)."""
+    x, y, z, w = xyzw
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+
+
+def stamps_of(duration: float, rate: float, offset_ns: int) -> Iterator[Array]:
+    """Stamps (n,) ns since the start, block by block."""
+    count = int(np.ceil(duration * rate))
+    for first in range(0, count, _BLOCK):
+        yield np.rint(np.arange(first, min(first + _BLOCK, count)) * (1e9 / rate)).astype(np.int64) + offset_ns
+
+
+def late(stamps: Array, least_ms: float, most_ms: float, rng: np.random.Generator) -> Array:
+    """Log times for stamps: later by least to most ms."""
+    return START_NS + stamps + rng.uniform(least_ms * 1e6, most_ms * 1e6, len(stamps)).astype(np.int64)
+
+
+def seen_hand(stage: Stage, t: Array) -> Array:
+    """Where the picture shows the hand's centre (N,3) m, base frame; NaN when away."""
+    places, turns = stage.world.pose(stage.plan.motion.position(t[:1])[0])
+    link = stage.world.links.index("skin")
+    place = hand.path(stage.plan.contacts, stage.column, t, seen=True) @ matrix(turns[link]).T + places[link]
+    ahead = (place - stage.camera.position) @ stage.camera.rotation[2]
+    shift = stage.plan.aside * stage.camera.width / stage.camera.focal * ahead
+    return np.asarray(place + shift[:, None] * stage.camera.rotation[0])

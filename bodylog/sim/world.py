@@ -1,0 +1,111 @@
+"""The arm in PyBullet: posed exactly, never simulated, and rendered without a window."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..errors import UsageError
+from ..types import Array
+from .arms import Arm
+from .camera import FAR, NEAR, Camera
+
+EFFECTOR_RADIUS, HAND_RADIUS = 0.025, 0.035
+
+
+@dataclass(frozen=True)
+class World:
+    """One arm in one PyBullet client: link names in URDF order, `joints` as PyBullet numbers them."""
+
+    bullet: Any
+    client: int
+    body: int
+    links: tuple[str, ...]
+    joints: tuple[int, ...]
+
+    def pose(self, q: Array) -> tuple[Array, Array]:
+        """Put the joints at q (M,) rad: positions (L,3) m and orientations (L,4) xyzw of all links."""
+        for joint, angle in zip(self.joints, q, strict=True):
+            self.bullet.resetJointState(self.body, joint, float(angle), physicsClientId=self.client)
+        numbers = list(range(len(self.links)))
+        states = self.bullet.getLinkStates(self.body, numbers, 0, True, physicsClientId=self.client)
+        return np.array([state[4] for state in states]), np.array([state[5] for state in states])
+
+    def picture(self, camera: Camera, wall: Array) -> tuple[Array, Array]:
+        """The arm as it stands before `wall` (H,W,3): RGB (H,W,3) uint8 and depth along the view (H,W) m."""
+        shot = self.bullet.getCameraImage(
+            camera.width,
+            camera.height,
+            _view(camera),
+            _projection(camera),
+            shadow=0,
+            renderer=self.bullet.ER_TINY_RENDERER,
+            flags=self.bullet.ER_NO_SEGMENTATION_MASK,
+            physicsClientId=self.client,
+        )
+        colour = np.asarray(shot[2], np.uint8).reshape(camera.height, camera.width, 4)
+        buffer = np.asarray(shot[3], np.float32).reshape(camera.height, camera.width)
+        picture = np.where((buffer < 1.0)[..., None], colour[..., :3], wall)
+        return picture, FAR * NEAR / (FAR - (FAR - NEAR) * buffer)
+
+
+@contextmanager
+def open_world(arm: Arm) -> Iterator[World]:
+    """The arm, loaded in its own PyBullet client; UsageError when PyBullet is not installed."""
+    with _silence():
+        try:
+            import pybullet
+        except ImportError as error:
+            raise UsageError("recording needs PyBullet, not installed here; type: pip install 'bodylog[sim]'") from error
+        client = pybullet.connect(pybullet.DIRECT)
+        body = pybullet.loadURDF(str(arm.urdf), useFixedBase=True, physicsClientId=client)
+    try:
+        yield _world(pybullet, client, body, arm)
+    finally:
+        pybullet.disconnect(client)
+
+
+def _world(bullet: Any, client: int, body: int, arm: Arm) -> World:
+    count = bullet.getNumJoints(body, physicsClientId=client)
+    infos = [bullet.getJointInfo(body, number, physicsClientId=client) for number in range(count)]
+    numbers = {info[1].decode(): info[0] for info in infos}
+    links = tuple(info[12].decode() for info in infos)
+    # The effector is drawn by camera.sphere, with soft edges.
+    bullet.changeVisualShape(body, links.index("effector"), rgbaColor=[0, 0, 0, 0], physicsClientId=client)
+    return World(bullet, client, body, links, tuple(numbers[name] for name in arm.joints))
+
+
+def _view(camera: Camera) -> list[float]:
+    """OpenGL view matrix, column major: x right, y up, z towards the viewer."""
+    view = np.eye(4)
+    view[:3, :3] = np.diag([1.0, -1.0, -1.0]) @ camera.rotation
+    view[:3, 3] = -view[:3, :3] @ camera.position
+    return [float(value) for value in view.T.ravel()]
+
+
+def _projection(camera: Camera) -> list[float]:
+    """OpenGL projection matrix, column major, of the same pinhole."""
+    matrix = np.zeros((4, 4))
+    matrix[0, 0], matrix[1, 1] = 2 * camera.focal / camera.width, 2 * camera.focal / camera.height
+    matrix[2, 2], matrix[2, 3] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+    matrix[3, 2] = -1.0
+    return [float(value) for value in matrix.T.ravel()]
+
+
+@contextmanager
+def _silence() -> Iterator[None]:
+    """PyBullet's C code writes its build time to file descriptor 2 when imported: keep it to itself."""
+    sys.stderr.flush()
+    kept = os.dup(2)
+    nothing = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(nothing)
+        os.close(kept)
