@@ -5,13 +5,16 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import __version__
 from .errors import LogError, UsageError
 from .files import sha256
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Features, Finding, Health, Outgoing, Recording, Score
+
+if TYPE_CHECKING:
+    from .report.overlay import Picture
 
 Progress = Callable[[int], None]
 
@@ -48,7 +51,11 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
     from .logs import recording
 
     read = recording.read(log, settings)
-    return read, perception.observe(read, settings, progress)
+    if read.features is None:
+        return read, perception.observe(read, settings, progress)
+    carried = Finding("info", f"{log}: it carries tracks of an earlier run, which are used; its pictures are not read")
+    found = replace(read.features, joints=read.joints, findings=(*read.features.findings, carried))
+    return read, found
 
 
 def extract(log: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
@@ -80,14 +87,14 @@ def fit(logs: Sequence[Path], out: Path, settings: Settings, progress: Progress 
 def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
     """Replay a log against a learned body and write it back with the estimate in it."""
     from .body import model
-    from .logs import annotate
+    from .logs import annotate, annotated
 
     _distinct(log, out)
     learned = model.load(body)
     read, features = observe(log, settings, progress)
     found = infer(features, learned, settings)
     outgoing = _estimate_messages(read, features, found)
-    provenance = _provenance([log], settings) | {"body_sha256": sha256(body), "resolved": _json(found.settings)}
+    provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)
     lost = annotate.annotate(log, outgoing, provenance, out)
     remarks = (*read.findings, *features.findings, *found.findings, *lost)
     return Result(out, judge(found, read), {**features.health, **found.used}, remarks, dict(found.settings))
@@ -189,6 +196,33 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
     read, features = observe(source, settings, progress)
     figures.recording_figure(read, features, out)
     return Result(out, (), features.health, (*read.findings, *features.findings), plain(settings))
+
+
+def report(log: Path, out: Path, settings: Settings, figures: Path | None = None) -> Result:
+    """One page on an annotated log; with `figures`, the same as pictures in that folder."""
+    from .logs import annotated
+    from .report import html, overlay
+
+    _distinct(log, out)
+    read, features = observe(log, settings)
+    found = annotated.read_estimate(log, read.start_ns)
+    shown = overlay.pictures(read, features, found)
+    html.write(out, found, features, read, judge(found, read), shown, annotated.read_metadata(log))
+    if figures is not None:
+        _figures(figures, read, features, found, shown)
+    return Result(out, judge(found, read), found.used, read.findings)
+
+
+def _figures(
+    folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]"
+) -> None:
+    from .report import figures, overlay
+
+    folder.mkdir(parents=True, exist_ok=True)
+    figures.recording_figure(read, features, folder / "recording.png")
+    figures.estimate_figure(found, read.truth, read.joints, folder / "estimate.png")
+    if shown:
+        overlay.overlay_sheet(shown, folder / "overlay.png")
 
 
 def count(log: Path) -> int:

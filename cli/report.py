@@ -4,17 +4,18 @@ from pathlib import Path
 
 import click
 
-from .options import common_options, log_argument, out_option, settings
+from .options import PATH, common_options, log_argument, out_option, settings
 
 
 @click.command(epilog="Example: bodylog report run.mcap -o report.html")
 @log_argument
 @out_option("The page to write (.html).")
+@click.option("--figures", type=PATH, metavar="DIR", help="Also draw figures (PNG) into this folder.")
 @common_options
-def report(log: Path, out: Path, config_file: Path | None, as_json: bool) -> int:
+def report(log: Path, out: Path, figures: Path | None, config_file: Path | None, as_json: bool) -> int:
     """One self-contained HTML page on an annotated log."""
     from bodylog import pipeline
 
     from .output import show
 
-    return show(pipeline.report(log, out, settings(config_file)), as_json)
+    return show(pipeline.report(log, out, settings(config_file), figures), as_json)
