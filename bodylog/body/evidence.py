@@ -12,7 +12,7 @@ _JITTER = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class Hyper:
-    """Kernel of one group of outputs: scales (M,) · amplitude · noise, white variance beyond the floor."""
+    """Kernel of one group of outputs: scales (M,) · amplitude · noise, white variance beyond the known."""
 
     scales: Array
     amplitude: float
@@ -31,6 +31,26 @@ def hyper(theta: Array) -> Hyper:
 
 
 @dataclass(frozen=True, eq=False)
+class Spread:
+    """Known noise covariance of n samples: diagonal (n,) and entries value (L,) at rows i > columns j, each once."""
+
+    diagonal: Array
+    i: Array
+    j: Array
+    value: Array
+
+    def scaled(self, factor: float) -> "Spread":
+        """The same in other units."""
+        return Spread(self.diagonal * factor, self.i, self.j, self.value * factor)
+
+
+def independent(diagonal: Array) -> Spread:
+    """Noise without covariance between samples."""
+    nothing = np.zeros(0, np.int64)
+    return Spread(diagonal, nothing, nothing, np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
 class Posterior:
     """Exact posterior: alpha (n,G) = K⁻¹(y − mean) · mean (G,) · chol (n,n) lower · evidence in nats."""
 
@@ -40,18 +60,37 @@ class Posterior:
     evidence: float
 
 
-def condition(kernel: Hyper, x: Array, y: Array, floor: Array) -> Posterior:
-    """Posterior of outputs y (n,G) that share `kernel`, with known noise variance `floor` (n,) per sample."""
-    return _condition(_gram(kernel, x), kernel, y, floor)
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of length scales beforehand: log-normal about `scales` (M,) or (), relative width `width`."""
+
+    scales: Array
+    width: float
+
+    def scaled(self, factor: Array) -> "Prior":
+        """The same for inputs in other units."""
+        return Prior(self.scales * factor, self.width)
 
 
-def evidence(theta: Array, x: Array, y: Array, floor: Array) -> tuple[float, Array]:
+FLAT = Prior(np.ones(()), np.inf)
+
+# A point that turns about a joint is projected with autocovariance cos τ, whose curvature is that of l = 1 rad;
+# perspective and the joints beyond change that by less than a factor of two (two widths).
+ROTATION = Prior(np.ones(()), 0.35)
+
+
+def condition(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior:
+    """Posterior of outputs y (n,G) that share `kernel`, with known noise `spread`."""
+    return _condition(_gram(kernel, x), kernel, y, spread)
+
+
+def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
     """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
     from scipy.linalg.lapack import dpotri
 
     kernel = hyper(theta)
     gram = _gram(kernel, x)
-    found = _condition(gram, kernel, y, floor)
+    found = _condition(gram, kernel, y, spread)
     inverse, _ = dpotri(found.chol, lower=1, overwrite_c=1)
     group = y.shape[1]
     trace = found.alpha.ravel() @ found.alpha.ravel() - group * np.trace(inverse)
@@ -62,25 +101,24 @@ def evidence(theta: Array, x: Array, y: Array, floor: Array) -> tuple[float, Arr
     inverse[np.diag_indices_from(inverse)] *= 0.5
     rows, columns = inverse @ z, inverse.T @ z
     for a in found.alpha.T:
-        spread = a[:, None] * (gram @ (a[:, None] * z))
-        rows, columns = rows + spread, columns + spread
+        fit = a[:, None] * (gram @ (a[:, None] * z))
+        rows, columns = rows + fit, columns + fit
     # Σ P (zᵢ − zⱼ)² = zᵢ²·row sums + zⱼ²·column sums − 2 zᵢ P zⱼ, P not symmetric
     scales = np.square(z[:, 1:]).T @ (rows[:, 0] + columns[:, 0]) - 2.0 * (z[:, 1:] * rows[:, 1:]).sum(axis=0)
     gradient = 0.5 * np.concatenate([[rows[:, 0].sum()], scales, [kernel.noise * trace]])
     return found.evidence, gradient
 
 
-def maximise(x: Array, y: Array, floor: Array, starts: list[Hyper], iterations: int = 100) -> Hyper:
-    """The kernel of greatest evidence reached by L-BFGS-B from any of the starts; x and y of order one."""
+def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: list[Hyper], iterations: int = 100) -> Hyper:
+    """The kernel of greatest evidence under the prior, by L-BFGS-B from any of the starts; x and y of order one."""
     from scipy.optimize import minimize
 
     bounds = [(-10.0, 16.0)] + [(-5.0, 10.0)] * x.shape[1] + [(-23.0, 3.0)]
     best, value = starts[0], -np.inf
     for start in starts:
         first = np.clip(start.theta, *np.transpose(bounds))
-        found = minimize(
-            _loss, first, (x, y, floor), "L-BFGS-B", True, bounds=bounds, options={"maxiter": iterations, "ftol": 1e-10}
-        )
+        options = {"maxiter": iterations, "ftol": 1e-10}
+        found = minimize(_loss, first, (x, y, spread, prior), "L-BFGS-B", True, bounds=bounds, options=options)
         if -found.fun > value:
             best, value = hyper(found.x), -found.fun
     return best
@@ -94,9 +132,11 @@ def starts(x: Array, seed: int, count: int) -> list[Hyper]:
     return [first, *(hyper(first.theta + jump) for jump in jumps)]
 
 
-def _loss(theta: Array, x: Array, y: Array, floor: Array) -> tuple[float, Array]:
-    value, gradient = evidence(theta, x, y, floor)
-    return -value, -gradient
+def _loss(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior) -> tuple[float, Array]:
+    value, gradient = evidence(theta, x, y, spread)
+    away = (theta[1:-1] - np.log(prior.scales)) / prior.width
+    gradient[1:-1] -= away / prior.width
+    return 0.5 * float(away @ away) - value, -gradient
 
 
 def _gram(kernel: Hyper, x: Array) -> Array:
@@ -104,10 +144,10 @@ def _gram(kernel: Hyper, x: Array) -> Array:
     return se(z, z, kernel.amplitude)
 
 
-def _condition(gram: Array, kernel: Hyper, y: Array, floor: Array) -> Posterior:
+def _condition(gram: Array, kernel: Hyper, y: Array, spread: Spread) -> Posterior:
     from scipy.linalg.lapack import dpotrs
 
-    chol = cholesky(gram, floor + kernel.noise)
+    chol = cholesky(gram, spread, kernel.noise)
     solved, _ = dpotrs(chol, np.column_stack([np.ones(len(y)), y]), lower=1)
     mean = solved[:, 1:].sum(axis=0) / solved[:, 0].sum()
     alpha = solved[:, 1:] - solved[:, :1] * mean
@@ -116,14 +156,15 @@ def _condition(gram: Array, kernel: Hyper, y: Array, floor: Array) -> Posterior:
     return Posterior(alpha, mean, chol, float(-0.5 * fit - entropy))
 
 
-def cholesky(gram: Array, diagonal: Array) -> Array:
-    """Lower factor (n,n) of gram + diag(diagonal), zeros above; jitter grows tenfold until it exists."""
+def cholesky(gram: Array, spread: Spread, noise: float) -> Array:
+    """Lower factor (n,n) of gram + spread + noise I, zeros above; jitter grows tenfold until it exists."""
     from scipy.linalg.lapack import dpotrf
 
     jitter = _JITTER * float(np.mean(np.diag(gram)))
     for _ in range(9):
         matrix = gram.T.copy(order="F")
-        matrix[np.diag_indices_from(matrix)] += diagonal + jitter
+        matrix[np.diag_indices_from(matrix)] += spread.diagonal + (noise + jitter)
+        matrix[spread.i, spread.j] += spread.value
         chol, failed = dpotrf(matrix, lower=1, overwrite_a=1)
         if not failed:
             return np.asarray(chol)

@@ -13,10 +13,10 @@ _BLOCK_BYTES = 4 << 20
 
 @dataclass(frozen=True, eq=False)
 class GP:
-    """One sense's learned model; every output has its own squared-exponential kernel on shared centres.
+    """One sense's learned model: D outputs on shared centres, one squared-exponential kernel (G=1) or one each (G=D).
 
-    outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (D,M) rad · amplitude (D,) unit² ·
-    mean (D,) unit · weights (D,n) · factor (D,n,n): variance = amplitude − |factor k|² · noise (D,) unit² found
+    outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² ·
+    mean (D,) unit · weights (D,n) · factor (G,n,n): variance = amplitude − |factor k|² · noise (D,) unit² found
     beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
     """
 
@@ -39,20 +39,19 @@ class GP:
         if len(x) == 1:
             value, slope, spread = self.predict_one(x[0])
             return value[None], slope[None], spread[None]
-        count, (outputs, inputs) = len(x), self.scales.shape
-        value, slope = np.empty((count, outputs)), np.empty((count, outputs, inputs))
-        spread = np.empty((count, outputs))
-        for d, rows, kernel in self._kernels(x):
-            value[rows, d], slope[rows, d] = self._linear(d, x[rows], kernel)
-            spread[rows, d] = self.amplitude[d] - np.square(kernel @ self.factor[d].T).sum(axis=1)
-        return value, slope, np.maximum(spread, 0.0, out=spread)
+        value, slope, spread = self._empty(len(x))
+        for group, rows, kernel in self._kernels(x):
+            self._linear(group, x[rows], kernel, value[rows], slope[rows])
+            left = self.amplitude[group] - np.square(kernel @ self.factor[group].T).sum(axis=1)
+            spread[rows, self._members(group)] = np.maximum(left, 0.0)[:, None]
+        return value, slope, spread
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         kernel, value, slope = self._at(x)
         projected = np.matmul(self.factor, kernel[:, :, None])[:, :, 0]
-        spread = self.amplitude - np.einsum("dn,dn->d", projected, projected)
-        return value, slope, np.maximum(spread, 0.0)
+        left = np.maximum(self.amplitude - np.einsum("gn,gn->g", projected, projected), 0.0)
+        return value, slope, np.repeat(left, len(value) // len(left))
 
     def mean_one(self, x: Array) -> tuple[Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad; the short way."""
@@ -60,28 +59,29 @@ class GP:
 
     def means(self, x: Array) -> tuple[Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance: O(N n)."""
-        value, slope = np.empty((len(x), len(self.mean))), np.empty((len(x), *self.scales.shape))
-        for d, rows, kernel in self._kernels(x):
-            value[rows, d], slope[rows, d] = self._linear(d, x[rows], kernel)
+        value, slope, _ = self._empty(len(x))
+        for group, rows, kernel in self._kernels(x):
+            self._linear(group, x[rows], kernel, value[rows], slope[rows])
         return value, slope
 
     def covariance(self, x: Array) -> Array:
-        """Between all pairs of x (N,M) rad: (D,N,N) unit²; model error is systematic, this says how far along."""
-        result = np.empty((len(self.mean), len(x), len(x)))
-        for d, scales in enumerate(self.scales):
-            kernel = se(x / scales, self.centres / scales, self.amplitude[d])
-            projected = kernel @ self.factor[d].T
-            result[d] = se(x / scales, x / scales, self.amplitude[d]) - projected @ projected.T
+        """Between all pairs of x (N,M) rad: (G,N,N) unit²; model error is systematic, this says how far along."""
+        result = np.empty((len(self.scales), len(x), len(x)))
+        for group, scales in enumerate(self.scales):
+            kernel = se(x / scales, self.centres / scales, self.amplitude[group])
+            projected = kernel @ self.factor[group].T
+            result[group] = se(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T
         return result
 
     def slope_variance(self, x: Array) -> Array:
         """Variance of the Jacobian at x (N,M) rad: (N,D,M) per rad squared."""
-        result = np.empty((len(x), *self.scales.shape))
-        for d, rows, kernel in self._kernels(x):
-            for m, scale in enumerate(self.scales[d]):
+        result = self._empty(len(x))[1]
+        for group, rows, kernel in self._kernels(x):
+            for m, scale in enumerate(self.scales[group]):
                 lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
-                result[rows, d, m] = self.amplitude[d] / scale**2 - np.square(lean @ self.factor[d].T).sum(axis=1)
-        return np.maximum(result, 0.0, out=result)
+                left = self.amplitude[group] / scale**2 - np.square(lean @ self.factor[group].T).sum(axis=1)
+                result[rows, self._members(group), m] = np.maximum(left, 0.0)[:, None]
+        return result
 
     def _at(self, x: Array) -> tuple[Array, Array, Array]:
         lifted = self._lifted.copy()
@@ -90,19 +90,27 @@ class GP:
         sums = (kernel * self.weights) @ lifted.T
         return kernel, sums[:, -1] + self.mean, sums[:, :-1] * self._minus_precision
 
-    def _linear(self, d: int, x: Array, kernel: Array) -> tuple[Array, Array]:
-        # dk/dx = −k (x − z)/l²: both sums over centres in one product
-        sums = kernel @ self._moments[d]
-        lean = (x - self._origin) * sums[:, :1] - sums[:, 1:]
-        return sums[:, 0] + self.mean[d], lean * self._minus_precision[d]
+    def _linear(self, group: int, x: Array, kernel: Array, value: Array, slope: Array) -> None:
+        """Fill value (N,D) and slope (N,D,M) of the group's outputs: dk/dx = −k (x − z)/l², sums over centres."""
+        for d in self._members(group):
+            sums = kernel @ self._moments[d]
+            value[:, d] = sums[:, 0] + self.mean[d]
+            slope[:, d] = ((x - self._origin) * sums[:, :1] - sums[:, 1:]) * self._minus_precision[group]
+
+    def _members(self, group: int) -> list[int]:
+        return list(range(len(self.mean))) if len(self.scales) == 1 else [group]
+
+    def _empty(self, count: int) -> tuple[Array, Array, Array]:
+        shape = count, len(self.mean)
+        return np.empty(shape), np.empty((*shape, self.scales.shape[1])), np.empty(shape)
 
     def _kernels(self, x: Array) -> Iterator[tuple[int, slice, Array]]:
         step = max(1, _BLOCK_BYTES // (8 * len(self.centres)))
         for start in range(0, len(x), step):
             rows = slice(start, min(start + step, len(x)))
-            for d, scales in enumerate(self.scales):
+            for group, scales in enumerate(self.scales):
                 near, far = (x[rows] - self._origin) / scales, (self.centres - self._origin) / scales
-                yield d, rows, se(near, far, self.amplitude[d])
+                yield group, rows, se(near, far, self.amplitude[group])
 
     @cached_property
     def _origin(self) -> Array:

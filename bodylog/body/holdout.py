@@ -9,7 +9,8 @@ from .gp import GP
 def residuals(gp: GP, block: Array) -> tuple[Array, Array]:
     """Residual (n,D) of each sample predicted without its block, and its predicted variance (n,D), noise included."""
     residual, variance = np.empty(gp.targets.shape), np.empty(gp.targets.shape)
-    for d, (factor, weights) in enumerate(zip(gp.factor, gp.weights, strict=True)):
+    factors = np.broadcast_to(gp.factor, (len(gp.weights), *gp.factor.shape[1:]))
+    for d, (factor, weights) in enumerate(zip(factors, gp.weights, strict=True)):
         for label in np.unique(block):
             rows = block == label
             inner = np.linalg.inv(factor[:, rows].T @ factor[:, rows])

@@ -10,11 +10,12 @@ from ..errors import EvidenceError
 from ..settings import Settings
 from ..types import BodyModel, Features, Finding, Score
 from . import noise
+from .evidence import ROTATION
 from .gp import GP
 from .holdout import residuals
-from .pairs import Joint, Pairs, joints, moves, pairs
+from .pairs import Joint, Pairs, coupled, joints, moves, pairs
 from .touch import DEFAULT
-from .train import train
+from .train import Samples, train
 
 _LEAST_SIGHTINGS = 8
 _OUTPUTS = ("u", "v")
@@ -43,7 +44,7 @@ def learn(features: Sequence[Features], settings: Settings, provenance: Mapping[
     data = {name: part for name, part in data.items() if len(part.x) >= _LEAST_SIGHTINGS}
     if not data:
         raise EvidenceError("no visual track has enough sightings while joints were heard; type: bodylog doctor LOG")
-    senses = {name: _train(part, settings.fit.seed) for name, part in data.items()}
+    senses = {name: _train(part, chosen, settings.fit.seed) for name, part in data.items()}
     floors = {name: part.floor for name, part in data.items()}
     found = noise.learned([j.acceleration for j in chosen], senses, floors)
     model = BodyModel(tuple(j.name for j in chosen), senses, found, DEFAULT, provenance)
@@ -54,8 +55,9 @@ def _tracks(features: Sequence[Features]) -> list[str]:
     return sorted({name for f in features for name in f.tracks if name != "hand"})
 
 
-def _train(part: Pairs, seed: int) -> GP:
-    return train(part.x, part.y, _OUTPUTS, "px", part.floor, part.variance, seed=seed)
+def _train(part: Pairs, chosen: Sequence[Joint], seed: int) -> GP:
+    data = Samples(part.x, part.y, part.floor, part.variance, coupled(part, chosen))
+    return train(data, _OUTPUTS, "px", ROTATION, seed=seed)
 
 
 def _scores(model: BodyModel, chosen: Sequence[Joint], data: Mapping[str, Pairs]) -> tuple[Score, ...]:
@@ -66,10 +68,10 @@ def _scores(model: BodyModel, chosen: Sequence[Joint], data: Mapping[str, Pairs]
         scores.append(Score(f"held_out.{name}", float(np.sqrt(np.mean(residual**2))), "px"))
         scores.append(Score(f"held_out_standardised.{name}", float(np.mean(residual**2 / variance)), "1"))
         scores.append(Score(f"frames_used.{name}", len(data[name].x) / max(data[name].frames, 1), "1"))
+        for m, joint in enumerate(model.joints):
+            scores.append(Score(f"length_scale.{name}.{joint}", float(gp.scales[0, m]), "rad"))
         for d, output in enumerate(gp.outputs):
             scores.append(Score(f"noise.{name}.{output}", float(np.sqrt(model.noise.senses[name][d])), gp.unit))
-            for m, joint in enumerate(model.joints):
-                scores.append(Score(f"length_scale.{name}.{output}.{joint}", float(gp.scales[d, m]), "rad"))
     return tuple(scores)
 
 

@@ -19,14 +19,14 @@ _KIND = "bodylog body model"
 _HEADER = "header.npy"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
-# n centres, s samples, d outputs, m joints
+# n centres, s samples, d outputs, g kernels, m joints
 _SHAPES: dict[str, str] = {
     "centres": "nm",
-    "scales": "dm",
-    "amplitude": "d",
+    "scales": "gm",
+    "amplitude": "g",
     "mean": "d",
     "weights": "dn",
-    "factor": "dnn",
+    "factor": "gnn",
     "noise": "d",
     "samples": "sm",
     "targets": "sd",

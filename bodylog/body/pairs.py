@@ -7,27 +7,34 @@ import numpy as np
 
 from ..errors import ConfigError, LogError
 from ..types import Array, Features, Series
-from .smooth import Chain, Motion, chain, fit, posterior
+from .smooth import Chain, Motion, chain, coupling, fit, posterior
+from .train import Coupling
 
 _LEAST_RANGE = 0.02
 _BLOCKS = 10
+_COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """x (n,M) rad, variance (n,M) · y (n,D) px, floor (n,D) variance · block (n,) of time · frames looked at."""
+    """x (n,M) rad, variance (n,M) · y (n,D) px, floor (n,D) variance · block (n,) of time.
+
+    log (n,) · t (n,) s, ascending within a log · frames looked at.
+    """
 
     x: Array
     variance: Array
     y: Array
     floor: Array
     block: Array
+    log: Array
+    t: Array
     frames: int
 
     def rows(self, chosen: Array) -> "Pairs":
-        """Only the chosen rows."""
+        """Only the chosen rows, which ascend."""
         x, variance, y, floor = (a[chosen] for a in (self.x, self.variance, self.y, self.floor))
-        return Pairs(x, variance, y, floor, self.block[chosen], self.frames)
+        return Pairs(x, variance, y, floor, self.block[chosen], self.log[chosen], self.t[chosen], self.frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +77,19 @@ def moves(joint: Joint) -> bool:
 def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
     """Sightings of one track with the angles of the chosen joints at the same instants."""
     found = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
-    x, variance, y, floor, block = (
-        np.concatenate([getattr(p, field) for p in found]) for field in ("x", "variance", "y", "floor", "block")
-    )
-    return Pairs(x, variance, y, floor, block, sum(p.frames for p in found))
+    joined = {name: np.concatenate([getattr(p, name) for p in found]) for name in _COLUMNS}
+    return Pairs(**joined, frames=sum(p.frames for p in found))
+
+
+def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
+    """How the errors of the smoothed joints go together from one sighting to the next."""
+    found = []
+    for m, joint in enumerate(chosen):
+        for log in np.unique(part.log):
+            rows = np.flatnonzero(part.log == log)
+            i, j, value = coupling(joint.chains[log], joint.motion, part.t[rows])
+            found.append((rows[i], rows[j], np.full(len(i), m), value))
+    return Coupling(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def _readings(features: Features, index: int, count: int) -> Series:
@@ -98,4 +114,5 @@ def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pair
     x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
     sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)
     block = log * _BLOCKS + np.arange(sound.sum()) * _BLOCKS // max(sound.sum(), 1)
-    return Pairs(x[sound], variance[sound], y[sound], floor[sound], block, len(t))
+    label = np.full(sound.sum(), log)
+    return Pairs(x[sound], variance[sound], y[sound], floor[sound], block, label, t[sound], len(t))

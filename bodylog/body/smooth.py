@@ -13,6 +13,9 @@ _NEAR = 0.25
 _DIFFUSE = 1e-8
 _STIFFEST = {2: -30.0, 3: -20.0}
 _LOOSEST = 14.0
+_REACH = 20.0
+_CHUNK = 64
+_NEGLIGIBLE = 1e-4
 
 
 
@@ -86,19 +89,60 @@ def fit(signals: Sequence[Chain], order: int) -> Motion:
 def posterior(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array]:
     """Mean (K,) rad and variance (K,) rad² of the angle at the times `at` (K,) s; NaN outside the readings."""
     order = motion.order
-    ratio = float(np.log(motion.process / motion.encoder) + (2 * order - 1) * np.log(signal.unit))
+    ratio = _ratio(signal, motion)
     diagonal, upper, right = _blocks(signal, order, ratio)
-    state = _solve(_banded(diagonal, upper), right.ravel())[1].reshape(-1, order)
+    state = _solve(_banded(diagonal, upper), right.reshape(-1, 1))[1].reshape(-1, order)
     own, between = _selected_inverse(diagonal, upper)
-    left = np.clip(np.searchsorted(signal.t, at, side="right") - 1, 0, len(signal.gap) - 1)
-    early = np.clip((at - signal.t[left]) / signal.unit, 0.0, signal.gap[left])
-    from_left, from_right, rest = _bridge(early, signal.gap[left] - early, order, ratio)
+    left, early, late = _place(signal, at)
+    from_left, from_right, rest = _bridge(early, late, order, ratio)
     mean = (from_left * state[left] + from_right * state[left + 1]).sum(axis=1)
     cross = np.einsum("ki,kij,kj->k", from_left, between[left], from_right)
     spread = np.einsum("ki,kij,kj->k", from_left, own[left], from_left) + 2.0 * cross + rest
     spread += np.einsum("ki,kij,kj->k", from_right, own[left + 1], from_right)
     outside = (at < signal.t[0]) | (at > signal.t[-1])
     return np.where(outside, np.nan, signal.centre + mean), np.where(outside, np.nan, motion.encoder * spread)
+
+
+def coupling(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array, Array]:
+    """Posterior covariance of the angle between instants `at` (K,) s ascending: row i > column j, value (L,) rad²."""
+    order, ratio = motion.order, _ratio(signal, motion)
+    reach = int(np.ceil(_REACH * np.exp(-ratio / (2 * order)))) + 1
+    diagonal, upper, _ = _blocks(signal, order, ratio)
+    left, early, late = _place(signal, at)
+    from_left, from_right, _ = _bridge(early, late, order, ratio)
+    parts = []
+    for start in range(0, len(at), _CHUNK):
+        stop = min(start + _CHUNK, len(at))
+        low, high = max(left[start] - reach, 0), min(left[stop - 1] + 2 + reach, len(signal.t))
+        first, last = np.searchsorted(left, [low, high - 1])
+        right = np.zeros((high - low, order, last - first))
+        columns = np.arange(last - first)
+        right[left[first:last] - low, :, columns] = from_left[first:last]
+        right[left[first:last] - low + 1, :, columns] = from_right[first:last]
+        flat = right.reshape(-1, last - first)
+        own = slice(start - first, stop - first)
+        _, solved = _solve(_banded(diagonal[low:high], upper[low : high - 1]), flat[:, own])
+        parts.append(_significant(flat.T @ solved, first, start))
+    i, j, value = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return i, j, motion.encoder * value
+
+
+def _significant(block: Array, first: int, start: int) -> tuple[Array, Array, Array]:
+    """Entries below the diagonal of a slab whose rows start at `first` and columns at `start`, unless negligible."""
+    i, j = np.nonzero(np.abs(block) > _NEGLIGIBLE * block.max())
+    below = i + first > j + start
+    return i[below] + first, j[below] + start, block[i[below], j[below]]
+
+
+def _place(signal: Chain, at: Array) -> tuple[Array, Array, Array]:
+    """Node to the left of each instant (K,), the time since and the time to the next, in the chain's unit."""
+    left = np.clip(np.searchsorted(signal.t, at, side="right") - 1, 0, len(signal.gap) - 1)
+    early = np.clip((at - signal.t[left]) / signal.unit, 0.0, signal.gap[left])
+    return left, early, signal.gap[left] - early
+
+
+def _ratio(signal: Chain, motion: Motion) -> float:
+    return float(np.log(motion.process / motion.encoder) + (2 * motion.order - 1) * np.log(signal.unit))
 
 
 def _bridge(early: Array, late: Array, order: int, ratio: float) -> tuple[Array, Array, Array]:
@@ -131,8 +175,8 @@ def _parts(signals: Sequence[Chain], order: int, unit: float, ratio: float) -> A
     for signal in signals:
         own = ratio + (2 * order - 1) * float(np.log(signal.unit / unit))
         diagonal, upper, right = _blocks(signal, order, own)
-        logdet, mean = _solve(_banded(diagonal, upper), right.ravel())
-        misfit = max(signal.squares - float(right.ravel() @ mean), 0.0)
+        logdet, mean = _solve(_banded(diagonal, upper), right.reshape(-1, 1))
+        misfit = max(signal.squares - float(right.ravel() @ mean.ravel()), 0.0)
         total += signal.count.sum(), misfit, logdet - _prior_logdet(signal, order, own)
     return total
 
@@ -187,14 +231,14 @@ def _banded(diagonal: Array, upper: Array) -> Array:
 
 
 def _solve(band: Array, right: Array) -> tuple[float, Array]:
-    """ln|A| and A⁻¹ right of a banded positive definite A."""
+    """ln|A| and A⁻¹ right (n,k) of a banded positive definite A."""
     from scipy.linalg.lapack import dpbtrf, dpbtrs
 
     factor, failed = dpbtrf(band, lower=0)
     if failed:
         raise np.linalg.LinAlgError("the motion prior is too stiff for these times")
     solved, _ = dpbtrs(factor, right, lower=0)
-    return 2.0 * float(np.log(factor[-1]).sum()), np.asarray(solved).ravel()
+    return 2.0 * float(np.log(factor[-1]).sum()), np.asarray(solved)
 
 
 def _selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:
