@@ -73,9 +73,10 @@ def _plots(points: int, remarks: Sequence[str]) -> str:
         '<output id="shown"></output><span class="soft">drag: zoom · shift-drag, <kbd>←</kbd> <kbd>→</kbd>: move · '
         "ctrl-wheel, <kbd>+</kbd> <kbd>-</kbd>: zoom · double click, <kbd>0</kbd>: whole log</span></div>\n"
         '<noscript><p class="warning">The plots need JavaScript; the tables below do not.</p></noscript>\n'
-        f'<div class="panels" id="panels"></div>\n<div class="soft">{said}<p>Ground orange: touch felt, violet: stroke seen; '
-        f"red line: a fault begins. Lines keep at most {points} points: the lowest and highest of every stretch and its "
-        "gaps; bands are never narrower than the whole ones.</p></div>"
+        '<div class="panels" id="panels"></div>\n<div class="soft">'
+        "<p>Ground orange: touch felt, violet: stroke seen; red line: a fault begins. "
+        f"Lines keep at most {points} points: the lowest and highest of every stretch and its gaps; "
+        f"bands are never narrower than the whole ones.</p>{said}</div>"
     )
 
 

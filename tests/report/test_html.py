@@ -1,0 +1,206 @@
+import base64
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from bodylog.report.html import write
+from bodylog.report.overlay import Picture, pictures
+from bodylog.types import Fault, Finding, Health, Score, Stroke, Synchrony, Touch
+
+from .records import SCORES, estimate, features, recording, series
+
+HOSTILE = "</script><script>window.hit=1</script><img src=x onerror=window.hit=1>&amp;\u2028\u202e\x00'\"$"
+LIMIT = 3_000_000
+
+
+def report(path, **changes):
+    """A page with everything on it, and its text."""
+    parts = {"estimate": estimate(), "features": features(), "recording": recording(), "scores": SCORES} | changes
+    write(path, **parts)
+    return path.read_text(encoding="utf-8")
+
+
+def plotted(page):
+    """The data of the page as its script gets them."""
+    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)[1])
+
+
+def titles(page):
+    return [panel["title"] for panel in plotted(page)["panels"]]
+
+
+def numbers(trace, span):
+    t = np.frombuffer(base64.b64decode(trace["t"]), "<u4") / (2**32 - 1) * (span[1] - span[0]) + span[0]
+    return t, np.frombuffer(base64.b64decode(trace["y"]), "<f4")
+
+
+class Elements(HTMLParser):
+    """Tags and attributes of a page as a browser would see them."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.found = []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attributes):
+        self.found.append((tag, dict(attributes)))
+
+
+def hostile_parts():
+    name = HOSTILE
+    log = recording(joints=(name, "b", "c"), name=name)
+    return {
+        "estimate": replace(
+            estimate(joints=(name, "b", "c")),
+            method=name,
+            errors={name: estimate().errors["effector"]},
+            used={name: Health(2, 1, {name: 1})},
+            faults=(Fault(name, name, name, 3.0, 0.1, name),),
+            findings=(Finding(name, name),),
+            settings={name: name},
+        ),
+        "features": features(tracks={name: features().tracks["effector"]}, findings=(Finding("lost", name),)),
+        "recording": replace(log, roles={name: name}, health={name: Health(1, 0, {name: 1})}, format=name),
+        "scores": (Score(name, 1.0, name),),
+        "pictures": (Picture(1.0, np.zeros((20, 30, 3), np.uint8), name),),
+        "provenance": {name: name},
+    }
+
+
+def test_same_input_same_bytes(tmp_path):
+    drawn = pictures(recording(), features(), estimate())
+    first, second = (report(tmp_path / name, pictures=drawn, provenance={"version": "1"}) for name in ("a", "b"))
+    assert first == second
+    assert len(first) > 100_000
+
+
+def test_the_page_shows_everything(tmp_path):
+    drawn = pictures(recording(), features(), estimate(), 6)
+    page = report(tmp_path / "r.html", pictures=drawn, provenance={"sha256": "ab"})
+    assert titles(page) == [
+        *(f"{name}{what}" for name in recording().joints.names for what in (", rad", " minus truth, rad")),
+        "encoders: prediction error, standard deviations",
+        "effector: prediction error, standard deviations",
+        "free energy, nats",
+        "effector u, px",
+        "effector v, px",
+        "hand u, px",
+        "hand v, px",
+        "skin, 0..1",
+        "touches felt, strokes seen",
+        "synchrony, 0..1",
+        "seen minus felt, s",
+    ]
+    first = plotted(page)["panels"][0]
+    assert [(trace["name"], trace["kind"]) for trace in first["traces"]] == [
+        ("encoder", "line"), ("2σ", "band"), ("belief", "line"), ("truth", "dashes")
+    ]  # fmt: skip
+    assert [mark["ink"] for mark in plotted(page)["marks"]] == ["felt"] * 5 + ["seen"] * 5 + ["fault"]
+    words = ("0.0068 rad", "joint_rmse", "drift", "8.250 s", "60 not seen", "3 not finite", "/joint_states", "sha256")
+    for said in words:
+        assert said in page
+    assert page.count("data:image/jpeg;base64,") == 6
+
+
+def test_the_numbers_arrive(tmp_path):
+    belief = estimate()
+    data = plotted(report(tmp_path / "r.html"))
+    t, y = numbers(data["panels"][0]["traces"][2], data["span"])
+    assert np.allclose(t, belief.joints.t, atol=1e-8) and np.allclose(y, belief.joints.values[:, 0], atol=1e-6)
+    off = numbers(data["panels"][1]["traces"][2], data["span"])[1]
+    assert np.allclose(off, belief.joints.values[:, 0] - recording().truth.values[:, 0], atol=1e-6)
+    band = data["panels"][0]["traces"][1]
+    high = np.frombuffer(base64.b64decode(band["high"]), "<f4")
+    assert np.allclose((high - numbers(band, data["span"])[1]) / 4, np.sqrt(belief.cov[:, 0, 0]), atol=1e-6)
+
+
+def test_a_gap_in_a_track_stays_a_gap(tmp_path):
+    data = plotted(report(tmp_path / "r.html"))
+    seen = next(panel for panel in data["panels"] if panel["title"] == "hand u, px")["traces"][0]
+    t, y = numbers(seen, data["span"])
+    assert (np.isnan(y) == ((t > 6) & (t < 8 - 1e-6))).all()
+
+
+def test_what_is_absent_is_left_out(tmp_path):
+    bare = replace(recording(), truth=None, skin=None, health={}, findings=(), roles={})
+    page = report(tmp_path / "r.html", recording=bare, features=None, scores=())
+    assert titles(page)[:3] == [f"{name}, rad" for name in bare.joints.names]
+    assert not any("truth" in title or "px" in title or "skin" in title for title in titles(page))
+    for absent in ("<h2>Pictures", "<h2>Touches", "<h2>Provenance", "<h2>Remarks", "Health of the log"):
+        assert absent not in page
+    assert titles(report(tmp_path / "n.html", estimate=None))[0] == "joints as recorded, rad"
+
+
+def test_a_page_with_nothing_to_plot_has_no_script(tmp_path):
+    bare = replace(recording(), truth=None, skin=None, joints=None)
+    page = report(tmp_path / "r.html", recording=bare, features=None, estimate=None)
+    assert "<script" not in page and "<canvas" not in page and "Health of the log" in page
+
+
+def test_the_page_needs_no_network(tmp_path):
+    page = report(tmp_path / "r.html", pictures=pictures(recording(), features(), estimate()))
+    assert not re.search(r"(https?:)?//[a-z]", re.sub(r'base64,[^"]*|"[A-Za-z0-9+/=]{40,}"', "", page))
+    loading = [(tag, at) for tag, at in Elements(page).found if "src" in at or tag in ("link", "iframe", "object")]
+    assert all(tag == "img" and at["src"].startswith("data:image/jpeg;base64,") for tag, at in loading)
+
+
+def test_hostile_names_stay_text(tmp_path):
+    page = report(tmp_path / "r.html", **hostile_parts())
+    found = Elements(page).found
+    assert [at.get("type") for tag, at in found if tag == "script"] == ["application/json", None]
+    assert [at for tag, at in found if tag == "img" and "onerror" in at] == []
+    assert not re.search("[\x00\u2028\u202e]", page)
+    assert plotted(page)["panels"][0]["title"] == f"{HOSTILE}, rad"
+    assert not set("<>&") & set(page.split('id="data">')[1].split("</script>")[0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_long_wide_and_busy_logs_stay_below_the_limit(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    names = tuple(f"joint_{m}_of_a_long_named_robot" for m in (7, 64, 200)[seed : seed + 1] for m in range(m))
+    duration = (1200.0, 60.0, 20.0)[seed]
+    log = recording(seed, duration, names)
+    noise = [Picture(float(k), rng.integers(0, 255, (360, 480, 3), dtype=np.uint8), "noise") for k in range(6)]
+    n = 20_000
+    touches = tuple(Touch(i * 1e-3, i * 1e-3 + 1e-4, tuple(range(117)), 1.0, 0, i) for i in range(n))
+    strokes = tuple(Stroke(i * 1e-3, i * 1e-3 + 1e-4, (0.0, 0.0), (1.0, 1.0)) for i in range(n))
+    pairs = tuple(Synchrony(i, i, 1 / 3, 1 / 3) for i in range(n))
+    busy = features(seed, duration, touches=touches, strokes=strokes, synchrony=pairs)
+    crowded = replace(log, health={f"/topic/{i}" * 30: Health(1, 1) for i in range(5000)})
+    belief = estimate(seed, duration, names)
+    page = report(tmp_path / "r.html", recording=crowded, features=busy, estimate=belief, pictures=noise)
+    assert len(page.encode()) <= LIMIT
+    assert "and 4800 more" in page and "Drawn: the first 2000 of 20000 touches." in page
+
+
+def test_numbers_that_are_none_do_not_break_the_page(tmp_path):
+    belief = estimate()
+    wild = belief.free_energy.copy()
+    wild[::7], wild[1::7], wild[2::7] = np.inf, -np.inf, 1e300
+    broken = replace(
+        belief,
+        free_energy=wild,
+        cov=np.full_like(belief.cov, np.nan),
+        faults=(Fault("encoders", "elbow", "stuck", np.nan, np.nan, "rad"),),
+    )
+    page = report(tmp_path / "r.html", estimate=broken, scores=(Score("nees", np.nan, "1"),))
+    data = plotted(page)
+    assert all(np.isfinite([mark["from"], mark["to"]]).all() for mark in data["marks"])
+    energy = next(panel for panel in data["panels"] if panel["title"].startswith("free energy"))["traces"][0]
+    assert np.isfinite(numbers(energy, data["span"])[1]).sum() == (np.abs(wild) < 1e38).sum()
+
+
+@pytest.mark.parametrize("start_ns", [0, -5, 2**62, -(2**62)])
+def test_a_clock_of_any_year_is_said(tmp_path, start_ns):
+    assert "mcap" in report(tmp_path / "r.html", recording=replace(recording(), start_ns=start_ns))
+
+
+def test_a_log_of_one_instant_has_a_time_axis(tmp_path):
+    one = series(np.array([0.0]), np.zeros((1, 1)), ("a",), "rad")
+    instant = replace(recording(), joints=one, skin=None, duration_s=0.0)
+    page = report(tmp_path / "r.html", estimate=None, features=None, recording=instant)
+    assert plotted(page)["span"] == [0.0, 1.0]

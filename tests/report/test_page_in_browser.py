@@ -1,0 +1,100 @@
+import pytest
+
+from bodylog.report.overlay import pictures
+
+from .browser import BROWSER, DRIVER, page
+from .records import estimate, features, recording
+from .test_html import HOSTILE, hostile_parts, report
+
+pytestmark = pytest.mark.skipif(not (DRIVER and BROWSER), reason="needs chromium and chromedriver on the path")
+
+RANGES = "return [...document.querySelectorAll('canvas')].map((c) => [Number(c.dataset.from), Number(c.dataset.to)])"
+DRAWN = "return [...document.querySelectorAll('canvas')].map((c) => c.toDataURL())"
+SHOW = """const c = document.querySelectorAll('canvas')[arguments[0]]; c.scrollIntoView({block: 'center'});
+const b = c.getBoundingClientRect(); return [b.left, b.top, b.width, b.height]"""
+BLANK = """const c = document.createElement('canvas'); [c.width, c.height] = arguments; return c.toDataURL()"""
+
+
+@pytest.fixture(scope="module")
+def window():
+    with page() as opened:
+        yield opened
+
+
+@pytest.fixture
+def whole(tmp_path, window):
+    """The window with a page of everything in it."""
+    report(tmp_path / "r.html", pictures=pictures(recording(), features(), estimate()))
+    window.open(tmp_path / "r.html")
+    return window
+
+
+def drag_across(window, index, start, end):
+    """Drag over one canvas between two shares of its width."""
+    left, top, width, height = window.run(SHOW, index)
+    window.settle()
+    y = round(top + height / 2)
+    window.drag((round(left + start * width), y), (round(left + end * width), y))
+
+
+def test_it_opens_without_complaint_and_draws_every_panel(whole):
+    assert whole.complaints() == []
+    sizes = whole.run("return [...document.querySelectorAll('canvas')].map((c) => [c.width, c.height])")
+    assert len(sizes) == 17
+    assert not set(whole.run(DRAWN)) & {whole.run(BLANK, *size) for size in sizes}
+    assert whole.run("return [...document.images].every((i) => i.complete && i.naturalWidth === 480)")
+
+
+@pytest.mark.parametrize("index", [0, 6, 14])
+def test_zooming_one_panel_moves_the_others_and_zero_brings_all_back(whole, index):
+    before, drawn = whole.run(RANGES), whole.run(DRAWN)
+    assert all(view == pytest.approx([0, 20], abs=0.01) for view in before)
+    drag_across(whole, index, 0.3, 0.5)
+    zoomed = whole.run(RANGES)
+    assert all(view == zoomed[index] for view in zoomed)
+    assert 4 < zoomed[index][0] < 7 and 8 < zoomed[index][1] < 11
+    whole.run("window.scrollTo(0, 0)")
+    assert not any(now == then for now, then in zip(whole.run(DRAWN), drawn, strict=True))
+    whole.press("0")
+    assert whole.run(RANGES) == before
+    whole.drag((1, 1), (2, 1))  # the pointer leaves the panels
+    assert whole.run(DRAWN) == drawn
+    assert whole.complaints() == []
+
+
+def test_arrows_and_signs_move_and_zoom_all(whole):
+    whole.press("+")
+    closer = whole.run(RANGES)
+    assert all(view == pytest.approx([4, 16], abs=0.01) for view in closer)
+    whole.press("\ue014")  # right arrow
+    assert all(view == pytest.approx([6.4, 18.4], abs=0.01) for view in whole.run(RANGES))
+
+
+def test_the_cursor_reads_every_panel_at_once(whole):
+    left, top, width, height = whole.run(SHOW, 0)
+    whole.drag((round(left + width / 2), round(top + height / 2)), (round(left + width / 2), round(top + height / 2)))
+    keys = whole.run("return [...document.querySelectorAll('.key')].map((k) => k.textContent)")
+    assert all(any(digit in key for digit in "0123456789–") for key in keys if key != "feltseen")
+
+
+def test_a_link_in_a_table_leads_to_its_moment(whole):
+    whole.run("[...document.querySelectorAll('td a')].find((a) => a.textContent === '8.250 s').click()")
+    whole.settle()
+    assert all(view == pytest.approx([7.75, 8.75], abs=0.01) for view in whole.run(RANGES))
+
+
+def test_hostile_names_stay_text(tmp_path, window):
+    report(tmp_path / "r.html", **hostile_parts())
+    window.open(tmp_path / "r.html")
+    assert window.complaints() == []
+    assert window.run("return window.hit === undefined && document.querySelectorAll('img[onerror]').length === 0")
+    assert window.run("return document.querySelector('.panel b').textContent") == f"{HOSTILE}, rad"
+    assert "<img src=x onerror=window.hit=1>" in window.run("return document.querySelector('h1').textContent")
+
+
+def test_a_script_that_got_into_the_page_would_not_run(tmp_path, window):
+    text = report(tmp_path / "r.html")
+    (tmp_path / "r.html").write_text(text.replace("</body>", "<script>window.hit = 1</script></body>"))
+    window.open(tmp_path / "r.html")
+    assert window.run("return window.hit === undefined")
+    assert any("Content Security Policy" in said for said in window.complaints())
