@@ -120,7 +120,7 @@ class _Table:
     def aligned(self, name: str, joints: Series, width: int) -> Array:
         """Values (N,width) that go with each row of `joints`; LogError when they do not."""
         t, _, values = self._rows(ROOT + name)
-        data = values[-1].reshape(len(t), -1)
+        data: Array = values[-1].reshape(len(t), -1)
         if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
             raise LogError(f"{self.path}: {ROOT}{name} does not go with {ROOT}joint_states; {_again(self.path)}")
         return data
@@ -176,7 +176,7 @@ class _Table:
             raise _absent(self.path)
         parts = self._parts(topic)
         if len(parts) != 1:
-            raise LogError(f"{self.path}: {topic} holds {len(parts)} sets of names where 1 is needed; {_again(self.path)}")
+            raise LogError(f"{self.path}: {topic} has {len(parts)} sets of names, not 1; {_again(self.path)}")
         (stamp, *values), log_ns = parts[0]
         order = np.argsort(stamp, kind="stable")
         sorted_values = tuple(v if isinstance(v, tuple) else v[order] for v in values)

@@ -44,7 +44,8 @@ def ingest(
             add(writer, signals)
             count = sum(len(o.log_ns) for o in signals) + _pictures(path, recording, window, writer)
             if not count:
-                raise LogError(f"{path}: no joints, skin, truth or pictures {_within(start, end)}; see: bodylog info {path}")
+                lacking = f"no joints, skin, truth or pictures {_within(start, end)}"
+                raise LogError(f"{path}: {lacking}; type: bodylog info {path}")
             writer.about(NAME, {"source": path.name, "source_sha256": sha256(path)})
             writer.finish()
         verify(beside, count, out)

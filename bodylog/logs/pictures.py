@@ -77,7 +77,7 @@ def _carrier(topic: Topic) -> tuple[Kind, _Convert]:
     if topic.encoding == "cdr":
         definition, form = topic.definition, topic.definition_encoding
         if not definition:
-            definition, form = known_definition(topic.type), "ros2msg"
+            definition, form = known_definition(topic.type) or b"", "ros2msg"
         return Kind(name, topic.type, definition, form), lambda payload, _: payload
     read, make = reader(topic), _compressed if name == COMPRESSED else _raw
     return _ros2(name), lambda payload, stamp: make(read(payload), stamp)
@@ -85,7 +85,7 @@ def _carrier(topic: Topic) -> tuple[Kind, _Convert]:
 
 def _ros2(name: str) -> Kind:
     kind = "sensor_msgs/msg/CompressedImage" if name == COMPRESSED else "sensor_msgs/msg/Image"
-    return Kind(name, kind, known_definition(kind), "ros2msg")
+    return Kind(name, kind, known_definition(kind) or b"", "ros2msg")
 
 
 def _encoded(recording: Recording) -> Iterator[Picture]:
@@ -96,7 +96,8 @@ def _encoded(recording: Recording) -> Iterator[Picture]:
         done, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
             raise FormatError(f"{recording.name}: the picture at {frame.t:.3f} s cannot be written as JPEG")
-        yield Picture(kind, frame.t, _compressed({"format": "jpeg", "data": jpeg.tobytes()}, _stamp(frame.t, recording)))
+        message = {"format": "jpeg", "data": jpeg.tobytes()}
+        yield Picture(kind, frame.t, _compressed(message, _stamp(frame.t, recording)))
 
 
 def _compressed(message: Mapping[str, Any], stamp: int) -> bytes:

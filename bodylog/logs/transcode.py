@@ -68,8 +68,9 @@ def _carrier(writer: Writer, topic: Topic, container: str, findings: list[Findin
             findings.append(Finding("warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"))
             return _Carrier(topic, _keep(writer, topic))
     if container != "mcap" and not definition:
-        definition, form = known_definition(kind), "ros2msg"
-        if not definition:
+        known, form = known_definition(kind), "ros2msg"
+        definition = known or b""
+        if known is None:
             text = f"topic {topic.name}: the log has no definition of {kind}; its messages stay without one"
             findings.append(Finding("warning", text))
     if topic.encoding == "ros1" and convert is None:
