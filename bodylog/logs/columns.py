@@ -10,9 +10,11 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Batch, Topic
 from .definitions import Definition, parse
-from .layouts import CDR_KINDS, Layout, Leaf, leaf_field, rest, walk
+from .layouts import Layout, leaf_field, rest, walk
 from .paths import Step
 from .paths import steps as read_steps
+from .rows import Template, agrees, gather, template, values
+from .walker import CDR_KINDS
 
 _MOST_LAYOUTS = 8
 _OBJECTS = ("json", "protobuf")
@@ -138,15 +140,6 @@ def _left_over(definition: Definition, payload: bytes, ros1: bool) -> int | None
         return None
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """A layout made ready to compare eight bytes at a time: mask (w,) of its constants, their reference (w,)."""
-
-    layout: Layout
-    mask: Array
-    reference: Array
-
-
 class _Decoder:
     """Columns of CDR and ROS 1 topics."""
 
@@ -155,7 +148,7 @@ class _Decoder:
     ) -> None:
         self.definition, self.fields, self.paths, self.ros1 = definition, fields, paths, ros1
         self.declared = ros1
-        self.known: list[_Known] = []
+        self.known: list[Template] = []
         self.log_ns: list[Array] = []
         self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
         self.seen = self.fast = self.fallback = 0
@@ -180,7 +173,7 @@ class _Decoder:
         layout = self._walk(payload)
         if layout is None:
             return left[1:]
-        self.known.append(_known(layout, payload))
+        self.known.append(template(layout, payload))
         return self._take(batch, left, self.known[-1])
 
     def _one(self, batch: Batch, index: int) -> None:
@@ -198,11 +191,11 @@ class _Decoder:
             self.rejected["malformed"] += 1
             return None
 
-    def _take(self, batch: Batch, left: Array, known: _Known) -> Array:
+    def _take(self, batch: Batch, left: Array, known: Template) -> Array:
         """Decode the messages of `left` that are laid out as `known`; gives those that are not."""
         long = left[batch.length[left] >= known.layout.width]
-        rows = _gather(batch.data, batch.offset[long], 8 * len(known.mask))
-        same = ~((rows.view(np.uint64) ^ known.reference) & known.mask).any(axis=1)
+        rows = gather(batch.data, batch.offset[long], 8 * len(known.mask))
+        same = agrees(rows, known)
         if not same.all():
             long, rows = long[same], rows[same]
         if len(long):
@@ -211,9 +204,9 @@ class _Decoder:
         return left[:0] if len(long) == len(left) else np.setdiff1d(left, long, assume_unique=True)
 
     def _keep(self, index: Array, rows: Array, layout: Layout) -> None:
-        values = [_values(rows, leaf) for leaf in layout.leaves]
-        shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in values)
-        self.pieces.setdefault(shape, []).append((index + self.seen, values))
+        found = [values(rows, leaf) for leaf in layout.leaves]
+        shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in found)
+        self.pieces.setdefault(shape, []).append((index + self.seen, found))
 
     def columns(self) -> Columns:
         """All that was fed."""
@@ -225,61 +218,6 @@ class _Decoder:
 def _payload(batch: Batch, index: int) -> bytes:
     start = int(batch.offset[index])
     return batch.data[start : start + int(batch.length[index])].tobytes()
-
-
-def _known(layout: Layout, payload: bytes) -> _Known:
-    width = -(-layout.width // 8) * 8
-    mask, reference = np.zeros((2, width), np.uint8)
-    for start, stop in layout.constants:
-        mask[start:stop] = 0xFF
-        reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
-    return _Known(layout, mask.view(np.uint64), reference.view(np.uint64))
-
-
-def _gather(data: Array, offset: Array, width: int) -> Array:
-    """Rows (n,width) of bytes beginning at the offsets; what lies past the end of `data` reads as 0."""
-    if not len(offset) or not width:
-        return np.empty((len(offset), width), np.uint8)
-    over = int(offset.max()) + width - len(data)
-    if over > 0:
-        near = offset > len(data) - width
-        tail = np.concatenate([data[int(offset[near].min()) :], np.zeros(over, np.uint8)])
-        rows = np.empty((len(offset), width), np.uint8)
-        rows[near] = _gather(tail, offset[near] - offset[near].min(), width)
-        rows[~near] = _gather(data, offset[~near], width)
-        return rows
-    windows = np.ndarray((len(data) - width + 1,), f"V{width}", data, 0, (1,))
-    return windows[offset].view(np.uint8).reshape(len(offset), width)
-
-
-def _values(rows: Array, leaf: Leaf) -> Array | tuple[str, ...]:
-    """A leaf's values (m,) or (m,K) in native byte order, times in ns, missing ones NaN; or its texts."""
-    if leaf.texts is not None:
-        return leaf.texts
-    if leaf.single and not len(leaf.offsets):
-        return np.full(len(rows), np.nan)
-    values = _native(_strided(rows, leaf.offsets, leaf.dtype))
-    if (leaf.offsets < 0).any():
-        values = np.where(leaf.offsets < 0, np.nan, values)
-    return values[:, 0] if leaf.single else values
-
-
-def _strided(rows: Array, offsets: Array, dtype: np.dtype[Any]) -> Array:
-    count, width = rows.shape
-    steps = np.diff(offsets)
-    if not len(offsets):
-        return np.empty((count, 0), dtype)
-    if (offsets >= 0).all() and (not len(steps) or (steps == steps[0]).all()):
-        step = int(steps[0]) if len(steps) else 0
-        return np.ndarray((count, len(offsets)), dtype, rows, int(offsets[0]), (width, step))
-    single = [np.ndarray((count,), dtype, rows, max(int(offset), 0), (width,)) for offset in offsets]
-    return np.stack(single, axis=1)
-
-
-def _native(values: Array) -> Array:
-    if values.dtype.names:
-        return values["sec"].astype(np.int64) * 1_000_000_000 + values["nanosec"].astype(np.int64)
-    return np.array(values, values.dtype.newbyteorder("="), order="C")
 
 
 def _part(pieces: list[tuple[Array, list[Any]]]) -> Part:

@@ -3,29 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from ..errors import ConfigError, FormatError
-from ..types import Array
+from ..errors import ConfigError
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
-from .paths import Only, Range, Step, is_index
-
-CDR_KINDS = {(0, 0): (True, 8), (0, 1): (False, 8), (0, 6): (True, 4), (0, 7): (False, 4)}
-"""First two bytes of a CDR payload -> (big endian, largest alignment)."""
-
-_SIZES = {name: int(code[1]) for name, code in PRIMITIVES.items()}
-_RANGE_ALL = Range(0, -1)
-Wanted = Sequence[tuple[int, tuple[Step, ...]]]
-
-
-@dataclass(frozen=True, eq=False)
-class Leaf:
-    """One wanted field: byte offsets (K,), one element's dtype · texts, if text · single: neither array nor slice."""
-
-    offsets: Array
-    dtype: np.dtype[np.generic]
-    texts: tuple[str, ...] | None
-    single: bool
+from .paths import Step, is_index
+from .walker import Leaf, Walker
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +55,7 @@ def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:
 
 def walk(definition: Definition, payload: bytes, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
     """The layout of `payload`, walked as far as the last wanted field; FormatError when it contradicts itself."""
-    walker = _Walker(definition, payload, len(wanted), ros1)
+    walker = Walker(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
     leaves = tuple(walker.leaf(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
     return Layout(walker.pos, _merged(walker.constants), leaves)
@@ -89,7 +70,7 @@ def pick(
     definition: Definition, payload: bytes, wanted: Sequence[tuple[Step, ...]], ros1: bool
 ) -> tuple[str | int | float | memoryview, ...]:
     """Single fields of one message: texts and numbers as they are, arrays as their bytes."""
-    walker = _Walker(definition, payload, len(wanted), ros1)
+    walker = Walker(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), True)
     return tuple(walker.single(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
 
@@ -102,193 +83,3 @@ def _merged(ranges: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
         else:
             merged.append((start, stop))
     return tuple(merged)
-
-
-class _Walker:
-    """A cursor over one payload that notes constants and wanted places as it passes them."""
-
-    def __init__(self, definition: Definition, payload: bytes, wanted: int, ros1: bool) -> None:
-        self.definition, self.payload = definition, payload
-        self.origin = self.pos = 0 if ros1 else 4
-        self.constants: list[tuple[int, int]] = [] if ros1 else [(0, 2)]
-        self.big, self.largest = (False, 1) if ros1 else _cdr_kind(definition.root, payload)
-        self.ros1 = ros1
-        self.runs: list[list[tuple[int, int, int]]] = [[] for _ in range(wanted)]
-        self.texts: list[list[str]] = [[] for _ in range(wanted)]
-        self._least: dict[str, int] = {}
-        self._fixed: dict[str, bool] = {}
-
-    def struct(self, type_: str, wanted: Wanted, final: bool) -> None:
-        """All fields of a struct; with `final`, only as far as the last wanted one."""
-        fields = self.definition.types[type_]
-        inner = [tuple((k, steps[1:]) for k, steps in wanted if steps and steps[0] == f.name) for f in fields]
-        last = max((n for n, some in enumerate(inner) if some), default=-1) if final else len(fields) - 1
-        for number in range(last + 1):
-            self._field(fields[number], inner[number], final and number == last)
-
-    def _field(self, field: Field, wanted: Wanted, final: bool) -> None:
-        if field.size is None:
-            self._value(field.type, wanted, final)
-            return
-        count = self._count() if field.size < 0 else field.size
-        if field.type in _SIZES:
-            self._numbers(field.type, count, wanted)
-        else:
-            self._items(field.type, count, wanted, final)
-
-    def _value(self, type_: str, wanted: Wanted, final: bool) -> None:
-        if type_ in _SIZES:
-            self._numbers(type_, 1, wanted)
-        elif type_ in TIMES:
-            self._time(type_, wanted)
-        elif type_ in TEXTS:
-            self._text(type_, wanted)
-        elif self._least_size(type_):
-            self.struct(type_, wanted, final)
-
-    def _numbers(self, type_: str, count: int, wanted: Wanted) -> None:
-        size = _SIZES[type_]
-        if count:
-            self._align(size)
-            self._need(count * size, f"{count} {type_}")
-        for k, steps in wanted:
-            picked = _range(steps, count)
-            missing = not picked and bool(steps) and is_index(steps[0])
-            self.runs[k].append((-1, 1, size) if missing else (self.pos + picked.start * size, len(picked), size))
-        self.pos += count * size
-
-    def _time(self, type_: str, wanted: Wanted) -> None:
-        self._align(4)
-        self._need(8, type_)
-        for k, steps in wanted:
-            second = bool(steps) and steps[0] in ("nsecs", "nanosec")
-            self.runs[k].append((self.pos + 4 * second, 1, 8))
-        self.pos += 8
-
-    def _text(self, type_: str, wanted: Wanted) -> None:
-        length = self._count() * (2 if type_ == "wstring" else 1)
-        self._need(length, f"a text of {length} bytes")
-        if wanted:
-            self.constants.append((self.pos, self.pos + length))
-            raw = bytes(self.payload[self.pos : self.pos + length])
-            wide = "utf-16-be" if self.big else "utf-16-le"
-            text = raw.decode(wide if type_ == "wstring" else "utf-8", errors="replace").removesuffix("\0")
-            for k, _ in wanted:
-                self.texts[k].append(text)
-        self.pos += length
-
-    def _items(self, type_: str, count: int, wanted: Wanted, final: bool) -> None:
-        least = self._least_size(type_)
-        self._need(count * least, f"{count} {type_}")
-        if not count or not least:
-            return
-        if not wanted and self._is_fixed(type_):
-            self._skip(type_, count)
-            return
-        picks = [(k, self._pick(type_, steps, count), steps[1:]) for k, steps in wanted]
-        last = max((p[-1] for _, p, _ in picks if p), default=-1) if final else count - 1
-        for index in range(last + 1):
-            inner = tuple((k, steps) for k, picked, steps in picks if index in picked)
-            self._value(type_, inner, final and index == last)
-
-    def _pick(self, type_: str, steps: tuple[Step, ...], count: int) -> Sequence[int]:
-        if not steps or not isinstance(steps[0], Only):
-            return _range(steps, count)
-        probe = _Walker(self.definition, self.payload, count, self.ros1)
-        probe.pos = self.pos
-        for index in range(count):
-            probe._value(type_, ((index, (steps[0].field,)),), False)
-        return [index for index in range(count) if probe._equals(index, type_, steps[0], self.constants)]
-
-    def _equals(self, index: int, type_: str, only: Only, constants: list[tuple[int, int]]) -> bool:
-        constants += self.constants
-        if self.texts[index]:
-            return self.texts[index] == [only.value]
-        field = next(f for f in self.definition.types[type_] if f.name == only.field)
-        offset = self.runs[index][0][0]
-        constants.append((offset, offset + _SIZES[field.type]))
-        value = np.frombuffer(self.payload, self._dtype(field.type), 1, offset)[0]
-        return bool(value == only.value)
-
-    def _skip(self, type_: str, count: int) -> None:
-        """Step over fixed-size structs: their spans repeat once the alignment does."""
-        spans: list[int] = []
-        seen: dict[int, int] = {}
-        while len(spans) < count and (residue := (self.pos - self.origin) % self.largest) not in seen:
-            seen[residue] = len(spans)
-            before = self.pos
-            self._value(type_, (), False)
-            spans.append(self.pos - before)
-        if len(spans) < count:
-            cycle = spans[seen[residue] :]
-            whole, part = divmod(count - len(spans), len(cycle))
-            self._need(whole * sum(cycle) + sum(cycle[:part]), f"{count} {type_}")
-            self.pos += whole * sum(cycle) + sum(cycle[:part])
-
-    def _count(self) -> int:
-        self._align(4)
-        self._need(4, "a length")
-        self.constants.append((self.pos, self.pos + 4))
-        count = int.from_bytes(self.payload[self.pos : self.pos + 4], "big" if self.big else "little")
-        self.pos += 4
-        return count
-
-    def _align(self, size: int) -> None:
-        self.pos += (self.origin - self.pos) % min(size, self.largest)
-
-    def _need(self, size: int, what: str) -> None:
-        left = len(self.payload) - self.pos
-        if size > left:
-            raise FormatError(f"{self.definition.root}: {what} at byte {self.pos}, but {max(left, 0)} bytes are left")
-
-    def _is_fixed(self, type_: str) -> bool:
-        if type_ not in self._fixed:
-            fields = self.definition.types.get(type_, ())
-            self._fixed[type_] = type_ not in TEXTS and all(f.size != -1 and self._is_fixed(f.type) for f in fields)
-        return self._fixed[type_]
-
-    def _least_size(self, type_: str) -> int:
-        """Fewest bytes a value can take, without padding."""
-        if type_ in _SIZES or type_ in TIMES or type_ in TEXTS:
-            return _SIZES.get(type_, 8 if type_ in TIMES else 4)
-        if type_ not in self._least:
-            sizes = ((f, 4 if f.size == -1 else self._least_size(f.type)) for f in self.definition.types[type_])
-            self._least[type_] = sum(size * (f.size if f.size is not None and f.size >= 0 else 1) for f, size in sizes)
-        return self._least[type_]
-
-    def _dtype(self, type_: str) -> np.dtype[np.generic]:
-        order = ">" if self.big else "<"
-        if type_ in TIMES:
-            seconds = "i4" if type_ != "time" else "u4"
-            return np.dtype([("sec", order + seconds), ("nanosec", order + "u4")])
-        return np.dtype("V0") if type_ in TEXTS else np.dtype(order + PRIMITIVES[type_])
-
-    def leaf(self, k: int, end: tuple[Field, bool]) -> Leaf:
-        """What was noted for the k-th wanted path."""
-        field, single = end
-        offsets = [start + stride * np.arange(count) for start, count, stride in self.runs[k]]
-        joined = np.concatenate(offsets) if offsets else np.empty(0, np.int64)
-        texts = tuple(self.texts[k]) if field.type in TEXTS else None
-        return Leaf(joined, self._dtype(field.type), texts, single)
-
-    def single(self, k: int, end: tuple[Field, bool]) -> str | int | float | memoryview:
-        """What was noted for the k-th wanted path, as one value."""
-        field, single = end
-        if field.type in TEXTS:
-            return "".join(self.texts[k][:1])
-        offset, count, size = self.runs[k][0]
-        raw = memoryview(self.payload)[offset : offset + count * size]
-        value: int | float = np.frombuffer(raw, self._dtype(field.type), 1)[0].item() if single else 0
-        return value if single else raw
-
-
-def _cdr_kind(root: str, payload: bytes) -> tuple[bool, int]:
-    kind = tuple(payload[:2])
-    if len(payload) < 4 or kind not in CDR_KINDS:
-        raise FormatError(f"{root}: the payload begins with {payload[:4].hex() or 'nothing'}, which is not plain CDR")
-    return CDR_KINDS[kind]
-
-
-def _range(steps: tuple[Step, ...], count: int) -> range:
-    step = steps[0] if steps else _RANGE_ALL
-    return step.of(count) if isinstance(step, Range) else range(count)

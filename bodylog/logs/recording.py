@@ -20,7 +20,7 @@ from .roles import Role
 from .stamps import stamp_field
 
 _MINUTE = 60.0
-_TRACKS = "/bodylog/track/"
+_OURS = "/bodylog/"
 _JOINT_FIELDS = ("name", "position")
 
 
@@ -46,7 +46,7 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         streams = _streams(log, found, settings, str(path))
         start_ns = _start_ns(streams, log)
         features = _features(log, start_ns)
-        findings = (*log.findings, *_findings(found, streams))
+        findings = (*log.findings, *_findings(log, found, streams))
     frames, more = _frames(path, settings, strict, streams, start_ns)
     return Recording(
         name=path.name,
@@ -76,7 +76,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
             streams = _streams(log, found, settings, str(path))
         except BodylogError as error:
             problems.append(Finding("warning", str(error).removeprefix(f"{path}: ")))
-        findings = (*log.findings, *problems, *(_findings(found, streams) if not problems else ()))
+        findings = (*log.findings, *problems, *(_findings(log, found, streams) if not problems else ()))
         duration_s = (log.end_ns - log.start_ns) * 1e-9
         return {
             "path": str(path),
@@ -130,17 +130,16 @@ def _stream(role: Role, columns: tuple[Columns, ...], settings: Settings, name: 
     signal = _signal(role, found, settings, f"{name}: {role.topic}")
     log_ns = np.concatenate([some.log_ns for some in columns])
     choice = getattr(settings.time, role.role)
-    if choice == "header" and stamp is None:
+    if choice == "header" and signal.stamp_ns is None and len(signal.rows):
         raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
     by_name = role.role in ("joints", "truth")
     dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
-    values, extra = signal.values[dated.rows], 0
+    values, idle = signal.values[dated.rows], 0
     if by_name:
-        keep, values = signals.merged(dated.t_ns, np.deg2rad(values) if settings.body.unit == "deg" else values)
-        extra, values, dated = int((~keep).sum()), values[keep], _kept(dated, keep)
+        keep, values, idle = signals.merged(dated.t_ns, np.deg2rad(values) if settings.body.unit == "deg" else values)
+        values, dated = values[keep], replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
     rejected = sum((Counter(some.rejected) for some in columns), Counter(signal.rejected) + Counter(dated.rejected))
-    if extra:
-        rejected["same stamp again"] += extra
+    rejected.update({"same stamp again": idle} if idle else {})
     rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in columns)
     slow = sum(some.fallback for some in columns)
     return _Stream(role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow)
@@ -157,10 +156,6 @@ def _signal(role: Role, found: list[signals.Block], settings: Settings, what: st
         return signal
     nameless = [(signal.rows, signal.stamp_ns, ((), signal.values))]
     return signals.joints(nameless, settings.body.joints, what)
-
-
-def _kept(dated: Dated, keep: Array) -> Dated:
-    return replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
 
 
 def _is_usable(stream: _Stream, settings: Settings, name: str) -> bool:
@@ -203,7 +198,8 @@ def _series(stream: _Stream | None, start_ns: int, unit: str) -> Series | None:
 
 
 def _health(stream: _Stream) -> Health:
-    return Health(sum(stream.counts), len(stream.rows), stream.rejected, largest_gap(stream.dated.t_ns))
+    used = sum(stream.counts) - sum(stream.rejected.values())
+    return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.dated.t_ns))
 
 
 def _frames(
@@ -222,20 +218,22 @@ def _frames(
 
 
 def _features(log: Log, start_ns: int) -> Features | None:
-    if not any(topic.name.startswith(_TRACKS) for topic in log.topics):
+    if not any(topic.name.startswith(_OURS) for topic in log.topics):
         return None
     from .annotated import read_features
 
     return read_features(log, start_ns)
 
 
-def _findings(found: Mapping[str, Role], streams: Mapping[str, _Stream]) -> tuple[Finding, ...]:
-    missing = [f for role in found.values() if role.role not in streams for f in _missing(role)]
-    return (*missing, *(finding for stream in streams.values() for finding in _remarks(stream)))
-
-
-def _missing(role: Role) -> Iterator[Finding]:
-    yield Finding("warning", f"{role.role}: {role.topic} was guessed, but holds no usable message")
+def _findings(log: Log, found: Mapping[str, Role], streams: Mapping[str, _Stream]) -> tuple[Finding, ...]:
+    guess = [Finding("info", f"roles, ready for robot.toml: {roles.advice(found)}")] if found else []
+    broken = [Finding("warning", f"{text}; not considered for any role") for text in roles.unreadable(log.topics)]
+    empty = [
+        Finding("warning", f"{role.role}: {role.topic} was guessed, but none of its messages can be used")
+        for role in found.values()
+        if role.role not in streams
+    ]
+    return (*guess, *broken, *empty, *(finding for stream in streams.values() for finding in _remarks(stream)))
 
 
 def _remarks(stream: _Stream) -> Iterator[Finding]:

@@ -1,5 +1,6 @@
 """Which topic is what: guessed from types, names and counts, or as robot.toml says."""
 
+import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from ..types import Topic
 from . import images
 from .columns import definition_of
 from .definitions import PRIMITIVES, Definition
+from .objects import reader
 from .paths import parse
 
 ROLES = ("joints", "camera", "skin", "truth")
@@ -60,8 +62,25 @@ def is_video(role: str, said: str | None) -> bool:
 
 def advice(found: Mapping[str, Role]) -> str:
     """The roles as one line ready to paste into robot.toml."""
-    lines = ", ".join(f'{role} = "{found[role].path}"' for role in ROLES if role in found)
+    lines = ", ".join(f"{role} = {json.dumps(found[role].path)}" for role in ROLES if role in found)
     return f"topics = {{ {lines} }}"
+
+
+def unreadable(topics: Sequence[Topic]) -> list[str]:
+    """Why topics that could play a role cannot: their definitions are broken."""
+    likely = [topic for topic in topics if any(rank(topic) is not None for rank in _RANKS.values())]
+    return [problem for topic in likely if (problem := _problem(topic)) is not None]
+
+
+def _problem(topic: Topic) -> str | None:
+    try:
+        if topic.encoding == "protobuf":
+            reader(topic)
+        elif topic.encoding != "json":
+            definition_of(topic)
+    except BodylogError as error:
+        return str(error)
+    return None
 
 
 def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
@@ -69,7 +88,7 @@ def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
     usable = [(rank, topic) for rank, topic in ranked if rank is not None]
     for _, topic in sorted(usable, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
         field = _field(role, topic)
-        if field is not None:
+        if field is not None and _problem(topic) is None:
             return Role(role, topic.name, field, _same(topics, topic))
     return None
 
@@ -132,10 +151,7 @@ def _field(role: str, topic: Topic) -> str | None:
         return ""
     if topic.encoding in ("json", "protobuf"):
         return None
-    try:
-        return array_field(definition_of(topic))
-    except BodylogError:
-        return None
+    return array_field(definition_of(topic)) if _problem(topic) is None else None
 
 
 def array_field(definition: Definition) -> str | None:

@@ -32,7 +32,7 @@ def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str])
     for some in columns:
         places = [some.fields.index(name) for name in fields]
         for part in some.parts:
-            found = part.values[some.fields.index(stamp)] if stamp is not None else None
+            found = part.values[some.fields.index(stamp)] if stamp in some.fields else None
             stamps = found if isinstance(found, np.ndarray) and found.dtype == np.int64 else None
             yield part.rows + first, stamps, tuple(part.values[p] for p in places)
         first += len(some.log_ns)
@@ -133,14 +133,19 @@ def _joined(
     return Signal(rows[order], stamp_ns, joined, names, dict(rejected))
 
 
-def merged(t_ns: Array, values: Array) -> tuple[Array, Array]:
-    """One row per stamp: keep (n,) is False for later ones; what they know and the first does not fills its NaN."""
+def merged(t_ns: Array, values: Array) -> tuple[Array, Array, int]:
+    """Rows to keep (n,) so that each stamp is there once · values (n,D) · how many messages told nothing new.
+
+    What a later message of the same stamp knows and the first does not (the other half of the joints) fills its NaN.
+    """
     keep = np.concatenate([[True], np.diff(t_ns) != 0]) if len(t_ns) else np.ones(0, bool)
     if keep.all():
-        return keep, values
+        return keep, values, 0
     first = np.maximum.accumulate(np.where(keep, np.arange(len(keep)), 0))
-    values = values.copy()
+    values, idle = values.copy(), 0
     for row in np.flatnonzero(~keep):
         target = values[first[row]]
-        np.copyto(target, values[row], where=np.isnan(target))
-    return keep, values
+        new = np.isnan(target) & ~np.isnan(values[row])
+        target[new] = values[row][new]
+        idle += not new.any()
+    return keep, values, idle

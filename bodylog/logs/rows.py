@@ -1,0 +1,80 @@
+"""Bytes of many messages at once: gathered as rows, compared, viewed as numbers."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..types import Array
+from .layouts import Layout
+from .walker import Leaf
+
+
+@dataclass(frozen=True, eq=False)
+class Template:
+    """A layout made ready to compare eight bytes at a time: mask (w,) of its constants, their reference (w,)."""
+
+    layout: Layout
+    mask: Array
+    reference: Array
+
+
+def template(layout: Layout, payload: bytes) -> Template:
+    """The template of the message a layout was found in."""
+    width = -(-layout.width // 8) * 8
+    mask, reference = np.zeros((2, width), np.uint8)
+    for start, stop in layout.constants:
+        mask[start:stop] = 0xFF
+        reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
+    return Template(layout, mask.view(np.uint64), reference.view(np.uint64))
+
+
+def agrees(rows: Array, known: Template) -> Array:
+    """True (n,) for the rows whose constant bytes are the template's."""
+    return ~((rows.view(np.uint64) ^ known.reference) & known.mask).any(axis=1)
+
+
+def gather(data: Array, offset: Array, width: int) -> Array:
+    """Rows (n,width) of bytes beginning at the offsets; what lies past the end of `data` reads as 0."""
+    if not len(offset) or not width:
+        return np.empty((len(offset), width), np.uint8)
+    over = int(offset.max()) + width - len(data)
+    if over > 0:
+        near = offset > len(data) - width
+        tail = np.concatenate([data[int(offset[near].min()) :], np.zeros(over, np.uint8)])
+        rows = np.empty((len(offset), width), np.uint8)
+        rows[near] = gather(tail, offset[near] - offset[near].min(), width)
+        rows[~near] = gather(data, offset[~near], width)
+        return rows
+    windows = np.ndarray((len(data) - width + 1,), f"V{width}", data, 0, (1,))
+    return windows[offset].view(np.uint8).reshape(len(offset), width)
+
+
+def values(rows: Array, leaf: Leaf) -> Array | tuple[str, ...]:
+    """A leaf's values (m,) or (m,K) in native byte order, times in ns, missing ones NaN; or its texts."""
+    if leaf.texts is not None:
+        return leaf.texts
+    if leaf.single and not len(leaf.offsets):
+        return np.full(len(rows), np.nan)
+    values = _native(_strided(rows, leaf.offsets, leaf.dtype))
+    if (leaf.offsets < 0).any():
+        values = np.where(leaf.offsets < 0, np.nan, values)
+    return values[:, 0] if leaf.single else values
+
+
+def _strided(rows: Array, offsets: Array, dtype: np.dtype[Any]) -> Array:
+    count, width = rows.shape
+    steps = np.diff(offsets)
+    if not len(offsets):
+        return np.empty((count, 0), dtype)
+    if (offsets >= 0).all() and (not len(steps) or (steps == steps[0]).all()):
+        step = int(steps[0]) if len(steps) else 0
+        return np.ndarray((count, len(offsets)), dtype, rows, int(offsets[0]), (width, step))
+    single = [np.ndarray((count,), dtype, rows, max(int(offset), 0), (width,)) for offset in offsets]
+    return np.stack(single, axis=1)
+
+
+def _native(values: Array) -> Array:
+    if values.dtype.names:
+        return values["sec"].astype(np.int64) * 1_000_000_000 + values["nanosec"].astype(np.int64)
+    return np.array(values, values.dtype.newbyteorder("="), order="C")
