@@ -26,7 +26,9 @@ OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""
 SWEEPS = 60
 SETTLED = 1e-8
-"""Standard deviations: how little a point of linearisation or a start may still move."""
+"""Standard deviations: how little a stretch's start may still move."""
+RESTING = 1e-8
+"""rad: a frame whose point of linearisation is moved less keeps its tangent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,22 +66,51 @@ def prior(problem: Problem) -> tuple[Array, Array]:
     return z, np.diag(var)
 
 
-def solve(problem: Problem, points: tuple[Array, ...] | None = None, at: str = "posterior") -> Solution:
+def solve(problem: Problem, at: str = "posterior") -> Solution:
     """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean."""
-    fold = fold_for(len(problem.timeline.t))
-    readings = heard(problem, fold)
-    points = guesses(problem) if points is None else points
-    z, p = starts(problem, fold)
+    fold, line = fold_for(len(problem.timeline.t)), problem.timeline
+    readings, tangents, (z, p) = heard(problem, fold), Tangents(guesses(problem)), starts(problem, fold)
     for _ in range(SWEEPS):
-        readings = linearise(problem, fold, readings, points)
+        tangents.draw(problem, fold, readings)
         trace = scan(readings, problem.dynamics, z, p)
-        moved = [_points(problem, fold, trace, events, at) for events in problem.timeline.sightings]
+        means = trace.prior if at == "prior" else trace.z
+        moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
         next_z, next_p = handed_over(z, p, trace, fold)
-        rest = max(far(z, p, next_z, next_p), *(shift(a, b) for a, b in zip(moved, points, strict=True)), 0.0)
-        z, p, points = next_z, next_p, tuple(moved)
-        if rest < SETTLED:
-            return Solution(fold, readings, points, trace)
-    raise EvidenceError(f"laplace: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method predictive-coding")
+        rest, z, p = far(z, p, next_z, next_p), next_z, next_p
+        if rest < SETTLED and not moved:
+            return Solution(fold, readings, tangents.points, trace)
+    raise EvidenceError(f"laplace: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method kalman")
+
+
+class Tangents:
+    """Where each sighting's frames are linearised, (F,M) rad each; frames that rest are not predicted anew."""
+
+    def __init__(self, points: tuple[Array, ...]) -> None:
+        """Start from points (F,M), all to be drawn."""
+        self.points = points
+        self._stale = tuple(np.ones(len(x), bool) for x in points)
+
+    def draw(self, problem: Problem, fold: Fold, readings: Readings) -> None:
+        """Write every stale frame's tangent into the readings: y = s − g + J x°, var = pixel + model variance."""
+        triples = zip(problem.evidence.sightings, problem.timeline.sightings, self.points, self._stale, strict=True)
+        for index, (sighting, events, points, stale) in enumerate(triples):
+            if not stale.any():
+                continue
+            x, events = points[stale], events[stale]
+            mean, jac, var = sighting.model.predict(x)
+            scale = problem.precision.scale.get(sighting.name, 1.0)
+            fold.put(readings.y[:, index], events, sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x))
+            fold.put(readings.jac[:, index], events, jac)
+            fold.put(readings.var[:, index], events, scale * sighting.var[stale] + var)
+
+    def follow(self, wanted: tuple[Array, ...]) -> bool:
+        """Move to the wanted points where they are further than RESTING away; whether any moved."""
+        pairs = list(zip(wanted, self.points, strict=True))
+        self._stale = tuple(np.abs(new - old).max(axis=1) > RESTING for new, old in pairs)
+        self.points = tuple(
+            np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
+        )
+        return any(bool(stale.any()) for stale in self._stale)
 
 
 def heard(problem: Problem, fold: Fold) -> Readings:
@@ -95,19 +126,6 @@ def heard(problem: Problem, fold: Fold) -> Readings:
     jac = np.zeros((*shape, m, fold.count))
     dt = np.diff(line.t, prepend=line.t[0])
     return Readings(fold.fold(dt, 0.0), fold.fold(encoders, np.nan), fold.fold(var, 1.0), y, jac, lines)
-
-
-def linearise(problem: Problem, fold: Fold, readings: Readings, points: tuple[Array, ...]) -> Readings:
-    """Readings with every frame's tangent at its point, in place: y = s − g + J x°, var = pixel + model variance."""
-    for index, (sighting, events, x) in enumerate(
-        zip(problem.evidence.sightings, problem.timeline.sightings, points, strict=True)
-    ):
-        mean, jac, var = sighting.model.predict(x)
-        scale = problem.precision.scale.get(sighting.name, 1.0)
-        fold.put(readings.y[:, index], events, sighting.values - mean + np.einsum("fdm,fm->fd", jac, x))
-        fold.put(readings.jac[:, index], events, jac)
-        fold.put(readings.var[:, index], events, scale * sighting.var + var)
-    return readings
 
 
 def guesses(problem: Problem) -> tuple[Array, ...]:
@@ -143,20 +161,10 @@ def handed_over(z: Array, p: Array, trace: Trace, fold: Fold) -> tuple[Array, Ar
     return z, p
 
 
-def _points(problem: Problem, fold: Fold, trace: Trace, events: Array, at: str) -> Array:
-    source = trace.prior if at == "prior" else trace.z
-    return fold.pick(source, events)[:, : len(problem.start)]
-
-
 def far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
     """The most a start moved, in standard deviations."""
     std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
     return float(max(np.abs((next_z - z) / std).max(), np.abs(before / std - 1.0).max()))
-
-
-def shift(a: Array, b: Array) -> float:
-    """The most a point of linearisation moved, rad."""
-    return float(np.abs(a - b).max(initial=0.0))
 
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:

@@ -11,7 +11,7 @@ from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
 from .folds import Fold, fold_for
-from .laplace import SETTLED, SWEEPS, Problem, far, guesses, handed_over, heard, linearise, pose, shift, starts
+from .laplace import SETTLED, SWEEPS, Problem, Tangents, far, guesses, handed_over, heard, pose, starts
 from .results import Beliefs
 from .scan import EVEN, Readings, Trace, scan
 
@@ -34,25 +34,21 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 def solve(problem: Problem) -> tuple[Fold, Trace, tuple[Array, Array]]:
     """Fold, the last way forth, and the smoothed state (L,K,C) with the covariance (L,M,M,C) of the angles."""
     fold, line = fold_for(len(problem.timeline.t)), problem.timeline
-    readings, points, (z, p) = heard(problem, fold), guesses(problem), starts(problem, fold)
+    readings, tangents, (z, p) = heard(problem, fold), Tangents(guesses(problem)), starts(problem, fold)
     ends = np.zeros_like(z), np.zeros_like(p)
     for sweep in range(SWEEPS):
-        readings = linearise(problem, fold, readings, points)
+        tangents.draw(problem, fold, readings)
         trace = scan(readings, problem.dynamics, z, p, remember=sweep >= FORTH)
         next_z, next_p = handed_over(z, p, trace, fold)
-        moved, (z, p) = far(z, p, next_z, next_p), (next_z, next_p)
-        if sweep < FORTH:
-            points = tuple(fold.pick(trace.z, events)[:, : len(problem.start)] for events in line.sightings)
-            continue
-        smooth, cov, at_start = back(readings, trace, ends, fold.takeover)
-        new_ends = before(at_start)
-        moved = max(moved, _adjoint_moved(ends, new_ends, p))
-        ends = new_ends
-        new = tuple(fold.pick(smooth, events)[:, : len(problem.start)] for events in line.sightings)
-        moved, points = max(moved, *(shift(a, b) for a, b in zip(new, points, strict=True)), 0.0), new
-        if moved < SETTLED:
-            return fold, trace, (smooth, cov)
-    raise EvidenceError(f"smoother: no rest after {SWEEPS} rounds, last move {moved:.2g}; type --method laplace")
+        rest, means, (z, p) = far(z, p, next_z, next_p), trace.z, (next_z, next_p)
+        if sweep >= FORTH:
+            means, cov, at_start = back(readings, trace, ends, fold.takeover)
+            next_ends = before(at_start)
+            rest, ends = max(rest, _adjoint_moved(ends, next_ends, p)), next_ends
+        moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
+        if sweep >= FORTH and rest < SETTLED and not moved:
+            return fold, trace, (means, cov)
+    raise EvidenceError(f"smoother: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method laplace")
 
 
 def back(
