@@ -1,6 +1,5 @@
 """MCAP files -> undecoded batches; nothing is read that the topics asked for do not need."""
 
-import mmap
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ from ..types import Array, Batch, Finding, Topic
 from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, load, loose_messages, messages
 from .compression import Buffer
 from .ledger import Ledger
+from .mapping import forget, mapped
 from .records import HEAD, SCHEMA, Record
 from .topics import Topics, split
 from .unpacked import unpacked
@@ -55,8 +55,7 @@ class McapLog:
 
         self.path = path
         self._ledger = Ledger(path, strict)
-        with (source or path).open("rb") as stream:
-            self._data = memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
+        self._data = mapped(source or path)
         self._survey = survey_of(self._data, self._ledger)
         self.topics, self._topic_of = _topics(self._survey, self._ledger)
         self.start_ns = min(self._survey.times, default=0)
@@ -80,10 +79,12 @@ class McapLog:
             if isinstance(part, Loose):
                 for found in loose_messages(self._data, part):
                     yield from _split(self._data, found, topic_of)
+                    forget(self._data, int(found.starts[0]), int(found.starts[-1]))
             elif not part.indexes or (topic_of[list(part.indexes)] >= 0).any():
                 content = load(self._data, part, buffer, self._ledger)
                 if content is not None:
                     yield from _split(content, messages(content, self._data, part, self._ledger), topic_of)
+                forget(self._data, part.start, part.start + part.length)
 
     def close(self) -> None:
         """Let go of the file; batches still held keep their bytes."""

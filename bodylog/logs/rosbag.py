@@ -1,6 +1,5 @@
 """ROS 1 bags (format 2.0) -> undecoded batches; nothing is read that the topics asked for do not need."""
 
-import mmap
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from .bag_chunks import BagChunk, BagRun, Messages, load, messages, walked
 from .bag_records import BagRecord, fields_of
 from .compression import Buffer
 from .ledger import Ledger
+from .mapping import forget, mapped
 from .topics import Topics, split
 
 
@@ -48,8 +48,7 @@ class BagLog:
 
         self.path = path
         self._ledger = Ledger(path, strict)
-        with (source or path).open("rb") as stream:
-            self._data = memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
+        self._data = mapped(source or path)
         self._survey = survey_of(self._data, self._ledger)
         self.topics, self._topic_of = _topics(self._survey)
         self.start_ns = min(self._survey.times, default=0)
@@ -73,6 +72,7 @@ class BagLog:
                 if loaded is not None:
                     content, indexes = loaded
                     yield from _split(content, messages(content, self._data, part.start, indexes, self._ledger), wanted)
+                    forget(self._data, part.start, part.start + len(content))
 
     def close(self) -> None:
         """Let go of the file; batches still held keep their bytes."""

@@ -8,9 +8,10 @@ import numpy as np
 
 from ..errors import FormatError
 from ..types import Array
-from .chunks import MESSAGE_HEAD, Chunk, Loose, chunk_head, heads_of, index_of, load, messages
+from .chunks import MESSAGE_HEAD, Chunk, Loose, chunk_head, heads_at, heads_of, index_of, load, messages
 from .compression import NAMES, Buffer
 from .ledger import Ledger
+from .mapping import forget
 from .mcap import Survey
 from .records import (
     CHANNEL,
@@ -30,11 +31,10 @@ from .records import (
 from .summary import believe_counts, chunks_of, summary_of
 
 _WINDOW = 1 << 20
-_BLOCK = 1 << 16
+_BLOCK = 4096
 _CHUNK_FIXED = 40
 _LONGEST_NS = 86400 * 10**9
 _CHANNEL = struct.Struct("<H")
-_MESSAGE = struct.Struct("<HIQ")
 _TIMES = struct.Struct("<QQ")
 _SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
 
@@ -78,7 +78,7 @@ def _summarised(data: memoryview, records: list[Record], ledger: Ledger) -> Surv
 
 def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger) -> bool:
     """Add what lies between two bytes to the survey; whether a footer or the end of the data section was there."""
-    run, ended = _Run(survey, start), False
+    run, ended = _Run(data, survey, start), False
 
     def lost(at: int, size: int) -> None:
         run.close(at + size)
@@ -92,8 +92,7 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
     for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost):
         ended = ended or opcode in (FOOTER, DATA_END)
         if opcode == MESSAGE:
-            channel, _, log_ns = _MESSAGE.unpack_from(data, at + HEAD.size)
-            run.add(channel, log_ns, at + HEAD.size + length)
+            run.add(at, at + HEAD.size + length)
         elif opcode in (SCHEMA, CHANNEL):
             survey.declare(parse(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
         elif opcode == CHUNK:
@@ -110,19 +109,18 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
 class _Run:
     """Messages outside chunks, counted until something else interrupts them."""
 
-    def __init__(self, survey: Survey, start: int) -> None:
+    def __init__(self, data: memoryview, survey: Survey, start: int) -> None:
+        self._data = data
         self._survey = survey
         self._start = start
         self._end = start
-        self._channels: list[int] = []
-        self._times: list[int] = []
+        self._found: list[int] = []
 
-    def add(self, channel: int, log_ns: int, end: int) -> None:
-        """Count one message, which ends at byte `end`."""
+    def add(self, start: int, end: int) -> None:
+        """Count the message between two bytes."""
         self._end = end
-        self._channels.append(channel)
-        self._times.append(log_ns)
-        if len(self._times) == _BLOCK:
+        self._found.append(start)
+        if len(self._found) == _BLOCK:
             self._flush()
 
     def close(self, following: int) -> None:
@@ -133,8 +131,11 @@ class _Run:
         self._start = self._end = following
 
     def _flush(self) -> None:
-        self._survey.count(np.array(self._channels, np.int64), np.array(self._times, np.uint64).astype(np.int64))
-        self._channels, self._times = [], []
+        heads = heads_at(self._data, np.array(self._found, np.int64))
+        self._survey.count(heads["channel"], heads["log"])
+        if self._found:
+            forget(self._data, self._found[0], self._end)
+        self._found = []
 
 
 def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
@@ -151,6 +152,7 @@ def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
             _declare(content.data, survey)
             heads = messages(content, data, chunk, ledger).heads
             survey.count(heads["channel"], heads["log"])
+        forget(data, chunk.start, chunk.start + chunk.length)
 
 
 def _declare(content: memoryview, survey: Survey) -> None:
@@ -169,10 +171,10 @@ def sound_records(
     at = start
     held: Found | None = None
     while at < end:
-        if _plausible(data, at, end):
+        opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
+        if (opcode == MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
             if held:
                 yield held
-            opcode, length = HEAD.unpack_from(data, at)
             held = (opcode, at, length)
             at += HEAD.size + length
             if opcode == FOOTER:

@@ -54,7 +54,10 @@ def unpacked(batches: Iterable[Batch], topics: tuple[Topic, ...], ledger: Ledger
     cdr = {topic.id for topic in topics if topic.encoding == "cdr"}
     for batch in batches:
         first = batch.data[batch.offset[0] : batch.offset[0] + 4].tobytes()
-        yield _each(batch, ledger) if first == ZSTD and batch.topic_id in cdr else batch
+        if first == ZSTD and batch.topic_id in cdr:
+            batch = _each(batch, ledger)
+        if len(batch.length):
+            yield batch
 
 
 def _each(batch: Batch, ledger: Ledger) -> Batch:
