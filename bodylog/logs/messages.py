@@ -67,13 +67,14 @@ def from_estimate(estimate: Estimate, features: Features | None, start_ns: int, 
 
 def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:
     """Joint angles (N,M) as sensor_msgs/JointState, with velocity when `rate` (N,M) rad/s is given."""
-    speed = np.zeros((len(joints.t), 0)) if rate is None else rate
+    # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
+    unknown = np.full(joints.values.shape, np.nan)
     fields: list[Field] = [
         *cdr.header(stamps(joints.t, start_ns)),
         ("string[]", joints.names),
         ("float64[]", joints.values),
-        ("float64[]", speed),
-        ("float64[]", speed[:, :0]),
+        ("float64[]", unknown if rate is None else rate),
+        ("float64[]", unknown),
     ]
     return _plain(topic, "sensor_msgs/msg/JointState", joints.source_ns, fields)
 
