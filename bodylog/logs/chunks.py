@@ -12,7 +12,7 @@ from ..errors import FormatError
 from ..types import Array
 from .compression import Buffer
 from .ledger import Ledger
-from .records import CHUNK, HEAD, MESSAGE, MESSAGE_INDEX, walk
+from .records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, Record, parse, walk
 
 MESSAGE_HEAD = np.dtype(
     [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
@@ -172,3 +172,18 @@ def loose_messages(data: memoryview, run: Loose) -> Iterator[Messages]:
         at += HEAD.size + length
     if starts:
         yield _at(data, starts)
+
+
+def every_record(data: memoryview) -> Iterator[Record]:
+    """All records of an undamaged file, those inside chunks in place of the chunk; FormatError at the first damage."""
+    buffer = Buffer()
+    for opcode, at, length in walk(data, len(MAGIC), len(data) - len(MAGIC)):
+        if opcode == CHUNK:
+            _, _, size, crc, compression, packed = chunk_head(data, at - HEAD.size)
+            content = buffer.load(compression, packed, size).data
+            if crc and zlib.crc32(content) != crc:
+                raise FormatError(f"byte {at - HEAD.size}: the chunk's CRC is wrong")
+            for inner, start, size in walk(content, 0, len(content)):
+                yield parse(inner, content[start : start + size], start - HEAD.size)
+        elif opcode in FIELDS:
+            yield parse(opcode, data[at : at + length], at - HEAD.size)

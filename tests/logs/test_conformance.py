@@ -1,0 +1,56 @@
+"""The 154 MCAP conformance files: our records equal the .json beside each, and every message is read."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bodylog.logs.chunks import every_record
+from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.records import CHUNK, MESSAGE_INDEX, Record
+
+FOLDER = Path(__file__).parents[2].parent / "shared" / "logs" / "foxglove__mcap"
+FILES = sorted(FOLDER.rglob("*.mcap"))
+pytestmark = pytest.mark.skipif(not FILES, reason=f"the conformance files are not at {FOLDER}")
+
+
+def plain(value: Any) -> Any:
+    """A field as the .json files write it: numbers as text, bytes as lists."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, dict):
+        return {plain(key): plain(item) for key, item in value.items()}
+    return str(value) if isinstance(value, int) else [str(byte) for byte in bytes(value)]
+
+
+def told(record: Record) -> dict[str, Any]:
+    return {"type": record.name, "fields": sorted([name, plain(value)] for name, value in record.fields.items())}
+
+
+def expected(path: Path) -> list[dict[str, Any]]:
+    records = json.loads(path.with_suffix(".json").read_text())["records"]
+    return [{"type": record["type"], "fields": sorted(record["fields"])} for record in records]
+
+
+def test_all_variants_are_here() -> None:
+    assert len(FILES) == 154
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_records_equal_the_json(path: Path) -> None:
+    found = [told(r) for r in every_record(memoryview(path.read_bytes())) if r.opcode not in (CHUNK, MESSAGE_INDEX)]
+    assert found == expected(path)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_every_message_is_read_without_a_remark(path: Path) -> None:
+    told_messages = [dict(record["fields"]) for record in expected(path) if record["type"] == "Message"]
+    with open_log(path, strict=True) as log:
+        batches = [(batch.log_ns.tolist(), [bytes(part) for part in payloads(batch)]) for batch in log.batches()]
+        assert log.findings == ()
+        assert sum(topic.messages for topic in log.topics) == len(told_messages)
+        times = sorted(int(message["log_time"]) for message in told_messages)
+        assert (log.start_ns, log.end_ns) == (times[0], times[-1])
+    found = sorted((time, payload) for batch in batches for time, payload in zip(*batch, strict=True))
+    assert found == sorted((int(m["log_time"]), bytes(map(int, m["data"]))) for m in told_messages)
