@@ -14,7 +14,6 @@ NEAR, FAR = 0.1, 4.0
 GREEN, RED = (26.0, 190.0, 40.0), (200.0, 32.0, 36.0)
 _NOISE_GREY = 2.0
 _CARD = (96, 98, 102)
-_LIGHT = np.array([-0.4, -0.7, -0.6]) / np.sqrt(1.01)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +107,9 @@ def _shade(
     gradient = 2.0 * (along[..., None] * place[:2] - reach * ray[..., :2]) / camera.focal
     cover = np.clip(0.5 + inside / np.maximum(np.linalg.norm(gradient, axis=-1), 1e-12), 0.0, 1.0)
     distance = (along - np.sqrt(np.maximum(inside, 0.0))) / square
-    normal = (ray * distance[..., None] - place) / radius
-    return cover, distance, 0.82 + 0.18 * np.maximum(normal @ _LIGHT, 0.0)
+    # The lamp is at the camera: light from the side would move the centroid of what is bright off the outline's.
+    facing = (along - distance * square) / (radius * np.sqrt(square))
+    return cover, distance, 0.8 + 0.2 * facing
 
 
 def card(picture: Array, depth: Array, box: tuple[int, int, int, int], distance: float) -> None:

@@ -16,7 +16,6 @@ _OFFSET_NS = 7_000_000
 _QUALITY = 90
 _WHOLE = 0.99
 _SLIDE = 0.25
-_MARGIN = 0.06
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +127,7 @@ def _card(stage: Stage) -> _Card | None:
     path = np.array([stage.world.pose(q)[0][link] for q in stage.plan.motion.position(t)])
     pixels = cameras.ellipse_centre(stage.camera, path, EFFECTOR_RADIUS)
     ahead = (path - stage.camera.position) @ stage.camera.rotation[2]
-    margin = _MARGIN * stage.camera.width
+    margin = stage.plan.margin * stage.camera.width
     left, top = np.maximum(pixels.min(0) - margin, 0).astype(int)
     right, bottom = np.minimum(pixels.max(0) + margin, [stage.camera.width, stage.camera.height]).astype(int)
     return _Card((left, top, right, bottom), float(ahead.min()) - 2.4 * EFFECTOR_RADIUS, start, end)

@@ -49,7 +49,8 @@ class Plan:
     """What happens: the motion, how encoders read it, contacts, when the view is covered, where the hand seems to be.
 
     `noise` is the encoders' standard deviation (rad) unless the caller says otherwise; `covered` is the (start, end)
-    in s during which a card hides the end effector; `aside` displaces the picture of the hand, in picture widths.
+    in s during which a card hides the end effector and `margin` around its path; `aside` displaces the picture of the
+    hand; both in picture widths.
     """
 
     motion: motion.Motion
@@ -57,6 +58,7 @@ class Plan:
     encoders: Encoders
     contacts: tuple[Contact, ...] = ()
     covered: tuple[float, float] | None = None
+    margin: float = 0.06
     aside: float = 0.0
 
 

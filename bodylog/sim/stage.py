@@ -24,6 +24,7 @@ START_NS = 1_767_225_600 * 1_000_000_000
 
 FRAME = "camera_optical_frame"
 _BLOCK = 1000
+_ASIDE = np.array([0.017, 0.0, 0.03])
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def open_stage(
     with open_world(arm) as world:
         places, turns = world.pose(np.array(arm.home))
         target = places[world.links.index("effector")]
-        camera = cameras.look(target + arm.camera, target, size)
+        camera = cameras.look(target + arm.camera, target + _ASIDE, size)
         link = world.links.index("skin")
         column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
         yield Stage(world, arm, plan, camera, column, duration, seed, noise, image)

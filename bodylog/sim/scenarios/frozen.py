@@ -1,4 +1,4 @@
-"""An encoder freezes at 8 s: from then on it repeats its last reading, to the last bit."""
+"""An encoder freezes at 8 s: from then on it repeats one value, to the last bit."""
 
 import numpy as np
 
