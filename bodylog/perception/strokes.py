@@ -18,7 +18,8 @@ _LEAP = 5.0
 _LONGEST = 6.0
 _FEWEST = 2
 _SLOW = 0.8
-_SAME_WAY = 0.87
+_APPROACH = 5
+_EVEN = 0.5
 _STEP = 3.0
 _SHORTEST = 0.15
 
@@ -48,7 +49,8 @@ def strokes(hand: Series) -> tuple[Stroke, ...]:
     found: list[Stroke] = []
     for part in _stretches(t, place):
         if len(t[part]) >= 3 * _FEWEST:
-            found += _contacts(_pieces(t[part], place[part]))
+            for about in _contacts(_pieces(t[part], place[part])):
+                found += _stroke(t[part], place[part], about)
     return tuple(found)
 
 
@@ -115,17 +117,20 @@ def _noise(place: Array) -> float:
     return max(0.1, 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0)) if third.size else 0.1
 
 
-def _contacts(pieces: Sequence[_Piece]) -> list[Stroke]:
-    """The slow stretches among pieces that have faster ones before and after."""
+def _contacts(pieces: Sequence[_Piece]) -> list[tuple[float, float]]:
+    """About when (s) the slow stretches between faster pieces begin and end."""
     speeds = [piece.speed for piece in pieces]
     found = []
     after = 0
     for index in range(1, len(pieces) - 1):
         if index > after and speeds[index - 1] >= speeds[index] < speeds[index + 1]:
             before, after = _peaks(speeds, index)
-            first, last = _slow(speeds, index, _SLOW * min(speeds[before], speeds[after]))
+            fast = min(speeds[before], speeds[after])
+            first, last = _below(speeds, index, _SLOW * fast)
             if first <= last:
-                found += _stroke(pieces, *_turned(pieces, first, last))
+                steady = max(pieces[first : last + 1], key=lambda piece: piece.end - piece.start)
+                first, last = _below(speeds, index, max(speeds[index] * 1.01, min(_SLOW * fast, (steady.speed * fast) ** 0.5)))
+                found.append((_between(pieces, first), _between(pieces, last + 1)))
     return found
 
 
@@ -139,7 +144,7 @@ def _peaks(speeds: Sequence[float], valley: int) -> tuple[int, int]:
     return before, after
 
 
-def _slow(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]:
+def _below(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]:
     """First and last piece around a valley below a speed; last < first where the valley itself is not."""
     if speeds[valley] >= limit:
         return valley, valley - 1
@@ -151,33 +156,42 @@ def _slow(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]
     return first, last
 
 
-def _turned(pieces: Sequence[_Piece], first: int, last: int) -> tuple[int, int]:
-    """The stretch without leading pieces along the approach and trailing ones along the retreat."""
-    approach, retreat = pieces[first - 1].velocity, pieces[last + 1].velocity
-    while first < last and _same_way(pieces[first].velocity, approach):
-        first += 1
-    while first < last and _same_way(pieces[last].velocity, retreat):
-        last -= 1
-    return first, last
+def _between(pieces: Sequence[_Piece], second: int) -> float:
+    return 0.5 * (pieces[second - 1].end + pieces[second].start)
 
 
-def _same_way(a: Array, b: Array) -> bool:
-    return float(a @ b) > _SAME_WAY * float(np.hypot(*a) * np.hypot(*b))
-
-
-def _stroke(pieces: Sequence[_Piece], first: int, last: int) -> list[Stroke]:
-    """The stroke made of pieces first … last, unless too short in time or way."""
-    start = _meeting(pieces[first - 1], pieces[first])
-    end = _meeting(pieces[last], pieces[last + 1])
-    begin_px, end_px = pieces[first].at(start), pieces[last].at(end)
-    if end - start < _SHORTEST or float(np.hypot(*(end_px - begin_px))) < _STEP:
+def _stroke(t: Array, place: Array, about: tuple[float, float]) -> list[Stroke]:
+    """The stroke that begins and ends about then, with both ends found finer than a frame; none if too short."""
+    middle = 0.5 * (about[0] + about[1])
+    start, start_px = _corner(t, place, about[0], middle)
+    end, end_px = _corner(-t[::-1], place[::-1], -about[1], -middle)
+    end = -end
+    if end - start < _SHORTEST or float(np.hypot(*(end_px - start_px))) < _STEP:
         return []
-    return [Stroke(start, end, (float(begin_px[0]), float(begin_px[1])), (float(end_px[0]), float(end_px[1])))]
+    return [Stroke(start, end, (float(start_px[0]), float(start_px[1])), (float(end_px[0]), float(end_px[1])))]
 
 
-def _meeting(before: _Piece, after: _Piece) -> float:
-    """When two even motions are nearest to one another, between the last point of one and the first of the other."""
-    turn = after.velocity - before.velocity
-    apart = after.at(0.0) - before.at(0.0)
-    nearest = -float(apart @ turn) / max(float(turn @ turn), 1e-12)
-    return float(np.clip(nearest, before.end, after.start))
+def _corner(t: Array, place: Array, about: float, until: float) -> tuple[float, Array]:
+    """When (s) and where (2,) px the path turns from accelerated motion to an even one, near `about`.
+
+    Least squares of a path that is continuous, of second order before the corner and of first order after it.
+    """
+    first = int(np.searchsorted(t, about))
+    near = slice(max(0, first - _APPROACH), first + max(3, int(np.searchsorted(t, min(until, about + _EVEN))) - first))
+    t, place = t[near], place[near]
+    frame = float(np.median(np.diff(t)))
+    times = about + frame * np.linspace(-1.5, 1.5, 61)
+    errors = [_bend(t, place, time)[0] for time in times]
+    best = times[int(np.argmin(errors))]
+    return float(best), _bend(t, place, float(best))[1]
+
+
+def _bend(t: Array, place: Array, corner: float) -> tuple[float, Array]:
+    """Squared error of the best path with its corner then, and the corner's place (2,) px."""
+    before, after = np.minimum(t - corner, 0.0), np.maximum(t - corner, 0.0)
+    columns = [np.ones_like(t), before, after]
+    if np.count_nonzero(before) > _APPROACH - 2:
+        columns.append(before**2)
+    design = np.column_stack(columns)
+    fit = np.linalg.lstsq(design, place, rcond=None)[0]
+    return float(((place - design @ fit) ** 2).sum()), fit[0]
