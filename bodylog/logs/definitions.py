@@ -19,6 +19,7 @@ TIMES = frozenset({"time", "duration", "builtin_interfaces/msg/Time", "builtin_i
 _DUMMY = "structure_needs_at_least_one_member"
 _SEPARATOR = re.compile(r"^={3,}\s*$", re.MULTILINE)
 _HEADING = re.compile(r"\s*(?:MSG|IDL):\s*(\S+)[^\n]*(?:\n|$)")
+_DIRECTIVE = re.compile(r"^\s*#.*$", re.MULTILINE)
 _LINE = re.compile(
     r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?\s*(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
@@ -138,7 +139,13 @@ def _standard(name: str, above: tuple[str, ...], ros1: bool) -> tuple[Field, ...
     if described is None:
         where = f"{above[0]}: " if above else ""
         raise FormatError(f"{where}the log holds no definition of {name}, and it is not a standard type")
-    return tuple(_described(label, node) for label, node in described[1])
+    fields = (_described(label, node) for label, node in described[1])
+    return tuple(_as_ros1(field) for field in fields if field.name != _DUMMY) if ros1 else tuple(fields)
+
+
+def _as_ros1(field: Field) -> Field:
+    plain = {"builtin_interfaces/msg/Time": "time", "builtin_interfaces/msg/Duration": "duration"}
+    return Field(field.name, plain.get(field.type, field.type), field.size)
 
 
 @lru_cache(maxsize=2)
@@ -161,7 +168,7 @@ def _idl_sections(text: bytes, root: str) -> dict[str, tuple[Field, ...]]:
     from rosbags.typesys import get_types_from_idl
 
     sections: dict[str, tuple[Field, ...]] = {}
-    for piece in _SEPARATOR.split(text.decode(errors="replace")):
+    for piece in _SEPARATOR.split(_DIRECTIVE.sub("", text.decode(errors="replace"))):
         heading = _HEADING.match(piece)
         body = piece[heading.end() :] if heading else piece
         if not body.strip():

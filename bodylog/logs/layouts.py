@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from ..errors import ConfigError
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
-from .paths import Step, is_index
+from .paths import Only, Step, is_index
 from .walker import Leaf, Walker
 
 
@@ -24,6 +24,9 @@ def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, 
     for step in steps:
         if isinstance(step, str):
             field = _member(definition, field, step)
+        elif isinstance(step, Only):
+            _filter(definition, field, step)
+            single = False
         elif field.size is None:
             raise ConfigError(f"{definition.root}: {field.name or 'the message'} is no array; leave out the brackets")
         else:
@@ -43,6 +46,12 @@ def _member(definition: Definition, field: Field, name: str) -> Field:
         there = ", ".join(members) or "none"
         raise ConfigError(f"{definition.root}: {field.type} has no field {name!r}; it has {there}")
     return members[name]
+
+
+def _filter(definition: Definition, field: Field, only: Only) -> None:
+    key = _member(definition, field, only.field)
+    if key.size is not None or not (key.type in PRIMITIVES or key.type in TEXTS):
+        raise ConfigError(f"{definition.root}: a filter compares a number or a text, and {only.field} is a {key.type}")
 
 
 def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Batch, Topic
 from .columns import Columns, Part
-from .paths import Only, Range, Step, is_index
+from .paths import Only, Step, is_index
 
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
@@ -42,9 +42,12 @@ def follow(value: Any, steps: tuple[Step, ...]) -> Iterator[Value]:
         yield from _plain(value)
     elif isinstance(steps[0], str):
         yield from follow(_mapping(value)[steps[0]], steps[1:])
+    elif isinstance(steps[0], Only):
+        if _mapping(value).get(steps[0].field) == steps[0].value:
+            yield from follow(value, steps[1:])
     else:
-        for item in _picked(value, steps[0]):
-            yield from follow(item, steps[1:])
+        for index in steps[0].of(len(_array(value))):
+            yield from follow(value[index], steps[1:])
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:
@@ -53,12 +56,10 @@ def _mapping(value: Any) -> Mapping[str, Any]:
     return value
 
 
-def _picked(value: Any, step: Range | Only) -> list[Any]:
+def _array(value: Any) -> list[Any]:
     if not isinstance(value, list):
         raise KeyError("not an array")
-    if isinstance(step, Range):
-        return [value[index] for index in step.of(len(value))]
-    return [item for item in value if _mapping(item).get(step.field) == step.value]
+    return value
 
 
 def _plain(value: Any) -> Iterator[Value]:

@@ -31,7 +31,8 @@ def template(layout: Layout, payload: bytes) -> Template:
 
 def agrees(rows: Array, known: Template) -> Array:
     """True (n,) for the rows whose constant bytes are the template's."""
-    return ~((rows.view(np.uint64) ^ known.reference) & known.mask).any(axis=1)
+    differs: Array = ((rows.view(np.uint64) ^ known.reference) & known.mask) != 0
+    return np.logical_not(differs.any(axis=1))
 
 
 def gather(data: Array, offset: Array, width: int) -> Array:

@@ -32,6 +32,7 @@ class Walker:
     """A cursor over one payload that notes constants and wanted places as it passes them."""
 
     def __init__(self, definition: Definition, payload: bytes, wanted: int, ros1: bool) -> None:
+        """At the payload's first field; FormatError when it is not plain CDR."""
         self.definition, self.payload = definition, payload
         self.origin = self.pos = 0 if ros1 else 4
         self.constants: list[tuple[int, int]] = [] if ros1 else [(0, 2)]
@@ -45,7 +46,8 @@ class Walker:
     def struct(self, type_: str, wanted: Wanted, final: bool) -> None:
         """All fields of a struct; with `final`, only as far as the last wanted one."""
         fields = self.definition.types[type_]
-        inner = [tuple((k, steps[1:]) for k, steps in wanted if steps and steps[0] == f.name) for f in fields]
+        wanted = self._matching(type_, wanted)
+        inner = [tuple((k, steps[1:]) for k, steps in wanted if steps[0] == f.name) for f in fields]
         last = max((n for n, some in enumerate(inner) if some), default=-1) if final else len(fields) - 1
         for number in range(last + 1):
             self._field(fields[number], inner[number], final and number == last)
@@ -109,30 +111,31 @@ class Walker:
         if not wanted and self._is_fixed(type_):
             self._skip(type_, count)
             return
-        picks = [(k, self._pick(type_, steps, count), steps[1:]) for k, steps in wanted]
-        last = max((max(picked) for _, picked, _ in picks if picked), default=-1) if final else count - 1
+        picks = [(k, _range(steps, count), steps[1:]) for k, steps in wanted]
+        last = max((picked[-1] for _, picked, _ in picks if picked), default=-1) if final else count - 1
         for index in range(last + 1):
             inner = tuple((k, steps) for k, picked, steps in picks if index in picked)
             self._value(type_, inner, final and index == last)
 
-    def _pick(self, type_: str, steps: tuple[Step, ...], count: int) -> range | frozenset[int]:
-        if not steps or not isinstance(steps[0], Only):
-            return _range(steps, count)
-        probe = Walker(self.definition, self.payload, count, self.ros1)
-        probe.pos = self.pos
-        for index in range(count):
-            probe._value(type_, ((index, (steps[0].field,)),), False)
-        return frozenset(n for n in range(count) if probe._equals(n, type_, steps[0], self.constants))
+    def _matching(self, type_: str, wanted: Wanted) -> Wanted:
+        """The wanted paths whose filters this struct passes; what the filters look at must stay constant."""
+        passed = []
+        for k, steps in wanted:
+            if not isinstance(steps[0], Only) or self._equals(type_, steps[0]):
+                passed.append((k, steps[1:] if isinstance(steps[0], Only) else steps))
+        return passed
 
-    def _equals(self, index: int, type_: str, only: Only, constants: list[tuple[int, int]]) -> bool:
-        constants += self.constants
-        if self.texts[index]:
-            return self.texts[index] == [only.value]
+    def _equals(self, type_: str, only: Only) -> bool:
+        probe = Walker(self.definition, self.payload, 1, self.ros1)
+        probe.pos = self.pos
+        probe.struct(type_, ((0, (only.field,)),), True)
+        self.constants += probe.constants
+        if probe.texts[0]:
+            return probe.texts[0] == [only.value]
         field = next(f for f in self.definition.types[type_] if f.name == only.field)
-        offset = self.runs[index][0][0]
-        constants.append((offset, offset + _SIZES[field.type]))
-        value = np.frombuffer(self.payload, self._dtype(field.type), 1, offset)[0]
-        return bool(value == only.value)
+        offset, _, size = probe.runs[0][0]
+        self.constants.append((offset, offset + size))
+        return bool(np.frombuffer(self.payload, self._dtype(field.type), 1, offset)[0] == only.value)
 
     def _skip(self, type_: str, count: int) -> None:
         """Step over fixed-size structs: their spans repeat once the alignment does."""

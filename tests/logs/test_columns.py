@@ -1,5 +1,8 @@
-"""Columns must equal what rosbags decodes message by message, for any definition; damage must be counted, not guessed."""
+"""Columns must equal what rosbags decodes message by message, for any definition; damage must be counted."""
 
+import json
+import struct
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +16,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from bodylog.errors import ConfigError, FormatError
 from bodylog.logs.columns import Columns, columns
 from bodylog.types import Batch, Topic
+
+from .writing import T0, joint_state
 
 ROOT, INNER, LEAF = "test_msgs/msg/Root", "test_msgs/msg/Inner", "test_msgs/msg/Leaf"
 NUMBERS = ("bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
@@ -203,3 +208,184 @@ def test_damaged_payloads_are_counted_and_never_crash(data: st.DataObject) -> No
     payloads[place] = bytes(broken)
     found = columns(Messages(payloads), topic(text_of(types)), paths(types))
     assert len(found.sound) + sum(found.rejected.values()) == len(messages)
+
+
+JOINT_STATE = """std_msgs/Header header
+string[] name
+float64[] position
+float64[] velocity
+float64[] effort
+"""
+SKIN = """SkinCellData[] data
+=====
+MSG: test_msgs/SkinCellData
+int32 cellId
+int64 ts
+float32[] prox
+float32[] force
+"""
+JOINT_FIELDS = ("header.stamp", "name", "position")
+
+
+def joint_topic(encoding: str = "cdr") -> Topic:
+    return topic(JOINT_STATE, encoding, "sensor_msgs/msg/JointState")
+
+
+def test_trailing_bytes_and_empty_or_nan_velocities_are_fine():
+    plain = joint_state(T0, ("a", "b"), (1.0, 2.0))
+    payloads = [plain, plain + bytes(8), joint_state(T0, ("a", "b"), (3.0, 4.0), (np.nan, np.nan))]
+    found = columns(Messages(payloads), joint_topic(), JOINT_FIELDS)
+    assert (found.fast, found.fallback, dict(found.rejected)) == (3, 0, {})
+    np.testing.assert_array_equal(found.column("position"), [[1, 2], [1, 2], [3, 4]])
+
+
+def test_equal_length_is_not_equal_layout():
+    payloads = [
+        joint_state(T0, ("aa", "bb"), (1.0, 2.0)),
+        joint_state(T0 + 1, ("bb", "aa"), (3.0, 4.0)),
+        joint_state(T0 + 2, ("a", "bbb"), (5.0, 6.0)),
+        joint_state(T0 + 3, ("aa", "bb"), (7.0, 8.0)),
+    ]
+    assert len({len(payload) for payload in payloads}) == 1
+    found = columns(Messages(payloads), joint_topic(), JOINT_FIELDS)
+    assert found.fast == 4
+    assert {part.values[1]: part.rows.tolist() for part in found.parts} == {
+        ("aa", "bb"): [0, 3],
+        ("bb", "aa"): [1],
+        ("a", "bbb"): [2],
+    }
+
+
+def test_padding_is_never_compared():
+    first = bytearray(joint_state(T0, ("a",), (1.0,)))
+    second = bytearray(first)
+    place = first.index(b"base\0") + 5
+    assert first[place : place + 3] == b"\0\0\0"
+    second[place : place + 3] = b"\7\7\7"
+    found = columns(Messages([bytes(first), bytes(second)]), joint_topic(), JOINT_FIELDS)
+    assert (found.fast, len(found.parts)) == (2, 1)
+
+
+def test_more_layouts_than_are_remembered_fall_back_and_are_counted():
+    payloads = [joint_state(T0 + n, (f"joint{'x' * (n % 20)}",), (float(n),)) for n in range(60)]
+    found = columns(Messages(payloads, 60), joint_topic(), JOINT_FIELDS)
+    assert (found.fast, found.fallback) == (24, 36)
+    np.testing.assert_array_equal(found.column("position")[:, 0], np.arange(60.0))
+
+
+def test_arrays_that_vary_in_length_come_back_in_file_order():
+    payloads = [joint_state(T0 + n, ("a", "b")[: 1 + n % 2], (1.0 * n, -1.0)[: 1 + n % 2]) for n in range(6)]
+    got = columns(Messages(payloads), joint_topic(), ("position",)).column("position")
+    np.testing.assert_array_equal(got[:, 0], np.arange(6.0))
+    np.testing.assert_array_equal(np.isnan(got[:, 1]), np.arange(6) % 2 == 0)
+
+
+@pytest.mark.parametrize("count", [3, 10_000, 0x7FFFFFFF, 0xFFFFFFFF])
+def test_a_length_that_lies_is_refused_before_memory_is_taken(count):
+    payload = bytearray(joint_state(T0, ("a",), (1.0,)))
+    place = len(payload) - 4 - 4 - 8 - 4
+    place -= (place - 4) % 4
+    while payload[place : place + 4] != struct.pack("<I", 1):
+        place -= 4
+    payload[place : place + 4] = struct.pack("<I", count)
+    tracemalloc.start()
+    found = columns(Messages([bytes(payload), joint_state(T0, ("a",), (1.0,))]), joint_topic(), JOINT_FIELDS)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+    assert dict(found.rejected) == {"malformed": 1}
+    assert found.sound.tolist() == [1]
+
+
+@pytest.mark.parametrize("text", ["float64[2000000000] x", "Inner[2000000000] x\n===\nMSG: test_msgs/Inner\nfloat64 a"])
+def test_a_definition_that_lies_about_its_size_is_refused_at_once(text):
+    tracemalloc.start()
+    found = columns(Messages([bytes(64)]), topic(text), ("x" if "Inner" not in text else "x[:].a",))
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+    assert dict(found.rejected) == {"malformed": 1}
+
+
+def test_structs_of_nothing_cost_nothing():
+    text = "Inner[2000000000] x\nuint8 y\n=====\nMSG: test_msgs/Inner\n"
+    found = columns(Messages([b"\7"]), topic(text, "ros1"), ("y",))
+    assert found.column("y").tolist() == [7]
+
+
+def test_ros1_payloads_labelled_cdr_are_recognised():
+    types = {ROOT: (Member("f0", "uint32", ""), Member("f1", "string", ""), Member("f2", "float64", "[]"))}
+    types |= {LEAF: (Member("f0", "bool", ""),), INNER: (Member("f0", "bool", ""),)}
+    messages = [{"f0": n, "f1": "abc", "f2": [0.5 * n, 1.5]} for n in range(5)]
+    found = columns(Messages(encode(types, messages, "ros1")), topic(text_of(types), "cdr"), paths(types))
+    check(found, messages, paths(types))
+
+
+def test_skin_cells_become_one_array_of_cells():
+    payloads = [_skin(cells=117, message=n) for n in range(9)]
+    fields = ("data[:].prox[0]", "data[:].cellId", "data[:]{cellId==3}.ts")
+    found = columns(Messages(payloads), topic(SKIN, "ros1"), fields)
+    assert (found.fast, len(found.parts)) == (9, 1)
+    want = np.arange(117) / 256 + np.arange(9)[:, None]
+    np.testing.assert_array_equal(found.column("data[:].prox[0]"), want)
+    np.testing.assert_array_equal(found.column("data[:].cellId")[4], np.arange(117))
+    np.testing.assert_array_equal(found.column("data[:]{cellId==3}.ts")[:, 0], 1000 * np.arange(9) + 3)
+
+
+def _skin(cells: int, message: int, silent: int = -1) -> bytes:
+    out = struct.pack("<I", cells)
+    for cell in range(cells):
+        prox = (message + cell / 256,) if cell != silent else ()
+        out += struct.pack(f"<iqI{len(prox)}fI3f", cell, 1000 * message + cell, len(prox), *prox, 3, 1.0, 2.0, 3.0)
+    return out
+
+
+def test_a_cell_without_a_reading_is_nan_and_does_not_shift_the_others():
+    found = columns(Messages([_skin(4, 0, silent=1)]), topic(SKIN, "ros1"), ("data[:].prox[0]",))
+    np.testing.assert_array_equal(found.column("data[:].prox[0]"), [[0, np.nan, 2 / 256, 3 / 256]])
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 7, 400])
+@pytest.mark.parametrize("inner", [("uint8", "float64", "uint16"), ("uint16", "uint8", "time"), ("uint8",) * 3])
+def test_long_arrays_of_fixed_structs_are_stepped_over(size, inner):
+    inner = tuple(kind.replace("time", "builtin_interfaces/Time") for kind in inner)
+    types = {
+        LEAF: tuple(Member(f"f{n}", kind, "") for n, kind in enumerate(inner)),
+        INNER: (Member("f0", "test_msgs/Leaf", ""), Member("f1", "uint8", "[2]")),
+        ROOT: (Member("f0", "test_msgs/Inner", "[]"), Member("f1", "float64", "")),
+    }
+    leaf = {f"f{n}": (5, 6) if "/" in kind else n for n, kind in enumerate(inner)}
+    message = {"f0": [{"f0": leaf, "f1": [1, 2]}] * size, "f1": 9.5}
+    found = columns(Messages(encode(types, [message], "little")), topic(text_of(types)), ("f1",))
+    assert found.column("f1").tolist() == [9.5]
+
+
+def test_unknown_encapsulation_is_rejected():
+    found = columns(Messages([b"\0\3\0\0" + bytes(60)]), joint_topic(), JOINT_FIELDS)
+    assert dict(found.rejected) == {"malformed": 1}
+
+
+@pytest.mark.parametrize(
+    ("path", "says"),
+    [
+        ("positions", "has no field 'positions'; it has header, name, position"),
+        ("header", "is a std_msgs/msg/Header; name one of stamp, frame_id"),
+        ("header.stamp[0]", "stamp is no array"),
+        ("position.x", r"write position\[:\].x"),
+    ],
+)
+def test_a_field_that_is_not_there_is_named_with_those_that_are(path, says):
+    with pytest.raises(ConfigError, match=says):
+        columns(Messages([]), joint_topic(), (path,))
+
+
+def test_a_broken_definition_names_its_topic():
+    with pytest.raises(FormatError, match=r"^/x: test_msgs/msg/Root: cannot read"):
+        columns(Messages([]), topic("}{"), ("x",))
+
+
+def test_json_messages_become_columns():
+    stamps = [{"stamp": {"sec": 5, "nsec": n}} for n in range(3)]
+    payloads = [json.dumps({"header": stamps[n], "q": [1.0 * n, 2], "name": "left"}).encode() for n in range(3)]
+    found = columns(Messages([*payloads, b"{", b"[]", b"{}"]), topic("{}", "json"), ("header.stamp", "q", "name"))
+    assert found.column("header.stamp").tolist() == [5 * 10**9 + n for n in range(3)]
+    np.testing.assert_array_equal(found.column("q"), [[0, 2], [1, 2], [2, 2]])
+    assert (found.fallback, dict(found.rejected)) == (3, {"malformed": 2, "field missing": 1})

@@ -1,0 +1,156 @@
+"""Definitions as recorders write them, and as they should never be written."""
+
+import time
+
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from bodylog.errors import FormatError
+from bodylog.logs.definitions import Field, parse
+
+TUM = b"""SkinCellData[] data
+================================================================================
+MSG: tum_ics_skin_msgs/SkinCellData
+int32 cellId
+int64 ts
+float32[] prox
+float32[] force
+"""
+
+
+def fields(text: str, encoding: str = "ros2msg") -> tuple[Field, ...]:
+    return parse(text.encode(), "p/msg/T", encoding).types["p/msg/T"]
+
+
+def test_every_kind_of_line():
+    text = """
+# a remark
+int32 TYPE=3           # a constant
+string NAME= a # b
+float64 x              # a remark
+float64 y 1.5
+string<=5 short "abc"
+int32[<=3] few
+uint8[4] four
+string<=8[] many
+p/Inner one
+Inner[2] two
+================
+MSG: p/Inner
+bool ok
+"""
+    assert fields(text) == (
+        Field("x", "float64", None),
+        Field("y", "float64", None),
+        Field("short", "string", None),
+        Field("few", "int32", -1),
+        Field("four", "uint8", 4),
+        Field("many", "string", -1),
+        Field("one", "p/msg/Inner", None),
+        Field("two", "p/msg/Inner", 2),
+    )
+
+
+def test_ros1_spellings():
+    found = fields("Header header\ntime t\nduration d\nbyte b\nchar c\n", "ros1msg")
+    assert [(f.name, f.type) for f in found] == [
+        ("header", "std_msgs/msg/Header"),
+        ("t", "time"),
+        ("d", "duration"),
+        ("b", "int8"),
+        ("c", "char"),
+    ]
+
+
+def test_ros1_headers_have_a_sequence_number_and_ros2_ones_do_not():
+    ros1 = parse(b"Header header\n", "p/msg/T", "ros1msg").types["std_msgs/msg/Header"]
+    ros2 = parse(b"std_msgs/Header header\n", "p/msg/T", "ros2msg").types["std_msgs/msg/Header"]
+    assert [f.name for f in ros1] == ["seq", "stamp", "frame_id"]
+    assert [f.name for f in ros2] == ["stamp", "frame_id"]
+
+
+def test_a_type_of_the_same_package_is_found_without_its_package():
+    found = parse(TUM, "tum_ics_skin_msgs/msg/SkinCellDataArray", "ros1msg")
+    assert found.types[found.root] == (Field("data", "tum_ics_skin_msgs/msg/SkinCellData", -1),)
+
+
+def test_an_empty_definition_of_a_standard_type_is_looked_up():
+    found = parse(b"", "sensor_msgs/msg/JointState", "ros2msg")
+    assert [f.name for f in found.types[found.root]] == ["header", "name", "position", "velocity", "effort"]
+
+
+def test_an_empty_message_takes_a_byte_in_ros2_and_none_in_ros1():
+    assert len(parse(b"", "std_msgs/msg/Empty", "ros2msg").types["std_msgs/msg/Empty"]) == 1
+    assert parse(b"", "std_msgs/msg/Empty", "ros1msg").types["std_msgs/msg/Empty"] == ()
+
+
+def test_idl():
+    text = """================================================================================
+IDL: p/msg/T
+#include "p/msg/Inner.idl"
+module p { module msg {
+  typedef double double__3[3];
+  struct T {
+    int32 count; sequence<double> many; sequence<float, 4> few;
+    double__3 three; string name; p::msg::Inner in;
+  };
+}; };
+================================================================================
+IDL: p/msg/Inner
+module p { module msg { struct Inner { boolean ok; octet raw; }; }; };
+"""
+    found = parse(text.encode(), "p/msg/T", "ros2idl")
+    sizes = [(f.name, f.type, f.size) for f in found.types["p/msg/T"]]
+    assert sizes == [
+        ("count", "int32", None),
+        ("many", "float64", -1),
+        ("few", "float32", -1),
+        ("three", "float64", 3),
+        ("name", "string", None),
+        ("in", "p/msg/Inner", None),
+    ]
+    assert [f.type for f in found.types["p/msg/Inner"]] == ["bool", "byte"]
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("float64", "cannot read the definition line"),
+        ("}{ garbage", "cannot read the definition line"),
+        ("unknown_msgs/Thing x", "no definition of unknown_msgs/msg/Thing"),
+        ("T again", "contains itself"),
+        ("float64[99999999999999999999] x", "asks for"),
+        ("float64[4294967296] x", "asks for"),
+        ("\n".join(["A a", "=" * 9, "MSG: p/A", "B b", "=" * 9, "MSG: p/B", "A a"]), "contains itself"),
+    ],
+)
+def test_what_cannot_be_understood_is_named(text, says):
+    with pytest.raises(FormatError, match=says):
+        fields(text)
+
+
+def test_bytes_that_are_no_text_are_refused():
+    with pytest.raises(FormatError, match="not text"):
+        parse(b"\xff\xfe\x00", "p/msg/T", "ros2msg")
+
+
+def test_a_definition_that_doubles_at_every_level_is_read_at_once():
+    levels = [f"MSG: p/L{n}\nL{n + 1} a\nL{n + 1} b\n" for n in range(40)]
+    text = ("=" * 9 + "\n").join(["L0 x\n", *levels, "MSG: p/L40\n"])
+    started = time.perf_counter()
+    assert len(parse(text.encode(), "p/msg/T", "ros1msg").types) == 42
+    assert time.perf_counter() - started < 1
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_all_standard_types_parse_as_rosbags_describes_them(version):
+    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
+    dialect = f"ros{version}msg"
+    for name in sorted(store.fielddefs):
+        if name in ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"):
+            continue
+        text = store.generate_msgdef(name, ros_version=version)[0]
+        found = parse(text.encode(), name, dialect)
+        dummy = "structure_needs_at_least_one_member"
+        labels = [label for label, _ in store.fielddefs[name][1] if version == 2 or label != dummy]
+        assert [f.name for f in found.types[name]] == labels, name

@@ -1,0 +1,54 @@
+"""Message-path syntax, as Foxglove writes it."""
+
+import pytest
+
+from bodylog.errors import ConfigError
+from bodylog.logs.paths import Only, Path, Range, parse, steps
+
+
+@pytest.mark.parametrize(
+    ("text", "topic", "expected"),
+    [
+        ("/joint_states", "/joint_states", ()),
+        ("/joint_states.position[0]", "/joint_states", ("position", Range(0, 0))),
+        ("/skin.data[:].prox[0]", "/skin", ("data", Range(0, -1), "prox", Range(0, 0))),
+        ("/a/b.c[1:3]", "/a/b", ("c", Range(1, 3))),
+        ("/a.c[-1]", "/a", ("c", Range(-1, -1))),
+        ("/a.c[2:]", "/a", ("c", Range(2, -1))),
+        ("/a.c[:]{id==2}.x", "/a", ("c", Range(0, -1), Only("id", 2), "x")),
+        ("/a.c[:]{name==\"left arm\"}", "/a", ("c", Range(0, -1), Only("name", "left arm"))),
+        ("/a.c{on==true}", "/a", ("c", Only("on", 1))),
+        ("io_teleop/joint_states", "io_teleop/joint_states", ()),
+    ],
+)
+def test_a_path_is_a_topic_and_steps(text, topic, expected):
+    assert parse(text) == Path(topic, expected)
+
+
+def test_a_known_topic_with_dots_wins_over_the_first_dot():
+    assert parse("/cam.left.data", ["/cam", "/cam.left"]) == Path("/cam.left", ("data",))
+
+
+def test_steps_may_leave_out_the_first_dot():
+    assert steps("data[:].prox[0]") == steps(".data[:].prox[0]")
+
+
+@pytest.mark.parametrize("text", ["/a.", "/a.b[", "/a.b[x]", "/a.b{id=2}", "/a.b..c", "/a.b[1:2:3]"])
+def test_what_cannot_be_read_is_named(text):
+    with pytest.raises(ConfigError, match="cannot read"):
+        parse(text)
+
+
+@pytest.mark.parametrize(
+    ("span", "picked"),
+    [
+        (Range(1, 2), [1, 2]),
+        (Range(0, -1), [0, 1, 2, 3]),
+        (Range(-2, -1), [2, 3]),
+        (Range(3, 9), [3]),
+        (Range(7, 9), []),
+        (Range(-9, 1), [0, 1]),
+    ],
+)
+def test_ranges_include_both_ends(span, picked):
+    assert list(span.of(4)) == picked
