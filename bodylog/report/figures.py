@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import UsageError
 from ..types import Array, BodyModel, Estimate, Features, ForwardModel, Recording, Series
 from .canvas import INK, figure, label
-from .panels import belief, deviation, errors, events, free_energy, pixels, signals, skin, trajectories
+from .panels import belief, deviation, errors, events, free_energy, pixels, seen_tracks, signals, skin, trajectories
 
 Panel = Callable[[Any], None]
 
@@ -21,13 +21,13 @@ _GRID = 61
 def recording_figure(recording: Recording, features: Features | None, out: Path) -> None:
     """Draw a log as the paper's figure 3: joints, pixels, skin, events, trajectories; what is absent is left out."""
     panels = _recording_panels(recording, features)
-    tracks = {name: track for name, track in (features.tracks if features else {}).items() if len(track.t)}
+    tracks = seen_tracks(features)
     if not panels:
         raise UsageError(f"{recording.name}: no joints, tracks, skin or events to draw; type: bodylog doctor LOG")
     with figure(out, 11.0 if tracks else 8.0, 0.6 + 1.75 * len(panels)) as drawing:
         grid = drawing.add_gridspec(len(panels), 2 if tracks else 1, width_ratios=(5, 3) if tracks else (1,))
-        axes = _stack(drawing, grid, panels, recording.duration_s)
-        axes[0].set_title(label(recording.name, 80))
+        drawing.suptitle(label(recording.name, 80), x=0.01, ha="left", weight="bold")
+        _stack(drawing, grid, panels, recording.duration_s)
         if tracks:
             trajectories(tracks, features.strokes if features else (), drawing.add_subplot(grid[:, 1]))
 
@@ -55,7 +55,7 @@ def estimate_figure(estimate: Estimate, truth: Series | None, recorded: Series |
     with figure(out, 13.0 if real else 9.0, 0.6 + 1.75 * len(panels)) as drawing:
         grid = drawing.add_gridspec(len(panels), 2 if real else 1)
         axes = _stack(drawing, grid, panels, None, aside=len(names))
-        axes[0].set_title(f"{label(estimate.method)}: belief, 2σ")
+        drawing.suptitle(f"{label(estimate.method)}: belief with its 2σ band", x=0.01, ha="left", weight="bold")
         for m, name in enumerate(names):
             if real and name in real.names:
                 deviation(estimate, m, real, recorded, drawing.add_subplot(grid[m, 1], sharex=axes[0]))
@@ -66,7 +66,7 @@ def _recording_panels(recording: Recording, features: Features | None) -> list[P
     panels: list[Panel] = []
     if joints is not None and len(joints.t):
         panels.append(partial(signals, joints, "joints, rad"))
-    if features and any(len(track.t) for track in features.tracks.values()):
+    if features and seen_tracks(features):
         panels.append(partial(pixels, features))
     if recording.skin is not None and len(recording.skin.t):
         panels.append(partial(skin, recording.skin))
@@ -91,7 +91,7 @@ def _stack(drawing: Any, grid: Any, panels: list[Panel], duration: float | None,
 
 
 def _surface(drawing: Any, row: Any, joints: tuple[str, ...], title: str, model: ForwardModel, d: int) -> None:
-    samples = getattr(model, "x", None)
+    samples = getattr(model, "samples", None)
     first, second, x = _lattice(samples, len(joints))
     means, _, variances = zip(*(model.predict(line) for line in x), strict=True)  # by line: little memory at any n
     drawn = {"mean": np.stack(means)[..., d], "standard deviation": np.sqrt(np.stack(variances)[..., d])}

@@ -9,7 +9,7 @@ from ..files import replacing
 from ..types import Estimate, Features, Recording, Score
 from .overlay import Picture
 from .packing import embedded, marks, most_points, plain
-from .sections import escaped, faults, header, notes, settings, tables
+from .sections import escaped, faults, header, notes, score_table, settings, tables
 from .traces import panels
 
 _ASSETS = Path(__file__).parent / "assets"
@@ -34,6 +34,7 @@ def write(
         faults(estimate),
         _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
         _gallery(pictures),
+        score_table(scores),
         tables(recording, features, estimate),
         settings(estimate, provenance or {}),
         f'<script type="application/json" id="data">{data}</script>' if drawn else "",

@@ -13,6 +13,12 @@ _COLUMNS = 1200
 _CROWD = 24
 
 
+def seen_tracks(features: Features | None) -> dict[str, Series]:
+    """The tracks that were seen at least once."""
+    tracks = features.tracks if features else {}
+    return {name: track for name, track in tracks.items() if np.isfinite(track.values).all(axis=1).any()}
+
+
 def signals(series: Series, unit: str, ax: Any) -> None:
     """Every column of a signal as a line."""
     for d, name in enumerate(series.names):
@@ -23,12 +29,12 @@ def signals(series: Series, unit: str, ax: Any) -> None:
 
 def pixels(features: Features, ax: Any) -> None:
     """u (solid) and v (dashed) of every track, on the spans of the strokes."""
-    for i, (name, track) in enumerate(features.tracks.items()):
+    for i, (name, track) in enumerate(seen_tracks(features).items()):
         for d, style in enumerate(("-", "--")):
             line = thin(track.t, track.values[:, d], _POINTS)
             ax.plot(*line, style, color=colour(name, i), label=f"{label(name)} {'uv'[d]}")
-    for stroke in features.strokes:
-        ax.axvspan(stroke.start, stroke.end, color=SEEN, alpha=0.10, lw=0)
+    spans = [(x.start, x.end - x.start) for x in features.strokes]
+    ax.broken_barh(spans, (0, 1), transform=ax.get_xaxis_transform(), color=SEEN, alpha=0.10, lw=0)
     ax.set_ylabel("pixels")
     _legend(ax)
 
@@ -54,15 +60,16 @@ def _peaks(skin: Series) -> tuple[Array, Array]:
 
 def events(features: Features, ax: Any) -> None:
     """Touches felt below strokes seen, pairs joined and weighed."""
+    from matplotlib.collections import LineCollection
+
     touches = features.touches or ()
     ax.broken_barh([(x.onset, x.offset - x.onset) for x in touches], (0.1, 0.8), color=FELT)
     ax.broken_barh([(x.start, x.end - x.start) for x in features.strokes], (1.1, 0.8), color=SEEN)
-    for pair in features.synchrony:
-        if pair.stroke is not None:
-            ends = (touches[pair.touch].onset, features.strokes[pair.stroke].start)
-            ax.plot(ends, (0.9, 1.1), color=INK, alpha=0.25 + 0.75 * pair.weight)
-            if len(features.synchrony) <= _CROWD:
-                ax.annotate(f"{pair.weight:.2f}", (ends[1], 1.95), fontsize=6, color=INK)
+    pairs = [(touches[x.touch].onset, x.delay, x.weight) for x in features.synchrony if np.isfinite(x.delay)]
+    lines = [((felt, 0.9), (felt + delay, 1.1)) for felt, delay, _ in pairs]
+    ax.add_collection(LineCollection(lines, colors=INK, alpha=[0.25 + 0.75 * weight for *_, weight in pairs]))
+    for felt, delay, weight in pairs if len(pairs) <= _CROWD else ():
+        ax.annotate(f"{weight:.2f}", (felt + delay, 1.95), fontsize=6, color=INK)
     ax.set_ylim(-0.1, 2.4)
     ax.set_yticks([0.5, 1.5], ["felt", "seen"])
     ax.set_ylabel("touch")
@@ -74,14 +81,16 @@ def trajectories(tracks: dict[str, Series], strokes: tuple[Stroke, ...], ax: Any
         seen = track.values[np.isfinite(track.values).all(axis=1)]
         keep = np.union1d(extremes(track.values[:, 0], _POINTS), extremes(track.values[:, 1], _POINTS))
         ax.plot(*track.values[keep].T, color=colour(name, i), alpha=0.7, label=label(name))
-        if len(seen):
-            ax.plot(*seen[0], "o", color=colour(name, i), mec=INK, ms=7, label="_")
-            ax.plot(*seen[-1], "s", color=colour(name, i), mec=INK, ms=7, label="_")
-    for stroke in strokes:
-        ax.annotate("", stroke.end_px, stroke.start_px, arrowprops={"arrowstyle": "-|>", "color": SEEN})
-    ax.set(aspect="equal", anchor="N", xlabel="u, pixels", ylabel="v, pixels", title="● start  ■ end  ➝ stroke")
+        ax.plot(*seen[0], "o", color=colour(name, i), mec=INK, ms=7, label="_")
+        ax.plot(*seen[-1], "s", color=colour(name, i), mec=INK, ms=7, label="_")
+    if strokes:
+        start, end = np.array([x.start_px for x in strokes]), np.array([x.end_px for x in strokes])
+        ax.quiver(*start.T, *(end - start).T, angles="xy", scale_units="xy", scale=1, width=0.008, color=SEEN, zorder=3)
+    ax.set(aspect="equal", anchor="N", xlabel="u, pixels", ylabel="v, pixels")
     ax.invert_yaxis()
-    _legend(ax)
+    for mark, what in (("o", "start"), ("s", "end")):
+        ax.plot([], [], mark, color="white", mec=INK, label=what)
+    _legend(ax, room=34)
 
 
 def belief(estimate: Estimate, m: int, truth: Series | None, recorded: Series | None, ax: Any) -> None:
@@ -89,7 +98,7 @@ def belief(estimate: Estimate, m: int, truth: Series | None, recorded: Series | 
     name, t, mean = estimate.joints.names[m], estimate.joints.t, estimate.joints.values[:, m]
     spread = 2.0 * np.sqrt(estimate.cov[:, m, m])
     _other(ax, recorded, name, {"color": "#b8bec6", "lw": 0.7}, "encoder")
-    ax.fill_between(*envelope(t, mean - spread, mean + spread, _POINTS), color=LINES[0], alpha=0.25, lw=0)
+    ax.fill_between(*envelope(t, mean - spread, mean + spread, _POINTS), color=LINES[0], alpha=0.25, lw=0, zorder=2)
     ax.plot(*thin(t, mean, _POINTS), color=LINES[0], label="belief")
     _other(ax, truth, name, {"color": TRUTH, "lw": 0.9, "ls": "--"}, "truth")
     for fault in estimate.faults:
@@ -107,7 +116,7 @@ def deviation(estimate: Estimate, m: int, truth: Series, recorded: Series | None
     if recorded is not None and name in recorded.names:
         off = 1e3 * (recorded.values[:, recorded.names.index(name)] - np.interp(recorded.t, truth.t, real))
         ax.plot(*thin(recorded.t, off, _POINTS), color="#c9ced5", lw=0.7, label="encoder")
-    ax.fill_between(*envelope(t, -spread, spread, _POINTS), color=LINES[0], alpha=0.25, lw=0)
+    ax.fill_between(*envelope(t, -spread, spread, _POINTS), color=LINES[0], alpha=0.25, lw=0, zorder=2)
     off = 1e3 * (estimate.joints.values[:, m] - np.interp(t, truth.t, real))
     ax.plot(*thin(t, off, _POINTS), color=LINES[0], label="belief")
     ax.set_ylabel("off truth, mrad")
@@ -136,7 +145,9 @@ def free_energy(estimate: Estimate, ax: Any) -> None:
     ax.set_ylabel("free energy, nats")
 
 
-def _legend(ax: Any) -> None:
+def _legend(ax: Any, room: int = 75) -> None:
+    """The names above the axes, as many in a row as there is room for."""
     handles, names = ax.get_legend_handles_labels()
     if handles:
-        ax.legend(handles[:8], names[:8], loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1, ncols=8)
+        columns = max(1, room // (max(map(len, names[:8])) + 6))
+        ax.legend(handles[:8], names[:8], loc="lower right", bbox_to_anchor=(1, 1), borderaxespad=0.1, ncols=columns)

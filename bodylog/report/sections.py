@@ -32,15 +32,25 @@ def header(recording: Recording, estimate: Estimate | None, scores: Sequence[Sco
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"] if estimate else ["no estimate"]
     said = escaped(" · ".join(facts))
-    cards = "".join(f"<div><b>{escaped(_quantity(s.value, s.unit))}</b>{escaped(s.name)}</div>" for s in scores[:_ROWS])
+    whole = [score for score in scores if "/" not in score.name][:_ROWS]
+    cards = "".join(f"<div><b>{escaped(_quantity(x))}</b>{escaped(x.name)}</div>" for x in whole)
     shown = f'\n<div class="cards">{cards}</div>' if cards else ""
     return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{said}</p>{shown}'
+
+
+def score_table(scores: Sequence[Score]) -> str:
+    """The scores named figure/part: one row per part, one column per figure."""
+    found = {tuple(x.name.split("/", 1)): _quantity(x) for x in scores if "/" in x.name}
+    figures = list(dict.fromkeys(figure for figure, _ in found))
+    parts = dict.fromkeys(part for _, part in found)
+    rows = [(part, *(found.get((figure, part), "–") for figure in figures)) for part in parts]
+    return _table("Scores in parts", ("part", *figures), rows)
 
 
 def faults(estimate: Estimate | None) -> str:
     """Which sensor lied, how, since when and how much."""
     rows = [
-        (x.sense, x.name, x.kind, Moment(x.since, x.since), _quantity(x.size, x.unit))
+        (x.sense, x.name, x.kind, Moment(x.since, x.since), _quantity(Score(x.kind, x.size, x.unit)))
         for x in (estimate.faults if estimate else ())
     ]
     return _table("Which sensor lied", ("sense", "name", "kind", "since", "size"), rows)
@@ -96,7 +106,7 @@ def _touches(features: Features | None) -> str:
 
 
 def _touch(touch: Touch, pair: Synchrony | None) -> tuple[str | Moment, ...]:
-    seen = (f"{pair.delay:.3f} s", f"{pair.weight:.2f}") if pair and pair.stroke is not None else ("–", "–")
+    seen = (f"{pair.delay:.3f} s", f"{pair.weight:.2f}") if pair and isfinite(pair.delay) else ("–", "–")
     cells = ", ".join(str(cell) for cell in touch.cells)
     return Moment(touch.onset, touch.offset), f"{touch.offset - touch.onset:.3f} s", cells, f"{touch.peak:.2f}", *seen
 
@@ -124,8 +134,8 @@ def _cell(value: str | Moment) -> str:
     return f"<td{mark}>{escaped(value)}</td>"
 
 
-def _quantity(value: float, unit: str) -> str:
-    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+def _quantity(score: Score) -> str:
+    return f"{score.value:.4g}" if score.unit in ("", "1") else f"{score.value:.4g} {score.unit}"
 
 
 def _when(start_ns: int) -> str:

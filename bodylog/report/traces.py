@@ -50,7 +50,7 @@ class Panel:
 def panels(recording: Recording, features: Features | None, estimate: Estimate | None) -> tuple[Panel, ...]:
     """Every panel there is something to draw in, in reading order."""
     drawn = [*_beliefs(recording, estimate), *_sights(features, estimate), *_feelings(recording, features)]
-    return tuple(panel for panel in drawn if panel.rows or any(len(trace.t) for trace in panel.traces))
+    return tuple(panel for panel in drawn if panel.rows or any(np.isfinite(trace.y).any() for trace in panel.traces))
 
 
 def _beliefs(recording: Recording, estimate: Estimate | None) -> Iterator[Panel]:
@@ -94,10 +94,10 @@ def _feelings(recording: Recording, features: Features | None) -> Iterator[Panel
         strongest = np.fmax.reduce(recording.skin.values, axis=1)
         yield Panel("skin, 0..1", (Trace("strongest cell", "felt", recording.skin.t, strongest),))
     touches = features.touches or () if features else ()
-    strokes = features.strokes if features else ()
+    strokes = _strokes(features)
     if touches or strokes:
         felt = Row("felt", "felt", tuple((x.onset, x.offset) for x in touches[:EVENTS]))
-        seen = Row("seen", "seen", tuple((x.start, x.end) for x in strokes[:EVENTS]))
+        seen = Row("seen", "seen", strokes[:EVENTS])
         yield Panel("touches felt, strokes seen", rows=(felt, seen), limits=(0.0, 2.0))
     if features and features.synchrony and touches:
         onset = np.array([touches[pair.touch].onset for pair in features.synchrony])
@@ -105,6 +105,14 @@ def _feelings(recording: Recording, features: Features | None) -> Iterator[Panel
         delay = np.array([pair.delay for pair in features.synchrony])
         yield Panel("synchrony, 0..1", (Trace("weight", "c4", onset, weight, "stems"),), limits=(0.0, 1.0), half=True)
         yield Panel("seen minus felt, s", (Trace("delay", "c4", onset, delay, "stems"),), floor=0.0, half=True)
+
+
+def _strokes(features: Features | None) -> tuple[tuple[float, float], ...]:
+    """Start and end of every stroke; only starts, from the delays, when a log carries no more than those."""
+    if features is None or features.strokes or not features.touches:
+        return tuple((x.start, x.end) for x in features.strokes) if features else ()
+    starts = (features.touches[pair.touch].onset + pair.delay for pair in features.synchrony)
+    return tuple((start, start) for start in starts if np.isfinite(start))
 
 
 def _columns(series: Series, kind: str = "line") -> tuple[Trace, ...]:

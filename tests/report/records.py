@@ -111,20 +111,25 @@ def estimate(seed: int = 0, duration: float = 20.0, joints: tuple[str, ...] = JO
     return Estimate(**(fields | changes))
 
 
-SCORES = (Score("joint_rmse", 0.0068, "rad"), Score("nees", 0.97, "1"))
+SCORES = (
+    Score("joint_rmse", 0.0068, "rad"),
+    Score("joint_rmse/elbow_joint", 0.0071, "rad"),
+    Score("nees", 0.97, "1"),
+    Score("nees/elbow_joint", 1.25, "1"),
+)
 
 
 @dataclass(frozen=True)
 class Bowl:
-    """A forward model with samples `x`: u = x0² − x1, v = x0 x1, more doubtful away from them."""
+    """A forward model with its samples: u = x0² − x1, v = x0 x1, more doubtful away from them."""
 
-    x: Array
+    samples: Array
     outputs: tuple[str, ...] = ("u", "v")
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         mean = np.stack([x[:, 0] ** 2 - x[:, 1], x[:, 0] * x[:, 1]], axis=1)
         jacobian = np.zeros((len(x), 2, x.shape[1]))
-        far = ((x[:, None, :2] - self.x[None, :, :2]) ** 2).sum(axis=2).min(axis=1)
+        far = ((x[:, None, :2] - self.samples[None, :, :2]) ** 2).sum(axis=2).min(axis=1)
         return mean, jacobian, np.stack([far, far], axis=1)
 
 

@@ -69,6 +69,13 @@ def test_skin_is_lines_for_few_cells_and_a_picture_for_many(tmp_path, cells):
     assert ("skin cell" in words(tmp_path / "f.svg")) == (cells >= 5)
 
 
+def test_a_track_never_seen_is_left_out(tmp_path):
+    found = features()
+    hand = replace(found.tracks["hand"], values=np.full_like(found.tracks["hand"].values, np.nan))
+    recording_figure(recording(), replace(found, tracks={**found.tracks, "hand": hand}), tmp_path / "f.svg")
+    assert "effector u" in words(tmp_path / "f.svg") and "hand u" not in words(tmp_path / "f.svg")
+
+
 def test_names_from_a_log_stay_text(tmp_path):
     recording_figure(replace(recording(joints=HOSTILE), name="$x^{<&>"), features(), tmp_path / "f.svg")
     estimate_figure(estimate(joints=HOSTILE), recording(joints=HOSTILE).truth, None, tmp_path / "e.svg")

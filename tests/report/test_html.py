@@ -106,6 +106,29 @@ def test_the_page_shows_everything(tmp_path):
     assert page.count("data:image/jpeg;base64,") == 6
 
 
+def test_scores_in_parts_are_one_row_per_part(tmp_path):
+    page = report(tmp_path / "r.html", scores=(*SCORES, Score("nees/wrist", 2.0, "1")))
+    assert "<tr><th>part</th><th>joint_rmse</th><th>nees</th></tr>" in page
+    assert "<tr><td>elbow_joint</td><td>0.0071 rad</td><td>1.25</td></tr>" in page
+    assert "<tr><td>wrist</td><td>–</td><td>2</td></tr>" in page
+
+
+def test_a_track_never_seen_is_left_out(tmp_path):
+    found = features()
+    hand = replace(found.tracks["hand"], values=np.full_like(found.tracks["hand"].values, np.nan))
+    page = report(tmp_path / "r.html", features=replace(found, tracks={**found.tracks, "hand": hand}))
+    assert "effector u, px" in titles(page) and "hand u, px" not in titles(page)
+
+
+def test_strokes_a_log_carries_only_as_delays_are_shown_by_their_starts(tmp_path):
+    found = features()
+    kept = tuple(Synchrony(pair.touch, None, pair.delay, pair.weight) for pair in found.synchrony)
+    unpaired = (*kept[:-1], replace(kept[-1], delay=np.nan, weight=0.0))
+    page = report(tmp_path / "r.html", features=replace(found, strokes=(), synchrony=unpaired))
+    felt, seen = next(p for p in plotted(page)["panels"] if p["title"].startswith("touches"))["rows"]
+    assert [a for a, _ in seen["spans"]] == pytest.approx([a + 0.05 for a, _ in felt["spans"][:-1]])
+
+
 def test_the_numbers_arrive(tmp_path):
     belief = estimate()
     data = plotted(report(tmp_path / "r.html"))
