@@ -170,3 +170,10 @@ def cholesky(gram: Array, spread: Spread, noise: float) -> Array:
             return np.asarray(chol)
         jitter *= 10.0
     raise np.linalg.LinAlgError(f"the kernel of {len(gram)} samples is not positive definite")
+
+
+def inverse_lower(chol: Array) -> Array:
+    """Inverse (n,n) of a lower triangular factor."""
+    from scipy.linalg.lapack import dtrtri
+
+    return np.ascontiguousarray(dtrtri(chol, lower=1)[0])

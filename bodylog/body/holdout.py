@@ -1,19 +1,35 @@
-"""Held-out residuals without refitting: leave one block of time out of an exact GP, in closed form (R&W 5.12)."""
+"""Held-out residuals without refitting: leave one block of time out, in closed form (R&W 5.12; sums for the sparse)."""
 
 import numpy as np
 
 from ..types import Array
-from .gp import GP
+from . import sparse
+from .evidence import condition, inverse_lower
+from .train import EXACT, Fitted, Samples, inducing_bases
 
 
-def residuals(gp: GP, block: Array) -> tuple[Array, Array]:
+def residuals(data: Samples, found: Fitted, block: Array) -> tuple[Array, Array]:
     """Residual (n,D) of each sample predicted without its block, and its predicted variance (n,D), noise included."""
-    residual, variance = np.empty(gp.targets.shape), np.empty(gp.targets.shape)
-    factors = np.broadcast_to(gp.factor, (len(gp.weights), *gp.factor.shape[1:]))
-    for d, (factor, weights) in enumerate(zip(factors, gp.weights, strict=True)):
-        for label in np.unique(block):
-            rows = block == label
-            inner = np.linalg.inv(factor[:, rows].T @ factor[:, rows])
-            residual[rows, d] = inner @ weights[rows]
-            variance[rows, d] = np.diag(inner)
+    residual, variance = np.empty(data.y.shape), np.empty(data.y.shape)
+    blocks = [np.flatnonzero(block == label) for label in np.unique(block)]
+    for index, group in enumerate(found.groups):
+        left_out = _exact if len(data.x) <= EXACT else _sparse
+        residual[:, group], spread = left_out(data, found, index, blocks)
+        variance[:, group] = spread[:, None]
     return residual, variance
+
+
+def _exact(data: Samples, found: Fitted, index: int, blocks: list[Array]) -> tuple[Array, Array]:
+    y = data.y[:, found.groups[index]]
+    whole = condition(found.kernels[index], data.x, y, found.spreads[index])
+    inverse = inverse_lower(whole.chol)
+    residual, variance = np.empty(y.shape), np.empty(len(y))
+    for rows in blocks:
+        inner = np.linalg.inv(inverse[:, rows].T @ inverse[:, rows])
+        residual[rows], variance[rows] = inner @ whole.alpha[rows], np.diag(inner)
+    return residual, variance
+
+
+def _sparse(data: Samples, found: Fitted, index: int, blocks: list[Array]) -> tuple[Array, Array]:
+    base = inducing_bases(data, found)[index]
+    return sparse.held_out(base, data.x, data.y[:, found.groups[index]], found.spreads[index], blocks)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -46,12 +47,12 @@ class Joint:
     acceleration: Motion
     jerk: Motion
 
-    @property
+    @cached_property
     def motion(self) -> Motion:
         """The motion of greater evidence."""
         return max(self.acceleration, self.jerk, key=lambda m: m.evidence)
 
-    @property
+    @cached_property
     def range(self) -> float:
         """Smoothed angles' span, rad, the outer 1 % at each end left out."""
         means = [posterior(c, self.motion, c.t)[0] for c in self.chains]

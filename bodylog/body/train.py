@@ -1,16 +1,21 @@
 """From samples to a GP: kernels by evidence, input noise as output noise (McHutchon & Rasmussen 2011)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..types import Array
-from .evidence import FLAT, Hyper, Posterior, Prior, Spread, condition, independent, maximise, starts
+from .evidence import FLAT, Hyper, Prior, Spread, condition, independent, inverse_lower, maximise, starts
 from .gp import GP
+from .select import spaced
+from .sparse import Basis, basis, inducing, posterior, sums
+
+EXACT = 500
+"""Up to so many samples the posterior is exact: one prediction costs O(n²)."""
 
 _RESTARTS = 4
-_SCOUTS = 250
+_SCOUTS = 200
 _ROUNDS = 8
 _SETTLED = 0.01
 
@@ -35,34 +40,71 @@ class Samples:
     variance: Array | None = None
     coupling: Coupling | None = None
 
+    def rows(self, chosen: Array) -> "Samples":
+        """Only the chosen rows, without their coupling."""
+        variance = None if self.variance is None else self.variance[chosen]
+        return Samples(self.x[chosen], self.y[chosen], self.floor[chosen], variance)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Kernels found, one for each group of outputs, and the known noise of the samples they were found with."""
+
+    groups: tuple[slice, ...]
+    kernels: tuple[Hyper, ...]
+    spreads: tuple[Spread, ...]
+
 
 def samples(x: Array, y: Array) -> Samples:
     """Samples of which no noise is known."""
     return Samples(x, y, np.zeros(y.shape))
 
 
-def train(
-    data: Samples, outputs: tuple[str, ...], unit: str, prior: Prior = FLAT, shared: bool = True, seed: int = 0
-) -> GP:
-    """The exact GP of greatest evidence; one kernel shared by all outputs, or one each."""
-    groups = _groups(data, shared)
-    spreads = [independent(data.floor[:, g].mean(axis=1)) for g in groups]
-    kernels = [search(data.x, data.y[:, g], s, prior, seed) for g, s in zip(groups, spreads, strict=True)]
+def train(data: Samples, outputs: tuple[str, ...], unit: str, seed: int = 0, exact: int = EXACT) -> GP:
+    """The GP of greatest evidence, one kernel for all outputs; above `exact` samples on inducing points."""
+    found = fitted(data, FLAT, True, seed, exact)
+    return build(data, found, outputs, unit, exact)
+
+
+def fitted(data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EXACT) -> Fitted:
+    """Kernels of greatest evidence, from at most `exact` of the samples, and the noise of all samples under them."""
+    if len(data.x) <= exact:
+        return fit(data, prior, shared, seed)
+    part = data.rows(spaced(len(data.x), exact))
+    found = fit(part, prior, shared, seed)
     if data.variance is None:
-        return assemble(data, kernels, spreads, outputs, unit)
+        return replace(found, spreads=tuple(independent(data.floor[:, g].mean(axis=1)) for g in found.groups))
+    return replace(found, spreads=lifted(data, assemble(part, found, (), ""), found.groups))
+
+
+def build(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str, exact: int = EXACT) -> GP:
+    """The GP with kernels found: exact up to so many samples, above on inducing points."""
+    make = assemble if len(data.x) <= exact else condense
+    return make(data, found, outputs, unit)
+
+
+def fit(data: Samples, prior: Prior, shared: bool, seed: int) -> Fitted:
+    """Kernels of greatest evidence under the prior; noise of the inputs refined until it settles."""
+    count = data.y.shape[1]
+    groups = (slice(0, count),) if shared else tuple(slice(d, d + 1) for d in range(count))
+    spreads = tuple(independent(data.floor[:, g].mean(axis=1)) for g in groups)
+    kernels = tuple(search(data.x, data.y[:, g], s, prior, seed) for g, s in zip(groups, spreads, strict=True))
     for _ in range(_ROUNDS):
+        if data.variance is None:
+            break
         before = np.concatenate([s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)])
-        spreads = lifted(data, assemble(data, kernels, spreads, outputs, unit), groups)
-        kernels = [polish(k, data.x, data.y[:, g], s, prior) for k, g, s in zip(kernels, groups, spreads, strict=True)]
+        spreads = lifted(data, assemble(data, Fitted(groups, kernels, spreads), (), ""), groups)
+        parts = zip(kernels, groups, spreads, strict=True)
+        kernels = tuple(polish(k, data.x, data.y[:, g], s, prior) for k, g, s in parts)
         after = np.concatenate([s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)])
         if np.abs(after - before).mean() < _SETTLED * after.mean():
             break
-    return assemble(data, kernels, spreads, outputs, unit)
+    return Fitted(groups, kernels, spreads)
 
 
 def search(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper:
     """Kernel of greatest evidence for outputs y (n,G) that share it: restarts on few samples, then all of them."""
-    scouts = np.unique(np.linspace(0, len(x) - 1, min(len(x), _SCOUTS)).round().astype(int))
+    scouts = spaced(len(x), _SCOUTS)
     sx, sy = _deviation(x), float(np.mean(_deviation(y)))
     few = x[scouts] / sx, y[scouts] / sy, independent(spread.diagonal[scouts] / sy**2)
     found = maximise(*few, prior.scaled(1.0 / sx), starts(few[0], seed, _RESTARTS))
@@ -78,40 +120,64 @@ def polish(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior) -> Hy
     return Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
 
 
-def lifted(data: Samples, gp: GP, groups: Sequence[slice]) -> list[Spread]:
+def lifted(data: Samples, gp: GP, groups: Sequence[slice]) -> tuple[Spread, ...]:
     """Floor plus input noise seen through the slope of the mean: σ² + J Σₓ Jᵀ, one for each group of outputs."""
     slope = gp.means(data.x)[1]
-    assert data.variance is not None
-    diagonal = data.floor + np.einsum("ndm,nm->nd", slope**2, data.variance)
-    return [_spread(data, slope[:, g], diagonal[:, g].mean(axis=1)) for g in groups]
+    diagonal = data.floor + np.einsum("ndm,nm->nd", slope**2, np.asarray(data.variance))
+    return tuple(_spread(data, slope[:, g], diagonal[:, g].mean(axis=1)) for g in groups)
 
 
-def assemble(
-    data: Samples, kernels: Sequence[Hyper], spreads: Sequence[Spread], outputs: tuple[str, ...], unit: str
+def assemble(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str) -> GP:
+    """The exact GP of the samples with given kernels and noise."""
+    parts = zip(found.groups, found.kernels, found.spreads, strict=True)
+    exact = [condition(k, data.x, data.y[:, g], s) for g, k, s in parts]
+    weights, mean = np.concatenate([p.alpha.T for p in exact]), np.concatenate([p.mean for p in exact])
+    return _gp(data, found, outputs, unit, data.x, weights, np.array([inverse_lower(p.chol) for p in exact]), mean)
+
+
+def condense(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str) -> GP:
+    """The GP of all samples on inducing points."""
+    bases = inducing_bases(data, found)
+    parts = [
+        posterior(base, sums(base, data.x, data.y[:, g], s))
+        for base, g, s in zip(bases, found.groups, found.spreads, strict=True)
+    ]
+    weights, mean = np.concatenate([p.weights for p in parts]), np.concatenate([p.mean for p in parts])
+    return _gp(data, found, outputs, unit, bases[0].centres, weights, np.array([p.factor for p in parts]), mean)
+
+
+def inducing_bases(data: Samples, found: Fitted) -> list[Basis]:
+    """Each kernel on the inducing points that all share."""
+    quietest = min(float(s.diagonal.min()) + k.noise for s, k in zip(found.spreads, found.kernels, strict=True))
+    centres = inducing(found.kernels, data.x, quietest)
+    return [basis(k, centres) for k in found.kernels]
+
+
+def _gp(
+    data: Samples,
+    found: Fitted,
+    outputs: tuple[str, ...],
+    unit: str,
+    centres: Array,
+    weights: Array,
+    factor: Array,
+    mean: Array,
 ) -> GP:
-    """The exact GP with given kernels and noise, one for each output or one for all."""
-    groups = _groups(data, len(kernels) < data.y.shape[1])
-    parts = [condition(k, data.x, data.y[:, g], s) for k, s, g in zip(kernels, spreads, groups, strict=True)]
-    owner = [index for index, g in enumerate(groups) for _ in range(g.stop - g.start)]
+    owner = [index for index, g in enumerate(found.groups) for _ in range(g.stop - g.start)]
     return GP(
         outputs,
         unit,
-        centres=data.x,
-        scales=np.array([k.scales for k in kernels]),
-        amplitude=np.array([k.amplitude for k in kernels]),
-        mean=np.concatenate([p.mean for p in parts]),
-        weights=np.concatenate([p.alpha.T for p in parts]),
-        factor=np.array([_inverse(part) for part in parts]),
-        noise=np.array([kernels[o].noise for o in owner]),
+        centres=centres,
+        scales=np.array([k.scales for k in found.kernels]),
+        amplitude=np.array([k.amplitude for k in found.kernels]),
+        mean=mean,
+        weights=weights,
+        factor=factor,
+        noise=np.array([found.kernels[o].noise for o in owner]),
         samples=data.x,
         targets=data.y,
-        spread=np.column_stack([spreads[o].diagonal for o in owner]),
+        spread=np.column_stack([found.spreads[o].diagonal for o in owner]),
     )
-
-
-def _groups(data: Samples, shared: bool) -> list[slice]:
-    count = data.y.shape[1]
-    return [slice(0, count)] if shared else [slice(d, d + 1) for d in range(count)]
 
 
 def _spread(data: Samples, slope: Array, diagonal: Array) -> Spread:
@@ -121,12 +187,6 @@ def _spread(data: Samples, slope: Array, diagonal: Array) -> Spread:
     value = (slope[c.i, :, c.joint] * slope[c.j, :, c.joint]).mean(axis=1) * c.value
     place, into = np.unique(c.i * count + c.j, return_inverse=True)
     return Spread(diagonal, place // count, place % count, np.bincount(into, value, minlength=len(place)))
-
-
-def _inverse(part: Posterior) -> Array:
-    from scipy.linalg.lapack import dtrtri
-
-    return np.ascontiguousarray(dtrtri(part.chol, lower=1)[0])
 
 
 def _deviation(values: Array) -> Array:
