@@ -63,8 +63,9 @@ def _quaternion(xyzw: Array) -> Any:
 
 
 def joint_state(ns: int, names: list[str], position: Array, velocity: Array) -> Any:
-    """sensor_msgs/JointState without effort; rad, rad/s."""
-    return _make("sensor_msgs/msg/JointState", _header(ns, "base_link"), names, position, velocity, np.zeros(0))
+    """sensor_msgs/JointState in rad and rad/s; effort 0, for nothing is moved by force (and pybag cannot read none)."""
+    effort = np.zeros(len(names))
+    return _make("sensor_msgs/msg/JointState", _header(ns, "base_link"), names, position, velocity, effort)
 
 
 def skin_array(ns: int, data: Array) -> Any:

@@ -51,12 +51,13 @@ def reaches(points: Array, pace: float) -> Motion:
 def spread(count: int, swing: Array, rng: np.random.Generator) -> Array:
     """`count` points (K,M) that fill the box ±swing (M,) evenly: a Kronecker sequence with a random start.
 
-    The step of each axis is a power of the root of x^(M+1) = x + 1 (the plastic number's family).
+    The step of each of the m axes that move is a power of the root of x^(m+1) = x + 1 (the plastic number's family).
     """
-    axes = len(swing)
+    moved = np.flatnonzero(swing)
     root = 2.0
     for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (axes + 1))
-    steps = root ** -np.arange(1.0, axes + 1)
-    places = (rng.random(axes) + np.outer(np.arange(1, count + 1), steps)) % 1.0
-    return np.asarray((2.0 * places - 1.0) * swing)
+        root = (1.0 + root) ** (1.0 / (len(moved) + 1))
+    steps = root ** -np.arange(1.0, len(moved) + 1)
+    points = np.zeros((count, len(swing)))
+    points[:, moved] = 2.0 * ((rng.random(len(moved)) + np.outer(np.arange(1, count + 1), steps)) % 1.0) - 1.0
+    return np.asarray(points * swing)

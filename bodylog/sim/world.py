@@ -106,9 +106,13 @@ def _view(camera: Camera) -> list[float]:
 
 
 def _projection(camera: Camera) -> list[float]:
-    """OpenGL projection matrix, column major, of the same pinhole."""
+    """OpenGL projection matrix, column major, of the same pinhole.
+
+    The renderer looks at the lower right corner of each pixel: half a pixel of shift puts its centre there.
+    """
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = 2 * camera.focal / camera.width, 2 * camera.focal / camera.height
+    matrix[0, 2], matrix[1, 2] = 1 / camera.width, 1 / camera.height
     matrix[2, 2], matrix[2, 3] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
     matrix[3, 2] = -1.0
     return [float(value) for value in matrix.T.ravel()]
