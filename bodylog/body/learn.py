@@ -64,8 +64,9 @@ def learn(features: Sequence[Features], settings: Settings, provenance: Mapping[
     constants, remarks = touch.learned(features, names, gps.get("effector"))
     model = BodyModel(names, gps, learned, constants, provenance)
     said = coverage.findings(heard, chosen, gps, learned)
+    rule = "as many as the paper's" if settings.fit.preset == "paper" else "which cover the exploration best"
     scores = (*coverage.scores(chosen, gps, learned), *_scores(model, senses))
-    return Learned(model, scores, (*said, *_thinned(senses), *remarks))
+    return Learned(model, scores, (*said, *_thinned(senses, rule), *remarks))
 
 
 def _tracks(features: Sequence[Features], chosen: Sequence[Joint], fit: Fit) -> Iterator[tuple[str, Pairs]]:
@@ -99,8 +100,7 @@ def _scores(model: BodyModel, senses: Mapping[str, _Sense]) -> Iterator[Score]:
             yield Score(f"length_scale.{name}.{joint}", float(scale), "rad")
 
 
-def _thinned(senses: Mapping[str, _Sense]) -> Iterator[Finding]:
+def _thinned(senses: Mapping[str, _Sense], rule: str) -> Iterator[Finding]:
     for name, sense in senses.items():
         if len(sense.data.x) < sense.sightings:
-            kept = f"{len(sense.data.x)} of {sense.sightings} sightings"
-            yield Finding("info", f"{name}: {kept} kept, those that cover the exploration best; [fit] samples keeps more")
+            yield Finding("info", f"{name}: {len(sense.data.x)} of {sense.sightings} sightings kept, {rule}")
