@@ -10,9 +10,8 @@ import numpy as np
 from ..errors import FormatError, LogError, UsageError
 from ..files import replacing
 from ..types import Finding, Outgoing
-from .append import NAME, Base, keepable, messages
+from .append import NAME, Base, is_mcap, keepable, messages
 from .mcap_write import Messages
-from .records import MAGIC
 from .transcode import LIBRARY, PROFILE, carry
 from .write import Contents, Writer
 
@@ -71,13 +70,8 @@ def add(writer: Writer, outgoing: Sequence[Outgoing]) -> None:
 
 def _base(source: Path) -> Base | None:
     """What can be kept of `source` as it is; None when it must be rewritten."""
-    if not source.is_file():
-        return None
-    with source.open("rb") as stream:
-        if stream.read(len(MAGIC)) != MAGIC:
-            return None
     try:
-        return keepable(source)
+        return keepable(source) if is_mcap(source) else None
     except FormatError:
         return None
 

@@ -56,8 +56,8 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
     """The estimate an annotated MCAP carries, t in s since `start_ns` (None: the log's own); LogError without one."""
-    said = read_metadata(path)
     with open_log(path) as log:
+        said = read_metadata(path)
         table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
     joints, rate = table.joints()
     size = len(joints.names)

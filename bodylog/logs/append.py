@@ -59,6 +59,14 @@ class _Part:
     messages: int = 0
 
 
+def is_mcap(path: Path) -> bool:
+    """Whether a file begins as an MCAP does."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as stream:
+        return stream.read(len(MAGIC)) == MAGIC
+
+
 def keepable(path: Path) -> Base:
     """All of a chunked MCAP with a sound summary but what an earlier run appended.
 

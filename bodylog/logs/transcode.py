@@ -10,12 +10,13 @@ import numpy as np
 
 from ..errors import FormatError
 from ..types import Array, Batch, Finding, Topic
-from .append import NAME, ROOT
+from .append import NAME, ROOT, is_mcap
 from .chunks import heads_of
 from .containers import Log, open_log, payloads
 from .mcap_write import MESSAGE_HEAD, Messages, gather
 from .records import ATTACHMENT, HEAD, HEADER, MAGIC, MESSAGE, METADATA, parse, walk
 from .ros1 import Convert, converter, known_definition
+from .unpacked import unpack_file
 from .write import CHUNK_BYTES, Contents, Writer
 
 PROFILE = "ros2"
@@ -46,12 +47,12 @@ def carry(
     with open_log(source) as log:
         writer = Writer(stream, Contents())
         findings: list[Finding] = []
-        writer.begin(_profile(source) if log.format == "mcap" else PROFILE, LIBRARY)
+        writer.begin(_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
         wanted = [t for t in log.topics if not t.name.startswith(ROOT) and (only is None or t.name in only)]
         carriers = {topic.id: _carrier(writer, topic, log.format, findings) for topic in wanted}
         for table in _tables(log, carriers, writer):
             writer.write(table)
-        if log.format == "mcap" and only is None:
+        if only is None:
             _extras(source, writer)
         findings += [_resistance(source, c) for c in carriers.values() if c.resisted]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
@@ -166,7 +167,12 @@ def _profile(source: Path) -> str:
 
 
 def _extras(source: Path, writer: Writer) -> None:
-    """Attachments and metadata as they are, up to where the file is damaged."""
+    """Attachments and metadata of an MCAP, packed or in a folder, as they are, up to where it is damaged."""
+    if source.is_dir():
+        for member in sorted(path for path in source.iterdir() if ".mcap" in path.suffixes):
+            _extras(member, writer)
+    elif source.suffix in (".zst", ".zstd"):
+        unpack_file(source, lambda inner: _extras(inner, writer))
     for opcode, body in top_level(source):
         if opcode == ATTACHMENT:
             writer.keep_attachment(HEAD.pack(opcode, len(body)) + bytes(body), parse(opcode, body).fields)
@@ -177,7 +183,9 @@ def _extras(source: Path, writer: Writer) -> None:
 
 
 def top_level(source: Path) -> Iterator[tuple[int, memoryview]]:
-    """(opcode, body) of each sound record outside chunks."""
+    """(opcode, body) of each sound record outside chunks; nothing when the source is not an MCAP."""
+    if not is_mcap(source):
+        return
     with (
         source.open("rb") as stream,
         mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as mapped,

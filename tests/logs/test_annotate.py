@@ -1,0 +1,247 @@
+import shutil
+
+import pytest
+from mcap.reader import make_reader
+
+from bodylog.errors import FormatError, LogError, UsageError
+from bodylog.logs import annotate as module
+from bodylog.logs.annotate import annotate, write
+from bodylog.logs.append import keepable
+
+from .written import (
+    START,
+    UNSUITED,
+    amount,
+    by_pybag,
+    by_rosbags,
+    foreign,
+    outgoing,
+    sought,
+    source,
+    streamed,
+    without_times,
+)
+
+SAID = {"version": "1", "inputs": "{}"}
+
+
+@pytest.fixture(scope="module")
+def messages():
+    return outgoing()
+
+
+@pytest.fixture
+def log(tmp_path):
+    return source(tmp_path / "in.mcap")
+
+
+def records(raw, at, end):
+    """{opcode: where its first record is} from byte `at`."""
+    found = {}
+    while at < end:
+        found.setdefault(raw[at], at)
+        at += 9 + int.from_bytes(raw[at + 1 : at + 9], "little")
+    return found
+
+
+def data_section(path):
+    """The bytes before DataEnd."""
+    raw = path.read_bytes()
+    return raw[: records(raw, 8, len(raw) - 8)[0x0F]]
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
+def test_source_bytes_stay_and_every_reader_finds_everything(tmp_path, seed, compression):
+    from mcap.writer import CompressionType
+
+    log, messages = source(tmp_path / "in.mcap", seed, compression=CompressionType[compression]), outgoing(seed)
+    before, originals = data_section(log), streamed(log)
+    annotate(log, messages, SAID, tmp_path / "out.mcap")
+    out = tmp_path / "out.mcap"
+    assert out.read_bytes()[: len(before)] == before
+    every = streamed(out)
+    assert foreign(every) == originals and len(every) == len(originals) + amount(messages)
+    assert sought(out) == every
+    assert by_rosbags(out) == by_pybag(out) == sorted(without_times(every))
+
+
+@pytest.mark.parametrize("how", UNSUITED)
+def test_logs_that_cannot_be_appended_to_are_rewritten_whole(tmp_path, messages, how):
+    log = source(tmp_path / "in.mcap", **UNSUITED[how])
+    annotate(log, messages, SAID, tmp_path / "out.mcap")
+    every = streamed(tmp_path / "out.mcap")
+    assert foreign(every) == streamed(log) and len(every) == 400 + amount(messages)
+    assert sought(tmp_path / "out.mcap") == every
+    assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap") == sorted(without_times(every))
+
+
+@pytest.mark.parametrize("how", ["chunked", *UNSUITED])
+def test_attachments_and_metadata_stay(tmp_path, messages, how):
+    log = source(tmp_path / "in.mcap", **UNSUITED.get(how, {}))
+    annotate(log, messages, SAID, tmp_path / "out.mcap")
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        (attached,) = reader.iter_attachments()
+        about = {m.name: m.metadata for m in reader.iter_metadata()}
+        stats = reader.get_summary().statistics
+    assert (attached.name, attached.data, attached.log_time) == ("calibration.yaml", b"focal: 600\n", START)
+    assert about == {"operator": {"name": "somebody", "robot": "ur5"}, "bodylog": SAID}
+    assert (stats.attachment_count, stats.metadata_count) == (1, 2)
+
+
+def test_truncated_logs_are_rewritten_up_to_the_damage(tmp_path, messages, log):
+    whole = log.read_bytes()
+    log.write_bytes(whole[: len(whole) // 2])
+    findings = annotate(log, messages, SAID, tmp_path / "out.mcap")
+    every = streamed(tmp_path / "out.mcap")
+    assert 100 < len(foreign(every)) < 400 and sought(tmp_path / "out.mcap") == every
+    assert any(finding.severity == "lost" for finding in findings)
+
+
+@pytest.mark.parametrize("crcs", [False, True])
+@pytest.mark.parametrize("how", ["chunked", "unchunked"])
+def test_same_input_same_bytes_and_a_second_run_replaces_the_first(tmp_path, messages, crcs, how):
+    log = source(tmp_path / "in.mcap", enable_data_crcs=crcs, **UNSUITED.get(how, {}))
+    annotate(log, messages, SAID, tmp_path / "first.mcap")
+    annotate(log, messages, SAID, tmp_path / "again.mcap")
+    annotate(tmp_path / "first.mcap", outgoing(7), {"version": "other"}, tmp_path / "other.mcap")
+    annotate(tmp_path / "other.mcap", messages, SAID, tmp_path / "back.mcap")
+    first = (tmp_path / "first.mcap").read_bytes()
+    assert first == (tmp_path / "again.mcap").read_bytes() == (tmp_path / "back.mcap").read_bytes()
+    assert first != (tmp_path / "other.mcap").read_bytes()
+
+
+def test_our_messages_between_others_are_replaced_too(tmp_path, messages, log):
+    from mcap.writer import Writer
+
+    annotate(log, messages, SAID, tmp_path / "first.mcap")
+    with (tmp_path / "first.mcap").open("rb") as stream, (tmp_path / "mixed.mcap").open("wb") as out:
+        writer = Writer(out, chunk_size=100_000)
+        writer.start("ros2", "some merging tool")
+        ids = {}
+        for schema, channel, message in make_reader(stream).iter_messages():
+            if channel.id not in ids:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            times = {"log_time": message.log_time, "publish_time": message.publish_time, "sequence": message.sequence}
+            writer.add_message(ids[channel.id], data=message.data, **times)
+        writer.finish()
+    annotate(tmp_path / "mixed.mcap", outgoing(7), SAID, tmp_path / "out.mcap")
+    every = streamed(tmp_path / "out.mcap")
+    assert foreign(every) == streamed(log) and len(every) == 400 + amount(outgoing(7))
+
+
+def test_foreign_metadata_behind_ours_is_kept(tmp_path, messages, log):
+    annotate(log, messages, SAID, tmp_path / "first.mcap")
+    with (tmp_path / "later.mcap").open("wb") as stream:
+        base = keepable(tmp_path / "first.mcap")
+        assert base.end < (tmp_path / "first.mcap").stat().st_size
+        writer, _ = module._copied(tmp_path / "first.mcap", module.keepable(log), stream)
+        module.add(writer, messages)
+        writer.about("reviewed", {"by": "somebody"})
+        writer.finish()
+    annotate(tmp_path / "later.mcap", messages, SAID, tmp_path / "out.mcap")
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        assert {m.name for m in make_reader(stream).iter_metadata()} == {"operator", "reviewed", "bodylog"}
+
+
+def test_the_crc_of_the_data_section_goes_on(tmp_path, messages):
+    from mcap.stream_reader import StreamReader
+
+    log = source(tmp_path / "in.mcap", enable_data_crcs=True)
+    annotate(log, messages, SAID, tmp_path / "out.mcap")
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        ends = [r for r in StreamReader(stream, validate_crcs=True).records if type(r).__name__ == "DataEnd"]
+    assert ends[0].data_section_crc != 0
+
+
+def test_only_some_topics_can_be_kept(tmp_path, messages, log):
+    annotate(log, messages, SAID, tmp_path / "out.mcap", only=["/b"])
+    kept = foreign(streamed(tmp_path / "out.mcap"))
+    assert kept == [message for message in streamed(log) if message[0] == "/b"] and len(kept) == 200
+
+
+def test_a_log_of_our_own(tmp_path, messages):
+    write(messages, SAID, tmp_path / "out.mcap")
+    every = streamed(tmp_path / "out.mcap")
+    assert len(every) == amount(messages) and sought(tmp_path / "out.mcap") == every
+    assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap") == sorted(without_times(every))
+
+
+def test_pybag_decodes_everything_we_write(tmp_path, messages):
+    from pybag.mcap_reader import McapFileReader
+
+    write(messages, SAID, tmp_path / "out.mcap")
+    with McapFileReader.from_file(tmp_path / "out.mcap") as reader:
+        assert sum(1 for topic in reader.get_topics() for _ in reader.messages(topic)) == amount(messages)
+
+
+@pytest.mark.parametrize("missing", ["copy_file_range", None])
+def test_the_copy_is_the_same_without_the_kernels_help(tmp_path, messages, log, monkeypatch, missing):
+    annotate(log, messages, SAID, tmp_path / "out.mcap")
+    if missing:
+        monkeypatch.delattr(module.os, missing)
+    else:
+        monkeypatch.setattr(module.os, "copy_file_range", lambda *_: (_ for _ in ()).throw(OSError("no")))
+    annotate(log, messages, SAID, tmp_path / "slow.mcap")
+    assert (tmp_path / "slow.mcap").read_bytes() == (tmp_path / "out.mcap").read_bytes()
+
+
+def test_the_log_itself_is_never_written_to(tmp_path, messages, log):
+    before = log.read_bytes()
+    (tmp_path / "link.mcap").symlink_to(log)
+    for out in (log, tmp_path / "link.mcap"):
+        with pytest.raises(UsageError, match=r"is the log itself.*type another name after -o"):
+            annotate(log, messages, SAID, out)
+    assert log.read_bytes() == before
+
+
+def test_a_log_that_shrinks_meanwhile_leaves_no_file(tmp_path, messages, log, monkeypatch):
+    base = keepable(log)
+    monkeypatch.setattr(module, "keepable", lambda _: type(base)(base.end + 10**6, None, base.contents))
+    with pytest.raises(LogError, match="was it still being recorded"):
+        annotate(log, messages, SAID, tmp_path / "out.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
+def test_a_file_that_came_out_wrong_is_not_left_behind(tmp_path, messages, log, monkeypatch):
+    monkeypatch.setattr(module.Writer, "write", lambda *_: None)
+    with pytest.raises(LogError, match=r"holds 400 messages where \d+ were written"):
+        annotate(log, messages, SAID, tmp_path / "out.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
+
+
+LIES = {
+    "statistics count other messages": (0x0B, 9 + 8 + 2 + 12 + 16 + 4 + 4 + 2 + 2, False),
+    "has no message index": (0x08, 9 + 16, False),
+    "list of indexes is not": (0x08, 9 + 36 + 2, False),
+    "lacks channel": (0x04, 9, False),
+    "CRC fails": (0x03, 30, True),
+}
+"""What must be said -> opcode of a summary record, the byte in it that is changed, whether the CRC stays."""
+
+
+@pytest.mark.parametrize("said", LIES)
+def test_a_summary_that_lies_is_not_built_upon(tmp_path, messages, log, said):
+    opcode, byte, keeps_crc = LIES[said]
+    raw = bytearray(log.read_bytes())
+    footer = len(raw) - 8 - 20
+    summary = int.from_bytes(raw[footer : footer + 8], "little")
+    raw[records(raw, summary, footer - 9)[opcode] + byte] ^= 0x40
+    if not keeps_crc:
+        raw[footer + 16 : footer + 20] = bytes(4)
+    log.write_bytes(raw)
+    with pytest.raises(FormatError, match=said):
+        keepable(log)
+    annotate(log, messages, SAID, tmp_path / "out.mcap")
+    every = streamed(tmp_path / "out.mcap")
+    assert len(foreign(every)) == 400 and sought(tmp_path / "out.mcap") == every
+
+
+def test_the_recorded_arm_is_read_back_by_everyone(tmp_path, arm, messages):
+    log = shutil.copy(arm / "reach.mcap", tmp_path / "reach.mcap")
+    annotate(log, messages, SAID, tmp_path / "out.mcap")
+    every = streamed(tmp_path / "out.mcap")
+    assert foreign(every) == streamed(log) and sought(tmp_path / "out.mcap") == every
+    assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap") == sorted(without_times(every))

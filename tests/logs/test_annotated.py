@@ -1,0 +1,122 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import LogError
+from bodylog.logs.annotate import annotate, write
+from bodylog.logs.annotated import describe, read_estimate, read_features, read_metadata
+from bodylog.logs.containers import open_log
+from bodylog.logs.messages import from_estimate, from_features
+
+from .written import START, found, source
+
+
+def log_of(path, features, estimate):
+    outgoing = from_features(features, START, "/camera") + from_estimate(estimate, features, START, "/camera")
+    write(outgoing, {"version": "1", **describe(estimate)}, path)
+    return path
+
+
+def same(ours, theirs):
+    assert (ours.names, ours.unit) == (theirs.names, theirs.unit)
+    assert np.array_equal(ours.values, theirs.values, equal_nan=True)
+    assert np.array_equal(ours.source_ns, theirs.source_ns) and np.allclose(ours.t, theirs.t, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_estimate_comes_back_as_it_was(tmp_path, seed):
+    features, estimate = found(seed)
+    again = read_estimate(log_of(tmp_path / "log.mcap", features, estimate), START)
+    for name in ("joints", "rate", "bias"):
+        same(getattr(again, name), getattr(estimate, name))
+    for sense, errors in estimate.errors.items():
+        same(again.errors[sense], errors)
+    assert np.array_equal(again.cov, estimate.cov) and np.array_equal(again.free_energy, estimate.free_energy)
+    same(again.predicted["effector"], estimate.predicted["effector"])
+    assert np.allclose(again.predicted["effector"].std, estimate.predicted["effector"].std)
+    assert np.allclose(again.predicted_cov["effector"], estimate.predicted_cov["effector"])
+    for name in ("method", "used", "settings", "faults", "findings"):
+        assert getattr(again, name) == getattr(estimate, name)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_features_come_back_as_they_were(tmp_path, seed):
+    features, estimate = found(seed)
+    with open_log(log_of(tmp_path / "log.mcap", features, estimate)) as log:
+        again = read_features(log, START)
+    assert again.joints is None and set(again.tracks) == set(features.tracks)
+    for name, track in features.tracks.items():
+        same(again.tracks[name], track)
+        assert np.array_equal(again.tracks[name].std, track.std)
+    assert again.touches == features.touches
+    pairs = [(s.touch, s.weight, s.delay) for s in features.synchrony]
+    assert np.array_equal([(s.touch, s.weight, s.delay) for s in again.synchrony], pairs, equal_nan=True)
+
+
+def test_touches_at_the_same_moment_keep_their_synchrony(tmp_path):
+    features, _ = found()
+    touches = tuple(replace(touch, onset=1.0, offset=1.5) for touch in features.touches)
+    write(from_features(replace(features, touches=touches), START, None), {}, tmp_path / "log.mcap")
+    with open_log(tmp_path / "log.mcap") as log:
+        again = read_features(log, START)
+    assert [(s.touch, s.weight) for s in again.synchrony] == [(i, 0.2 * i) for i in range(4)]
+
+
+@pytest.mark.parametrize("touches", [None, ()])
+def test_no_skin_and_no_touch_are_different_things(tmp_path, touches):
+    features, _ = found()
+    write(from_features(replace(features, touches=touches, synchrony=()), START, None), {}, tmp_path / "log.mcap")
+    with open_log(tmp_path / "log.mcap") as log:
+        assert read_features(log, START).touches == touches
+
+
+def test_what_was_never_known_stays_unknown(tmp_path):
+    features, estimate = found()
+    tracks = {"hand": replace(features.hand, std=None)}
+    bare = replace(estimate, bias=None, faults=(), predicted={}, predicted_cov={}, errors={}, findings=())
+    path = log_of(tmp_path / "log.mcap", replace(features, tracks=tracks), bare)
+    again = read_estimate(path, START)
+    assert (again.bias, again.faults, again.predicted, again.errors) == (None, (), {}, {})
+    with open_log(path) as log:
+        assert read_features(log, START).tracks["hand"].std is None
+
+
+def test_metadata_comes_back(tmp_path):
+    write([], {"version": "1", "settings": '{"a": 1}'}, tmp_path / "log.mcap")
+    assert read_metadata(tmp_path / "log.mcap") == {"version": "1", "settings": '{"a": 1}'}
+
+
+def test_a_log_without_an_estimate_says_what_to_type(tmp_path):
+    log = source(tmp_path / "log.mcap")
+    for read in (read_metadata, read_estimate):
+        with pytest.raises(LogError, match=r"log.mcap: no /bodylog/ topics .* type: bodylog estimate .*log.mcap --body"):
+            read(log)
+    with open_log(log) as opened:
+        assert read_features(opened, START) is None
+
+
+def test_features_without_an_estimate_are_no_estimate(tmp_path):
+    features, _ = found()
+    annotate(source(tmp_path / "in.mcap"), from_features(features, START, None), {}, tmp_path / "out.mcap")
+    with pytest.raises(LogError, match="no /bodylog/ topics of an estimate"):
+        read_estimate(tmp_path / "out.mcap", START)
+
+
+@pytest.mark.parametrize("lacking", ["joint_covariance", "free_energy"])
+def test_an_estimate_that_does_not_hang_together_is_refused(tmp_path, lacking):
+    features, estimate = found()
+    outgoing = from_estimate(estimate, features, START, None)
+    broken = [
+        replace(o, log_ns=o.log_ns[1:], offset=o.offset[1:], length=o.length[1:]) if o.topic.endswith(lacking) else o
+        for o in outgoing
+    ]
+    write(broken, {}, tmp_path / "log.mcap")
+    with pytest.raises(LogError, match=f"/bodylog/{lacking} does not go with /bodylog/joint_states"):
+        read_estimate(tmp_path / "log.mcap", START)
+
+
+@pytest.mark.parametrize("file", ["reach.bag", "reach_rosbag2"])
+def test_other_containers_have_no_metadata(arm, file):
+    with pytest.raises(LogError, match="no /bodylog/ topics"):
+        read_metadata(arm / file)
