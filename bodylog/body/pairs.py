@@ -40,22 +40,17 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint over all logs: its chains (one per log), and its motion as white acceleration and as white jerk."""
+    """One joint over all logs: a chain and its likeliest motion for each, and one white acceleration for all."""
 
     name: str
     chains: tuple[Chain, ...]
+    motions: tuple[Motion, ...]
     acceleration: Motion
-    jerk: Motion
-
-    @cached_property
-    def motion(self) -> Motion:
-        """The motion of greater evidence."""
-        return max(self.acceleration, self.jerk, key=lambda m: m.evidence)
 
     @cached_property
     def range(self) -> float:
         """Smoothed angles' span, rad, the outer 1 % at each end left out."""
-        means = [posterior(c, self.motion, c.t)[0] for c in self.chains]
+        means = [posterior(c, m, c.t)[0] for c, m in zip(self.chains, self.motions, strict=True)]
         low, high = np.percentile(np.concatenate(means), [1, 99])
         return float(high - low)
 
@@ -88,7 +83,7 @@ def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
     for m, joint in enumerate(chosen):
         for log in np.unique(part.log):
             rows = np.flatnonzero(part.log == log)
-            i, j, value = coupling(joint.chains[log], joint.motion, part.t[rows])
+            i, j, value = coupling(joint.chains[log], joint.motions[log], part.t[rows])
             found.append((rows[i], rows[j], np.full(len(i), m), value))
     return Coupling(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
@@ -105,13 +100,22 @@ def _heard(name: str, readings: Sequence[Series]) -> bool:
 
 def _joint(name: str, readings: Sequence[Series]) -> Joint:
     chains = tuple(chain(r.t, r.values[:, r.names.index(name)]) for r in readings)
-    return Joint(name, chains, fit(chains, 2), fit(chains, 3))
+    pooled = fit(chains, 2)
+    each = [pooled] if len(chains) == 1 else [fit([c], 2) for c in chains]
+    motions = tuple(_likelier(c, m) for c, m in zip(chains, each, strict=True))
+    return Joint(name, chains, motions, pooled)
+
+
+def _likelier(signal: Chain, acceleration: Motion) -> Motion:
+    """White acceleration or white jerk, whichever has the greater evidence."""
+    jerk = fit([signal], 3)
+    return jerk if jerk.evidence > acceleration.evidence else acceleration
 
 
 def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pairs:
     t, y = track.t[::every], track.values[::every]
     floor = np.zeros_like(y) if track.std is None else track.std[::every] ** 2
-    both = [posterior(j.chains[log], j.motion, t) for j in chosen]
+    both = [posterior(j.chains[log], j.motions[log], t) for j in chosen]
     x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
     sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)
     block = log * _BLOCKS + np.arange(sound.sum()) * _BLOCKS // max(sound.sum(), 1)
