@@ -85,8 +85,9 @@ def _sights(features: Features | None, estimate: Estimate | None) -> Iterator[Pa
     for name, track in list(features.tracks.items() if features else ())[:TRACKS]:
         for d, axis in enumerate(track.names):
             expected = _line(predicted.get(name), axis, "predicted", "c0")
+            band = _spread(predicted.get(name), axis)
             seen = Trace("seen", f"c{2 + d}", track.t, track.values[:, d], "dots")
-            yield Panel(f"{name} {axis}, {track.unit}", (*expected, seen), half=len(track.names) == 2)
+            yield Panel(f"{name} {axis}, {track.unit}", (*band, *expected, seen), half=len(track.names) == 2)
 
 
 def _feelings(recording: Recording, features: Features | None) -> Iterator[Panel]:
@@ -126,3 +127,12 @@ def _line(series: Series | None, column: str, name: str, ink: str) -> tuple[Trac
         return ()
     kind = "dashes" if ink == "truth" else "line"
     return (Trace(name, ink, series.t, series.values[:, series.names.index(column)], kind),)
+
+
+def _spread(series: Series | None, column: str) -> tuple[Trace, ...]:
+    """The column's 2-sigma band, or () where it does not say how sure it is."""
+    if series is None or series.std is None or column not in series.names or not len(series.t):
+        return ()
+    d = series.names.index(column)
+    low, high = (series.values[:, d] + k * series.std[:, d] for k in (-2.0, 2.0))
+    return (Trace("2σ", "c0", series.t, low, "band", high),)

@@ -141,6 +141,19 @@ def test_the_numbers_arrive(tmp_path):
     assert np.allclose((high - numbers(band, data["span"])[1]) / 4, np.sqrt(belief.cov[:, 0, 0]), atol=1e-6)
 
 
+def test_the_predicted_track_has_its_band_where_it_says_how_sure_it_is(tmp_path):
+    belief = estimate()
+    expected = belief.predicted["effector"]
+    blunt = replace(belief, predicted={"effector": replace(expected, std=None)})
+    for said, kinds in ((belief, ["band", "line", "dots"]), (blunt, ["line", "dots"])):
+        data = plotted(report(tmp_path / "r.html", estimate=said))
+        panel = next(panel for panel in data["panels"] if panel["title"] == "effector v, px")
+        assert [trace["kind"] for trace in panel["traces"]] == kinds
+        low = numbers(panel["traces"][0], data["span"])[1]
+        width = 4.0 if kinds[0] == "band" else 0.0
+        assert np.allclose(low, expected.values[:, 1] - width, atol=1e-4)
+
+
 def test_a_gap_in_a_track_stays_a_gap(tmp_path):
     data = plotted(report(tmp_path / "r.html"))
     seen = next(panel for panel in data["panels"] if panel["title"] == "hand u, px")["traces"][0]

@@ -4,7 +4,7 @@ const data = JSON.parse(document.getElementById("data").textContent);
 const [begin, end] = data.span;
 const view = { from: begin, to: end, hover: null };
 let grip = null; // where the pointer went down, while it is down
-const box = { left: 58, right: 10, top: 6, bottom: 20 };
+const box = { left: 58, right: 16, top: 6, bottom: 20 };
 const sheet = getComputedStyle(document.documentElement);
 const ink = (name) => sheet.getPropertyValue("--" + name);
 
@@ -121,7 +121,7 @@ class Panel {
     pen.beginPath();
     pen.textAlign = "right";
     pen.textBaseline = "middle";
-    for (const [v, text] of rows.length ? rows : ticks(this.low, this.high, 4)) {
+    for (const [v, text] of rows.length ? rows : ticks(this.low, this.high, 6)) {
       const y = Math.round(this.y(v)) + 0.5;
       pen.fillText(text, box.left - 6, y, box.left - 8);
       if (!rows.length) { pen.moveTo(box.left, y); pen.lineTo(box.left + this.width, y); }
@@ -182,9 +182,12 @@ class Panel {
   }
 
   dots(trace) {
-    const [a, b] = this.visible(trace);
+    const [a, b] = this.visible(trace), size = b - a > this.width / 2 ? 2 : 3;
     this.pen.fillStyle = ink(trace.ink);
-    for (let i = a; i < b; i++) if (!Number.isNaN(trace.y[i])) this.pen.fillRect(this.x(trace.t[i]) - 1, this.y(trace.y[i]) - 1, 2, 2);
+    for (let i = a; i < b; i++) {
+      if (Number.isNaN(trace.y[i])) continue;
+      this.pen.fillRect(this.x(trace.t[i]) - size / 2, this.y(trace.y[i]) - size / 2, size, size);
+    }
   }
 
   stems(trace) {
