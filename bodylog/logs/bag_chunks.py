@@ -48,7 +48,7 @@ class Messages(NamedTuple):
 
 def load(data: memoryview, chunk: BagChunk, buffer: Buffer, ledger: Ledger) -> tuple[Array, dict[int, Index]] | None:
     """The chunk's records (bytes,) uint8 and the lists of messages behind it; None and a loss when it is damaged."""
-    size = 0
+    size = None
     try:
         record = record_at(data, chunk.start, len(data))
         size = record.end - chunk.start

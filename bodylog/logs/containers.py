@@ -81,7 +81,7 @@ def _what_it_is(first: bytes) -> str:
     if first.startswith((b"\x89MCAP0\n", b"\x89MCAP\n", b"\x89MCAP0\r\r\n")):
         return "an MCAP whose line ends were converted, so damaged throughout; copy it again as a binary file"
     if first.startswith(b"#ROSBAG V"):
-        version = str(first[8:13], "ascii", "replace").strip()
+        version = str(first[9:12], "ascii", "replace")
         return f"a ROS 1 bag of version {version}, where only V2.0 is read; type: rosbag fix OLD.bag NEW.bag"
     return f"not a log: it begins with {first[:12]!r}"
 

@@ -47,6 +47,8 @@ def _unpack(path: Path, inner: Path, limit: int) -> None:
         except zstandard.ZstdError as problem:
             if not written:
                 raise LogError(f"{path}: zstd data is damaged: {problem}") from None
+    if not written:
+        raise LogError(f"{path}: zstd data is damaged: nothing comes out of its {path.stat().st_size} bytes")
 
 
 def unpacked(batches: Iterable[Batch], topics: tuple[Topic, ...], ledger: Ledger) -> Iterator[Batch]:
