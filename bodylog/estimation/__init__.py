@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping
 from ..errors import UsageError
 from ..settings import Estimation
 from ..types import BodyModel, Estimate, Features
-from . import kalman, laplace, predictive_coding, smoother
+from . import filtering, kalman, predictive_coding, smoother
 
 METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
-    "laplace": laplace.estimate,
+    "laplace": filtering.laplace,
     "smoother": smoother.estimate,
-    "ekf": laplace.extended,
+    "ekf": filtering.ekf,
     "kalman": kalman.estimate,
     "predictive-coding": predictive_coding.estimate,
 }

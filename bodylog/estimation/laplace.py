@@ -6,19 +6,17 @@ the points of linearisation nor the starts move: the fixed point is the sequenti
 """
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
 from ..errors import EvidenceError
-from ..settings import Estimation
-from ..types import Array, BodyModel, Estimate, Fault, Features, Finding
-from . import results
+from ..types import Array
 from .folds import Fold, fold_for
-from .precision import Precision, resolve
-from .results import Beliefs
+from .precision import Precision
 from .scan import Dynamics, Readings, Trace, scan
-from .senses import Evidence, gather, start
-from .timeline import Timeline, timeline
+from .senses import Evidence
+from .timeline import Timeline
 
 START_STD = 1.0
 """rad and rad/s: how little is known of angles and rates before the first reading."""
@@ -27,6 +25,8 @@ OFFSET_STD = 0.01
 SWEEPS = 60
 SETTLED = 1e-8
 """Standard deviations: how little a stretch's start may still move."""
+ALIKE = 0.01
+"""rad: angles closer than this share the model's error."""
 RESTING = 1e-8
 """rad: a frame whose point of linearisation is moved less keeps its tangent."""
 
@@ -89,19 +89,21 @@ class Tangents:
         """Start from points (F,M), all to be drawn."""
         self.points = points
         self._stale = tuple(np.ones(len(x), bool) for x in points)
+        self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
 
     def draw(self, problem: Problem, fold: Fold, readings: Readings) -> None:
-        """Write every stale frame's tangent into the readings: y = s − g + J x°, var = pixel + model variance."""
+        """Write every stale frame's tangent into the readings: y = s − g + J x°, var = pixel + n² model variance."""
         triples = zip(problem.evidence.sightings, problem.timeline.sightings, self.points, self._stale, strict=True)
         for index, (sighting, events, points, stale) in enumerate(triples):
             if not stale.any():
                 continue
             x, events = points[stale], events[stale]
-            mean, jac, var = sighting.model.predict(x)
+            mean, jac, self._model_var[index][stale] = sighting.model.predict(x)
             scale = problem.precision.scale.get(sighting.name, 1.0)
+            var = self._model_var[index] * repeats(points)[:, None] ** 2
             fold.put(readings.y[:, index], events, sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x))
             fold.put(readings.jac[:, index], events, jac)
-            fold.put(readings.var[:, index], events, scale * sighting.var[stale] + var)
+            fold.put(readings.var[:, index], problem.timeline.sightings[index], scale * sighting.var + var)
 
     def follow(self, wanted: tuple[Array, ...]) -> bool:
         """Move to the wanted points where they are further than RESTING away; whether any moved."""
@@ -111,6 +113,16 @@ class Tangents:
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )
         return any(bool(stale.any()) for stale in self._stale)
+
+
+def repeats(points: Array) -> Array:
+    """How many frames (F,) up to each were taken from nearly the same angles (F,M): there the model errs alike.
+
+    With n² times its variance in the n-th of them, standing still before the camera never teaches more than the model
+    knows: the information adds up to less than 1.65 / variance, not to frames / variance.
+    """
+    apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.fromiter(accumulate(np.exp(-apart / ALIKE), lambda n, kept: 1.0 + kept * n, initial=1.0), float)
 
 
 def heard(problem: Problem, fold: Fold) -> Readings:
@@ -165,34 +177,3 @@ def far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
     """The most a start moved, in standard deviations."""
     std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
     return float(max(np.abs((next_z - z) / std).max(), np.abs(before / std - 1.0).max()))
-
-
-def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
-    """Filtered belief: at each output time, all that was heard until then."""
-    return _estimate(features, body, settings, "laplace", "posterior")
-
-
-def extended(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
-    """The plain extended Kalman filter: the same, but frames are linearised once, at the prior mean."""
-    return _estimate(features, body, settings, "ekf", "prior")
-
-
-def _estimate(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
-    problem, faults, findings = pose(features, body, settings)
-    solution = solve(problem, at=at)
-    trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
-    beliefs = Beliefs(
-        unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
-        unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(), faults, findings,
-    )  # fmt: skip
-    return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
-
-
-def pose(
-    features: Features, body: BodyModel, settings: Estimation
-) -> tuple[Problem, tuple[Fault, ...], tuple[Finding, ...]]:
-    """The log as a problem to be filtered, with precisions resolved, and what was noticed on the way."""
-    evidence = gather(features, body, settings)
-    first = start(evidence, settings, len(body.joints))
-    precision = resolve(evidence, body, settings)
-    return Problem(evidence, timeline(evidence, settings.rate), first, precision), (), ()

@@ -14,6 +14,9 @@ SKIP = 3
 BREAK = 10.0
 """Robust standard deviations: a larger second difference is a jump, where the filter starts anew."""
 
+MEMORY = 1.0
+"""Seconds of readings a belief about a resting joint may average."""
+
 
 def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Array]:
     """Encoder variances (M,) rad² and acceleration densities (M,) rad²/s³; a joint too silent keeps what is given."""
@@ -25,7 +28,14 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
         if len(known) > 10 * SKIP:
             found = learn_one(encoders.t[known], encoders.values[known, joint])
             encoder[joint], process[joint] = found if found is not None else (encoder[joint], process[joint])
-    return encoder, process
+    return encoder, np.maximum(process, floor(encoders, encoder))
+
+
+def floor(encoders: Encoders, encoder: Array) -> Array:
+    """Least acceleration density (M,) rad²/s³: no joint is trusted to hold still for longer than MEMORY."""
+    step = float(np.median(np.diff(encoders.t))) if len(encoders.t) > 1 else 0.0
+    # the filter's memory is (R·dt/q)^(1/4)
+    return np.asarray(encoder * step / MEMORY**4)
 
 
 def learn_one(t: Array, y: Array) -> tuple[float, float] | None:

@@ -18,7 +18,7 @@ EVEN = 16
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """White acceleration (M,) rad²/s³ on the rates · random walk (M,) rad²/s of the encoder offsets, or None."""
+    """White acceleration (M,) rad²/s³ of the rates · random walk (M,) rad²/s of encoder offsets or None; or (M,C)."""
 
     process: Array
     drift: Array | None = None
@@ -84,8 +84,8 @@ def scan(readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: b
 def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyped-def]
     """A function of dt (C,) that moves z and p in place: constant velocity, exact discretisation."""
     m = len(dynamics.process)
-    q = dynamics.process[:, None]
-    walk = None if dynamics.drift is None else dynamics.drift[:, None]
+    q = dynamics.process.reshape(m, -1)
+    walk = None if dynamics.drift is None else dynamics.drift.reshape(m, -1)
     diagonal = np.einsum("iic->ic", p)
     cross, mirror = np.einsum("iic->ic", p[:m, m : 2 * m]), np.einsum("iic->ic", p[m : 2 * m, :m])
     x, v = z[:m], z[m : 2 * m]

@@ -10,8 +10,9 @@ from ..errors import EvidenceError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
+from .filtering import pose
 from .folds import Fold, fold_for
-from .laplace import SETTLED, SWEEPS, Problem, Tangents, far, guesses, handed_over, heard, pose, starts
+from .laplace import SETTLED, SWEEPS, Problem, Tangents, far, guesses, handed_over, heard, starts
 from .results import Beliefs
 from .scan import EVEN, Readings, Trace, scan
 

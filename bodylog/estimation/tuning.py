@@ -1,0 +1,125 @@
+"""Evidence of the whole filter, vision included, for many precisions at once: how the arm moves and pixels err."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..types import Array
+from .folds import Fold
+from .laplace import Problem, Solution, handed_over, prior, solve
+from .motion import floor
+from .precision import Precision
+from .scan import Dynamics, Readings, scan
+from .senses import Encoders, Evidence, Sighting
+from .timeline import timeline
+
+MOST = 4000
+"""Instants used at most, from the middle of the log."""
+FEWEST = 10
+"""Sightings without which vision says nothing about its own noise."""
+TRUST = 0.5
+"""Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""
+ROUNDS = (1.2, 0.8, 0.5, 0.3)
+"""Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
+
+
+def tune(problem: Problem) -> Precision:
+    """Process variances and pixel factors that maximise the evidence of (the middle of) the log."""
+    part = middle(problem)
+    names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
+    if not names:
+        return problem.precision
+    for half in ROUNDS:
+        m = len(part.start)
+        logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
+        candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
+        nats = costs(part, solve(part), np.exp(candidates), names)
+        nats += _prior(candidates, m)
+        part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
+    return part.precision
+
+
+def _prior(candidates: Array, m: int) -> Array:
+    """Nats (G,) against pixel factors far from what perception claims."""
+    return np.asarray(0.5 * np.square(candidates[:, m:] / TRUST).sum(axis=1))
+
+
+def _seen(sighting: Sighting) -> int:
+    return int(np.isfinite(sighting.values).all(axis=1).sum())
+
+
+def _with(part: Problem, values: Array, names: list[str]) -> Precision:
+    m, precision, encoders = len(part.start), part.precision, part.evidence.encoders
+    least = 0.0 if encoders is None else floor(encoders, precision.encoder)
+    scale = {**precision.scale, **{name: float(v) for name, v in zip(names, values[m:], strict=True)}}
+    return replace(precision, process=np.maximum(values[:m], least), scale=scale)
+
+
+def _step(nats: Array, half: float) -> Array:
+    """To the bottom of the parabola through (−half, 0, half) along each axis, at most 2 half."""
+    count = (len(nats) - 1) // 2
+    up, down = nats[1 : 1 + count], nats[1 + count :]
+    bend = up - 2.0 * nats[0] + down
+    downhill = np.where(up < down, 2.0 * half, -2.0 * half)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        newton = 0.5 * half * (down - up) / bend
+    return np.where(bend > 0, np.clip(newton, -2.0 * half, 2.0 * half), downhill)
+
+
+def costs(part: Problem, solution: Solution, candidates: Array, names: list[str]) -> Array:
+    """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors."""
+    m, g = len(part.start), len(candidates)
+    readings, fold = solution.readings, solution.fold
+    z, p = handed_over(*first_starts(part, fold), solution.trace, fold)
+    var = np.repeat(readings.var[..., None], g, axis=-1)
+    for index, (sighting, events) in enumerate(zip(part.evidence.sightings, part.timeline.sightings, strict=True)):
+        if sighting.name in names:
+            pixels = np.zeros_like(readings.var[:, index])
+            fold.put(pixels, events, sighting.var)
+            more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
+            var[:, index] += pixels[..., None] * more
+    dt, encoders, encoder_var = (_tile(a, g) for a in (readings.dt, readings.encoders, readings.encoder_var))
+    lines = _tile(readings.y, g), _tile(readings.jac, g), var.reshape(*var.shape[:-2], -1)
+    tiled = Readings(dt, encoders, encoder_var, *lines)
+    dynamics = Dynamics(np.tile(candidates[:, :m].T, fold.count), part.precision.drift)
+    trace = scan(tiled, dynamics, _tile(z, g), _tile(p, g))
+    mine = trace.nats[fold.over : fold.over + fold.own].reshape(fold.own, fold.count, g)
+    return np.asarray(mine.sum(axis=(0, 1)))
+
+
+def first_starts(part: Problem, fold: Fold) -> tuple[Array, Array]:
+    """The prior (K,C), (K,K,C) for every stretch."""
+    z, p = prior(part)
+    return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
+
+
+def _tile(a: Array, g: int) -> Array:
+    """(…,C) -> (…,C·G), the candidates of one stretch side by side."""
+    return np.repeat(a, g, axis=-1)
+
+
+def middle(problem: Problem) -> Problem:
+    """The problem cut to at most MOST instants around the middle of the log."""
+    t = problem.timeline.t
+    if len(t) <= MOST:
+        return problem
+    begin = (len(t) - MOST) // 2
+    low, high = t[begin], t[begin + MOST - 1]
+    evidence, found = problem.evidence, problem.evidence.encoders
+    sightings = tuple(_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings)
+    if found is None:
+        cut = Evidence(None, sightings, problem.start, evidence.used, ())
+        return replace(problem, evidence=cut, timeline=timeline(cut, None))
+    rows = (found.t >= low) & (found.t <= high)
+    encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows])
+    known = [column[np.isfinite(column)] for column in encoders.values.T]
+    start = np.array([c[0] if len(c) else s for c, s in zip(known, problem.start, strict=True)])
+    cut = Evidence(encoders, sightings, start, evidence.used, ())
+    return replace(problem, evidence=cut, timeline=timeline(cut, None), start=start)
+
+
+def _cut_sighting(sighting: Sighting, rows: Array) -> Sighting:
+    return replace(
+        sighting, t=sighting.t[rows], values=sighting.values[rows], var=sighting.var[rows],
+        source_ns=sighting.source_ns[rows],
+    )  # fmt: skip
