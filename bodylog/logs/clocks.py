@@ -66,16 +66,16 @@ def _near(t_ns: Array) -> Array:
 def _offset(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[float | None, float | None]:
     if stamp_ns is None or not near.any():
         return None, None
-    late = (log_ns - stamp_ns)[near] * 1e-9
+    late = (log_ns - stamp_ns)[near] / 1e9
     low, middle, high = np.percentile(late, [5, 50, 95])
     return float(middle), float(high - low)
 
 
 def seconds(t_ns: Array, start_ns: int) -> Array:
     """float64 seconds since start_ns, differenced in int64 first so that nanoseconds survive."""
-    return (t_ns - np.int64(start_ns)) * 1e-9
+    return (t_ns - np.int64(start_ns)) / 1e9
 
 
 def largest_gap(t_ns: Array) -> float:
     """Longest time (s) between neighbours of an ordered stream."""
-    return float(np.diff(t_ns).max() * 1e-9) if len(t_ns) > 1 else 0.0
+    return float(np.diff(t_ns).max() / 1e9) if len(t_ns) > 1 else 0.0

@@ -47,20 +47,20 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         start_ns = _start_ns(streams, log)
         features = _features(log, start_ns)
         findings = (*log.findings, *_findings(log, found, streams))
-    frames, more = _frames(path, settings, strict, streams, start_ns)
+    sidecar = _sidecar(path, settings)
     return Recording(
         name=path.name,
         format=log.format,
         start_ns=start_ns,
         duration_s=_duration(streams, log),
         topics=log.topics,
-        roles={role: source.path for role, source in found.items()} | more,
+        roles={role: source.path for role, source in found.items()} | _said(sidecar, settings),
         joints=_series(streams.get("joints"), start_ns, "rad"),
         skin=_series(streams.get("skin"), start_ns, "0..1"),
         truth=_series(streams.get("truth"), start_ns, "rad"),
-        frames=frames,
+        frames=_frames(path, strict, streams.get("camera"), sidecar, settings, start_ns),
         features=features,
-        health={role: _health(stream) for role, stream in streams.items()},
+        health={role: _health(stream) for role, stream in streams.items()} | _seen(sidecar),
         findings=findings,
     )
 
@@ -77,7 +77,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
         except BodylogError as error:
             problems.append(Finding("warning", str(error).removeprefix(f"{path}: ")))
         findings = (*log.findings, *problems, *(_findings(log, found, streams) if not problems else ()))
-        duration_s = (log.end_ns - log.start_ns) * 1e-9
+        duration_s = (log.end_ns - log.start_ns) / 1e9
         return {
             "path": str(path),
             "format": log.format,
@@ -186,9 +186,9 @@ def _start_ns(streams: Mapping[str, _Stream], log: Log) -> int:
 
 def _duration(streams: Mapping[str, _Stream], log: Log) -> float:
     if not streams:
-        return (log.end_ns - log.start_ns) * 1e-9
+        return (log.end_ns - log.start_ns) / 1e9
     first = min(int(stream.dated.t_ns[0]) for stream in streams.values())
-    return (max(int(stream.dated.t_ns[-1]) for stream in streams.values()) - first) * 1e-9
+    return (max(int(stream.dated.t_ns[-1]) for stream in streams.values()) - first) / 1e9
 
 
 def _series(stream: _Stream | None, start_ns: int, unit: str) -> Series | None:
@@ -202,19 +202,30 @@ def _health(stream: _Stream) -> Health:
     return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.dated.t_ns))
 
 
-def _frames(
-    path: Path, settings: Settings, strict: bool, streams: Mapping[str, _Stream], start_ns: int
-) -> tuple[Callable[[], Iterator[Frame]] | None, dict[str, str]]:
+def _sidecar(path: Path, settings: Settings) -> video.Sidecar | None:
     said = settings.topics.camera
-    if said is not None and roles.is_video("camera", said):
+    return video.find(str(said), path, settings.video) if roles.is_video("camera", said) else None
+
+
+def _said(sidecar: video.Sidecar | None, settings: Settings) -> dict[str, str]:
+    return {"camera": str(settings.topics.camera)} if sidecar else {}
+
+
+def _seen(sidecar: video.Sidecar | None) -> dict[str, Health]:
+    return {"camera": Health(sidecar.frames, sidecar.frames, {}, 1 / sidecar.rate)} if sidecar else {}
+
+
+def _frames(
+    path: Path, strict: bool, stream: _Stream | None, sidecar: video.Sidecar | None, settings: Settings, start_ns: int
+) -> Callable[[], Iterator[Frame]] | None:
+    if sidecar is not None:
         start = settings.video.start
-        first_s = 0.0 if start is None else float(round(start * 1e9) - start_ns) * 1e-9
-        return video.frames(video.find(said, path, settings.video), first_s, start_ns), {"camera": said}
-    stream = streams.get("camera")
+        first_s = 0.0 if start is None else (round(start * 1e9) - start_ns) / 1e9
+        return video.frames(sidecar, first_s, start_ns)
     if stream is None:
-        return None, {}
-    dated = stream.dated
-    return camera.frames(path, strict, stream.role.topics, stream.counts, stream.rows, dated.t_ns, start_ns), {}
+        return None
+    t_ns = stream.dated.t_ns
+    return camera.frames(path, strict, stream.role.topics, stream.counts, stream.rows, t_ns, start_ns)
 
 
 def _features(log: Log, start_ns: int) -> Features | None:

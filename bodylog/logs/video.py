@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ class Sidecar:
 
     path: Path
     rate: float
-    count: int
+    frames: int
 
 
 def find(name: str, log: Path, settings: Video) -> Sidecar:
@@ -27,11 +28,11 @@ def find(name: str, log: Path, settings: Video) -> Sidecar:
     if path is None:
         raise LogError(f"{log}: [topics] camera = {name!r}, but there is no such file, here or beside the log")
     capture = _open(path)
-    rate, count = settings.rate or capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
+    rate, length = settings.rate or capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
     capture.release()
     if not 0 < rate < 1e6:
         raise LogError(f"{path}: the video says {rate} frames per second; say in robot.toml: [video] rate = 30")
-    return Sidecar(path, rate, max(count, 0))
+    return Sidecar(path, rate, max(length, 0))
 
 
 def frames(video: Sidecar, first_s: float, start_ns: int) -> Callable[[], Iterator[Frame]]:
@@ -40,7 +41,10 @@ def frames(video: Sidecar, first_s: float, start_ns: int) -> Callable[[], Iterat
     def read() -> Iterator[Frame]:
         capture = _open(video.path)
         try:
-            for number, image in enumerate(iter(lambda: capture.read()[1], None)):
+            for number in count():
+                there, image = capture.read()
+                if not there:
+                    return
                 t = first_s + number / video.rate
                 yield Frame(t, start_ns + round(t * 1e9), _decode(image))
         finally:

@@ -1,0 +1,298 @@
+"""Every way a picture is stored gives the picture that was stored; what is no picture is refused by name."""
+
+import base64
+import json
+import struct
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bodylog.errors import FormatError
+from bodylog.logs.images import ENCODINGS, decoder, refusal
+from bodylog.types import Topic
+
+from .writing import T0, cdr, compressed, define, header
+
+IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+RAW_TEXT = """builtin_interfaces/Time timestamp
+string frame_id
+uint32 width
+uint32 height
+string encoding
+uint32 step
+uint8[] data
+"""
+
+
+def topic(type_: str, definition: bytes | None = None, encoding: str = "cdr") -> Topic:
+    dialect = {"cdr": "ros2msg", "json": "jsonschema", "protobuf": "protobuf"}[encoding]
+    return Topic(1, "/cam", type_, encoding, define(type_) if definition is None else definition, dialect, 1)
+
+
+def raw(encoding: str, rows: np.ndarray, width: int, step: int | None = None, big: bool = False) -> bytes:
+    """An Image payload whose lines are the bytes `rows`, padded with 0xAB to `step`."""
+    line = rows.reshape(len(rows), -1).view(np.uint8)
+    padded = np.full((len(line), step or line.shape[1]), 0xAB, np.uint8)
+    padded[:, : line.shape[1]] = line
+    sizes = {"height": len(rows), "width": width, "step": padded.shape[1]}
+    return cdr(IMAGE, header=header(T0), encoding=encoding, is_bigendian=int(big), data=padded.ravel(), **sizes)
+
+
+def scene(seed: int, height: int = 23, width: int = 31, channels: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 256, (height, width, channels), np.uint8)
+
+
+def stored(encoding: str, bgr: np.ndarray) -> np.ndarray:
+    """The pixels of a BGR scene as `encoding` stores them."""
+    alpha = np.full((*bgr.shape[:2], 1), 77, np.uint8)
+    base = encoding.rstrip("0123456789")
+    rgb = bgr[:, :, ::-1]
+    order = {"bgr": bgr, "rgb": rgb, "bgra": np.dstack([bgr, alpha]), "rgba": np.dstack([rgb, alpha])}
+    return np.ascontiguousarray(order[base] if base in order else bgr[:, :, :1])
+
+
+PACKED = ("bgr8", "rgb8", "bgra8", "rgba8", "mono8")
+
+
+@pytest.mark.parametrize("padding", [0, 5])
+@pytest.mark.parametrize("encoding", PACKED)
+def test_packed_encodings(encoding, padding):
+    bgr = scene(1)
+    pixels = stored(encoding, bgr)
+    want = np.repeat(pixels, 3, axis=2) if encoding == "mono8" else bgr
+    payload = raw(encoding, pixels, 31, pixels.shape[1] * pixels.shape[2] + padding)
+    for k in (1, 2, 4, 8):
+        np.testing.assert_array_equal(decoder(topic(IMAGE))(payload, k), want[::k, ::k])
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("encoding", ["bgr16", "rgb16", "bgra16", "rgba16", "mono16", "16UC1"])
+def test_sixteen_bits_keep_their_high_byte(encoding, big):
+    bgr = scene(2)
+    high = stored(encoding.replace("16UC1", "mono16"), bgr)
+    low = scene(3, channels=high.shape[2])
+    wide = (high.astype(np.uint16) << 8 | low).astype(">u2" if big else "<u2")
+    want = np.repeat(high, 3, axis=2) if high.shape[2] == 1 else bgr
+    np.testing.assert_array_equal(decoder(topic(IMAGE))(raw(encoding, wide, 31, big=big), 1), want)
+    np.testing.assert_array_equal(decoder(topic(IMAGE))(raw(encoding, wide, 31, 31 * 8 + 2, big), 4), want[::4, ::4])
+
+
+@pytest.mark.parametrize("size", [8, 16])
+@pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
+def test_bayer_patterns_give_back_the_colour_behind_the_filters(pattern, size):
+    colour = {"b": 20, "g": 120, "r": 230}
+    cell = np.array([[colour[pattern[0]], colour[pattern[1]]], [colour[pattern[2]], colour[pattern[3]]]], np.uint8)
+    mosaic = np.tile(cell, (6, 8))
+    rows = mosaic if size == 8 else (mosaic.astype("<u2") << 8)
+    image = decoder(topic(IMAGE))(raw(f"bayer_{pattern}{size}", rows, 16), 1)
+    np.testing.assert_array_equal(image[2:-2, 2:-2], np.broadcast_to([20, 120, 230], (8, 12, 3)))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "luma"), [("yuv422", 1), ("uyvy", 1), ("yuv422_yuy2", 0), ("yuyv", 0), ("yuy2", 0)]
+)
+def test_yuv422_is_bt601(encoding, luma):
+    rng = np.random.default_rng(4)
+    y, uv = rng.integers(60, 180, (10, 12)).astype(np.uint8), rng.integers(100, 156, (10, 6, 2)).astype(np.uint8)
+    packed = np.empty((10, 12, 2), np.uint8)
+    packed[:, :, luma] = y
+    packed[:, :, 1 - luma] = uv.reshape(10, 12)
+    u, v = (np.repeat(uv[:, :, n].astype(float) - 128, 2, axis=1) for n in (0, 1))
+    bright = 1.164 * (y.astype(float) - 16)
+    want = np.stack([bright + 2.018 * u, bright - 0.813 * v - 0.391 * u, bright + 1.596 * v], axis=2)
+    image = decoder(topic(IMAGE))(raw(encoding, packed, 12), 1)
+    assert np.abs(image - np.clip(want, 0, 255)).max() <= 2
+    np.testing.assert_array_equal(decoder(topic(IMAGE))(raw(encoding, packed, 12), 2), image[::2, ::2])
+
+
+def test_every_encoding_of_the_table_is_tested_above():
+    yuv = {"yuv422", "uyvy", "yuv422_yuy2", "yuyv", "yuy2"}
+    wide = {"bgr16", "rgb16", "bgra16", "rgba16", "mono16", "16UC1"}
+    bayer = {f"bayer_{p}{s}" for p in ("rggb", "bggr", "gbrg", "grbg") for s in (8, 16)}
+    opencv = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8"}
+    assert set(ENCODINGS) == {*PACKED, *yuv, *wide, *bayer, *opencv}
+    for alias, name in opencv.items():
+        assert ENCODINGS[alias] == ENCODINGS[name]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "form"), [(".png", "png"), (".png", "bgr8; png compressed bgr8"), (".webp", "webp")]
+)
+def test_lossless_pictures_come_back_exactly(suffix, form):
+    bgr = scene(5)
+    options = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
+    data = cv2.imencode(suffix, bgr, options)[1].ravel()
+    payload = cdr(COMPRESSED, header=header(T0), format=form, data=data)
+    for k in (1, 2, 4, 8):
+        np.testing.assert_array_equal(decoder(topic(COMPRESSED))(payload, k), bgr[::k, ::k])
+
+
+@pytest.mark.parametrize("form", ["jpeg", "jpg", "bgr8; jpeg compressed bgr8", ""])
+@pytest.mark.parametrize("shape", [(48, 64), (47, 61)])
+def test_jpeg_is_close_and_shrinks_while_decoding(form, shape):
+    row, column = np.mgrid[: shape[0], : shape[1]]
+    bgr = np.stack([row * 4, column * 3, 200 - row - column], axis=2).astype(np.uint8)
+    payload = compressed(T0, bgr, ".jpg", form)
+    for k in (1, 2, 4, 8):
+        image = decoder(topic(COMPRESSED))(payload, k)
+        assert image.shape == (-(-shape[0] // k), -(-shape[1] // k), 3)
+        blocks = bgr[: shape[0] // k * k, : shape[1] // k * k].reshape(shape[0] // k, k, shape[1] // k, k, 3)
+        assert np.abs(image[: shape[0] // k, : shape[1] // k] - blocks.mean(axis=(1, 3))).mean() < 4
+
+
+def test_a_colour_jpeg_keeps_red_red_and_is_not_turned_by_its_orientation_tag():
+    red = np.zeros((16, 32, 3), np.uint8)
+    red[:, :, 2] = 255
+    plain = cv2.imencode(".jpg", red)[1].tobytes()
+    exif = b"Exif\0\0MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06\0\0\0\0\0\0"
+    turned = plain[:2] + b"\xff\xe1" + struct.pack(">H", len(exif) + 2) + exif + plain[2:]
+    payload = cdr(COMPRESSED, header=header(T0), format="jpeg", data=np.frombuffer(turned, np.uint8))
+    image = decoder(topic(COMPRESSED))(payload, 1)
+    assert image.shape == (16, 32, 3)
+    assert np.abs(image.astype(int) - [0, 0, 255]).max() < 5
+
+
+def test_foxglove_pictures_in_json_and_ros2msg():
+    bgr = scene(6)
+    png = cv2.imencode(".png", bgr)[1].tobytes()
+    held = json.dumps({"timestamp": {"sec": 1, "nsec": 2}, "format": "png", "data": base64.b64encode(png).decode()})
+    read = decoder(topic("foxglove.CompressedImage", b"{}", "json"))
+    np.testing.assert_array_equal(read(held.encode(), 1), bgr)
+    lines = base64.b64encode(bgr[:, :, ::-1].tobytes()).decode()
+    held = json.dumps({"width": 31, "height": 23, "encoding": "rgb8", "step": 93, "data": lines})
+    np.testing.assert_array_equal(decoder(topic("foxglove.RawImage", b"{}", "json"))(held.encode(), 2), bgr[::2, ::2])
+    body = struct.pack("<iII4sIII8s", 5, 6, 4, b"cam\0", 31, 23, 5, b"rgb8")
+    payload = b"\0\1\0\0" + body + struct.pack("<II", 93, bgr.size) + bgr[:, :, ::-1].tobytes()
+    read = decoder(topic("foxglove_msgs/msg/RawImage", RAW_TEXT.encode()))
+    np.testing.assert_array_equal(read(payload, 1), bgr)
+
+
+def varint(value: int) -> bytes:
+    out = b""
+    while value > 0x7F:
+        out, value = out + bytes([value & 0x7F | 0x80]), value >> 7
+    return out + bytes([value])
+
+
+def wire(number: int, value: Any) -> bytes:
+    """One protobuf record: int as varint, 4 bytes in a tuple as fixed32, anything else length-delimited."""
+    if isinstance(value, int):
+        return varint(number << 3) + varint(value)
+    if isinstance(value, tuple):
+        return varint(number << 3 | 5) + value[0]
+    return varint(number << 3 | 2) + varint(len(value)) + value
+
+
+def descriptors(package: str, messages: dict[str, list[tuple[str, int, int, str]]]) -> bytes:
+    """A FileDescriptorSet: message -> fields (name, number, type, type name)."""
+    file = wire(2, package.encode())
+    for name, fields in messages.items():
+        body = wire(1, name.encode())
+        for label, number, kind, of in fields:
+            described = wire(1, label.encode()) + wire(3, number) + wire(4, 1) + wire(5, kind)
+            body += wire(2, described + wire(6, of.encode()))
+        file += wire(4, body)
+    return wire(1, file)
+
+
+def test_foxglove_pictures_in_protobuf():
+    bgr = scene(7)
+    stamp = ("timestamp", 1, 11, ".google.protobuf.Timestamp")
+    times = descriptors("google.protobuf", {"Timestamp": [("seconds", 1, 3, ""), ("nanos", 2, 5, "")]})
+    plain = (("width", 2, 7), ("height", 3, 7), ("encoding", 4, 9), ("step", 5, 7), ("data", 6, 12))
+    fields = [stamp, *((*field, "") for field in plain)]
+    schema = times + descriptors("foxglove", {"RawImage": fields})
+    sizes = b"".join(wire(n, (struct.pack("<I", value),)) for n, value in ((2, 31), (3, 23), (5, 93)))
+    payload = wire(1, wire(1, 5) + wire(2, 6)) + sizes + wire(4, b"bgr8") + wire(6, bgr.tobytes())
+    read = decoder(topic("foxglove.RawImage", schema, "protobuf"))
+    np.testing.assert_array_equal(read(payload, 4), bgr[::4, ::4])
+    with pytest.raises(FormatError, match=r"^/cam: "):
+        read(payload[:-1], 1)
+
+
+@pytest.mark.parametrize(
+    ("type_", "text", "says"),
+    [
+        (COMPRESSED, "16UC1; compressedDepth png", "compressedDepth"),
+        (IMAGE, "32FC1", "encoding '32FC1' is none of bgr8, "),
+        (IMAGE, "bgr8", None),
+        (COMPRESSED, "jpeg", None),
+    ],
+)
+def test_refusals_say_why(type_, text, says):
+    reason = refusal(topic(type_), text)
+    assert (reason is None) == (says is None)
+    assert says is None or says in str(reason)
+
+
+@pytest.mark.parametrize(
+    ("payload", "says"),
+    [
+        (lambda: raw("32FC1", scene(8), 31), "encoding '32FC1' is none of"),
+        (lambda: raw("bgr8", scene(8), 32), r"for 32 x 23 bgr8 with step 93"),
+        (lambda: raw("bgr8", scene(8)[:, :0], 0, 4), "0 x 23 pixels"),
+        (lambda: _raw_sizes(1 << 20, 1 << 20, 3 << 20), r"1048576 x 1048576 pixels; .* at most 134217728"),
+        (lambda: _raw_sizes(4000, 4000, 12000), "4000 x 12000 needed"),
+    ],
+)
+def test_raw_pictures_that_contradict_themselves_are_refused(payload, says):
+    with pytest.raises(FormatError, match=says):
+        decoder(topic(IMAGE))(payload(), 1)
+
+
+def _raw_sizes(height: int, width: int, step: int) -> bytes:
+    sizes = {"height": height, "width": width, "step": step}
+    return cdr(IMAGE, header=header(T0), encoding="bgr8", is_bigendian=0, data=np.zeros(100, np.uint8), **sizes)
+
+
+PNG = cv2.imencode(".png", scene(9))[1].tobytes()
+JPEG = cv2.imencode(".jpg", scene(9))[1].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("form", "data", "says"),
+    [
+        ("16UC1; compressedDepth", PNG, "is compressedDepth"),
+        ("tiff", b"II*\0" + bytes(50), "can read jpeg, png and webp"),
+        ("jpeg", b"", "beginning with nothing"),
+        ("jpeg", JPEG[:9], "header is cut off"),
+        ("png", PNG[:16] + struct.pack(">II", 1 << 17, 1 << 17) + PNG[24:], "131072 x 131072 pixels"),
+        ("png", PNG[:40], "cannot be decoded"),
+    ],
+)
+def test_compressed_pictures_that_are_none_are_refused(form, data, says):
+    payload = cdr(COMPRESSED, header=header(T0), format=form, data=np.frombuffer(data, np.uint8))
+    with pytest.raises(FormatError, match=says):
+        decoder(topic(COMPRESSED))(payload, 1)
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    flips=st.lists(st.tuples(st.integers(0, 400), st.integers(1, 255)), min_size=1, max_size=4),
+)
+def test_damaged_payloads_are_pictures_or_refused(seed, flips):
+    whole = raw("bgr8", scene(seed), 31) if seed % 2 else compressed(T0, scene(seed), ".jpg", "jpeg")
+    broken = bytearray(whole)
+    for where, bits in flips:
+        broken[where % len(broken)] ^= bits
+    try:
+        image = decoder(topic(IMAGE if seed % 2 else COMPRESSED))(bytes(broken), 1)
+    except FormatError:
+        return
+    assert image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+
+
+def test_decoding_on_threads_gives_the_same_pictures():
+    payloads = [compressed(T0, scene(seed, 60, 80), ".jpg", "jpeg") for seed in range(24)]
+    read = decoder(topic(COMPRESSED))
+    alone = [read(payload, 2) for payload in payloads]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda payload: read(payload, 2), payloads))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(one, other)

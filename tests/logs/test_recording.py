@@ -1,0 +1,280 @@
+"""Whole recordings from small logs written here: joints by name, time, health, frames in order, and one-line errors."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from bodylog.errors import ConfigError, LogError
+from bodylog.logs.recording import info, read
+from bodylog.settings import Body, Settings, Time, Topics, Video
+
+from .writing import T0, Stream, camera, cdr, compressed, define, header, joint_state, joints, register, write
+
+MS = 1_000_000
+NAMES = ("shoulder", "elbow", "wrist")
+PLAIN = Settings()
+
+
+def moves(n: int, names: tuple[str, ...] = NAMES, start: int = T0, every: int = 20 * MS) -> list[tuple[int, bytes]]:
+    """n joint messages whose joint j of NAMES is at n + j/10, logged 4 ms after their stamp."""
+    angle = {name: index / 10 for index, name in enumerate(NAMES)}
+    held = [[i + angle.get(name, 9.0) for name in names] for i in range(n)]
+    stamps = [start + i * every for i in range(n)]
+    return [(t + 4 * MS, joint_state(t, names, row)) for t, row in zip(stamps, held, strict=True)]
+
+
+def arrays(topic: str, rows: np.ndarray, start: int = T0, every: int = 10 * MS) -> Stream:
+    kind = "std_msgs/msg/Float32MultiArray"
+    layout = ("std_msgs/msg/MultiArrayLayout", {"dim": [], "data_offset": 0})
+    payloads = [cdr(kind, layout=layout, data=row.astype(np.float32)) for row in rows]
+    messages = [(start + i * every, payload) for i, payload in enumerate(payloads)]
+    return Stream(topic, kind, define(kind), messages)
+
+
+def settings(**sections: Any) -> Settings:
+    return replace(PLAIN, **sections)
+
+
+def test_signals_are_dated_by_header_or_log_and_carry_their_log_time(tmp_path):
+    skin = np.linspace(0, 1, 60).reshape(20, 3)
+    log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)), arrays("/skin", skin)])
+    got = read(log, PLAIN)
+    assert (got.name, got.format, got.start_ns) == ("a.mcap", "mcap", T0)
+    assert got.joints is not None and got.skin is not None and got.truth is None and got.frames is None
+    np.testing.assert_array_equal(got.joints.t, np.arange(10) * 20 * MS / 1e9)
+    np.testing.assert_array_equal(got.joints.source_ns, T0 + 4 * MS + 20 * MS * np.arange(10))
+    np.testing.assert_array_equal(got.joints.values, np.arange(10.0)[:, None] + [0, 0.1, 0.2])
+    assert (got.joints.names, got.joints.unit) == (NAMES, "rad")
+    np.testing.assert_array_equal(got.skin.t, np.arange(20) * 10 * MS / 1e9)
+    np.testing.assert_array_equal(got.skin.values, skin.astype(np.float32))
+    assert got.duration_s == pytest.approx(0.19)
+    assert got.roles == {"joints": "/joint_states", "skin": "/skin.data"}
+
+
+def test_joints_go_by_name_whatever_their_order(tmp_path):
+    turned = moves(10, ("elbow", "wrist", "shoulder"))
+    log = write(tmp_path / "a.mcap", [joints("/j", [*moves(10)[:5], *turned[5:]])])
+    got = read(log, PLAIN).joints
+    assert got is not None and got.names == NAMES
+    np.testing.assert_allclose(got.values, np.arange(10.0)[:, None] + [0, 0.1, 0.2], atol=1e-15)
+    chosen = read(log, settings(body=Body(joints=("wrist", "shoulder")))).joints
+    assert chosen is not None and chosen.names == ("wrist", "shoulder")
+    np.testing.assert_allclose(chosen.values, np.arange(10.0)[:, None] + [0.2, 0], atol=1e-15)
+
+
+def test_halves_of_the_joints_in_turn_leave_nan_and_of_one_stamp_are_joined(tmp_path):
+    arm, hand = ("shoulder", "elbow"), ("wrist",)
+    alternating = [(arm, hand)[i % 2] for i in range(6)]
+    rows = [m for i, names in enumerate(alternating) for m in moves(6, names)[i : i + 1]]
+    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    assert got.joints is not None and got.joints.names == NAMES
+    np.testing.assert_array_equal(np.isnan(got.joints.values[:, 2]), [True, False] * 3)
+    both = [m for pair in zip(moves(6, arm), moves(6, hand), strict=True) for m in pair]
+    got = read(write(tmp_path / "b.mcap", [joints("/j", both)]), PLAIN)
+    assert got.joints is not None and not np.isnan(got.joints.values).any()
+    assert len(got.joints.t) == 6
+    assert (got.health["joints"].seen, got.health["joints"].used) == (12, 12)
+
+
+def test_nameless_joints_need_names_and_as_many_as_there_are(tmp_path):
+    rows = [(t, joint_state(t, (), (1.0, 2.0, 3.0))) for t, _ in moves(4)]
+    log = write(tmp_path / "a.mcap", [joints("/j", rows)])
+    with pytest.raises(LogError, match=r"a.mcap: /j: the 3 joints have no names; say in robot.toml: \[body\] joints"):
+        read(log, PLAIN)
+    with pytest.raises(LogError, match="names 2; name all 3"):
+        read(log, settings(body=Body(joints=("a", "b"))))
+    got = read(log, settings(body=Body(joints=NAMES))).joints
+    assert got is not None and got.names == NAMES
+    assert got.values.tolist() == [[1, 2, 3]] * 4
+    said = info(log, PLAIN)
+    assert said["joints"] == [] and any("have no names" in f["text"] for f in said["findings"])
+
+
+def test_an_unknown_joint_is_named_with_those_there_are(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
+    with pytest.raises(LogError, match="'knee'; the log has elbow, shoulder, wrist"):
+        read(log, settings(body=Body(joints=("elbow", "knee"))))
+
+
+def test_degrees_become_radians(tmp_path):
+    truth = [(t, joint_state(t, NAMES, (90.0, 0.0, -180.0))) for t, _ in moves(3)]
+    log = write(tmp_path / "a.mcap", [joints("/j", truth), joints("/truth", truth)])
+    got = read(log, settings(body=Body(unit="deg")))
+    assert got.joints is not None and got.truth is not None
+    np.testing.assert_allclose(got.joints.values, [[np.pi / 2, 0, -np.pi]] * 3)
+    np.testing.assert_array_equal(got.truth.values, got.joints.values)
+
+
+def test_truth_follows_the_joints_asked_for(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), joints("/truth", moves(5, ("wrist", "elbow")))])
+    got = read(log, settings(body=Body(joints=("elbow", "shoulder"))))
+    assert got.joints is not None and got.truth is not None
+    assert (got.joints.names, got.truth.names) == (("elbow", "shoulder"), ("elbow",))
+
+
+def test_every_message_is_used_or_rejected_for_a_reason(tmp_path):
+    good = moves(40)
+    rows = [
+        *good,
+        (T0 + 30 * MS, good[0][1][:60]),
+        (T0 + 31 * MS, joint_state(T0 + 31 * MS, NAMES, ())),
+        (T0 + 32 * MS, joint_state(0, NAMES, (1.0, 2.0, 3.0))),
+        (T0 + 33 * MS, good[7][1]),
+    ]
+    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    reasons = {"malformed": 1, "no positions": 1, "time years away": 1, "same stamp again": 1}
+    health = got.health["joints"]
+    assert (health.seen, health.used, dict(health.rejected)) == (44, 40, reasons)
+    assert health.largest_gap_s == pytest.approx(0.02)
+    assert got.joints is not None and len(got.joints.t) == 40
+    assert any("rejected" in finding.text and finding.severity == "warning" for finding in got.findings)
+
+
+def test_frames_come_in_time_order_even_when_the_file_is_not(tmp_path):
+    rng = np.random.default_rng(0)
+    pictures = [np.full((8, 10, 3), shade, np.uint8) for shade in range(0, 250, 5)]
+    rows = [(T0 + 40 * MS * i + MS, compressed(T0 + 40 * MS * i, p)) for i, p in enumerate(pictures)]
+    near = np.argsort(np.arange(len(rows)) + rng.uniform(0, 6, len(rows)))
+    streams = [camera("/cam", [rows[i] for i in near]), joints("/j", moves(5))]
+    log = write(tmp_path / "a.mcap", streams, in_order=False, chunk=700)
+    got = read(log, PLAIN)
+    assert got.frames is not None
+    for _ in range(2):
+        frames = list(got.frames())
+        np.testing.assert_array_equal([f.t for f in frames], np.arange(50) * 40 * MS / 1e9)
+        assert [f.source_ns for f in frames] == [t for t, _ in rows]
+        assert [int(f.image[0, 0, 0]) for f in frames] == list(range(0, 250, 5))
+    assert got.health["camera"].used == 50
+    assert any("out of order" in finding.text for finding in got.findings)
+
+
+def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
+    image = np.zeros((8, 8, 3), np.uint8)
+    depth = [(T0 + i * MS, compressed(T0 + i * MS, image, form="16UC1; compressedDepth png")) for i in range(3)]
+    good = [(T0 + i * MS, compressed(T0 + i * MS, image)) for i in range(3, 8)]
+    got = read(write(tmp_path / "a.mcap", [camera("/cam", [*depth, *good])]), PLAIN)
+    assert dict(got.health["camera"].rejected) == {"compressedDepth holds depth, not a picture": 3}
+    assert got.frames is not None and len(list(got.frames())) == 5
+    only = write(tmp_path / "b.mcap", [camera("/cam", depth)])
+    assert read(only, PLAIN).frames is None
+    with pytest.raises(LogError, match=r"no usable message on /cam: 3 \(compressedDepth"):
+        read(only, settings(topics=Topics(camera="/cam")))
+
+
+def test_one_message_at_time_zero_does_not_stretch_the_log(tmp_path):
+    rows = [(0, joint_state(0, NAMES, (0.0, 0.0, 0.0))), *moves(50)]
+    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    assert (got.start_ns, got.duration_s) == (T0, pytest.approx(0.98))
+
+
+def test_simulated_stamps_and_wall_clock_logs_are_brought_together(tmp_path):
+    wall = 1_600_000_000 * 10**9
+    rows = [(wall + t, joint_state(t, NAMES, (1.0, 2.0, 3.0))) for t in range(5 * 10**9, 6 * 10**9, 20 * MS)]
+    skin = arrays("/skin", np.ones((10, 3)), start=wall + 5 * 10**9 + 100 * MS)
+    got = read(write(tmp_path / "a.mcap", [joints("/j", rows), skin]), PLAIN)
+    assert got.start_ns == 5 * 10**9
+    assert got.skin is not None
+    np.testing.assert_allclose(got.skin.t, 0.1 + 0.01 * np.arange(10))
+    assert got.skin.source_ns[0] == wall + 5 * 10**9 + 100 * MS
+
+
+def test_robot_toml_chooses_the_clock(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), arrays("/skin", np.ones((10, 3)))])
+    got = read(log, settings(time=Time(joints="log")))
+    assert got.start_ns == T0 + 4 * MS
+    with pytest.raises(LogError, match=r'skin = "header", but /skin has no header; use "log" or "auto"'):
+        read(log, settings(time=Time(skin="header")))
+
+
+def test_message_paths_name_fields_of_custom_types(tmp_path):
+    register("crab_msgs/msg/Servo", "std_msgs/Header header\nfloat32[3] angle\nint32 id\n")
+    rows = [
+        (T0 + i * MS, cdr("crab_msgs/msg/Servo", header=header(T0 + i * MS), angle=np.float32([i, 1, 2]), id=3))
+        for i in range(4)
+    ]
+    text = b"std_msgs/Header header\nfloat32[3] angle\nint32 id\n"
+    log = write(tmp_path / "a.mcap", [Stream("/servo", "crab_msgs/msg/Servo", text, rows)])
+    got = read(log, settings(topics=Topics(joints="/servo.angle[0:1]"), body=Body(joints=("a", "b"))))
+    assert got.joints is not None
+    assert got.joints.values.tolist() == [[i, 1] for i in range(4)]
+    assert read(log, settings(topics=Topics(skin="/servo.angle"))).skin is not None
+    with pytest.raises(ConfigError, match="has no field 'angles'; it has header, angle, id"):
+        read(log, settings(topics=Topics(joints="/servo.angles"), body=Body(joints=("a",))))
+
+
+def test_arrays_of_another_length_are_rejected(tmp_path):
+    odd = arrays("/skin", np.ones((1, 5)), start=T0 + 500 * MS)
+    stream = arrays("/skin", np.ones((10, 3)))
+    log = write(tmp_path / "a.mcap", [replace(stream, messages=[*stream.messages, *odd.messages])])
+    got = read(log, PLAIN)
+    assert dict(got.health["skin"].rejected) == {"5 values, not 3": 1}
+
+
+def test_a_role_that_is_absent_is_none_and_one_that_is_named_wrongly_an_error(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
+    got = read(log, PLAIN)
+    assert (got.skin, got.truth, got.frames, got.features) == (None, None, None, None)
+    with pytest.raises(LogError, match=r'\[topics\] skin = "/skn"'):
+        read(log, settings(topics=Topics(skin="/skn")))
+
+
+def test_an_empty_log_has_no_signals(tmp_path):
+    got = read(write(tmp_path / "a.mcap", []), PLAIN)
+    assert (got.joints, got.duration_s, dict(got.roles)) == (None, 0, {})
+
+
+def test_no_log_is_an_error(tmp_path):
+    with pytest.raises(LogError, match="there is no such file"):
+        read(tmp_path / "a.mcap", PLAIN)
+
+
+def test_a_video_beside_the_log_is_a_camera(tmp_path):
+    shades = list(range(20, 220, 20))
+    out = cv2.VideoWriter(str(tmp_path / "cam.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (32, 24))
+    for shade in shades:
+        out.write(np.full((24, 32, 3), shade, np.uint8))
+    out.release()
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(5))])
+    got = read(log, settings(topics=Topics(camera="cam.avi")))
+    assert got.frames is not None and got.roles["camera"] == "cam.avi"
+    frames = list(got.frames())
+    np.testing.assert_allclose([f.t for f in frames], np.arange(10) / 10)
+    assert np.abs([float(f.image.mean()) for f in frames] - np.array(shades)).max() < 4
+    assert frames[0].decode(4).shape == (6, 8, 3)
+    later = settings(topics=Topics(camera="cam.avi"), video=Video(start=T0 / 1e9 + 2.5, rate=20.0))
+    shifted = read(log, later).frames
+    assert shifted is not None
+    np.testing.assert_allclose([f.t for f in shifted()], 2.5 + np.arange(10) / 20)
+    with pytest.raises(LogError, match="no such file, here or beside the log"):
+        read(log, settings(topics=Topics(camera="gone.mp4")))
+    (tmp_path / "no.mp4").write_bytes(b"not a video")
+    with pytest.raises(LogError, match="cannot be opened as a video"):
+        read(log, settings(topics=Topics(camera="no.mp4")))
+
+
+def test_info_is_plain_and_complete(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(11)), camera("/cam", [])])
+    said = json.loads(json.dumps(info(log, PLAIN)))
+    assert said["topics"] == [
+        {"topic": "/cam", "type": "sensor_msgs/msg/CompressedImage", "messages": 0, "rate_hz": None},
+        {"topic": "/j", "type": "sensor_msgs/msg/JointState", "messages": 11, "rate_hz": pytest.approx(50)},
+    ]
+    assert (said["path"], said["format"], said["start_ns"]) == (str(log), "mcap", T0 + 4 * MS)
+    assert said["duration_s"] == pytest.approx(0.2)
+    assert (said["roles"], said["joints"]) == ({"joints": "/j"}, list(NAMES))
+    clock = {"clock": "header", "offset_s": pytest.approx(0.004), "spread_s": pytest.approx(0)}
+    assert said["clock"]["joints"] == clock
+    assert any('topics = { joints = "/j" }' in finding["text"] for finding in said["findings"])
+
+
+def test_reading_twice_gives_the_same(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(9)), arrays("/skin", np.ones((9, 2)))])
+    one, two = read(log, PLAIN), read(Path(str(log)), PLAIN)
+    assert one.joints is not None and two.joints is not None
+    assert one.joints.values.tobytes() == two.joints.values.tobytes()
+    assert (one.health, one.findings) == (two.health, two.findings)

@@ -1,0 +1,131 @@
+"""Guesses from types, names and counts; robot.toml wins; what is missing is named with what is there."""
+
+import tomllib
+
+import pytest
+
+from bodylog.errors import LogError
+from bodylog.logs.roles import advice, roles, unreadable
+from bodylog.settings import Topics
+from bodylog.types import Topic
+
+JOINTS, IMAGE, COMPRESSED = "sensor_msgs/msg/JointState", "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
+FLOATS = "std_msgs/msg/Float32MultiArray"
+SKIN = b"SkinCellData[] data\n===\nMSG: tum_ics_skin_msgs/SkinCellData\nint32 cellId\nint64 ts\nfloat32[] prox\n"
+
+
+def topics(*described) -> list[Topic]:
+    """(name, type, messages, definition) with the last two optional; definitions default to the standard ones."""
+    return [_topic(number, *some) for number, some in enumerate(described)]
+
+
+def _topic(number: int, name: str, kind: str, messages: int = 10, definition: bytes = b"") -> Topic:
+    return Topic(number, name, kind, "cdr", definition, "ros2msg", messages)
+
+
+def guessed(*described) -> dict[str, str]:
+    return {role: found.path for role, found in roles(topics(*described), Topics(), "x.mcap").items()}
+
+
+def test_everything_at_once():
+    found = guessed(
+        ("/joint_states", JOINTS, 500),
+        ("/joint_commands", JOINTS, 900),
+        ("/truth/joint_states", JOINTS, 500),
+        ("/cam/depth/image", IMAGE, 60),
+        ("/cam/color/image", COMPRESSED, 30),
+        ("/skin/proximity", FLOATS, 100),
+        ("/weights", FLOATS, 100),
+        ("/bodylog/joint_states", JOINTS, 9000),
+    )
+    assert found == {
+        "joints": "/joint_states",
+        "truth": "/truth/joint_states",
+        "camera": "/cam/color/image",
+        "skin": "/skin/proximity.data",
+    }
+
+
+@pytest.mark.parametrize("word", ["command", "cmd", "desired", "target", "goal"])
+def test_measured_joints_come_before_wished_ones(word):
+    assert guessed((f"/joint_{word}", JOINTS, 99), ("/joint_states", JOINTS, 1))["joints"] == "/joint_states"
+    assert guessed((f"/joint_{word}", JOINTS, 99))["joints"] == f"/joint_{word}"
+
+
+@pytest.mark.parametrize(("name", "is_truth"), [
+    ("/truth/joint_states", True), ("/ground_truth", True), ("/gt/joints", True), ("/arm_gt", True),
+    ("/gt200/joint_states", False), ("/length", False), ("/joint_states", False),
+])  # fmt: skip
+def test_truth_only_when_its_name_says_so(name, is_truth):
+    assert guessed((name, JOINTS)) == ({"truth": name} if is_truth else {"joints": name})
+
+
+def test_more_messages_win_then_the_alphabet():
+    assert guessed(("/b", JOINTS, 5), ("/a", JOINTS, 9))["joints"] == "/a"
+    assert guessed(("/b", JOINTS, 5), ("/a", JOINTS, 5))["joints"] == "/a"
+
+
+def test_empty_topics_and_depth_pictures_fill_no_role():
+    assert guessed(("/joint_states", JOINTS, 0), ("/cam/depth/image_raw", IMAGE, 5)) == {}
+
+
+@pytest.mark.parametrize(
+    ("better", "worse"), [("/cam/rgb/image", "/cam/image"), ("/cam/image", "/cam/mono"), ("/cam/color", "/cam/ir_1")]
+)
+def test_colour_is_preferred(better, worse):
+    assert guessed((worse, IMAGE, 90), (better, IMAGE, 30))["camera"] == better
+
+
+def test_skin_of_structs_and_of_custom_arrays():
+    cells = ("/forearm", "tum_ics_skin_msgs/msg/SkinCellDataArray", 5, SKIN)
+    assert guessed(cells)["skin"] == "/forearm.data[:].prox[0]"
+    custom = ("/hand/tactile", "x_msgs/msg/Taxels", 5, b"uint8 kind\nuint16[] cells\nfloat32[16] pressure\n")
+    assert guessed(custom)["skin"] == "/hand/tactile.pressure"
+    counts = ("/hand/tactile", "x_msgs/msg/Taxels", 5, b"uint8 kind\nuint16[] cells\n")
+    assert guessed(counts)["skin"] == "/hand/tactile.cells"
+    assert guessed(("/touch/events", "std_msgs/msg/String", 5)) == {}
+
+
+def test_a_broken_definition_spoils_only_its_own_topic():
+    broken = ("/a/joint_states", JOINTS, 500, b"}{")
+    assert guessed(broken, ("/joint_states", JOINTS, 5))["joints"] == "/joint_states"
+    (problem,) = unreadable(topics(broken, ("/joint_states", JOINTS, 5)))
+    assert problem.startswith("/a/joint_states: sensor_msgs/msg/JointState: cannot read")
+
+
+def test_robot_toml_wins():
+    said = Topics(joints="/b", skin="/w.data[0:3]", camera="/depth", truth="/a")
+    found = roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS), ("/depth", IMAGE)), said, "x.mcap")
+    assert {role: (f.topic, f.field) for role, f in found.items()} == {
+        "joints": ("/b", ""),
+        "skin": ("/w", "data[0:3]"),
+        "camera": ("/depth", ""),
+        "truth": ("/a", ""),
+    }
+
+
+def test_a_topic_that_is_not_there_is_named_with_those_of_its_kind():
+    with pytest.raises(LogError, match=r'x.mcap: \[topics\] joints = "/q", .* possible: /a, /b$'):
+        roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS)), Topics(joints="/q"), "x.mcap")
+    with pytest.raises(LogError, match=r"possible: /w$"):
+        roles(topics(("/w", "std_msgs/msg/String")), Topics(joints="/q"), "x.mcap")
+    with pytest.raises(LogError, match="the log is empty"):
+        roles([], Topics(joints="/q"), "x.mcap")
+
+
+def test_a_topic_without_numbers_is_refused():
+    with pytest.raises(LogError, match="has no array; say which"):
+        roles(topics(("/w", "std_msgs/msg/String")), Topics(skin="/w"), "x.mcap")
+
+
+def test_the_advice_is_toml_that_says_the_same():
+    described = [("/joint_states", JOINTS), ("/cam \"1\"", IMAGE), ("/skin", FLOATS)]
+    found = roles(topics(*described), Topics(), "x.mcap")
+    said = tomllib.loads(advice(found))["topics"]
+    assert said == {"joints": "/joint_states", "camera": '/cam "1"', "skin": "/skin.data"}
+    assert {r: f.path for r, f in roles(topics(*described), Topics(**said), "x.mcap").items()} == said
+
+
+def test_several_schemas_of_one_topic_are_read_together():
+    found = roles(topics(("/a", JOINTS, 5), ("/a", JOINTS, 7), ("/a", FLOATS, 7)), Topics(), "x.mcap")
+    assert [topic.messages for topic in found["joints"].topics] == [5, 7]
