@@ -1,7 +1,7 @@
 """A log of any container as a new chunked MCAP, one batch of messages at a time."""
 
 import mmap
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -90,7 +90,7 @@ def _tables(log: Log, carriers: Mapping[int, _Carrier], writer: Writer) -> Itera
     """Batches in groups of a few MiB, each in order of log time."""
     pending: list[Messages] = []
     size = 0
-    for batch in log.batches(list(carriers)):
+    for batch in _pieces(log.batches(list(carriers))):
         pending.append(_taken(batch, carriers[batch.topic_id], writer))
         size += pending[-1].data.size
         if size >= _PENDING:
@@ -98,6 +98,15 @@ def _tables(log: Log, carriers: Mapping[int, _Carrier], writer: Writer) -> Itera
             pending, size = [], 0
     if pending:
         yield _sorted(pending)
+
+
+def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
+    """The batches, cut where they hold more than a few MiB."""
+    for batch in batches:
+        full = np.cumsum(batch.length) // _PENDING
+        cuts = [0, *(np.flatnonzero(np.diff(full)) + 1).tolist(), len(full)]
+        for rows in map(slice, cuts, cuts[1:]):
+            yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
 
 
 def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> Messages:

@@ -200,7 +200,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path, ours):
     import tracemalloc
 
     peaks = []
-    for count in (30, 300):
+    for count in (60, 400):
         log = source(tmp_path / "in.mcap", count=count, padding=250_000, **UNSUITED["unchunked"])
         assert log.stat().st_size > count * 250_000
         tracemalloc.start()
