@@ -1,0 +1,43 @@
+import cv2
+import numpy as np
+import pytest
+
+from bodylog.sim import record
+
+from . import reading
+
+
+def centroid(picture, channel):
+    """Centroid (u, v) of the largest blob that is more `channel` than anything else, weighted by how much more."""
+    others = np.delete(picture, channel, axis=2).max(axis=2)
+    weight = np.maximum(picture[..., channel].astype(float) - others - 25, 0)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats((weight > 0).astype(np.uint8))
+    weight *= labels == 1 + stats[1:, cv2.CC_STAT_AREA].argmax()
+    rows, columns = np.indices(weight.shape)
+    return np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()
+
+
+@pytest.mark.parametrize("image", ["jpeg", "raw"])
+@pytest.mark.parametrize("scenario, topic, channel", [("babble", "effector", 1), ("touch", "hand", 2)])
+def test_truth_is_where_a_tracker_finds_the_blob(tmp_path, image, scenario, topic, channel):
+    errors = []
+    for seed in range(2):
+        record(scenario, tmp_path / "a.mcap", seed=seed, duration=4.0, size=(320, 240), image=image)
+        topics = reading.read(tmp_path / "a.mcap")
+        truth = reading.pixels(topics, f"/truth/{topic}_pixel")
+        errors += [centroid(picture, channel) - truth[t] for t, picture in reading.pictures(topics) if t in truth]
+    size = np.linalg.norm(errors, axis=1)
+    assert len(size) > 40
+    assert np.median(size) < 0.1 and np.quantile(size, 0.99) < 0.3
+    assert np.abs(np.mean(errors, axis=0)).max() < 0.02
+
+
+def test_hand_is_whole_in_the_picture_exactly_when_the_truth_says_so(tmp_path):
+    record("touch", tmp_path / "a.mcap", duration=6.0, size=(320, 240))
+    topics = reading.read(tmp_path / "a.mcap")
+    truth = reading.pixels(topics, "/truth/hand_pixel")
+    for t, picture in reading.pictures(topics):
+        red = (picture[..., 2].astype(int) - np.delete(picture, 2, axis=2).max(axis=2)) > 60
+        whole = red.sum() > 150
+        cut = red[[0, -1]].any() or red[:, [0, -1]].any()
+        assert whole if t in truth else cut or not whole

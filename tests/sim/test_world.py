@@ -1,0 +1,113 @@
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.sim.arms import ARMS
+from bodylog.sim.camera import FAR, ellipse_centre, look
+from bodylog.sim.stage import matrix
+from bodylog.sim.world import EFFECTOR_RADIUS, open_world
+
+# Public Denavit-Hartenberg rows (a, d, alpha) of each arm, m and rad.
+TABLES = {
+    "ur5": [
+        (0.0, 0.089159, pi / 2),
+        (-0.425, 0.0, 0.0),
+        (-0.39225, 0.0, 0.0),
+        (0.0, 0.10915, pi / 2),
+        (0.0, 0.09465, -pi / 2),
+        (0.0, 0.0823, 0.0),
+    ],
+    "seven": [
+        (0.0, 0.34, -pi / 2),
+        (0.0, 0.0, pi / 2),
+        (0.0, 0.4, pi / 2),
+        (0.0, 0.0, -pi / 2),
+        (0.0, 0.4, -pi / 2),
+        (0.0, 0.0, pi / 2),
+        (0.0, 0.126, 0.0),
+    ],
+}
+
+
+def hartenberg(rows, q):
+    total = np.eye(4)
+    for (a, d, alpha), theta in zip(rows, q, strict=True):
+        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+        total = total @ [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
+    return total
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_urdf_agrees_with_the_denavit_hartenberg_formula(name):
+    rng = np.random.default_rng(3)
+    with open_world(ARMS[name]) as world:
+        tool = world.links.index("tool0")
+        for q in rng.uniform(-3, 3, (20, len(ARMS[name].joints))):
+            places, turns = world.pose(q)
+            expected = hartenberg(TABLES[name], q)
+            np.testing.assert_allclose(places[tool], expected[:3, 3], atol=1e-6)
+            np.testing.assert_allclose(matrix(turns[tool]), expected[:3, :3], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_home_and_swing_stay_within_the_limits(name):
+    arm = ARMS[name]
+    root = ElementTree.parse(arm.urdf).getroot()
+    joints = [joint for joint in root.findall("joint") if joint.get("type") == "revolute"]
+    limits = {joint.get("name"): joint.find("limit") for joint in joints}
+    assert tuple(limits) == arm.joints
+    for joint, home, swing in zip(arm.joints, arm.home, arm.swing, strict=True):
+        # A spline overshoots its points by up to a third of the swing.
+        assert float(limits[joint].get("lower")) < home - 1.34 * swing
+        assert home + 1.34 * swing < float(limits[joint].get("upper"))
+
+
+@pytest.mark.parametrize("size", [(320, 240), (640, 480), (200, 333)])
+def test_pinhole_is_the_renderers(size):
+    arm, rng, errors = ARMS["ur5"], np.random.default_rng(0), []
+    with open_world(arm) as world:
+        effector = world.links.index("effector")
+        world.bullet.changeVisualShape(world.body, effector, rgbaColor=[0, 1, 0, 1], physicsClientId=world.client)
+        target = world.pose(np.array(arm.home))[0][effector]
+        for _ in range(20):
+            place = target + np.array([0.2, -1.1, -0.3]) + rng.normal(0, 0.02, 3)
+            camera = look(place, target + rng.normal(0, 0.1, 3), size)
+            colour, depth = world._render(camera)
+            rows, columns = np.nonzero((colour[..., 1] > 1.5 * colour[..., 0]) & (depth < FAR))
+            centre = ellipse_centre(camera, target[None], EFFECTOR_RADIUS)[0]
+            errors.append([columns.mean() - centre[0], rows.mean() - centre[1]])
+            ahead = float(camera.rotation[2] @ (target - place))
+            assert depth[rows, columns].min() == pytest.approx(ahead - EFFECTOR_RADIUS, abs=0.005)
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.12)
+
+
+def test_wide_pictures_show_the_same_arm():
+    arm = ARMS["ur5"]
+    with open_world(arm) as world:
+        target = world.pose(np.array(arm.home))[0][world.links.index("effector")]
+        camera = look(target + arm.camera, target, (640, 480))
+        wall = np.zeros((480, 640, 3), np.uint8)
+        picture, depth = world.picture(camera, wall)
+        colour, fine = world._render(camera)
+        assert picture.shape == (480, 640, 3) and depth.shape == (480, 640)
+        assert np.mean((depth < FAR) == (fine < FAR)) > 0.98
+        both = (depth < FAR) & (fine < FAR)
+        assert np.median(np.abs(picture[both].astype(int) - colour[both][:, :3])) <= 4
+        small = replace(camera, width=320, height=240, focal=camera.focal / 2)
+        assert small.centre == (159.5, 119.5)
+
+
+def test_without_pybullet_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pybullet", None)
+    with pytest.raises(UsageError, match=r"pip install 'bodylog\[sim\]'"), open_world(ARMS["ur5"]):
+        pass
+
+
+def test_loading_writes_nothing_on_the_terminal(capfd):
+    with open_world(ARMS["ur5"]):
+        pass
+    assert capfd.readouterr() == ("", "")
