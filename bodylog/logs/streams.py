@@ -1,0 +1,144 @@
+"""One dated stream per role: columns read in one pass, put on one clock, every message accounted for."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import LogError
+from ..settings import Settings
+from ..types import Array, Finding, Health, Series
+from . import images, signals
+from .clocks import Dated, date, largest_gap, seconds
+from .columns import Columns, columns_of
+from .containers import Log
+from .roles import Role
+from .stamps import stamp_field
+
+_MINUTE = 60.0
+_JOINT_FIELDS = ("name", "position")
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One role's messages, dated: values (m,D), log_ns (m,), and the counts behind its health."""
+
+    role: Role
+    dated: Dated
+    values: Array
+    names: tuple[str, ...]
+    log_ns: Array
+    rows: Array
+    counts: tuple[int, ...]
+    rejected: Mapping[str, int]
+    fallback: int
+
+
+def streams(log: Log, found: Mapping[str, Role], settings: Settings, name: str) -> dict[str, Stream]:
+    """The roles of a log that hold usable messages; LogError when a role named in robot.toml does not."""
+    dated = {role: _stream(*read, settings, name) for role, read in _columns(log, found).items()}
+    return _one_epoch({role: stream for role, stream in dated.items() if _is_usable(stream, settings, name)})
+
+
+def _columns(log: Log, found: Mapping[str, Role]) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
+    fields: dict[int, dict[str, None]] = {}
+    topics = {topic.id: topic for role in found.values() for topic in role.topics}
+    for role in found.values():
+        for topic in role.topics:
+            stamp = stamp_field(topic)
+            wanted = dict.fromkeys([stamp] if stamp else []) | dict.fromkeys(_fields(role))
+            fields.setdefault(topic.id, {}).update(wanted)
+    read = columns_of(log, {id_: (topics[id_], tuple(names)) for id_, names in fields.items()})
+    return {name: (role, tuple(read[topic.id] for topic in role.topics)) for name, role in found.items()}
+
+
+def _fields(role: Role) -> tuple[str, ...]:
+    if role.role == "camera":
+        return (images.text_field(role.topics[0]),)
+    return (role.field,) if role.field else _JOINT_FIELDS
+
+
+def _stream(role: Role, columns: tuple[Columns, ...], settings: Settings, name: str) -> Stream:
+    stamp = stamp_field(role.topics[0])
+    found = list(signals.blocks(columns, stamp, _fields(role)))
+    signal = _signal(role, found, settings, f"{name}: {role.topic}")
+    log_ns = np.concatenate([some.log_ns for some in columns])
+    choice = getattr(settings.time, role.role)
+    if choice == "header" and signal.stamp_ns is None and len(signal.rows):
+        raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
+    by_name = role.role in ("joints", "truth")
+    dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
+    values, idle = signal.values[dated.rows], 0
+    if by_name:
+        keep, values, idle = signals.merged(dated.t_ns, np.deg2rad(values) if settings.body.unit == "deg" else values)
+        values, dated = values[keep], replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
+    rejected = sum((Counter(some.rejected) for some in columns), Counter(signal.rejected) + Counter(dated.rejected))
+    rejected.update({"same stamp again": idle} if idle else {})
+    rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in columns)
+    slow = sum(some.fallback for some in columns)
+    return Stream(role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow)
+
+
+def _signal(role: Role, found: list[signals.Block], settings: Settings, what: str) -> signals.Signal:
+    if role.role == "camera":
+        seen = {str(text) for _, _, (names,) in found for text in names}
+        return signals.texts(found, {text: images.refusal(role.topics[0], text) for text in seen})
+    if not role.field:
+        return signals.joints(found, settings.body.joints, what, every=role.role == "joints")
+    signal = signals.array(found)
+    if role.role == "skin" or not len(signal.rows):
+        return signal
+    nameless = [(signal.rows, signal.stamp_ns, ((), signal.values))]
+    return signals.joints(nameless, settings.body.joints, what)
+
+
+def _is_usable(stream: Stream, settings: Settings, name: str) -> bool:
+    if len(stream.dated.t_ns):
+        return True
+    if getattr(settings.topics, stream.role.role) is not None:
+        raise LogError(f"{name}: no usable message on {stream.role.topic}: {_reasons(stream) or 'it is empty'}")
+    return False
+
+
+def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
+    """Bring log-dated streams to the header's epoch when the two clocks are more than a minute apart."""
+    offsets = [s.dated.offset_s for s in found.values() if s.dated.clock == "header" and s.dated.offset_s is not None]
+    if not offsets or abs(offsets[0]) < _MINUTE:
+        return found
+    late_ns = np.int64(round(offsets[0] * 1e9))
+    return {
+        role: replace(s, dated=replace(s.dated, t_ns=s.dated.t_ns - late_ns)) if s.dated.clock == "log" else s
+        for role, s in found.items()
+    }
+
+
+def series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
+    """A stream as the record other stages read."""
+    if stream is None:
+        return None
+    return Series(seconds(stream.dated.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
+
+
+def health(stream: Stream) -> Health:
+    """What became of a stream's messages."""
+    used = sum(stream.counts) - sum(stream.rejected.values())
+    return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.dated.t_ns))
+
+
+def remarks(stream: Stream) -> Iterator[Finding]:
+    """What there is to say about a stream: its clocks, and what was sorted, slow or rejected."""
+    dated, name = stream.dated, f"{stream.role.role} {stream.role.topic}"
+    if dated.offset_s is not None:
+        late = f"{dated.offset_s:.6g} s after the header's at the median, 5 to 95 % within {dated.spread_s:.3g} s"
+        yield Finding("info", f"{name}: {dated.clock} time; log times are {late}")
+    if dated.out_of_order:
+        yield Finding("info", f"{name}: {dated.out_of_order} messages out of order were sorted")
+    if stream.fallback:
+        yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
+    if stream.rejected:
+        yield Finding("warning", f"{name}: rejected {_reasons(stream)} of {sum(stream.counts)} messages")
+
+
+def _reasons(stream: Stream) -> str:
+    return ", ".join(f"{count} ({reason})" for reason, count in sorted(stream.rejected.items()))
