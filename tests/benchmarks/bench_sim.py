@@ -10,7 +10,7 @@ import numpy as np
 from bodylog.sim import record
 from bodylog.sim.arms import ARMS
 from bodylog.sim.camera import background, look
-from bodylog.sim.world import open_world
+from bodylog.sim.world import World, open_world
 from tests.benchmarks.timing import side_by_side
 
 _LOGS = {
@@ -21,10 +21,9 @@ _LOGS = {
 }
 
 
-def _frames() -> dict[str, Callable[[], object]]:
+def _frames(world: World) -> dict[str, Callable[[], object]]:
     """One picture by the renderer alone at full and half size, and ours."""
     arm = ARMS["ur5"]
-    world = open_world(arm).__enter__()
     target = world.pose(np.array(arm.home))[0][world.links.index("effector")]
     large, small = (look(target + np.array(arm.camera), target, size) for size in ((640, 480), (320, 240)))
     wall = background(large, np.random.default_rng(0))
@@ -37,7 +36,8 @@ def _frames() -> dict[str, Callable[[], object]]:
 
 def main() -> None:
     """Print both tables."""
-    side_by_side("one picture of the arm", _frames(), repeats=20)
+    with open_world(ARMS["ur5"]) as world:
+        side_by_side("one picture of the arm", _frames(world), repeats=20)
     print("\nrecording, 20 pictures/s, 100 Hz joints and skin")
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "log.mcap"
