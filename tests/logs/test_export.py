@@ -1,0 +1,78 @@
+import csv
+import sys
+
+import numpy as np
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.logs.export import export
+from bodylog.logs.ingest import signals
+from bodylog.logs.recording import read
+from bodylog.settings import Settings
+from bodylog.types import Recording, Series
+
+from .written import START
+
+
+def recording(**streams):
+    return Recording("log", "mcap", START, 1.0, (), {}, **dict.fromkeys(("joints", "skin", "truth"))
+                     | streams, frames=None, features=None, health={})  # fmt: skip
+
+
+def some(names=("a", "b"), count=5, seed=0):
+    values = np.random.default_rng(seed).normal(size=(count, len(names))) * 10.0 ** np.arange(-3, len(names) - 3)
+    values[2, 0] = np.nan
+    return Series(np.arange(count) / 10, values, names, "rad", START + np.arange(count))
+
+
+def table(path):
+    with path.open(newline="", encoding="utf-8") as stream:
+        head, *rows = csv.reader(stream)
+    return head, rows
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_csv_reads_back_exactly(tmp_path, seed):
+    series = some(seed=seed)
+    (path,) = export(recording(joints=series), tmp_path, "csv")
+    head, rows = table(path)
+    assert path.name == "joints.csv" and head == ["stamp_ns", "t", "a", "b"]
+    numbers = np.array([[float(cell or "nan") for cell in row[1:]] for row in rows])
+    assert np.array_equal(numbers, np.column_stack([series.t, series.values]), equal_nan=True)
+    assert [int(row[0]) - START for row in rows] == [i * 100_000_000 for i in range(5)]
+
+
+def test_awkward_names_stay_apart(tmp_path):
+    (path,) = export(recording(truth=some(("t", 'with "quotes", commas', "ü"))), tmp_path, "csv")
+    assert table(path)[0] == ["stamp_ns", "t", "t_", 'with "quotes", commas', "ü"]
+
+
+def test_parquet_reads_back_exactly(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
+    series = some()
+    (path,) = export(recording(skin=series), tmp_path / "new folder", "parquet")
+    found = parquet.read_table(path).to_pydict()
+    assert list(found) == ["stamp_ns", "t", "a", "b"]
+    assert np.array_equal(np.column_stack([found["a"], found["b"]]), series.values, equal_nan=True)
+
+
+def test_without_pyarrow_it_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(UsageError, match=r'pip install "bodylog\[parquet\]"'):
+        export(recording(joints=some()), tmp_path, "parquet")
+    assert not list(tmp_path.iterdir())
+
+
+def test_another_form_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="export as 'xls': possible are csv, parquet"):
+        export(recording(joints=some()), tmp_path, "xls")
+
+
+def test_only_the_window_is_exported_of_every_role(tmp_path, arm):
+    read_back = read(arm / "reach.bag", Settings())
+    paths = export(read_back, tmp_path, "csv", (1.0, 2.0))
+    assert {path.name for path in paths} == {"joints.csv", "truth.csv", "skin.csv"}
+    for path in paths:
+        series = signals(read_back)[path.stem]
+        times = [float(row[1]) for row in table(path)[1]]
+        assert times == [t for t in series.t.tolist() if 1.0 <= t <= 2.0] and len(times) > 10

@@ -1,0 +1,144 @@
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from bodylog.errors import LogError, UsageError
+from bodylog.logs.ingest import cut, ingest, signals
+from bodylog.logs.recording import read
+from bodylog.settings import Settings, Time, Topics, Video
+
+from .written import START, by_pybag, by_rosbags, source
+
+LOGS = ["reach.mcap", "reach.bag", "reach_rosbag2"]
+TIDY = {"/joint_states", "/truth/joint_states", "/skin", "/camera/image/compressed"}
+
+
+@pytest.fixture(params=LOGS)
+def log(arm, request):
+    return arm / request.param
+
+
+def pictures(recording):
+    return [(frame.t, frame.image) for frame in recording.frames()]
+
+
+def test_a_tidy_log_says_the_same_under_fixed_names(tmp_path, log):
+    ingest(log, tmp_path / "out.mcap", Settings())
+    before, after = read(log, Settings()), read(tmp_path / "out.mcap", Settings())
+    with AnyReader([tmp_path / "out.mcap"]) as reader:
+        assert set(reader.topics) == TIDY
+    assert after.start_ns == before.start_ns
+    for role, series in signals(before).items():
+        again = signals(after)[role]
+        assert again.names == series.names and np.array_equal(again.t, series.t)
+        tolerance = 1e-7 if role == "skin" else 0.0
+        assert np.allclose(again.values, series.values, rtol=tolerance, atol=0, equal_nan=True)
+    frames = pictures(after)
+    assert [t for t, _ in frames] == [t for t, _ in pictures(before)]
+    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(frames[::20], pictures(before)[::20], strict=True))
+
+
+def test_log_times_are_the_times_chosen(tmp_path, log):
+    ingest(log, tmp_path / "out.mcap", Settings())
+    recording = read(log, Settings())
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        times = {}
+        for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
+            times.setdefault(channel.topic, []).append(message.log_time)
+    stamps = recording.start_ns + np.rint(recording.joints.t * 1e9).astype(np.int64)
+    assert np.array_equal(times["/joint_states"], stamps)
+    camera = [recording.start_ns + round(frame.t * 1e9) for frame in recording.frames()]
+    assert times["/camera/image/compressed"] == camera
+
+
+def test_the_clock_of_a_stream_can_be_the_logs(tmp_path, arm):
+    by_log = Settings(time=Time(joints="log", camera="log", truth="log"))
+    ingest(arm / "reach.mcap", tmp_path / "log.mcap", by_log)
+    ingest(arm / "reach.mcap", tmp_path / "header.mcap", Settings())
+    late = by_rosbags(tmp_path / "log.mcap"), by_rosbags(tmp_path / "header.mcap")
+    joints = [[t for topic, t, _ in messages if topic == "/joint_states"] for messages in late]
+    assert np.array_equal(np.subtract(*joints), np.full(len(joints[0]), 4_000_000))
+
+
+def test_every_reader_finds_every_message(tmp_path, log):
+    ingest(log, tmp_path / "out.mcap", Settings())
+    assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap")
+
+
+def test_same_input_same_bytes(tmp_path, log):
+    for name in ("a", "b"):
+        ingest(log, tmp_path / name, Settings())
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_only_the_window_is_kept(tmp_path, log):
+    ingest(log, tmp_path / "out.mcap", Settings(), start=2.0, end=3.5)
+    whole, part = read(log, Settings()), read(tmp_path / "out.mcap", Settings())
+    for role, series in signals(whole).items():
+        kept = cut(series, whole.start_ns, (2.0, 3.5))
+        assert 0 < len(kept.t) < len(series.t)
+        assert np.array_equal(signals(part)[role].values.astype(np.float32), kept.values.astype(np.float32))
+    assert len(pictures(part)) == sum(2.0 <= t <= 3.5 for t, _ in pictures(whole))
+
+
+def test_an_empty_window_is_refused_and_leaves_no_file(tmp_path, log):
+    with pytest.raises(LogError, match=r"no joints, skin, truth or pictures from 900.0 s to the end"):
+        ingest(log, tmp_path / "out.mcap", Settings(), start=900.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_log_without_roles_is_refused(tmp_path):
+    with pytest.raises(LogError, match="no joints, skin, truth or pictures in it"):
+        ingest(source(tmp_path / "in.mcap"), tmp_path / "out.mcap", Settings())
+
+
+def test_the_log_itself_is_never_written_to(tmp_path, arm):
+    link = tmp_path / "out.mcap"
+    link.symlink_to(arm / "reach.mcap")
+    with pytest.raises(UsageError, match="is the log itself"):
+        ingest(arm / "reach.mcap", link, Settings())
+
+
+def test_a_video_beside_the_log_becomes_jpegs(tmp_path, arm):
+    import cv2
+
+    video = cv2.VideoWriter(str(tmp_path / "side.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
+    for level in range(0, 250, 25):
+        video.write(np.full((48, 64, 3), level, np.uint8))
+    video.release()
+    settings = Settings(topics=Topics(camera=str(tmp_path / "side.avi")), video=Video(start=START / 1e9))
+    first_s = START / 1e9 - read(arm / "reach.mcap", Settings()).start_ns / 1e9
+    ingest(arm / "reach.mcap", tmp_path / "out.mcap", settings)
+    frames = pictures(read(tmp_path / "out.mcap", Settings()))
+    assert np.allclose([t for t, _ in frames], first_s + np.arange(10) / 10, atol=1e-6)
+    assert np.allclose([image.mean() for _, image in frames], range(0, 250, 25), atol=3)
+
+
+TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+
+
+def test_json_pictures_become_ros_messages(tmp_path):
+    import base64
+    import json
+
+    import cv2
+    from mcap.writer import Writer
+
+    jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+    with (tmp_path / "in.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("", "someone else's recorder")
+        text = json.dumps({"type": "object", "properties": {"timestamp": TIME, "data": {"type": "string"}}})
+        schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", text.encode())
+        channel = writer.register_channel("/cam", "json", schema)
+        for i in range(5):
+            stamp = {"sec": 1_700_000_000 + i, "nsec": 5}
+            said = {"timestamp": stamp, "frame_id": "eye", "format": "jpeg", "data": base64.b64encode(jpeg).decode()}
+            writer.add_message(channel, START + i, json.dumps(said).encode(), START + i)
+        writer.finish()
+    ingest(tmp_path / "in.mcap", tmp_path / "out.mcap", Settings())
+    with AnyReader([tmp_path / "out.mcap"]) as reader:
+        found = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]
+    assert [m.header.stamp.sec for m in found] == [1_700_000_000 + i for i in range(5)]
+    assert {(m.header.frame_id, m.format, m.data.tobytes()) for m in found} == {("eye", "jpeg", jpeg)}
