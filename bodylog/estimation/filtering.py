@@ -1,52 +1,94 @@
-"""The filters as methods: pose the log as a problem, solve it, write the beliefs down."""
+"""The filters as methods: pose the log as a problem, solve it, ask whether an encoder lies, write the beliefs down."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from ..settings import Estimation
-from ..types import BodyModel, Estimate, Fault, Features, Finding
-from . import results
-from .laplace import Problem, solve
+from ..types import BodyModel, Estimate, Fault, Features
+from . import bias, results
+from .faults import screen
+from .laplace import Problem, Solution, solve
 from .precision import resolve
 from .results import Beliefs
 from .senses import gather, start
 from .timeline import timeline
 from .tuning import tune
 
+S = TypeVar("S", bound=Solution)
+
 
 def laplace(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Filtered belief: at each output time, all that was heard until then."""
-    return _estimate(features, body, settings, "laplace", "posterior")
+    return _filtered(features, body, settings, "laplace", "posterior")
 
 
 def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The plain extended Kalman filter: the same, but frames are linearised once, at the prior mean."""
-    return _estimate(features, body, settings, "ekf", "prior")
+    return _filtered(features, body, settings, "ekf", "prior")
 
 
-def _estimate(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
-    problem, faults, findings = pose(features, body, settings)
-    solution = solve(problem, at=at)
+def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
+    problem, faults = pose(features, body, settings)
+    problem, solution = settled(problem, settings, partial(solve, at=at))
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     beliefs = Beliefs(
         unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
-        unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(), faults, findings,
+        unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(),
+        (*faults, *drifts(problem, body.joints, solution)),
     )  # fmt: skip
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
 
 
-def pose(
-    features: Features, body: BodyModel, settings: Estimation
-) -> tuple[Problem, tuple[Fault, ...], tuple[Finding, ...]]:
-    """The log as a problem to be filtered, with precisions resolved, and what was noticed on the way."""
+def pose(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Fault, ...]]:
+    """The log as a problem to be filtered, with precisions resolved, and encoders that lie outright."""
     evidence = gather(features, body, settings)
+    faults: tuple[Fault, ...] = ()
+    if evidence.encoders is not None:
+        sound, faults = screen(evidence.encoders, body.joints)
+        evidence = replace(evidence, encoders=sound)
     first = start(evidence, settings, len(body.joints))
-    precision = resolve(evidence, body, settings)
-    problem = Problem(evidence, timeline(evidence, settings.rate), first, precision)
-    if settings.precision == "auto":
-        tuned = tune(problem)
+    problem = Problem(evidence, timeline(evidence, settings.rate), first, resolve(evidence, body, settings))
+    if settings.bias == "on":
+        problem = bias.with_drift(problem, np.full(len(first), bias.WALKS[1]))
+    return tuned(problem, settings), faults
+
+
+def tuned(problem: Problem, settings: Estimation) -> Problem:
+    """The problem with motion and pixel noise as the log's evidence has them, where the settings ask for that."""
+    if settings.precision != "auto":
+        return problem
+    found = tune(problem)
+    if settings.method != "smoother":
         # white acceleration fits no motion at all time scales: filtering takes the middle of encoders' and frames'
-        between = np.sqrt(precision.process * tuned.process) if settings.method != "smoother" else tuned.process
-        problem = replace(problem, precision=replace(tuned, process=between))
-    return problem, (), ()
+        found = replace(found, process=np.sqrt(problem.precision.process * found.process))
+    return replace(problem, precision=found)
+
+
+def settled(problem: Problem, settings: Estimation, solver: Callable[[Problem], S]) -> tuple[Problem, S]:
+    """The problem solved; with offsets where the settings allow them, vision is surprised and the evidence agrees."""
+    solved = solver(problem)
+    if settings.bias != "auto" or problem.evidence.encoders is None or not bias.surprised(problem, solved):
+        return problem, solved
+    chosen = bias.choose(problem, cost)
+    if chosen is problem:
+        return problem, solved
+    return chosen, solver(chosen)
+
+
+def cost(problem: Problem) -> float:
+    """Free energy (nats) of the whole log, filtered."""
+    solution = solve(problem)
+    return float(solution.fold.unfold(solution.trace.nats).sum())
+
+
+def drifts(problem: Problem, names: tuple[str, ...], solved: Solution) -> tuple[Fault, ...]:
+    """Encoders that drift, by the filtered offsets."""
+    if problem.precision.drift is None:
+        return ()
+    m, unfold = len(names), solved.fold.unfold
+    var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, 2 * m :, 2 * m :], np.eye(m)))
+    return bias.faults(names, problem.timeline.t, unfold(solved.trace.z[:, 2 * m :]), var)

@@ -4,15 +4,17 @@ Linearising all frames at the smoothed angles until they rest gives the maximum 
 Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..errors import EvidenceError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
-from .filtering import pose
-from .folds import Fold, fold_for
-from .laplace import SETTLED, SWEEPS, Problem, Tangents, far, guesses, handed_over, heard, starts
+from .filtering import drifts, pose, settled
+from .folds import fold_for
+from .laplace import SETTLED, SWEEPS, Problem, Solution, Tangents, far, guesses, handed_over, heard, starts
 from .results import Beliefs
 from .scan import EVEN, Readings, Trace, scan
 
@@ -20,20 +22,29 @@ FORTH = 2
 """Sweeps that only go forth, until the stretches start nearly where they should."""
 
 
+@dataclass(frozen=True, eq=False)
+class Smooth(Solution):
+    """A smoothed log: with the last way forth, the smoothed state z (L,K,C), and cov (L,M,M,C) of the angles."""
+
+    z: Array
+    cov: Array
+
+
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief: at each output time, all that the whole log says about it."""
-    problem, faults, findings = pose(features, body, settings)
-    fold, trace, (z, cov) = solve(problem)
-    m, plain = len(problem.start), problem.precision
+    problem, faults = pose(features, body, settings)
+    problem, smooth = settled(problem, settings, solve)
+    unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
+    z, cov = unfold(smooth.z), unfold(smooth.cov)
     beliefs = Beliefs(
-        fold.unfold(z), fold.unfold(cov), fold.unfold(trace.nats), fold.unfold(z[:, :m]), fold.unfold(cov),
-        fold.unfold(trace.encoder_d), plain.scale, plain.plain(), faults, findings,
+        z, cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d), precision.scale,
+        precision.plain(), (*faults, *drifts(problem, body.joints, smooth)),
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
 
 
-def solve(problem: Problem) -> tuple[Fold, Trace, tuple[Array, Array]]:
-    """Fold, the last way forth, and the smoothed state (L,K,C) with the covariance (L,M,M,C) of the angles."""
+def solve(problem: Problem) -> Smooth:
+    """The maximum a posteriori path; EvidenceError when it does not come to rest."""
     fold, line = fold_for(len(problem.timeline.t)), problem.timeline
     readings, tangents, (z, p) = heard(problem, fold), Tangents(guesses(problem)), starts(problem, fold)
     ends = np.zeros_like(z), np.zeros_like(p)
@@ -48,7 +59,7 @@ def solve(problem: Problem) -> tuple[Fold, Trace, tuple[Array, Array]]:
             rest, ends = max(rest, _adjoint_moved(ends, next_ends, p)), next_ends
         moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
         if sweep >= FORTH and rest < SETTLED and not moved:
-            return fold, trace, (means, cov)
+            return Smooth(fold, readings, tangents.points, trace, means, cov)
     raise EvidenceError(f"smoother: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method laplace")
 
 
