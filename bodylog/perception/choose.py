@@ -15,6 +15,7 @@ _SMALL = 0.4
 _STILL = 3.0
 _MOVING = 12.0
 _DEFICIT = 0.12
+_CHANGE = 0.03
 
 HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY = (
     "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
@@ -164,19 +165,36 @@ def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None
     seen = np.flatnonzero(np.isfinite(mass))
     if not seen.size:
         return
-    usual = _usual(t[seen], mass[seen])
+    usual, spread = _usual(t[seen], mass[seen])
     missing = 1 - mass[seen] / usual
-    missing -= np.median(missing)
-    spread = 1.4826 * np.median(np.abs(missing))
     bad = seen[missing > max(_DEFICIT, 5 * spread)]
     track[bad] = np.nan
     why[bad] = PARTLY
     # a disc of radius r that lost a share f of its area has its centre off by about f r
-    shift = np.maximum(missing - 3 * spread, 0) * np.sqrt(usual / np.pi)
+    shift = np.maximum(missing - max(_CHANGE, 4 * spread), 0) * np.sqrt(usual / np.pi)
     track[seen, 2:] = np.hypot(track[seen, 2:], shift[:, None])
 
 
-def _usual(t: Array, mass: Array) -> Array:
-    """The 70th percentile of the areas seen within 1 s of each time: partial views are the smaller ones."""
+def _usual(t: Array, mass: Array) -> tuple[Array, float]:
+    """The area expected at each time from lines through the whole views within 1 s, and the share it scatters by."""
+    whole = np.ones(len(t))
+    expected, spread = mass, 0.0
+    for _ in range(3):
+        expected = _lines(t, mass, whole)
+        missing = 1 - mass / expected
+        spread = 1.4826 * float(np.median(np.abs(missing)))
+        whole = (missing < max(_CHANGE, 3 * spread)).astype(float)
+    return expected, spread
+
+
+def _lines(t: Array, values: Array, weight: Array) -> Array:
+    """At each time, the weighted straight line through the values within 1 s: (N,); the value itself if none count."""
     low, high = np.searchsorted(t, t - 1.0), np.searchsorted(t, t + 1.0, side="right")
-    return np.array([np.quantile(mass[a:b], 0.7) for a, b in zip(low, high, strict=True)])
+    columns = weight[:, None] * np.column_stack([np.ones_like(t), t, t * t, values, t * values])
+    running = np.vstack([np.zeros(5), np.cumsum(columns, axis=0)])
+    n, s, ss, v, sv = (running[high] - running[low]).T
+    n = np.maximum(n, 1e-12)
+    middle = s / n
+    slope = (sv - middle * v) / np.maximum(ss - middle * s, 1e-9)
+    slope = np.where(ss - middle * s > 1e-6, slope, 0.0)
+    return np.where(n > 0.5, np.maximum(v / n + slope * (t - middle), 1.0), values)
