@@ -37,6 +37,11 @@ class Ledger:
                 text = self._losses_text([(start, *self._losses[start])])[0]
                 raise LogError(f"{self._path}: {text}; type the command without --strict to use the rest")
 
+    def add(self, start: int, messages: int) -> None:
+        """The loss at byte `start` turns out to have held that many messages, or that many more."""
+        size, before, seconds, why = self._losses[start]
+        self._losses[start] = (size, (before or 0) + messages, seconds, why)
+
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Remarks in the order made, then losses in file order; beyond eight, their sum."""

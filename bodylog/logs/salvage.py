@@ -1,15 +1,13 @@
 """Survey an MCAP whatever state it is in: by its summary, by its records, and past damage to the next sound record."""
 
 import struct
-from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from ..errors import FormatError
-from ..types import Array
-from .chunks import MESSAGE_HEAD, Chunk, Loose, chunk_head, heads_at, heads_of, index_of, load, messages
-from .compression import NAMES, Buffer
+from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages
+from .compression import Buffer
 from .ledger import Ledger
 from .mapping import forget
 from .mcap import Survey
@@ -17,7 +15,6 @@ from .records import (
     CHANNEL,
     CHUNK,
     DATA_END,
-    FIELDS,
     FOOTER,
     HEAD,
     MAGIC,
@@ -28,18 +25,13 @@ from .records import (
     parse,
     walk,
 )
+from .resync import sound_records
 from .summary import believe_counts, chunks_of, summary_of
 
-_WINDOW = 1 << 20
 _BLOCK = 4096
-_CHUNK_FIXED = 40
 _LONGEST_NS = 86400 * 10**9
 _CHANNEL = struct.Struct("<H")
 _TIMES = struct.Struct("<QQ")
-_SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
-
-Found = tuple[int, int, int]
-"""A record: opcode, where it starts, length of its body."""
 
 
 def survey_of(data: memoryview, ledger: Ledger) -> Survey:
@@ -53,7 +45,10 @@ def survey_of(data: memoryview, ledger: Ledger) -> Survey:
         ledger.warn(f"the summary is not used: {problem}")
     if survey is None:
         survey = Survey()
-        if not _scan(data, len(MAGIC), len(data), survey, ledger):
+        last = _scan(data, len(MAGIC), len(data), survey, ledger)
+        if last == DATA_END or (last == FOOTER and data[-len(MAGIC) :] != MAGIC):
+            ledger.warn("the file ends inside its summary or footer; all data come before")
+        elif last is None:
             ledger.lost(len(data), 0, None, None, "the file ends without its footer: what came after is not there")
         _learn(data, survey, ledger)
     for channel in survey.counts.keys() - survey.channels.keys():
@@ -76,9 +71,9 @@ def _summarised(data: memoryview, records: list[Record], ledger: Ledger) -> Surv
     return survey
 
 
-def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger) -> bool:
-    """Add what lies between two bytes to the survey; whether a footer or the end of the data section was there."""
-    run, ended = _Run(data, survey, start), False
+def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger) -> int | None:
+    """Add what lies between two bytes to the survey; FOOTER or DATA_END if they were met, CHUNK if a cut was said."""
+    run, ended = _Run(data, survey, start, ledger), None
 
     def lost(at: int, size: int) -> None:
         run.close(at + size)
@@ -86,11 +81,12 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
             ledger.warn(f"{size} bytes from byte {at}, after the end of the data, are damaged")
             return
         ledger.lost(at, size, None, _seconds(data, at), "no whole record can be read there")
+        run.chunk, run.loss, run.told = None, at, at + size == end
         if survey.parts and isinstance(survey.parts[-1], Chunk):
             survey.parts[-1] = replace(survey.parts[-1], indexes={})
 
     for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost):
-        ended = ended or opcode in (FOOTER, DATA_END)
+        ended = opcode if opcode in (FOOTER, DATA_END) else ended
         if opcode == MESSAGE:
             run.add(at, at + HEAD.size + length)
         elif opcode in (SCHEMA, CHANNEL):
@@ -98,23 +94,27 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
         elif opcode == CHUNK:
             run.close(at + HEAD.size + length)
             first, last, *_ = chunk_head(data, at)
-            survey.parts.append(Chunk(at, HEAD.size + length, first, last))
-        elif opcode == MESSAGE_INDEX and survey.parts and isinstance(survey.parts[-1], Chunk):
-            (channel,) = _CHANNEL.unpack_from(data, at + HEAD.size)
-            survey.parts[-1] = replace(survey.parts[-1], indexes={**survey.parts[-1].indexes, channel: at})
+            run.chunk = Chunk(at, HEAD.size + length, first, last)
+            survey.parts.append(run.chunk)
+        elif opcode == MESSAGE_INDEX:
+            run.index(at)
     run.close(end)
-    return ended
+    return ended or (CHUNK if run.told else None)
 
 
 class _Run:
     """Messages outside chunks, counted until something else interrupts them."""
 
-    def __init__(self, data: memoryview, survey: Survey, start: int) -> None:
+    def __init__(self, data: memoryview, survey: Survey, start: int, ledger: Ledger) -> None:
         self._data = data
+        self._ledger = ledger
         self._survey = survey
         self._start = start
         self._end = start
         self._found: list[int] = []
+        self.chunk: Chunk | None = None
+        self.loss: int | None = None
+        self.told = False
 
     def add(self, start: int, end: int) -> None:
         """Count the message between two bytes."""
@@ -129,6 +129,15 @@ class _Run:
         if self._end > self._start:
             self._survey.parts.append(Loose(self._start, self._end))
         self._start = self._end = following
+
+    def index(self, at: int) -> None:
+        """Take in a MessageIndex: it belongs to the chunk before, or counts the messages of a chunk that was lost."""
+        if self.chunk is not None:
+            (channel,) = _CHANNEL.unpack_from(self._data, at + HEAD.size)
+            self.chunk = replace(self.chunk, indexes={**self.chunk.indexes, channel: at})
+            self._survey.parts[-1] = self.chunk
+        elif self.loss is not None:
+            self._ledger.add(self.loss, len(index_of(self._data, at)))
 
     def _flush(self) -> None:
         heads = heads_at(self._data, np.array(self._found, np.int64))
@@ -164,88 +173,9 @@ def _declare(content: memoryview, survey: Survey) -> None:
         return  # messages() walks the same records and reports where they end
 
 
-def sound_records(
-    data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None]
-) -> Iterator[Found]:
-    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of."""
-    at = start
-    held: Found | None = None
-    while at < end:
-        opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
-        if (opcode == MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
-            if held:
-                yield held
-            held = (opcode, at, length)
-            at += HEAD.size + length
-            if opcode == FOOTER:
-                break
-            continue
-        found = resync(data, at if held is None or held[0] == CHUNK else held[1] + 1, end, channels)
-        begin = at
-        if held and found is not None and found < at:  # the length of the record before was the lie
-            begin = held[1]
-        elif held:
-            yield held
-        held = None
-        at = end if found is None else found
-        lost(begin, at - begin)
-    if held:
-        yield held
-
-
-def _plausible(data: memoryview, at: int, end: int) -> bool:
-    if end - at < HEAD.size:
-        return False
-    opcode, length = HEAD.unpack_from(data, at)
-    if opcode == 0 or length > end - at - HEAD.size:
-        return False
-    if opcode == MESSAGE:
-        return bool(length >= _SHORTEST)
-    try:
-        if opcode == CHUNK:
-            chunk_head(data, at)
-        elif opcode in FIELDS:
-            parse(opcode, data[at + HEAD.size : at + HEAD.size + length])
-    except FormatError:
-        return False
-    return True
-
-
 def _seconds(data: memoryview, at: int) -> float | None:
     """How long the chunk that was cut at `at` lasted by its header, if enough of that is left."""
     if len(data) - at < HEAD.size + 16 or data[at] != CHUNK:
         return None
     first, last = _TIMES.unpack_from(data, at + HEAD.size)
     return (last - first) / 1e9 if 0 <= last - first < _LONGEST_NS else None
-
-
-def resync(data: memoryview, start: int, end: int, channels: Collection[int]) -> int | None:
-    """The first byte from `start` where a record convincingly begins, or None."""
-    known = np.zeros(1 << 16, bool)
-    known[list(channels)] = True
-    for low in range(start, end, _WINDOW):
-        high = min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)
-        for at in _candidates(data[low:high], end - low, known):
-            if _convincing(data, low + at, end):
-                return low + at
-    return None
-
-
-def _candidates(window: memoryview, left: int, known: Array) -> list[int]:
-    heads = heads_of(window)
-    opcode, size = heads["opcode"], heads["size"]
-    likely = np.isin(opcode, (SCHEMA, CHANNEL, CHUNK, DATA_END)) | (opcode == MESSAGE) & (size >= _SHORTEST)
-    where = np.flatnonzero(likely & (size >= 0) & (size < left))
-    return [int(at) for at in where[(opcode[where] != MESSAGE) | known[heads["channel"][where]]]]
-
-
-def _convincing(data: memoryview, at: int, end: int) -> bool:
-    """Whether a whole record is at `at` and either it is a chunk that adds up or another record follows it."""
-    if not _plausible(data, at, end):
-        return False
-    opcode, length = HEAD.unpack_from(data, at)
-    after = at + HEAD.size + length
-    if opcode == CHUNK:
-        *_, compression, packed = chunk_head(data, at)
-        return compression in NAMES and length == _CHUNK_FIXED + len(compression) + len(packed)
-    return after == end or (_plausible(data, after, end) and data[after] in FIELDS)

@@ -1,0 +1,122 @@
+"""Records of a damaged MCAP: where the next sound one begins, and what lies in between."""
+
+from collections.abc import Callable, Collection, Iterator
+
+import numpy as np
+
+from ..errors import FormatError
+from ..types import Array
+from .chunks import MESSAGE_HEAD, chunk_head, heads_of
+from .compression import NAMES
+from .records import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FIELDS,
+    FOOTER,
+    HEAD,
+    MESSAGE,
+    MESSAGE_INDEX,
+    SCHEMA,
+    parse,
+)
+
+_WINDOW = 1 << 20
+_AHEAD = 64 << 20
+_IN_CHUNKED = (CHUNK, MESSAGE_INDEX, CHUNK_INDEX)
+_CHUNK_FIXED = 40
+_SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
+
+Found = tuple[int, int, int]
+"""A record: opcode, where it starts, length of its body."""
+
+
+def sound_records(
+    data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None]
+) -> Iterator[Found]:
+    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of."""
+    at, chunked = start, None
+    held: Found | None = None
+    while at < end:
+        opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
+        if (opcode == MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
+            if held:
+                yield held
+            held = (opcode, at, length)
+            at += HEAD.size + length
+            chunked = chunked or opcode == CHUNK or None
+            if opcode == FOOTER:
+                break
+            continue
+        if chunked is None:
+            chunked = resync(data, at, min(end, at + _AHEAD), _IN_CHUNKED, ()) is not None
+        low = at if held is None or held[0] == CHUNK else held[1] + 1
+        found = resync(data, low, end, *_sought(chunked, channels))
+        begin = at
+        if held and found is not None and found < at:  # the length of the record before was the lie
+            begin = held[1]
+        elif held:
+            yield held
+        held = None
+        at = end if found is None else found
+        lost(begin, at - begin)
+    if held:
+        yield held
+
+
+def _sought(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
+    """Opcodes and channels to look for after damage: what lies in a damaged chunk cannot be checked, so not inside."""
+    return ((*_IN_CHUNKED, DATA_END), ()) if chunked else ((SCHEMA, CHANNEL, DATA_END), channels)
+
+
+def _plausible(data: memoryview, at: int, end: int) -> bool:
+    if end - at < HEAD.size:
+        return False
+    opcode, length = HEAD.unpack_from(data, at)
+    if opcode == 0 or length > end - at - HEAD.size:
+        return False
+    if opcode == MESSAGE:
+        return bool(length >= _SHORTEST)
+    try:
+        if opcode == CHUNK:
+            chunk_head(data, at)
+        elif opcode in FIELDS:
+            parse(opcode, data[at + HEAD.size : at + HEAD.size + length])
+    except FormatError:
+        return False
+    return True
+
+
+def resync(
+    data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]
+) -> int | None:
+    """The first byte from `start` where such a record, or a message of such a channel, convincingly begins, or None."""
+    known = np.zeros(1 << 16, bool)
+    known[list(channels)] = True
+    for low in range(start, end, _WINDOW):
+        high = min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)
+        for at in _candidates(data[low:high], end - low, list(opcodes), known):
+            if _convincing(data, low + at, end):
+                return low + at
+    return None
+
+
+def _candidates(window: memoryview, left: int, opcodes: list[int], known: Array) -> list[int]:
+    heads = heads_of(window)
+    opcode, size = heads["opcode"], heads["size"]
+    likely = np.isin(opcode, opcodes) | (opcode == MESSAGE) & (size >= _SHORTEST)
+    where = np.flatnonzero(likely & (size >= 0) & (size < left))
+    return [int(at) for at in where[(opcode[where] != MESSAGE) | known[heads["channel"][where]]]]
+
+
+def _convincing(data: memoryview, at: int, end: int) -> bool:
+    """Whether a whole record is at `at` and either it is a chunk that adds up or another record follows it."""
+    if not _plausible(data, at, end):
+        return False
+    opcode, length = HEAD.unpack_from(data, at)
+    after = at + HEAD.size + length
+    if opcode == CHUNK:
+        *_, compression, packed = chunk_head(data, at)
+        return compression in NAMES and length == _CHUNK_FIXED + len(compression) + len(packed)
+    return after == end or (_plausible(data, after, end) and data[after] in FIELDS)
