@@ -1,0 +1,210 @@
+"""Damage: the fixtures give exactly what is sound; random cuts and flips never crash, hang, eat memory or lie."""
+
+import json
+import struct
+import time
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from bodylog.errors import BodylogError, LogError
+from bodylog.logs.containers import open_log, payloads
+from bodylog.types import Finding
+
+FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
+EXPECTED = json.loads((FOLDER / "expected.json").read_text())
+READ = [name for name, told in EXPECTED.items() if "messages" in told]
+REFUSED = [name for name, told in EXPECTED.items() if "error" in told]
+LOST = [name for name in READ if EXPECTED[name]["worst"] == "lost"]
+SEVERITIES = (None, "info", "warning", "lost")
+START_NS, STEP_NS, MESSAGES = 1_700_000_000_000_000_000, 10_000_000, 60
+LONGEST_S, MOST_BYTES = 5.0, 200 << 20
+DAMAGED = ("none.mcap", "zstd.mcap", "unchunked.mcap", "no_summary.mcap", "none.bag", "lz4.bag", "killed.bag.active",
+           "humble.db3", "packed.mcap.zst", "packed_messages.db3")  # fmt: skip
+CHECKED = ("none.mcap", "lz4.mcap", "zstd.mcap", "no_summary.mcap", "no_message_index.mcap")
+"""Logs whose chunks carry CRCs: what is read from them must be what was written."""
+
+Read = list[tuple[str, int, bytes]]
+
+
+def read(path: Path, strict: bool = False) -> tuple[Read, tuple[Finding, ...]]:
+    found = []
+    with open_log(path, strict) as log:
+        names = {topic.id: topic.name for topic in log.topics}
+        for batch in log.batches():
+            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+                found.append((names[batch.topic_id], log_ns, bytes(payload)))
+        return found, log.findings
+
+
+def number_of(path: Path, message: tuple[str, int, bytes]) -> int:
+    """The number a message must carry, after checking that its topic and its time are that number's."""
+    topic, log_ns, payload = message
+    number = int(struct.unpack("<d", payload[-8:])[0])
+    assert log_ns == START_NS + number * STEP_NS, path
+    assert topic == ("/b" if number % 3 == 2 else "/a"), path
+    return number
+
+
+@pytest.mark.parametrize("name", READ)
+def test_what_is_sound_is_read_and_what_is_not_is_said(name: str) -> None:
+    found, findings = read(FOLDER / name)
+    numbers = [number_of(FOLDER / name, message) for message in found]
+    assert len(set(numbers)) == len(numbers) == EXPECTED[name]["messages"]
+    assert max((f.severity for f in findings), key=SEVERITIES.index, default=None) == EXPECTED[name]["worst"]
+    assert all(str(FOLDER / name) in finding.text and "\n" not in finding.text for finding in findings)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_refused_by_name(name: str) -> None:
+    with pytest.raises(LogError, match=EXPECTED[name]["error"]) as caught:
+        open_log(FOLDER / name)
+    assert str(caught.value).startswith(str(FOLDER / name))
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_strict_refuses_what_is_lost(name: str) -> None:
+    with pytest.raises(LogError, match="lost"):
+        read(FOLDER / name, strict=True)
+
+
+@pytest.mark.parametrize("name", LOST)
+def test_losses_are_said_in_bytes_messages_and_seconds(name: str) -> None:
+    lost = [finding.text for finding in read(FOLDER / name)[1] if finding.severity == "lost"]
+    assert all(" bytes, " in text and " messages, " in text for text in lost)
+    assert all(" s lost: " in text or " an unknown time lost: " in text for text in lost)
+
+
+def test_the_loss_of_a_chunk_is_counted_exactly() -> None:
+    texts = [finding.text for finding in read(FOLDER / "flipped_bit.mcap")[1]]
+    assert any("565 bytes, 12 messages, 0.110 s lost" in text for text in texts)
+
+
+def test_reading_twice_says_each_loss_once() -> None:
+    with open_log(FOLDER / "flipped_bit.mcap") as log:
+        for _ in range(2):
+            assert sum(len(batch.log_ns) for batch in log.batches()) == MESSAGES - 12
+        assert len(log.findings) == 1
+
+
+def test_many_losses_are_summed(tmp_path: Path) -> None:
+    whole = (FOLDER / "none.mcap").read_bytes()
+    path = tmp_path / "x.mcap"
+    broken = bytearray(whole * 1)
+    for at in _chunk_starts(whole):
+        broken[at + 60] ^= 1
+    path.write_bytes(broken)
+    found, findings = read(path)
+    assert found == []
+    assert len([finding for finding in findings if finding.severity == "lost"]) == len(_chunk_starts(whole))
+
+
+def _chunk_starts(data: bytes) -> list[int]:
+    starts, at = [], 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        starts += [at] * (opcode == 6)
+        at += 9 + length
+    return starts
+
+
+def damaged(content: bytes, cut: float | None, flips: list[tuple[float, int]]) -> bytes:
+    broken = bytearray(content if cut is None else content[: int(cut * len(content))])
+    for place, bit in flips:
+        if broken:
+            broken[int(place * len(broken)) % len(broken)] ^= 1 << bit
+    return bytes(broken)
+
+
+places = st.floats(0, 1, exclude_max=True)
+damages = st.tuples(st.none() | places, st.lists(st.tuples(places, st.integers(0, 7)), max_size=4))
+
+
+def survives(path: Path) -> Read:
+    """What is read from a damaged log, having checked that it ends, in time, in little memory, without a traceback."""
+    tracemalloc.start()
+    began = time.perf_counter()
+    found: Read = []
+    try:
+        found = read(path)[0]
+    except BodylogError as problem:
+        assert "\n" not in str(problem)
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert time.perf_counter() - began < LONGEST_S
+    assert peak < MOST_BYTES
+    return found
+
+
+def _holds(name: str, tmp: Path, damage: tuple[float | None, list[tuple[float, int]]]) -> None:
+    path = tmp / name
+    path.write_bytes(damaged((FOLDER / name).read_bytes(), *damage))
+    found = survives(path)
+    if name in CHECKED:
+        assert {(log_ns, payload) for _, log_ns, payload in found} <= _written(name)
+        assert len(found) <= MESSAGES
+
+
+def _written(name: str) -> set[tuple[int, bytes]]:
+    return {(log_ns, payload) for _, log_ns, payload in read(FOLDER / name)[0]}
+
+
+relaxed = {"deadline": None, "suppress_health_check": [HealthCheck.function_scoped_fixture]}
+
+
+@pytest.mark.parametrize("name", sorted({*DAMAGED, *CHECKED}))
+@settings(max_examples=25, derandomize=True, **relaxed)
+@given(damage=damages)
+def test_random_damage_never_crashes_nor_lies(
+    name: str, tmp_path: Path, damage: tuple[float | None, list[tuple[float, int]]]
+) -> None:
+    _holds(name, tmp_path, damage)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", sorted({*DAMAGED, *CHECKED}))
+@settings(max_examples=1500, **relaxed)
+@given(damage=damages)
+def test_random_damage_never_crashes_nor_lies_at_length(
+    name: str, tmp_path: Path, damage: tuple[float | None, list[tuple[float, int]]]
+) -> None:
+    _holds(name, tmp_path, damage)
+
+
+@pytest.mark.parametrize("name", ["none.mcap", "unchunked.mcap", "no_summary.mcap", "none.bag", "killed.bag.active"])
+def test_a_cut_anywhere_leaves_what_came_before(name: str, tmp_path: Path) -> None:
+    """Cut at every 37th byte: never fewer messages than at the cut before, and all of them right."""
+    content, before = (FOLDER / name).read_bytes(), 0
+    for cut in range(4200 if "bag" in name else 100, len(content), 37):
+        path = tmp_path / name
+        path.write_bytes(content[:cut])
+        found, findings = read(path)
+        assert before <= len(found), cut
+        assert any(finding.severity in ("lost", "warning") for finding in findings), cut
+        assert [number_of(path, message) for message in sorted(found, key=lambda m: m[1])] == list(range(len(found)))
+        before = len(found)
+
+
+def _streams(path: Path) -> Iterator[bytes]:
+    from mcap.reader import NonSeekingReader
+
+    with path.open("rb") as stream:
+        try:
+            for _, _, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
+                yield message.data
+        except Exception:  # where the streaming reader stops
+            return
+
+
+@pytest.mark.parametrize("name", ["none.mcap", "zstd.mcap", "unchunked.mcap"])
+def test_a_cut_log_gives_at_least_what_the_streaming_reader_gives(name: str, tmp_path: Path) -> None:
+    content = (FOLDER / name).read_bytes()
+    for cut in range(100, len(content), 211):
+        path = tmp_path / name
+        path.write_bytes(content[:cut])
+        assert set(_streams(path)) <= {payload for _, _, payload in read(path)[0]}, cut
