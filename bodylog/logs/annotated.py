@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import FormatError, LogError
 from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Synchrony, Touch
 from .append import NAME, ROOT
 from .columns import columns_of
 from .containers import Log, open_log
 from .messages import ERROR, PREDICTED, TRACK, unescape
-from .records import METADATA, parse
-from .transcode import top_level
+from .records import HEAD, METADATA, METADATA_INDEX, parse
+from .toplevel import TopLevel
 
 _VECTOR = ("header.stamp", "names", "data")
 _FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -44,14 +44,16 @@ def describe(estimate: Estimate) -> dict[str, str]:
 
 def read_metadata(path: Path) -> dict[str, str]:
     """The metadata record `bodylog` of an annotated MCAP; LogError when there is none."""
-    found = [
-        record.fields["metadata"]
-        for opcode, body in top_level(path)
-        if opcode == METADATA and (record := parse(opcode, body)).fields["name"] == NAME
-    ]
-    if not found:
-        raise _absent(path)
-    return dict(found[-1])
+    try:
+        with TopLevel(path) as file:
+            _, summary = file.summary()
+            listed = [r.fields for r, _ in summary if r.opcode == METADATA_INDEX and r.fields["name"] == NAME]
+            if listed:
+                record = memoryview(file.read(listed[-1]["offset"], listed[-1]["length"]))
+                return dict(parse(METADATA, record[HEAD.size :]).fields["metadata"])
+    except (FormatError, OSError):
+        pass  # no MCAP, or not a whole one: then it is none we wrote
+    raise _absent(path)
 
 
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:

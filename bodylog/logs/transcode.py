@@ -1,6 +1,5 @@
 """A log of any container as a new chunked MCAP, one batch of messages at a time."""
 
-import mmap
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,9 @@ from .append import NAME, ROOT, is_mcap
 from .chunks import heads_of
 from .containers import Log, open_log, payloads
 from .mcap_write import MESSAGE_HEAD, Messages, gather
-from .records import ATTACHMENT, HEAD, HEADER, MAGIC, MESSAGE, METADATA, parse, walk
+from .records import ATTACHMENT, HEADER, MESSAGE, METADATA
 from .ros1 import Convert, converter, known_definition
+from .toplevel import sound_heads
 from .unpacked import unpack_file
 from .write import CHUNK_BYTES, Contents, Writer
 
@@ -170,8 +170,8 @@ def _sorted(parts: list[Messages]) -> Messages:
 
 
 def _profile(source: Path) -> str:
-    for opcode, body in top_level(source):
-        return str(parse(opcode, body).fields["profile"]) if opcode == HEADER else ""
+    for file, head in sound_heads(source):
+        return str(file.fields(head).fields["profile"]) if head.opcode == HEADER else ""
     return ""
 
 
@@ -182,27 +182,9 @@ def _extras(source: Path, writer: Writer) -> None:
             _extras(member, writer)
     elif source.suffix in (".zst", ".zstd"):
         unpack_file(source, lambda inner: _extras(inner, writer))
-    for opcode, body in top_level(source):
-        if opcode == ATTACHMENT:
-            writer.keep_attachment(HEAD.pack(opcode, len(body)) + bytes(body), parse(opcode, body).fields)
-        elif opcode == METADATA:
-            name = parse(opcode, body).fields["name"]
-            if name != NAME:
-                writer.keep_metadata(name, HEAD.pack(opcode, len(body)) + bytes(body))
-
-
-def top_level(source: Path) -> Iterator[tuple[int, memoryview]]:
-    """(opcode, body) of each sound record outside chunks; nothing when the source is not an MCAP."""
-    if not is_mcap(source):
-        return
-    with (
-        source.open("rb") as stream,
-        mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as mapped,
-        memoryview(mapped) as data,
-    ):
-        try:
-            for opcode, at, size in walk(data, len(MAGIC), len(data) - len(MAGIC)):
-                with data[at : at + size] as body:
-                    yield opcode, body
-        except FormatError:
-            return
+    else:
+        for file, head in sound_heads(source):
+            if head.opcode == ATTACHMENT:
+                writer.keep_attachment(file.record(head), file.fields(head).fields)
+            elif head.opcode == METADATA and (name := file.fields(head).fields["name"]) != NAME:
+                writer.keep_metadata(name, file.record(head))
