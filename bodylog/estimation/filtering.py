@@ -16,7 +16,7 @@ from .precision import resolve
 from .results import Beliefs
 from .senses import gather, start
 from .timeline import timeline
-from .tuning import tune
+from .tuning import ROUGHLY, tune
 
 S = TypeVar("S", bound=Solution)
 
@@ -32,8 +32,8 @@ def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
 
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
-    problem, faults = pose(features, body, settings)
-    problem, solution = settled(problem, settings, partial(solve, at=at))
+    problem, warm, faults = pose(features, body, settings)
+    problem, solution = settled(problem, warm, settings, partial(solve, at=at))
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     beliefs = Beliefs(
         unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
@@ -43,8 +43,10 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
 
 
-def pose(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Fault, ...]]:
-    """The log as a problem to be filtered, with precisions resolved, and encoders that lie outright."""
+def pose(
+    features: Features, body: BodyModel, settings: Estimation
+) -> tuple[Problem, Solution | None, tuple[Fault, ...]]:
+    """The log as a problem with its precisions, a solution to begin from, and the encoders that lie outright."""
     evidence = gather(features, body, settings)
     faults: tuple[Fault, ...] = ()
     if evidence.encoders is not None:
@@ -54,34 +56,36 @@ def pose(features: Features, body: BodyModel, settings: Estimation) -> tuple[Pro
     problem = Problem(evidence, timeline(evidence, settings.rate), first, resolve(evidence, body, settings))
     if settings.bias == "on":
         problem = bias.with_drift(problem, np.full(len(first), bias.WALKS[1]))
-    return tuned(problem, settings), faults
+    return *tuned(problem, settings), faults
 
 
-def tuned(problem: Problem, settings: Estimation) -> Problem:
+def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
     """The problem with motion and pixel noise as the log's evidence has them, where the settings ask for that."""
     if settings.precision != "auto":
-        return problem
-    found = tune(problem)
+        return problem, None
+    found, warm = tune(problem)
     if settings.method != "smoother":
         # white acceleration fits no motion at all time scales: filtering takes the middle of encoders' and frames'
         found = replace(found, process=np.sqrt(problem.precision.process * found.process))
-    return replace(problem, precision=found)
+    return replace(problem, precision=found), warm
 
 
-def settled(problem: Problem, settings: Estimation, solver: Callable[[Problem], S]) -> tuple[Problem, S]:
+def settled(
+    problem: Problem, warm: Solution | None, settings: Estimation, solver: Callable[[Problem, Solution | None], S]
+) -> tuple[Problem, S]:
     """The problem solved; with offsets where the settings allow them, vision is surprised and the evidence agrees."""
-    solved = solver(problem)
+    solved = solver(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None or not bias.surprised(problem, solved):
         return problem, solved
     chosen = bias.choose(problem, cost)
     if chosen is problem:
         return problem, solved
-    return chosen, solver(chosen)
+    return chosen, solver(chosen, None)
 
 
 def cost(problem: Problem) -> float:
     """Free energy (nats) of the whole log, filtered."""
-    solution = solve(problem)
+    solution = solve(problem, rest=ROUGHLY)
     return float(solution.fold.unfold(solution.trace.nats).sum())
 
 

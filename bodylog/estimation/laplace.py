@@ -66,27 +66,34 @@ def prior(problem: Problem) -> tuple[Array, Array]:
     return z, np.diag(var)
 
 
-def solve(problem: Problem, at: str = "posterior") -> Solution:
-    """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean."""
+def solve(
+    problem: Problem, warm: Solution | None = None, at: str = "posterior", rest: float = SETTLED
+) -> Solution:
+    """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean.
+
+    `warm` is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
+    """
     fold, line = fold_for(len(problem.timeline.t)), problem.timeline
-    readings, tangents, (z, p) = heard(problem, fold), Tangents(guesses(problem)), starts(problem, fold)
+    readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
+    tangents = Tangents(guesses(problem) if warm is None else warm.points, RESTING * rest / SETTLED)
     for _ in range(SWEEPS):
         tangents.draw(problem, fold, readings)
         trace = scan(readings, problem.dynamics, z, p)
         means = trace.prior if at == "prior" else trace.z
         moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
         next_z, next_p = handed_over(z, p, trace, fold)
-        rest, z, p = far(z, p, next_z, next_p), next_z, next_p
-        if rest < SETTLED and not moved:
+        move, z, p = far(z, p, next_z, next_p), next_z, next_p
+        if move < rest and not moved:
             return Solution(fold, readings, tangents.points, trace)
-    raise EvidenceError(f"laplace: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method kalman")
+    raise EvidenceError(f"laplace: no rest after {SWEEPS} rounds, last move {move:.2g}; type --method kalman")
 
 
 class Tangents:
     """Where each sighting's frames are linearised, (F,M) rad each; frames that rest are not predicted anew."""
 
-    def __init__(self, points: tuple[Array, ...]) -> None:
-        """Start from points (F,M), all to be drawn."""
+    def __init__(self, points: tuple[Array, ...], resting: float = RESTING) -> None:
+        """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed."""
+        self._resting = resting
         self.points = points
         self._stale = tuple(np.ones(len(x), bool) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
@@ -106,9 +113,9 @@ class Tangents:
             fold.put(readings.var[:, index], problem.timeline.sightings[index], scale * sighting.var + var)
 
     def follow(self, wanted: tuple[Array, ...]) -> bool:
-        """Move to the wanted points where they are further than RESTING away; whether any moved."""
+        """Move to the wanted points where they are further away than rest allows; whether any moved."""
         pairs = list(zip(wanted, self.points, strict=True))
-        self._stale = tuple(np.abs(new - old).max(axis=1) > RESTING for new, old in pairs)
+        self._stale = tuple(np.abs(new - old).max(axis=1) > self._resting for new, old in pairs)
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )
@@ -157,12 +164,14 @@ def _angles(problem: Problem, t: Array) -> Array:
     return x
 
 
-def starts(problem: Problem, fold: Fold) -> tuple[Array, Array]:
-    """Where each stretch starts, z (K,C), p (K,K,C): the prior for the first, a vague guess for the others."""
+def starts(problem: Problem, fold: Fold, warm: Solution | None) -> tuple[Array, Array]:
+    """Where each stretch starts, z (K,C), p (K,K,C): the prior for the first, as in `warm` or a guess for others."""
     z0, p0 = prior(problem)
     z, p = np.repeat(z0[:, None], fold.count, axis=1), np.repeat(p0[:, :, None], fold.count, axis=2)
     begin = problem.timeline.t[fold.first_events()]
     z[: len(problem.start), 1:] = _angles(problem, begin).T
+    if warm is not None and warm.trace.z.shape[1] == len(z):
+        return handed_over(z, p, warm.trace, fold)
     return z, p
 
 

@@ -32,8 +32,8 @@ class Smooth(Solution):
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief: at each output time, all that the whole log says about it."""
-    problem, faults = pose(features, body, settings)
-    problem, smooth = settled(problem, settings, solve)
+    problem, warm, faults = pose(features, body, settings)
+    problem, smooth = settled(problem, warm, settings, solve)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), unfold(smooth.cov)
     beliefs = Beliefs(
@@ -43,22 +43,23 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
 
 
-def solve(problem: Problem) -> Smooth:
+def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path; EvidenceError when it does not come to rest."""
     fold, line = fold_for(len(problem.timeline.t)), problem.timeline
-    readings, tangents, (z, p) = heard(problem, fold), Tangents(guesses(problem)), starts(problem, fold)
+    readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
+    tangents, forth = Tangents(guesses(problem) if warm is None else warm.points), FORTH if warm is None else 0
     ends = np.zeros_like(z), np.zeros_like(p)
     for sweep in range(SWEEPS):
         tangents.draw(problem, fold, readings)
-        trace = scan(readings, problem.dynamics, z, p, remember=sweep >= FORTH)
+        trace = scan(readings, problem.dynamics, z, p, remember=sweep >= forth)
         next_z, next_p = handed_over(z, p, trace, fold)
         rest, means, (z, p) = far(z, p, next_z, next_p), trace.z, (next_z, next_p)
-        if sweep >= FORTH:
+        if sweep >= forth:
             means, cov, at_start = back(readings, trace, ends, fold.takeover)
             next_ends = before(at_start)
             rest, ends = max(rest, _adjoint_moved(ends, next_ends, p)), next_ends
         moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
-        if sweep >= FORTH and rest < SETTLED and not moved:
+        if sweep >= forth and rest < SETTLED and not moved:
             return Smooth(fold, readings, tangents.points, trace, means, cov)
     raise EvidenceError(f"smoother: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method laplace")
 

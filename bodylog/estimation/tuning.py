@@ -17,26 +17,33 @@ MOST = 4000
 """Instants used at most, from the middle of the log."""
 FEWEST = 10
 """Sightings without which vision says nothing about its own noise."""
+ROUGHLY = 1e-3
+"""Standard deviations: how still a solution must be for its evidence to be compared."""
 TRUST = 0.5
 """Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""
 ROUNDS = (1.2, 0.8, 0.5, 0.3)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
-def tune(problem: Problem) -> Precision:
-    """Process variances and pixel factors that maximise the evidence of (the middle of) the log."""
+def tune(problem: Problem) -> tuple[Precision, Solution | None]:
+    """Process variances and pixel factors that maximise the evidence of (the middle of) the log.
+
+    With the last solution to begin from, if it was of the whole log.
+    """
     part = middle(problem)
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
-        return problem.precision
+        return problem.precision, None
+    solution = None
     for half in ROUNDS:
         m = len(part.start)
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
-        nats = costs(part, solve(part), np.exp(candidates), names)
+        solution = solve(part, solution, rest=ROUGHLY)
+        nats = costs(part, solution, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
-    return part.precision
+    return part.precision, solution if part.timeline is problem.timeline else None
 
 
 def _prior(candidates: Array, m: int) -> Array:
