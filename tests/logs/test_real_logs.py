@@ -1,0 +1,242 @@
+"""Logs that other people's recorders left: nothing may crash, and what can be decoded equals what rosbags decodes."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from bodylog.errors import BodylogError
+from bodylog.logs.columns import Columns, columns, definition_of
+from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.definitions import PRIMITIVES, TEXTS, TIMES, Definition
+from bodylog.logs.images import COMPRESSED, RAW, decoder
+from bodylog.logs.recording import info, read
+from bodylog.settings import Settings
+from bodylog.types import Topic
+
+LOGS = Path(__file__).parents[2].parent / "shared" / "logs"
+pytestmark = pytest.mark.skipif(not LOGS.is_dir(), reason="the recorded logs (../shared/logs) are not at hand")
+
+
+def listed() -> list[str]:
+    if not LOGS.is_dir():
+        return []
+    with (LOGS / "INDEX.csv").open() as table:
+        return [row["file"] for row in csv.DictReader(table)]
+
+
+CALIBRATION = "mikeferguson__robot_calibration/_hist/e72fba5d/launch"
+FILES = [name for name in listed() if not name.startswith("foxglove__mcap/")]
+CONFORMANCE = [name for name in listed() if name.startswith("foxglove__mcap/")]
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_info_gives_facts_or_one_line(name):
+    try:
+        said = info(LOGS / name, Settings())
+    except BodylogError as error:
+        assert str(error).startswith(str(LOGS / name)) and "\n" not in str(error)
+    else:
+        assert all("\n" not in finding["text"] for finding in said["findings"])
+        assert said["duration_s"] >= 0
+
+
+def test_info_of_the_conformance_files():
+    for name in CONFORMANCE:
+        assert info(LOGS / name, Settings())["joints"] == []
+
+
+@pytest.mark.parametrize(
+    ("name", "topic", "count", "first"),
+    [
+        ("ipab-slmc__kuka_honeypot_demo/data/test.bag", "/joint_states", 7, "lwr_arm_0_joint"),
+        ("vbarcena2020__abitobot/rosbag/rosbag2_2025_05_09-18_01_02_0.mcap", "/joint_states", 10, "arm_1_link_joint"),
+        ("archebase__robocodec/tests/fixtures/robocodec_test_1.mcap", "io_teleop/joint_states", 9, None),
+        ("archebase__robocodec/tests/fixtures/robocodec_test_10.mcap", "io_teleop/joint_states", 6, None),
+        ("archebase__robocodec/tests/fixtures/robocodec_test_8.mcap", "/io_teleop/joint_states", 7, None),
+        (f"{CALIBRATION}/calibration_poses.bag", "calibration_joint_states", 15, None),
+    ],
+)
+def test_joints_are_found(name, topic, count, first):
+    said = info(LOGS / name, Settings())
+    assert (said["roles"]["joints"], len(said["joints"])) == (topic, count)
+    assert first is None or said["joints"][0] == first
+
+
+def test_simulated_stamps_beside_wall_clock_log_times():
+    got = read(LOGS / "vbarcena2020__abitobot/rosbag/rosbag2_2025_05_09-18_01_02_0.mcap", Settings())
+    assert got.joints is not None
+    assert (got.joints.values.shape, got.start_ns) == ((1866, 10), 101_550_000_000)
+    np.testing.assert_allclose(np.diff(got.joints.t), 0.05, atol=1e-9)
+
+
+PICTURES = {
+    "AIT-Assistive-Autonomous-Systems__ros2bag_tools/_hist/3b3310a7/ros2bag_tools/test/images.bag/images.bag_0.db3": 3,
+    "UbiquityRobotics__fiducials/fiducial_slam/test/aruco_images.bag": 1,
+    "archebase__robocodec/tests/fixtures/robocodec_test_1.mcap": 2,
+    "archebase__robocodec/tests/fixtures/robocodec_test_10.mcap": 2,
+    "archebase__robocodec/tests/fixtures/robocodec_test_8.mcap": 3,
+    "eric-wieser__ros_numpy/_hist/254dbc37/test/test.bag": 2,
+    "gagalo123__mcap-explorer/examples/demo.mcap": 30,
+    "klintan__rosbag2.js/examples/sample.db3": 2,
+    "rosbag-sharing-community__amber/tests/rosbag/soccer_goal/soccer_goal_12.mcap": 2,
+}
+"""Files with pictures -> how many; three more hold placeholders of 30 bytes that claim 640 x 480."""
+
+
+def pictures(name: str) -> Iterator[tuple[Topic, bytes]]:
+    with open_log(LOGS / name) as log:
+        for topic in log.topics:
+            if topic.type in COMPRESSED + RAW:
+                yield from ((topic, bytes(p)) for batch in log.batches([topic.id]) for p in payloads(batch))
+
+
+def test_every_picture_in_the_logs_decodes_at_every_scale():
+    for name, count in PICTURES.items():
+        found = list(pictures(name))
+        assert len(found) == count, name
+        for topic, payload in found:
+            whole = decoder(topic)(payload, 1)
+            for k in (2, 4, 8):
+                assert decoder(topic)(payload, k).shape == (-(-whole.shape[0] // k), -(-whole.shape[1] // k), 3)
+
+
+def test_no_file_with_pictures_is_forgotten():
+    seen = set()
+    for name in FILES:
+        try:
+            found = list(pictures(name))
+        except BodylogError:
+            continue
+        seen |= {name} if found else set()
+    placeholders = {name for name in seen if "robocodec_test_14" in name or "geocamxyz" in name}
+    assert seen - placeholders == set(PICTURES)
+
+
+def test_the_moving_disc_moves():
+    got = read(LOGS / "gagalo123__mcap-explorer/examples/demo.mcap", Settings())
+    assert got.frames is not None
+    places = []
+    for frame in got.frames():
+        b, g, r = frame.image.astype(int).transpose(2, 0, 1)
+        yellow = (np.minimum(r, g) - b) > 80
+        assert yellow.sum() > 50
+        places.append(np.argwhere(yellow).mean(axis=0))
+    assert len(places) == 30
+    assert np.ptp(np.array(places), axis=0).max() > 20
+
+
+# Every field of every topic against rosbags, a few messages each.
+
+
+def leaves(definition: Definition, type_: str, above: str = "") -> Iterator[str]:
+    for field in definition.types[type_]:
+        here = above + field.name
+        if field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES:
+            yield here
+        else:
+            yield from leaves(definition, field.type, f"{here}{'' if field.size is None else '[:]'}.")
+
+
+def flat(held: Any, path: str) -> list[Any]:
+    if not path:
+        items = held if isinstance(held, list | np.ndarray) else [held]
+        return [x.sec * 10**9 + x.nanosec if hasattr(x, "nanosec") else x for x in items]
+    first, _, rest = path.partition(".")
+    inner = getattr(held, first.removesuffix("[:]"))
+    items = inner if first.endswith("[:]") else [inner]
+    return [x for item in items for x in flat(item, rest)]
+
+
+def typestore(topic: Topic) -> Any:
+    if not topic.definition.strip():
+        return get_typestore(Stores.ROS2_HUMBLE)
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(topic.definition.decode(), topic.type))
+    return store
+
+
+def comparable() -> list[tuple[str, Topic]]:
+    found, seen = [], set()
+    for name in FILES:
+        try:
+            with open_log(LOGS / name) as log:
+                topics = log.topics
+        except BodylogError:
+            continue
+        for topic in topics:
+            key = (topic.type, topic.definition, topic.encoding)
+            if topic.messages and topic.encoding in ("cdr", "ros1") and key not in seen:
+                seen.add(key)
+                found.append((name, topic))
+    return found
+
+
+def compare(got: Columns, messages: dict[int, Any], fields: list[str]) -> None:
+    assert set(messages) <= set(got.sound.tolist()), got.rejected
+    for part in got.parts:
+        for place, row in enumerate(part.rows.tolist()):
+            if row not in messages:
+                continue
+            for path, values in zip(fields, part.values, strict=True):
+                want = flat(messages[row], path)
+                have = list(values) if isinstance(values, tuple) else np.atleast_1d(values[place])
+                np.testing.assert_array_equal(have, np.array(want, getattr(have, "dtype", None)), err_msg=path)
+
+
+def check_topic(name: str, topic: Topic) -> int:
+    """How many messages of a topic were compared; 0 when rosbags cannot read it."""
+    with open_log(LOGS / name) as log:
+        raw = [bytes(p) for batch in log.batches([topic.id]) for p in payloads(batch)]
+        try:
+            store = typestore(topic)
+            decode = store.deserialize_ros1 if topic.encoding == "ros1" else store.deserialize_cdr
+            chosen = sorted({0, 1, 2, len(raw) // 2, len(raw) - 1} & set(range(len(raw))))
+            messages = {row: decode(raw[row], topic.type) for row in chosen}
+        except Exception:
+            return 0
+        definition = definition_of(topic)
+        fields = list(leaves(definition, definition.root))
+        compare(columns(log, topic, fields), messages, fields)
+        return len(messages)
+
+
+def test_every_field_of_every_topic_equals_what_rosbags_decodes():
+    topics = comparable()
+    checked = {(name, topic.name): check_topic(name, topic) for name, topic in topics}
+    silent = sorted(f"{name} {topic}" for (name, topic), count in checked.items() if not count)
+    assert len(checked) - len(silent) >= 170
+    assert len(silent) <= 19, silent
+
+
+def test_three_containers_of_one_motion_are_one_recording():
+    bag, rosbag2 = (read(LOGS / "arm" / name, Settings()) for name in ("reach.bag", "reach_rosbag2"))
+    assert (bag.start_ns, bag.duration_s) == (rosbag2.start_ns, rosbag2.duration_s)
+    for role in ("joints", "skin", "truth"):
+        one, other = getattr(bag, role), getattr(rosbag2, role)
+        np.testing.assert_array_equal(one.t, other.t)
+        np.testing.assert_array_equal(one.values, other.values)
+        assert (one.names, one.unit) == (other.names, other.unit)
+    assert bag.frames is not None and rosbag2.frames is not None
+    for one, other in zip(bag.frames(), rosbag2.frames(), strict=True):
+        assert one.t == other.t
+        np.testing.assert_array_equal(one.image, other.image)
+
+
+@pytest.mark.parametrize("name", ["explore.mcap", "reach.mcap", "reach.bag", "drift.mcap", "touch.mcap"])
+def test_the_arm_is_where_its_makers_say(name):
+    got = read(LOGS / "arm" / name, Settings())
+    made = np.load(LOGS / "arm" / f"{name}.truth.npz")
+    assert got.joints is not None and got.truth is not None and got.frames is not None and got.skin is not None
+    assert sorted(got.joints.names) == sorted(got.truth.names)
+    order = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    truth = got.truth.values[:, [got.truth.names.index(f"{joint}_joint") for joint in order]]
+    np.testing.assert_allclose(truth, made["q"], atol=1e-9)
+    np.testing.assert_allclose(got.truth.t, made["t"] - made["t"][0], atol=2e-9)
+    np.testing.assert_allclose([frame.t for frame in got.frames()], made["tf"] - made["t"][0], atol=2e-9)
+    assert got.skin.values.shape[1] == 117
+    assert all(not health.rejected for health in got.health.values())
