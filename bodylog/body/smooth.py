@@ -23,7 +23,8 @@ _NEGLIGIBLE = 1e-4
 class Chain:
     """One signal on its time nodes: t (K,) s · gap (K-1,) in `unit` s · count (K,) readings of a node, total (K,) rad.
 
-    Readings are counted from `centre`, their mean; squares is the sum of their squares.
+    Readings are counted from `centre`, their mean. squares is the sum of their squares, a node's own slope removed;
+    degrees is how many of them are left to judge the noise by.
     """
 
     t: Array
@@ -32,6 +33,7 @@ class Chain:
     count: Array
     total: Array
     squares: float
+    degrees: float
     centre: float
 
 
@@ -49,24 +51,31 @@ class Motion:
 def chain(t: Array, z: Array) -> Chain:
     """The readings z (N,) rad at t (N,) s, those within 10 ms or a quarter step of each other on one node."""
     sound = np.isfinite(t) & np.isfinite(z)
-    t, z = t[sound], z[sound]
-    order = np.argsort(t, kind="stable")
-    t, z = t[order], z[order]
+    order = np.argsort(t[sound], kind="stable")
+    t, z = t[sound][order], z[sound][order]
+    centre = float(z.mean())
+    unit, node = _nodes(t)
+    z = z - centre
+    count, total = np.bincount(node).astype(float), np.bincount(node, z)
+    times = np.bincount(node, t) / count
+    early, rest = t - times[node], z - (total / count)[node]
+    moment, lean = np.bincount(node, early**2), np.bincount(node, early * rest)
+    slope = np.divide(lean, moment, out=np.zeros_like(lean), where=moment > 0)
+    scatter = float(np.square(rest - slope[node] * early)[count[node] > 2].sum())
+    squares, degrees = float((total**2 / count).sum()) + scatter, len(count) + np.maximum(count - 2, 0).sum()
+    return Chain(times, np.diff(times) / unit, unit, count, total, squares, float(degrees), centre)
+
+
+def _nodes(t: Array) -> tuple[float, Array]:
+    """The usual step between nodes, s, and the node (N,) of each reading at t (N,) s ascending."""
     steps = np.diff(t)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
-    unit = max(usual, _BIN_S)
-    times, node = _means(t, np.floor((t - t[:1]) / unit) if usual < _BIN_S else np.arange(len(t)))
-    merged, into = _means(times, np.cumsum(np.diff(times, prepend=-np.inf) >= _NEAR * unit), np.bincount(node))
-    node, centre = into[node], float(z.mean())
-    total = np.bincount(node, z - centre)
-    squares = float(np.square(z - centre).sum())
-    return Chain(merged, np.diff(merged) / unit, unit, np.bincount(node).astype(float), total, squares, centre)
-
-
-def _means(t: Array, label: Array, weight: Array | None = None) -> tuple[Array, Array]:
-    """Mean time of each run of equal labels, and the run of each row."""
-    run = np.unique(label, return_inverse=True)[1]
-    return np.bincount(run, t if weight is None else t * weight) / np.bincount(run, weight), run
+    if usual > 0.6 * _BIN_S:
+        return usual, np.cumsum(np.diff(t, prepend=-np.inf) >= _NEAR * usual) - 1
+    node = np.unique(np.floor((t - t[0]) / _BIN_S), return_inverse=True)[1]
+    count = np.bincount(node)
+    gap = np.diff(np.bincount(node, t) / count, prepend=-np.inf)
+    return _BIN_S, (np.cumsum(gap >= _NEAR * _BIN_S) - 1)[node]
 
 
 def fit(signals: Sequence[Chain], order: int) -> Motion:
@@ -167,7 +176,7 @@ def _profile(signals: Sequence[Chain], order: int, unit: float, ratio: float) ->
 
 
 def _parts(signals: Sequence[Chain], order: int, unit: float, ratio: float) -> Array:
-    """Readings, their squared misfit under unit encoder variance, and ln|posterior precision| − ln|prior precision|.
+    """Degrees of freedom, squared misfit for unit encoder variance, ln|posterior precision| − ln|prior precision|.
 
     ratio is ln(process/encoder) with time counted in `unit` s.
     """
@@ -177,7 +186,7 @@ def _parts(signals: Sequence[Chain], order: int, unit: float, ratio: float) -> A
         diagonal, upper, right = _blocks(signal, order, own)
         logdet, mean = _solve(_banded(diagonal, upper), right.reshape(-1, 1))
         misfit = max(signal.squares - float(right.ravel() @ mean.ravel()), 0.0)
-        total += signal.count.sum(), misfit, logdet - _prior_logdet(signal, order, own)
+        total += signal.degrees, misfit, logdet - _prior_logdet(signal, order, own)
     return total
 
 
@@ -290,5 +299,5 @@ def _std_error(
     pe = (value(h, h) - value(h, -h) - value(-h, h) + value(-h, -h)) / (4 * h**2)
     area = pp * ee - pe**2
     if not (pp < 0 and ee < 0 and area > 0):  # at the edge of the search: nothing is known of the process
-        return float("inf"), float(variance * np.sqrt(2.0 / sum(signal.count.sum() for signal in signals)))
+        return float("inf"), float(variance * np.sqrt(2.0 / sum(signal.degrees for signal in signals)))
     return float(density * np.sqrt(-ee / area)), float(variance * np.sqrt(-pp / area))

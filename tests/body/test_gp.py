@@ -1,0 +1,117 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bodylog.body.evidence import Hyper, independent
+from bodylog.body.gp import GP, se
+from bodylog.body.train import Fitted, Samples, assemble, samples, train
+
+
+def _random(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> GP:
+    draw = np.random.default_rng(seed)
+    x, y = draw.uniform(-2, 2, (count, inputs)), draw.normal(0, 30, (count, outputs))
+    groups = (slice(0, outputs),) if shared else tuple(slice(d, d + 1) for d in range(outputs))
+    kernels = tuple(
+        Hyper(np.exp(draw.normal(0, 0.5, inputs)), float(np.exp(draw.normal(4, 1))), float(np.exp(draw.normal(-1, 1))))
+        for _ in groups
+    )
+    found = Fitted(groups, kernels, tuple(independent(draw.uniform(0, 1, count)) for _ in groups))
+    return assemble(samples(x, y), found, tuple(f"o{d}" for d in range(outputs)), "px")
+
+
+_sizes = {"seed": st.integers(0, 10_000), "inputs": st.integers(1, 7), "outputs": st.integers(1, 3)}
+
+
+@settings(max_examples=25, deadline=None)
+@given(shared=st.booleans(), **_sizes)
+def test_jacobian_is_the_derivative_of_the_mean(seed: int, inputs: int, outputs: int, shared: bool) -> None:
+    gp = _random(seed, 30, inputs, outputs, shared)
+    x = np.random.default_rng(seed).uniform(-2, 2, (5, inputs))
+    slope = gp.predict(x)[1]
+    h = 1e-4
+    for m in range(inputs):
+        step = h * np.eye(inputs)[m]
+        # five points: the error of the difference is of fourth order
+        near, far = gp.means(x + step)[0] - gp.means(x - step)[0], gp.means(x + 2 * step)[0] - gp.means(x - 2 * step)[0]
+        assert np.allclose(slope[:, :, m], (8 * near - far) / (12 * h), rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+
+
+@settings(max_examples=15, deadline=None)
+@given(shared=st.booleans(), **_sizes)
+def test_one_point_and_many_agree(seed: int, inputs: int, outputs: int, shared: bool) -> None:
+    gp = _random(seed, 40, inputs, outputs, shared)
+    x = np.random.default_rng(seed + 1).uniform(-3, 3, (6, inputs))
+    many = gp.predict(x)
+    for row, point in enumerate(x):
+        for one, all_of_them in zip(gp.predict_one(point), many, strict=True):
+            assert np.allclose(one, all_of_them[row], rtol=1e-9, atol=1e-8 * np.abs(all_of_them).max())
+        assert np.array_equal(gp.mean_one(point)[0], gp.predict_one(point)[0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_mean_and_variance_are_those_of_the_textbook(seed: int) -> None:
+    gp = _random(seed, 25, 3, 1, True)
+    kernel = se(gp.samples / gp.scales[0], gp.samples / gp.scales[0], gp.amplitude[0])
+    noisy = kernel + np.diag(gp.spread[:, 0] + gp.noise[0])
+    x = np.random.default_rng(seed).uniform(-2, 2, (7, 3))
+    cross = se(x / gp.scales[0], gp.samples / gp.scales[0], gp.amplitude[0])
+    value, _, spread = gp.predict(x)
+    expected = gp.mean[0] + cross @ np.linalg.solve(noisy, gp.targets[:, 0] - gp.mean[0])
+    left = gp.amplitude[0] - np.einsum("ij,ji->i", cross, np.linalg.solve(noisy, cross.T))
+    assert np.allclose(value[:, 0], expected, rtol=1e-6)
+    assert np.allclose(spread[:, 0], left, rtol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_slope_variance_is_the_curvature_of_the_covariance(seed: int) -> None:
+    gp, h = _random(seed, 20, 2, 2, False), 1e-4
+    x = np.random.default_rng(seed).uniform(-1, 1, 2)
+    for m in range(2):
+        step = h * np.eye(2)[m]
+        block = gp.covariance(np.array([x + step, x - step]))
+        expected = (block[:, 0, 0] + block[:, 1, 1] - 2 * block[:, 0, 1]) / (2 * h) ** 2
+        assert np.allclose(gp.slope_variance(x[None])[0, :, m], expected, rtol=1e-3)
+
+
+def test_covariance_has_the_variance_on_its_diagonal() -> None:
+    gp, x = _random(3, 20, 3, 2, False), np.random.default_rng(3).uniform(-1, 1, (9, 3))
+    assert np.allclose(np.diagonal(gp.covariance(x), axis1=1, axis2=2).T, gp.predict(x)[2], rtol=1e-6)
+
+
+def test_far_away_it_falls_back_to_the_constant_mean_and_full_variance() -> None:
+    gp = _random(1, 20, 3, 2, False)
+    value, slope, spread = gp.predict(np.full((2, 3), 1e3))
+    assert np.allclose(value, gp.mean) and np.allclose(slope, 0) and np.allclose(spread, gp.amplitude)
+
+
+def test_blocks_give_what_single_points_give() -> None:
+    gp = _random(2, 400, 2, 2, True)
+    x = np.random.default_rng(0).uniform(-2, 2, (3000, 2))
+    value, slope, spread = gp.predict(x)
+    for row in (0, 1310, 1311, 2999):
+        one = gp.predict_one(x[row])
+        assert np.allclose(value[row], one[0]) and np.allclose(slope[row], one[1]) and np.allclose(spread[row], one[2])
+
+
+@pytest.mark.parametrize("case", ["duplicates", "constant input", "constant output", "one outlier", "quiet"])
+def test_awkward_data_still_give_a_finite_model(case: str) -> None:
+    draw = np.random.default_rng(0)
+    x = draw.uniform(-1, 1, (30, 2))
+    y = np.column_stack([100 * np.sin(x[:, 0]), 50 * x[:, 1]])
+    if case == "duplicates":
+        x, y = np.repeat(x[:10], 3, axis=0), np.repeat(y[:10], 3, axis=0)
+    if case == "constant input":
+        x[:, 1], y[:, 1] = 0.3, y[:, 0]
+    if case == "constant output":
+        y[:] = 7.0
+    if case == "one outlier":
+        y[3] = 1e6
+    if case != "quiet":
+        y = y + draw.normal(0, 0.1, y.shape)
+    data = Samples(x, y, np.zeros(y.shape), np.full(x.shape, 1e-6)) if case == "quiet" else samples(x, y)
+    gp = train(data, ("u", "v"), "px")
+    value, slope, spread = gp.predict(x)
+    assert all(np.isfinite(part).all() for part in (value, slope, spread))
+    if case != "one outlier":
+        assert np.abs(value - y).max() < 1.0
