@@ -81,7 +81,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
         senses = {str(n): (tuple(s["outputs"]), str(s["unit"])) for n, s in header["senses"].items()}
         provenance = dict(header["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ModelError(f"{path}: field {_HEADER}: {type(error).__name__} {error}; fit the body again") from error
+        raise ModelError(f"{path}: field header: {error}; fit the body again") from error
     _check_noise(path, joints, senses, noise, touch)
     learned = {name: _gp(path, archive, name, *about, joints) for name, about in senses.items()}
     return BodyModel(joints, learned, noise, touch, provenance)
@@ -92,7 +92,7 @@ def _parse(path: Path, archive: zipfile.ZipFile) -> Mapping[str, Any]:
     try:
         header = json.loads(str(text), parse_constant=_refuse)
     except ValueError as error:
-        raise ModelError(f"{path}: field {_HEADER}: {error}; fit the body again") from error
+        raise ModelError(f"{path}: field header: {error}; fit the body again") from error
     if not isinstance(header, dict) or header.get("kind") != _KIND:
         raise ModelError(f"{path}: field kind: not a {_KIND}; type: bodylog fit LOG -o {path}")
     if header.get("version") != VERSION:

@@ -171,7 +171,7 @@ def _gp(
         scales=np.array([k.scales for k in found.kernels]),
         amplitude=np.array([k.amplitude for k in found.kernels]),
         mean=mean,
-        weights=weights,
+        weights=np.ascontiguousarray(weights),
         factor=factor,
         noise=np.array([found.kernels[o].noise for o in owner]),
         samples=data.x,
