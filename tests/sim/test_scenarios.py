@@ -107,6 +107,17 @@ def test_biased_start(tmp_path, variant, later):
     assert np.all(last[:3] > 0.08 if later else last < 0.02)
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("variant, wrong", [("one", 1), ("all", 4), ("elsewhere", 4)])
+def test_wrong_start(tmp_path, variant, wrong, seed):
+    _, errors, truth = encoders(played(tmp_path, "wrong-start", variant=variant, seed=seed, duration=0.5))
+    degrees = np.rad2deg(np.abs(errors.mean(0)))
+    assert np.all(np.ptp(truth, axis=0) == 0) and np.all(degrees[4:] < 0.5)
+    assert np.sum(degrees > 0.5) == wrong
+    if variant != "elsewhere":
+        assert np.all((degrees < 0.5) | ((degrees > 4.8) & (degrees < 10.2)))
+
+
 @pytest.mark.parametrize(
     "variant, low, high",
     [("synchronous", 0.0, 0.0), ("late", 0.6, 0.6), ("jitter", 0.0, 0.1), ("wide-jitter", 0.0, 1.0)],

@@ -1,7 +1,7 @@
 """The table of scenarios: one file and one line each."""
 
 from ..plan import Scenario
-from . import babble, biased_start, drift, frozen, horizontal, reach, rubber_hand, square_encoders, touch
+from . import babble, biased_start, drift, frozen, horizontal, reach, rubber_hand, square_encoders, touch, wrong_start
 
 SCENARIOS: dict[str, Scenario] = {
     "babble": babble.SCENARIO,
@@ -11,6 +11,7 @@ SCENARIOS: dict[str, Scenario] = {
     "drift": drift.SCENARIO,
     "frozen": frozen.SCENARIO,
     "biased-start": biased_start.SCENARIO,
+    "wrong-start": wrong_start.SCENARIO,
     "touch": touch.SCENARIO,
     "rubber-hand": rubber_hand.SCENARIO,
 }

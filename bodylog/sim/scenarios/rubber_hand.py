@@ -17,7 +17,7 @@ def _plan(request: Request) -> Plan:
     contacts = strokes(request, 5.0 + 0.8, lambda: request.rng.uniform(low, high))
     pose = still(np.array(request.arm.home))
     covered = (-1.0, request.duration + 1.0)
-    return Plan(pose, 0.01, plain, contacts, covered, 0.2, _ASIDE[request.place])
+    return Plan(pose, 0.01, plain, contacts, covered, 0.36, _ASIDE[request.place])
 
 
 SCENARIO = Scenario(
