@@ -27,13 +27,17 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 
 @dataclass(frozen=True)
 class Chunk:
-    """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known."""
+    """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known.
+
+    `listed`: a sound summary says so; else an index may be missing, and the chunk is opened whatever is asked for.
+    """
 
     start: int
     length: int
     start_ns: int
     end_ns: int
     indexes: Mapping[int, int] = field(default_factory=dict)
+    listed: bool = False
 
 
 class Loose(NamedTuple):

@@ -11,7 +11,7 @@ from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, load, loose_messages, 
 from .compression import Buffer
 from .ledger import Ledger
 from .mapping import forget, mapped
-from .records import HEAD, SCHEMA, Record
+from .records import HEAD, MAGIC, SCHEMA, Record, parse
 from .topics import Topics, split
 from .unpacked import unpacked
 
@@ -56,10 +56,10 @@ class McapLog:
         self.path = path
         self._ledger = Ledger(path, strict)
         self._data = mapped(source or path)
-        self._survey = survey_of(self._data, self._ledger)
-        self.topics, self._topic_of = _topics(self._survey, self._ledger)
-        self.start_ns = min(self._survey.times, default=0)
-        self.end_ns = max(self._survey.times, default=0)
+        self.survey = survey_of(self._data, self._ledger)
+        self.topics, self._topic_of = _topics(self.survey, self._ledger)
+        self.start_ns = min(self.survey.times, default=0)
+        self.end_ns = max(self.survey.times, default=0)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -71,20 +71,32 @@ class McapLog:
         topic_of = self._topic_of.copy()
         if ids is not None:
             topic_of[~np.isin(topic_of, list(ids))] = -1
-        yield from unpacked(self._batches(topic_of), self.topics, self._ledger)
+        found = self.messages(topic_of >= 0)
+        batches = (batch for content, some in found for batch in _split(content, some, topic_of))
+        yield from unpacked(batches, self.topics, self._ledger)
 
-    def _batches(self, topic_of: Array) -> Iterator[Batch]:
+    def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, Messages]]:
+        """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
         buffer = Buffer()
-        for part in self._survey.parts:
+        for part in self.survey.parts:
             if isinstance(part, Loose):
+                whole = np.frombuffer(self._data, np.uint8)
                 for found in loose_messages(self._data, part):
-                    yield from _split(self._data, found, topic_of)
+                    yield whole, found
                     forget(self._data, int(found.starts[0]), int(found.starts[-1]))
-            elif not part.indexes or (topic_of[list(part.indexes)] >= 0).any():
+            elif wanted is None or not part.listed or not part.indexes or wanted[list(part.indexes)].any():
                 content = load(self._data, part, buffer, self._ledger)
                 if content is not None:
-                    yield from _split(content, messages(content, self._data, part, self._ledger), topic_of)
+                    yield content, messages(content, self._data, part, self._ledger)
                 forget(self._data, part.start, part.start + part.length)
+
+    def records(self, opcode: int) -> Iterator[Record]:
+        """The sound records of that opcode that are not in chunks."""
+        from .resync import sound_records
+
+        for found, at, length in sound_records(self._data, len(MAGIC), len(self._data), (), lambda _at, _size: None):
+            if found == opcode:
+                yield parse(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)
 
     def close(self) -> None:
         """Let go of the file; batches still held keep their bytes."""
@@ -117,9 +129,8 @@ def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:
     return topics.all(), topic_of
 
 
-def _split(content: Array | memoryview, found: Messages, topic_of: Array) -> Iterator[Batch]:
+def _split(content: Array, found: Messages, topic_of: Array) -> Iterator[Batch]:
     heads = found.heads
     offset = found.starts + MESSAGE_HEAD.itemsize
     length = heads["size"] - (MESSAGE_HEAD.itemsize - HEAD.size)
-    data = content if isinstance(content, np.ndarray) else np.frombuffer(content, np.uint8)
-    return split(topic_of[heads["channel"]], heads["log"], data, offset, length)
+    return split(topic_of[heads["channel"]], heads["log"], content, offset, length)

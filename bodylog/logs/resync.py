@@ -26,6 +26,7 @@ _WINDOW = 1 << 20
 _AHEAD = 64 << 20
 _IN_CHUNKED = (CHUNK, MESSAGE_INDEX, CHUNK_INDEX)
 _CHUNK_FIXED = 40
+_LONGEST_END = 64
 _SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
 
 Found = tuple[int, int, int]
@@ -79,6 +80,8 @@ def _plausible(data: memoryview, at: int, end: int) -> bool:
     if opcode == MESSAGE:
         return bool(length >= _SHORTEST)
     try:
+        if opcode in (DATA_END, FOOTER):
+            return bool(length <= _LONGEST_END)
         if opcode == CHUNK:
             chunk_head(data, at)
         elif opcode in FIELDS:

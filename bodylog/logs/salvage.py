@@ -31,6 +31,8 @@ from .summary import believe_counts, chunks_of, summary_of
 _BLOCK = 4096
 _LONGEST_NS = 86400 * 10**9
 _CHANNEL = struct.Struct("<H")
+_MESSAGE = struct.Struct("<HIQ")
+_INDEX_HEAD = 6
 _TIMES = struct.Struct("<QQ")
 
 
@@ -73,7 +75,7 @@ def _summarised(data: memoryview, records: list[Record], ledger: Ledger) -> Surv
 
 def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger) -> int | None:
     """Add what lies between two bytes to the survey; FOOTER or DATA_END if they were met, CHUNK if a cut was said."""
-    run, ended = _Run(data, survey, start, ledger), None
+    run, ended, unsummarised = _Run(data, survey, start, ledger), None, end == len(data)
 
     def lost(at: int, size: int) -> None:
         run.close(at + size)
@@ -87,7 +89,9 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
 
     for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost):
         ended = opcode if opcode in (FOOTER, DATA_END) else ended
-        if opcode == MESSAGE:
+        if opcode == MESSAGE and unsummarised and (at == len(MAGIC) or not run.credible(at, length)):
+            lost(at, HEAD.size + length)
+        elif opcode == MESSAGE:
             run.add(at, at + HEAD.size + length)
         elif opcode in (SCHEMA, CHANNEL):
             survey.declare(parse(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
@@ -129,6 +133,15 @@ class _Run:
         if self._end > self._start:
             self._survey.parts.append(Loose(self._start, self._end))
         self._start = self._end = following
+
+    def credible(self, at: int, length: int) -> bool:
+        """Whether a message in a file of chunks is one: not a message index or channel with a flipped bit."""
+        chunks = [part for part in self._survey.parts[-1:] if isinstance(part, Chunk)]
+        if not chunks:
+            return True
+        _, listed, log_ns = _MESSAGE.unpack_from(self._data, at + HEAD.size)
+        near = chunks[0].start_ns - _LONGEST_NS <= log_ns <= chunks[0].end_ns + _LONGEST_NS
+        return bool(near and listed != length - _INDEX_HEAD)
 
     def index(self, at: int) -> None:
         """Take in a MessageIndex: it belongs to the chunk before, or counts the messages of a chunk that was lost."""

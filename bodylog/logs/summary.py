@@ -62,6 +62,7 @@ def _chunk(said: dict[str, Any]) -> Chunk:
         said["message_start_time"],
         said["message_end_time"],
         said["message_index_offsets"],
+        listed=True,
     )
 
 
