@@ -6,6 +6,9 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..types import BodyModel, Estimate, Features
 from . import filtering, kalman, predictive_coding, smoother
+from .streaming import Belief, Estimator
+
+__all__ = ["METHODS", "Belief", "Estimator", "estimate"]
 
 METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
     "laplace": filtering.laplace,

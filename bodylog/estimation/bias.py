@@ -47,7 +47,7 @@ def choose(problem: Problem, cost: Callable[[Problem], float]) -> Problem:
     best, least = problem, cost(problem)
     m = len(problem.start)
     for _ in range(m):
-        drift = np.zeros(m) if best.precision.drift is None else best.precision.drift
+        drift = np.zeros(m) if best.precision.drift is None else np.asarray(best.precision.drift)
         trials = [with_drift(problem, drift + WALKS[0] * np.eye(m)[j]) for j in np.flatnonzero(drift == 0)]
         costs = [cost(trial) for trial in trials]
         if not costs or min(costs) > least - GAIN:
@@ -65,10 +65,22 @@ def with_drift(problem: Problem, drift: Array) -> Problem:
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 
-def faults(names: tuple[str, ...], t: Array, offset: Array, var: Array) -> tuple[Fault, ...]:
+def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> Array | None:
+    """Walks (M,) rad²/s given before any evidence: to all when `on`, under `auto` to encoders that jumped."""
+    jumped = {fault.name for fault in known if fault.kind == "jumping"}
+    if setting == "on" or (setting == "auto" and jumped):
+        return np.array([WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names])
+    return None
+
+
+def faults(
+    names: tuple[str, ...], t: Array, offset: Array, var: Array, known: tuple[Fault, ...]
+) -> tuple[Fault, ...]:
     """Drifting encoders from offsets and their variances (N,M): since when they are certainly off, and by how much."""
     found = []
     for joint, name in enumerate(names):
+        if any(fault.name == name for fault in known):
+            continue
         off = np.abs(offset[:, joint]) > np.maximum(LEAST, SIGMAS * np.sqrt(var[:, joint]))
         lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
         if lasting.any():

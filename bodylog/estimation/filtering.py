@@ -11,12 +11,13 @@ from ..settings import Estimation
 from ..types import BodyModel, Estimate, Fault, Features
 from . import bias, results
 from .faults import screen
-from .laplace import Problem, Solution, solve
+from .laplace import Problem, Restless, Solution, solve
 from .precision import resolve
 from .results import Beliefs
 from .senses import gather, start
 from .timeline import timeline
 from .tuning import ROUGHLY, tune
+from .walk import led, walk
 
 S = TypeVar("S", bound=Solution)
 
@@ -33,12 +34,12 @@ def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
     problem, warm, faults = pose(features, body, settings)
-    problem, solution = settled(problem, warm, settings, partial(solve, at=at))
+    problem, solution = settled(problem, warm, settings, partial(solve, at=at), walk)
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     beliefs = Beliefs(
         unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
         unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(),
-        (*faults, *drifts(problem, body.joints, solution)),
+        (*faults, *drifts(problem, body.joints, solution, faults)),
     )  # fmt: skip
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
 
@@ -54,16 +55,21 @@ def pose(
         evidence = replace(evidence, encoders=sound)
     first = start(evidence, settings, len(body.joints))
     problem = Problem(evidence, timeline(evidence, settings.rate), first, resolve(evidence, body, settings))
-    if settings.bias == "on":
-        problem = bias.with_drift(problem, np.full(len(first), bias.WALKS[1]))
-    return *tuned(problem, settings), faults
+    allowed = bias.allowed(settings.bias, body.joints, faults)
+    problem = problem if allowed is None else bias.with_drift(problem, allowed)
+    return *tuned(led(problem), settings), faults
 
 
 def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
     """The problem with motion and pixel noise as the log's evidence has them, where the settings ask for that."""
     if settings.precision != "auto":
         return problem, None
-    found, warm = tune(problem)
+    try:
+        found, warm = tune(problem)
+    except Restless:
+        if problem.path is None:
+            raise
+        return problem, None
     if settings.method != "smoother":
         # white acceleration fits no motion at all time scales: filtering takes the middle of encoders' and frames'
         found = replace(found, process=np.sqrt(problem.precision.process * found.process))
@@ -71,10 +77,19 @@ def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | N
 
 
 def settled(
-    problem: Problem, warm: Solution | None, settings: Estimation, solver: Callable[[Problem, Solution | None], S]
-) -> tuple[Problem, S]:
-    """The problem solved; with offsets where the settings allow them, vision is surprised and the evidence agrees."""
-    solved = solver(problem, warm)
+    problem: Problem, warm: Solution | None, settings: Estimation,
+    solver: Callable[[Problem, Solution | None], S], patient: Callable[[Problem], S],
+) -> tuple[Problem, S]:  # fmt: skip
+    """The problem solved; with offsets where the settings allow them, vision is surprised and the evidence agrees.
+
+    `patient` takes over where encoders are silent and the solver's sweeps do not come to rest.
+    """
+    try:
+        solved = solver(problem, warm)
+    except Restless:
+        if problem.path is None:
+            raise
+        return problem, patient(problem)
     if settings.bias != "auto" or problem.evidence.encoders is None or not bias.surprised(problem, solved):
         return problem, solved
     chosen = bias.choose(problem, cost)
@@ -89,10 +104,13 @@ def cost(problem: Problem) -> float:
     return float(solution.fold.unfold(solution.trace.nats).sum())
 
 
-def drifts(problem: Problem, names: tuple[str, ...], solved: Solution) -> tuple[Fault, ...]:
-    """Encoders that drift, by the filtered offsets."""
+def drifts(
+    problem: Problem, names: tuple[str, ...], solved: Solution, known: tuple[Fault, ...]
+) -> tuple[Fault, ...]:
+    """Encoders that drift, by the filtered offsets, apart from those known to lie otherwise."""
     if problem.precision.drift is None:
         return ()
     m, unfold = len(names), solved.fold.unfold
     var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, 2 * m :, 2 * m :], np.eye(m)))
-    return bias.faults(names, problem.timeline.t, unfold(solved.trace.z[:, 2 * m :]), var)
+    offsets = unfold(solved.trace.z[:, 2 * m :])
+    return bias.faults(names, problem.timeline.t, offsets, var, known)

@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import EvidenceError
 from ..types import Array
 from .folds import Fold, fold_for
+from .instant import ALIKE
 from .precision import Precision
 from .scan import Dynamics, Readings, Trace, scan
 from .senses import Evidence
@@ -22,23 +23,25 @@ START_STD = 1.0
 """rad and rad/s: how little is known of angles and rates before the first reading."""
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""
-SWEEPS = 60
+SWEEPS = 40
 SETTLED = 1e-8
 """Standard deviations: how little a stretch's start may still move."""
-ALIKE = 0.01
-"""rad: angles closer than this share the model's error."""
 RESTING = 1e-8
 """rad: a frame whose point of linearisation is moved less keeps its tangent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One log to be filtered: evidence, its instants, where the belief starts, and the precisions."""
+    """One log to be filtered: evidence, its instants, where the belief starts, the precisions.
+
+    path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say.
+    """
 
     evidence: Evidence
     timeline: Timeline
     start: Array
     precision: Precision
+    path: tuple[Array, Array] | None = None
 
     @property
     def dynamics(self) -> Dynamics:
@@ -85,7 +88,11 @@ def solve(
         move, z, p = far(z, p, next_z, next_p), next_z, next_p
         if move < rest and not moved:
             return Solution(fold, readings, tangents.points, trace)
-    raise EvidenceError(f"laplace: no rest after {SWEEPS} rounds, last move {move:.2g}; type --method kalman")
+    raise Restless(f"laplace: no rest after {SWEEPS} rounds, last move {move:.2g}; type --method kalman")
+
+
+class Restless(EvidenceError):
+    """Sweeps over the log did not come to rest."""
 
 
 class Tangents:
@@ -107,7 +114,9 @@ class Tangents:
             x, events = points[stale], events[stale]
             mean, jac, self._model_var[index][stale] = sighting.model.predict(x)
             scale = problem.precision.scale.get(sighting.name, 1.0)
-            var = self._model_var[index] * repeats(points)[:, None] ** 2
+            seen = np.isfinite(sighting.values).all(axis=1)
+            var = self._model_var[index].copy()
+            var[seen] *= repeats(points[seen])[:, None] ** 2
             fold.put(readings.y[:, index], events, sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x))
             fold.put(readings.jac[:, index], events, jac)
             fold.put(readings.var[:, index], problem.timeline.sightings[index], scale * sighting.var + var)
@@ -128,6 +137,8 @@ def repeats(points: Array) -> Array:
     With n² times its variance in the n-th of them, standing still before the camera never teaches more than the model
     knows: the information adds up to less than 1.65 / variance, not to frames / variance.
     """
+    if not len(points):
+        return np.empty(0)
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
     return np.fromiter(accumulate(np.exp(-apart / ALIKE), lambda n, kept: 1.0 + kept * n, initial=1.0), float)
 
@@ -153,6 +164,8 @@ def guesses(problem: Problem) -> tuple[Array, ...]:
 
 
 def _angles(problem: Problem, t: Array) -> Array:
+    if problem.path is not None:
+        return np.stack([np.interp(t, problem.path[0], column) for column in problem.path[1].T], axis=1)
     x = np.repeat(problem.start[None], len(t), axis=0)
     encoders = problem.evidence.encoders
     for j in range(len(problem.start)):

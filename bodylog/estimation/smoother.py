@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import EvidenceError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
 from .filtering import drifts, pose, settled
 from .folds import fold_for
-from .laplace import SETTLED, SWEEPS, Problem, Solution, Tangents, far, guesses, handed_over, heard, starts
+from .laplace import SETTLED, SWEEPS, Problem, Restless, Solution, Tangents, far, guesses, handed_over, heard, starts
 from .results import Beliefs
 from .scan import EVEN, Readings, Trace, scan
+from .walk import walk
 
 FORTH = 2
 """Sweeps that only go forth, until the stretches start nearly where they should."""
@@ -33,12 +33,12 @@ class Smooth(Solution):
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief: at each output time, all that the whole log says about it."""
     problem, warm, faults = pose(features, body, settings)
-    problem, smooth = settled(problem, warm, settings, solve)
+    problem, smooth = settled(problem, warm, settings, solve, once)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), unfold(smooth.cov)
     beliefs = Beliefs(
         z, cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d), precision.scale,
-        precision.plain(), (*faults, *drifts(problem, body.joints, smooth)),
+        precision.plain(), (*faults, *drifts(problem, body.joints, smooth, faults)),
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
 
@@ -61,7 +61,15 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
         moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
         if sweep >= forth and rest < SETTLED and not moved:
             return Smooth(fold, readings, tangents.points, trace, means, cov)
-    raise EvidenceError(f"smoother: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method laplace")
+    raise Restless(f"smoother: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method laplace")
+
+
+def once(problem: Problem) -> Smooth:
+    """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
+    solution = walk(problem, remember=True)
+    k = problem.dynamics.size
+    means, cov, _ = back(solution.readings, solution.trace, (np.zeros((k, 1)), np.zeros((k, k, 1))), 0)
+    return Smooth(solution.fold, solution.readings, solution.points, solution.trace, means, cov)
 
 
 def back(
