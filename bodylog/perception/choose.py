@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..types import Array
-from .blobs import BORDER, MASS, STD_U, STD_V, U, V
+from .blobs import BORDER, MASS, STD_U, STD_V, STRENGTH, U, V
 
 _PATIENCE = 0.5
 _REACH = 0.08
@@ -103,8 +103,8 @@ def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
 
 
 def _winner(first: _Run, second: _Run) -> int | None:
-    """0 or 1 for the larger run, or else for the moving one beside a still one; None when neither is clear."""
-    ratio = np.median(first.table[:, MASS]) / np.median(second.table[:, MASS])
+    """0 or 1 for the stronger run, or else for the moving one beside a still one; None when neither is clear."""
+    ratio = np.median(first.table[:, STRENGTH]) / np.median(second.table[:, STRENGTH])
     if ratio >= _LARGER or ratio <= 1 / _LARGER:
         return 0 if ratio > 1 else 1
     extents = [_extent(first), _extent(second)]
@@ -120,11 +120,11 @@ def _extent(run: _Run) -> float:
 
 
 def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
-    """Runs not much smaller than most of what was seen."""
-    usual = np.median(np.concatenate([run.table[:, MASS] for run in runs]))
+    """Runs not much weaker than the longest one."""
+    usual = np.median(max(runs, key=lambda run: len(run.frames)).table[:, STRENGTH])
     kept = []
     for run in runs:
-        if np.median(run.table[:, MASS]) >= _SMALL * usual or run.table[:, BORDER].any():
+        if np.median(run.table[:, STRENGTH]) >= _SMALL * usual or run.table[:, BORDER].any():
             kept.append(run)
         else:
             why[run.frames] = SIZE

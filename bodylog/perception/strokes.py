@@ -129,7 +129,8 @@ def _contacts(pieces: Sequence[_Piece]) -> list[tuple[float, float]]:
             first, last = _below(speeds, index, _SLOW * fast)
             if first <= last:
                 steady = max(pieces[first : last + 1], key=lambda piece: piece.end - piece.start)
-                first, last = _below(speeds, index, max(speeds[index] * 1.01, min(_SLOW * fast, (steady.speed * fast) ** 0.5)))
+                limit = min(_SLOW * fast, (steady.speed * fast) ** 0.5)
+                first, last = _below(speeds, index, max(1.01 * speeds[index], limit))
                 found.append((_between(pieces, first), _between(pieces, last + 1)))
     return found
 
