@@ -389,3 +389,12 @@ def test_json_messages_become_columns():
     assert found.column("header.stamp").tolist() == [5 * 10**9 + n for n in range(3)]
     np.testing.assert_array_equal(found.column("q"), [[0, 2], [1, 2], [2, 2]])
     assert (found.fallback, dict(found.rejected)) == (3, {"malformed": 2, "field missing": 1})
+
+
+@pytest.mark.parametrize("batch", [1, 3])
+def test_a_message_cut_inside_its_numbers_does_not_borrow_its_neighbour(batch):
+    payloads = [joint_state(T0 + n, ("a", "b"), (1.0, 2.0)) for n in range(3)]
+    place = payloads[1].index(struct.pack("<d", 2.0))
+    payloads[1] = payloads[1][: place + 4]
+    found = columns(Messages(payloads, batch), joint_topic(), JOINT_FIELDS)
+    assert (found.sound.tolist(), dict(found.rejected)) == ([0, 2], {"malformed": 1})
