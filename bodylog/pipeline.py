@@ -53,7 +53,7 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
     read = recording.read(log, settings)
     if read.features is None:
         return read, perception.observe(read, settings, progress)
-    carried = Finding("info", f"{log}: it carries tracks of an earlier run, which are used; its pictures are not read")
+    carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
     found = replace(read.features, joints=read.joints, findings=(*read.features.findings, carried))
     return read, found
 
@@ -121,7 +121,7 @@ def evaluate(log: Path, settings: Settings) -> Result:
     read = recording.read(log, settings)
     found = annotated.read_estimate(log, read.start_ns)
     if read.truth is None:
-        absent = Finding("warning", f"{log}: no truth topic, so no error against truth; name one in [topics] truth")
+        absent = Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth")
         return Result(log, judge(found, read), found.used, (*read.findings, absent))
     return Result(log, judge(found, read), found.used, read.findings)
 
@@ -142,22 +142,19 @@ def compare(
     """Every method with every subset of the senses the log has."""
     from . import estimation
     from .body import model
+    from .estimation import choices
 
     learned = model.load(body)
     read, features = observe(log, settings, progress)
-    subsets = estimation.subsets(features, learned)
-    runs = [(method, senses) for method in estimation.METHODS for senses in subsets]
+    subsets = choices.subsets(features, learned)
+    runs = [(m, senses) for m in estimation.METHODS for senses in subsets if choices.usable(m, senses)]
     rows = [_row(method, senses, features, learned, settings, read) for method, senses in runs]
-    return [row for row in rows if row is not None], (*read.findings, *features.findings)
+    return rows, (*read.findings, *features.findings)
 
 
 def _row(
     method: str, senses: tuple[str, ...], features: Features, learned: BodyModel, settings: Settings, read: Recording
-) -> Row | None:
-    from . import estimation
-
-    if not estimation.usable(method, senses):
-        return None
+) -> Row:
     started = time.perf_counter()
     chosen = replace(settings, estimate=replace(settings.estimate, method=method, senses=senses, without=()))
     found = infer(features, learned, chosen)

@@ -1,0 +1,75 @@
+"""The recorded arm, through the command line alone: three containers, no config file, scored against its truth file."""
+
+import json
+
+import numpy as np
+import pytest
+
+ATTAINABLE = {"reach.mcap": (0.0074, 0.0028), "reach.bag": (0.0072, 0.0030), "reach_rosbag2": (0.0072, 0.0030)}
+"""RMSE in rad of a filter and a smoother that were told the true camera, noise and process (from the arm's README)."""
+
+
+def _json(capsys, bodylog, *arguments):
+    capsys.readouterr()
+    assert bodylog(*arguments, "--json") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def _scores(result):
+    return {score["name"]: score["value"] for score in result["scores"]}
+
+
+@pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.2)])
+@pytest.mark.parametrize("log", ATTAINABLE)
+def test_error_is_near_what_is_attainable_and_error_bars_are_true(
+    tmp_path, capsys, bodylog, arm, arm_body, log, method, column, factor
+):
+    out = tmp_path / "out.mcap"
+    found = _scores(_json(capsys, bodylog, "estimate", arm / log, "--body", arm_body, "-o", out, "--method", method))
+    assert found["joint_rmse"] <= factor * ATTAINABLE[log][column]
+    assert 0.8 <= found["nees"] <= 1.3
+    assert 92 <= found["coverage_2sigma"] <= 98
+
+
+def test_three_containers_of_one_motion_give_one_estimate(tmp_path, capsys, bodylog, arm, arm_body):
+    """The bag, the rosbag2 folder, and the bag carried over into an MCAP."""
+    from bodylog.logs.annotated import read_estimate
+
+    assert bodylog("ingest", arm / "reach.bag", "-o", tmp_path / "reach.mcap") == 0
+    beliefs = []
+    for log in (arm / "reach.bag", arm / "reach_rosbag2", tmp_path / "reach.mcap"):
+        out = tmp_path / f"{log.name}.out.mcap"
+        assert bodylog("estimate", log, "--body", arm_body, "-o", out) == 0
+        beliefs.append(read_estimate(out))
+    for other in beliefs[1:]:
+        assert other.joints.names == beliefs[0].joints.names
+        assert np.abs(other.joints.values - beliefs[0].joints.values).max() < 1e-9
+        assert np.abs(other.cov - beliefs[0].cov).max() < 1e-9
+
+
+def test_the_paper_preset_ends_and_is_reported_beside_the_others(tmp_path, capsys, bodylog, arm, arm_body):
+    for log in ATTAINABLE:
+        typed = ("estimate", arm / log, "--body", arm_body, "-o", tmp_path / "out.mcap")
+        paper = _scores(_json(capsys, bodylog, *typed, "--method", "predictive-coding", "--preset", "paper"))
+        ours = _scores(_json(capsys, bodylog, *typed))
+        assert ours["joint_rmse"] < ours["encoder_rmse"] < paper["joint_rmse"] < 0.5
+
+
+def test_same_log_twice_gives_the_same_bytes(tmp_path, bodylog, arm, arm_body):
+    again = tmp_path / "again.npz"
+    assert bodylog("fit", arm / "explore.mcap", "-o", again) == 0
+    assert again.read_bytes() == arm_body.read_bytes()
+    for name in ("a", "b"):
+        assert bodylog("estimate", arm / "reach.mcap", "--body", arm_body, "-o", tmp_path / f"{name}.mcap") == 0
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+
+
+def test_features_are_taken_over_instead_of_the_pictures(tmp_path, capsys, bodylog, arm, arm_body):
+    features = tmp_path / "features.mcap"
+    assert bodylog("extract", arm / "reach.mcap", "-o", features) == 0
+    assert features.stat().st_size < (arm / "reach.mcap").stat().st_size
+    scores = []
+    for log in (arm / "reach.mcap", features):
+        out = tmp_path / f"{log.stem}.out.mcap"
+        scores.append(_scores(_json(capsys, bodylog, "estimate", log, "--body", arm_body, "-o", out)))
+    assert scores[1]["joint_rmse"] == pytest.approx(scores[0]["joint_rmse"], rel=1e-4)

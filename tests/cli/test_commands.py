@@ -1,0 +1,167 @@
+"""Each command as it is typed: what it leaves, what it prints, and what it says, with which code, when it cannot."""
+
+import json
+import shutil
+
+import pytest
+
+
+def _said(capsys, code, bodylog, *arguments):
+    """What was said on standard error by a command that ends with `code`, which is one line when it fails."""
+    capsys.readouterr()
+    assert bodylog(*arguments) == code
+    said = capsys.readouterr().err
+    if code in (2, 65):
+        assert said.strip().count("\n") == 0, said
+        assert "Traceback" not in said
+    return said
+
+
+def test_info_is_a_list_with_an_object_per_log(capsys, bodylog, robot):
+    capsys.readouterr()
+    assert bodylog("info", robot / "explore.mcap", robot / "reach.mcap", "--json") == 0
+    explore, reach = json.loads(capsys.readouterr().out)
+    assert {"path", "format", "start_ns", "duration_s", "topics", "roles", "joints", "findings"} <= set(reach)
+    assert reach["roles"]["joints"] == "/joint_states" and reach["roles"]["truth"] == "/truth/joint_states"
+    assert {"topic", "type", "messages", "rate_hz"} <= set(reach["topics"][0])
+    assert len(explore["joints"]) == 6
+
+
+def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, bodylog, robot):
+    out = tmp_path / "out.mcap"
+    capsys.readouterr()
+    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json") == 0
+    estimated = json.loads(capsys.readouterr().out)
+    assert bodylog("evaluate", out, "--json") == 0
+    evaluated = json.loads(capsys.readouterr().out)
+    assert estimated["output"] == str(out)
+    assert {"scores", "health", "findings", "settings"} <= set(estimated)
+    values = {score["name"]: score["value"] for score in estimated["scores"]}
+    for score in evaluated["scores"]:
+        assert score["value"] == pytest.approx(values[score["name"]], rel=1e-9, abs=1e-12)
+    assert values["joint_rmse"] < values["encoder_rmse"]
+
+
+def test_a_broken_bound_ends_with_4_and_says_which(tmp_path, capsys, bodylog, robot):
+    out = tmp_path / "out.mcap"
+    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    assert "joint_rmse" in _said(capsys, 4, bodylog, "evaluate", out, "--fail-if", "joint_rmse>1e-9")
+    assert bodylog("evaluate", out, "--fail-if", "joint_rmse>1") == 0
+
+
+def test_named_senses_are_used_and_no_others(tmp_path, capsys, bodylog, robot):
+    out = tmp_path / "out.mcap"
+    typed = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json")
+    capsys.readouterr()
+    assert bodylog(*typed, "--with", "encoders") == 0
+    scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    assert "used/encoders" in scores and "error_squared/effector" not in scores
+    assert bodylog(*typed, "--without", "encoders") == 0
+    scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    assert "error_squared/effector" in scores and "error_squared/encoders" not in scores
+
+
+def test_compare_has_a_row_for_every_method_and_subset(capsys, bodylog, robot):
+    capsys.readouterr()
+    assert bodylog("compare", robot / "reach.mcap", "--body", robot / "body.npz", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    ran = {f"{row['method']} {','.join(row['senses'])}" for row in rows}
+    assert {"laplace encoders,vision", "laplace encoders", "kalman encoders", "smoother vision"} <= ran
+    assert all(row["scores"]["joint_rmse"] > 0 for row in rows)
+
+
+def _wrong(robot, tmp_path):
+    """Name -> (exit code, what must be said, what is typed)."""
+    body, out = robot / "body.npz", tmp_path / "out.mcap"
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    (tmp_path / "text.bag").write_text("this is no log\n" * 50)
+    (tmp_path / "topic.toml").write_text('[topics]\njoints = "/nowhere"\n')
+    (tmp_path / "joint.toml").write_text('[body]\njoints = ["knee_joint"]\n')
+    (tmp_path / "key.toml").write_text("[topics]\njoint = '/joint_states'\n")
+    (tmp_path / "not.npz").write_bytes(b"PK not a model")
+    reach, explore = robot / "reach.mcap", robot / "explore.mcap"
+    estimate = ("-o", out, "--body", body)
+    return {
+        "empty log": (65, "empty.mcap", ("estimate", tmp_path / "empty.mcap", *estimate)),
+        "not a log": (65, "text.bag", ("estimate", tmp_path / "text.bag", *estimate)),
+        "no such log": (65, "absent.mcap", ("estimate", tmp_path / "absent.mcap", *estimate)),
+        "missing topic": (65, "/nowhere", ("estimate", reach, *estimate, "--config", tmp_path / "topic.toml")),
+        "unknown joint": (65, "knee_joint", ("fit", explore, "-o", out, "--config", tmp_path / "joint.toml")),
+        "unknown key": (2, "did you mean joints", ("fit", explore, "-o", out, "--config", tmp_path / "key.toml")),
+        "not a model": (65, "not.npz", ("estimate", reach, "-o", out, "--body", tmp_path / "not.npz")),
+        "unknown method": (2, "laplace", ("estimate", reach, *estimate, "--method", "magic")),
+        "unknown sense": (2, "encoders", ("estimate", reach, *estimate, "--with", "smell")),
+        "unheard sense": (65, "touch", ("estimate", reach, *estimate, "--with", "encoders,touch")),
+        "unknown scenario": (2, "babble", ("record", "dance", "-o", out)),
+        "absent folder": (2, "mkdir", ("record", "babble", "-o", tmp_path / "no" / "out.mcap", "--duration", 1)),
+        "no estimate": (65, "bodylog estimate", ("evaluate", reach)),
+        "onto itself": (2, "itself", ("estimate", reach, "-o", reach, "--body", body)),
+        "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "joint_rmse")),
+    }
+
+
+NAMES = (
+    *("empty log", "not a log", "no such log", "missing topic", "unknown joint", "unknown key", "not a model"),
+    *("unknown method", "unknown sense", "unheard sense", "unknown scenario", "absent folder", "no estimate"),
+    *("onto itself", "no bound"),
+)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(tmp_path, capsys, bodylog, robot, name):
+    code, said, typed = _wrong(robot, tmp_path)[name]
+    before = {path.name for path in tmp_path.iterdir()}
+    kept = (robot / "reach.mcap").read_bytes()
+    assert said in _said(capsys, code, bodylog, *typed)
+    assert {path.name for path in tmp_path.iterdir()} == before
+    assert (robot / "reach.mcap").read_bytes() == kept
+
+
+def test_every_wrong_case_is_tested(tmp_path, robot):
+    assert set(_wrong(robot, tmp_path)) == set(NAMES)
+
+
+def test_a_model_for_another_robot_names_the_joints_of_both(tmp_path, capsys, bodylog, robot, arm):
+    out = tmp_path / "out.mcap"
+    typed = ("record", "babble", "-o", tmp_path / "seven.mcap", "--arm", "seven", "--duration", 2, "--size", "160x120")
+    assert bodylog(*typed) == 0
+    said = _said(capsys, 65, bodylog, "estimate", tmp_path / "seven.mcap", "--body", robot / "body.npz", "-o", out)
+    assert "shoulder_pan_joint" in said
+    assert not out.exists()
+
+
+def test_a_truncated_log_is_used_up_to_the_damage_and_ends_with_3(tmp_path, capsys, bodylog, robot):
+    whole = (robot / "explore.mcap").read_bytes()
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    cut.write_bytes(whole[: len(whole) * 3 // 4])
+    said = _said(capsys, 3, bodylog, "estimate", cut, "--body", robot / "body.npz", "-o", out)
+    assert "lost" in said
+    assert out.exists()
+
+
+def test_doctor_names_the_damage_and_repair_leaves_a_sound_log(tmp_path, capsys, bodylog, robot):
+    whole = (robot / "explore.mcap").read_bytes()
+    cut, sound = tmp_path / "cut.mcap", tmp_path / "sound.mcap"
+    cut.write_bytes(whole[: len(whole) * 3 // 4])
+    assert bodylog("doctor", robot / "reach.mcap") == 0
+    assert bodylog("doctor", cut, "--repair", sound) == 3
+    assert bodylog("doctor", sound) == 0
+    assert bodylog("info", sound) == 0
+
+
+def test_plots_are_pictures(tmp_path, bodylog, robot):
+    for source in ("reach.mcap", "body.npz"):
+        assert bodylog("plot", robot / source, "-o", tmp_path / "plot.png") == 0
+        assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_log_recorded_twice_has_the_same_bytes(tmp_path, bodylog, robot):
+    typed = ("record", "reach", "--duration", 4, "--seed", 2, "--size", "160x120", "-o", tmp_path / "again.mcap")
+    assert bodylog(*typed) == 0
+    assert (tmp_path / "again.mcap").read_bytes() == (robot / "reach.mcap").read_bytes()
+
+
+def test_a_log_in_a_folder_that_cannot_be_read_is_said(tmp_path, capsys, bodylog, robot):
+    shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
+    (tmp_path / "reach.mcap").unlink()
+    assert "reach.mcap" in _said(capsys, 65, bodylog, "info", tmp_path / "reach.mcap")
