@@ -11,6 +11,9 @@ from .senses import Evidence
 FASTEST = 100.0
 """Hz: encoders faster than this are all heard, but the belief is written on a grid of this rate."""
 
+SAME = 1e-6
+"""s: an output time closer than this to a stamp is that stamp."""
+
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
@@ -45,7 +48,14 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
     if rate is None and (len(t) < 2 or np.median(np.diff(t)) > 0.99 / FASTEST):
         return t
     rate = rate or FASTEST
-    return np.asarray(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate)
+    return snapped(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate, t)
+
+
+def snapped(grid: Array, t: Array) -> Array:
+    """Grid times (O,) s moved onto a stamp of t that is the same but for rounding: its reading is heard by then."""
+    right = np.minimum(np.searchsorted(t, grid), len(t) - 1)
+    near = np.where(np.abs(t[right] - grid) <= np.abs(t[np.maximum(right - 1, 0)] - grid), right, right - 1)
+    return np.where(np.abs(t[near] - grid) < SAME, t[near], grid)
 
 
 def _heard(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:

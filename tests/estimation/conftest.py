@@ -113,3 +113,62 @@ def stroked() -> Callable[..., Features]:
 @pytest.fixture
 def linear_model() -> Linear:
     return Linear(np.array([[300.0, -40.0, 20.0], [15.0, 250.0, 120.0]]), np.array([160.0, 120.0]))
+
+
+@dataclass(frozen=True)
+class Dense:
+    """A textbook Kalman filter and Rauch–Tung–Striebel smoother over the same readings, all in full matrices."""
+
+    t: Array
+    mean: Array
+    cov: Array
+    nats: Array
+    smooth: Array
+    smooth_cov: Array
+
+
+def dense(world: World, process: Array, encoder: Array, pixel: float) -> Dense:
+    """The reference for a linear body: every reading at its own time, all of one instant in one update."""
+    joints, track, model = world.features.joints, world.features.tracks["effector"], world.body.senses["effector"]
+    assert joints is not None
+    order = [joints.names.index(name) for name in JOINTS]
+    t = np.unique(np.concatenate([joints.t, track.t]))
+    z = np.concatenate([joints.values[0, order], np.zeros(3)])
+    p, last, rows = np.eye(6), t[0], []
+    for now in t:
+        dt, last = now - last, now
+        f = np.eye(6)
+        f[:3, 3:] = dt * np.eye(3)
+        q = np.block([[np.diag(process) * dt**3 / 3, np.diag(process) * dt**2 / 2],
+                      [np.diag(process) * dt**2 / 2, np.diag(process) * dt]])  # fmt: skip
+        zp, pp = f @ z, f @ p @ f.T + q
+        h, y, r = [], [], []
+        for values in joints.values[joints.t == now]:
+            h += list(np.eye(6)[:3])
+            y += list(values[order])
+            r += list(encoder)
+        for values in track.values[track.t == now]:
+            if np.isfinite(values).all():
+                h += [np.concatenate([row, np.zeros(3)]) for row in model.a]  # type: ignore[attr-defined]
+                y += list(values - model.b)  # type: ignore[attr-defined]
+                r += [pixel, pixel]
+        nats = 0.0
+        z, p = zp, pp
+        if y:
+            hm, s = np.array(h), np.array(h) @ pp @ np.array(h).T + np.diag(r)
+            nu, gain = np.array(y) - hm @ zp, pp @ hm.T @ np.linalg.inv(s)
+            z, p = zp + gain @ nu, (np.eye(6) - gain @ hm) @ pp @ (np.eye(6) - gain @ hm).T + gain @ np.diag(r) @ gain.T
+            nats = 0.5 * float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(2 * np.pi * s)[1])
+        rows.append((f, zp, pp, z, p, nats))
+    smooth, cov = [rows[-1][3]], [rows[-1][4]]
+    for (_, _, _, z, p, _), (f, zp, pp, *_) in zip(rows[-2::-1], rows[:0:-1], strict=True):
+        gain = p @ f.T @ np.linalg.inv(pp)
+        smooth.append(z + gain @ (smooth[-1] - zp))
+        cov.append(p + gain @ (cov[-1] - pp) @ gain.T)
+    columns = (np.array([row[k] for row in rows]) for k in (3, 4, 5))
+    return Dense(t, *columns, np.array(smooth[::-1]), np.array(cov[::-1]))
+
+
+@pytest.fixture
+def reference() -> Callable[..., Dense]:
+    return dense

@@ -1,0 +1,152 @@
+"""The filter against a textbook one, against itself in a stream, and against mistakes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import Estimator, estimate
+from bodylog.evaluation.scores import scores
+from bodylog.settings import Estimation
+from bodylog.types import Series
+
+MODEL = Estimation(precision="model", bias="off")
+
+
+def rmse(found, world):
+    return {score.name: score.value for score in scores(found, world.truth, world.features.joints)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("encoder_hz", [50.0, 400.0])
+def test_on_a_linear_body_it_is_the_kalman_filter(world, reference, linear_model, seed, encoder_hz):
+    drawn = world(seed, duration=6.0, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
+    found = estimate(drawn.features, drawn.body, replace(MODEL, rate=None))
+    expected = reference(drawn, np.full(3, 0.3), np.full(3, 0.02**2), 0.4**2)
+    at = np.searchsorted(expected.t, found.joints.t)
+    grid = expected.t[at] == found.joints.t
+    assert grid.all()
+    np.testing.assert_allclose(found.joints.values[grid], expected.mean[at[grid], :3], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(found.rate.values[grid], expected.mean[at[grid], 3:], atol=1e-8, rtol=0)
+    np.testing.assert_allclose(found.cov[grid], expected.cov[at[grid], :3, :3], atol=1e-9, rtol=0)
+    assert found.free_energy.sum() == pytest.approx(expected.nats[: at[-1] + 1].sum(), abs=1e-6)
+
+
+def test_fast_encoders_are_all_heard_but_written_at_100_hz(world, linear_model):
+    drawn = world(0, duration=3.0, encoder_hz=500.0, model=linear_model)
+    found = estimate(drawn.features, drawn.body, MODEL)
+    np.testing.assert_allclose(np.diff(found.joints.t), 0.01)
+    assert found.used["encoders"].used == 1500
+    heard = drawn.features.joints.t[:, None] <= found.joints.t + 1e-12
+    assert (found.joints.source_ns >= drawn.features.joints.source_ns[heard.sum(axis=0) - 1]).all()
+
+
+@pytest.mark.parametrize("rate", [10.0, 200.0])
+def test_the_rate_is_the_settings(world, rate):
+    drawn = world(0, duration=3.0)
+    found = estimate(drawn.features, drawn.body, replace(MODEL, rate=rate))
+    np.testing.assert_allclose(np.diff(found.joints.t), 1 / rate)
+
+
+def test_order_of_simultaneous_senses_does_not_matter(world):
+    drawn = world(1, duration=5.0, camera_hz=12.5, blunder=0.1)
+    track = drawn.features.tracks["effector"]
+    track = replace(track, t=drawn.features.joints.t[::4][: len(track.t)])
+    other = replace(track, values=track.values + np.random.default_rng(0).normal(0, 1.0, track.values.shape))
+    body = replace(drawn.body, senses={name: drawn.body.senses["effector"] for name in ("effector", "other")})
+    pair = {"effector": track, "other": other}
+    one = estimate(replace(drawn.features, tracks=pair), body, MODEL)
+    two = estimate(replace(drawn.features, tracks=dict(reversed(pair.items()))), body, MODEL)
+    np.testing.assert_allclose(one.joints.values, two.joints.values, atol=1e-9, rtol=0)
+    np.testing.assert_allclose(one.cov, two.cov, atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_stream_gives_the_batch_filters_belief(world, seed):
+    drawn = world(seed, duration=5.0, hidden=(1.0, 2.0), blunder=0.05)
+    track, joints = drawn.features.tracks["effector"], drawn.features.joints
+    batch = estimate(replace(drawn.features, tracks={"effector": replace(track, std=None)}), drawn.body, MODEL)
+    live = Estimator(drawn.body)
+    events = sorted([(t, 0, k) for k, t in enumerate(joints.t)] + [(t, 1, k) for k, t in enumerate(track.t)])
+    beliefs = []
+    for t, seen, k in events:
+        if seen:
+            live.step(t, effector=track.values[k])
+        else:
+            beliefs.append(live.step(t, joints=dict(zip(joints.names, joints.values[k], strict=True))))
+    np.testing.assert_allclose([b.x for b in beliefs], batch.joints.values, atol=1e-8, rtol=0)
+    np.testing.assert_allclose([b.cov for b in beliefs], batch.cov, atol=1e-10, rtol=0)
+    assert live.step(1.0, joints=joints.values[0]).t == events[-1][0]
+    assert live.skipped == 1
+
+
+def test_a_mistaken_blob_does_no_harm(world):
+    worse = []
+    for seed in range(4):
+        clean, spoilt = (world(seed, duration=15.0, blunder=share) for share in (0.0, 0.06))
+        found = [rmse(estimate(w.features, w.body, MODEL), w)["joint_rmse"] for w in (clean, spoilt)]
+        worse.append(found[1] / found[0])
+    assert np.mean(worse) < 1.1
+
+
+def test_error_bars_are_true_and_the_gap_is_no_exception(world):
+    nees, inside, hidden = [], [], []
+    for seed in range(6):
+        drawn = world(seed, hidden=(6.0, 8.0), pixel_std=0.1)
+        found = estimate(drawn.features, drawn.body, Estimation())
+        score = rmse(found, drawn)
+        nees.append([score[f"nees/{name}"] for name in drawn.body.joints])
+        inside.append(score["coverage_2sigma"])
+        gap = (found.joints.t > 6.0) & (found.joints.t < 8.0)
+        ratio = (found.joints.values - drawn.truth.values)[gap] ** 2 / np.einsum("nii->ni", found.cov[gap])
+        hidden.append(ratio.mean())
+    assert np.all((np.mean(nees, axis=0) > 0.85) & (np.mean(nees, axis=0) < 1.2))
+    assert 93.0 < np.mean(inside) < 97.0
+    assert 0.7 < np.mean(hidden) < 1.4
+
+
+def test_vision_alone_replaces_a_silent_encoder(world):
+    drawn = world(3)
+    found = estimate(drawn.features, drawn.body, Estimation(senses=("pan", "elbow", "vision")))
+    assert rmse(found, drawn)["joint_rmse/lift"] < 0.01
+
+
+def test_predictions_and_errors_are_standardised(world):
+    drawn = world(2, hidden=(6.0, 8.0))
+    found = estimate(drawn.features, drawn.body, Estimation())
+    track = drawn.features.tracks["effector"]
+    assert found.predicted["effector"].t.tolist() == track.t.tolist()
+    seen = np.isfinite(track.values).all(axis=1)
+    np.testing.assert_allclose(
+        found.errors["effector"].values,
+        ((track.values - found.predicted["effector"].values) / found.predicted["effector"].std)[seen],
+    )
+    assert 0.6 < np.mean(found.errors["effector"].values ** 2) < 1.3
+    assert 0.9 < np.nanmean(found.errors["encoders"].values ** 2) < 1.1
+
+
+def test_the_extended_filter_is_close_but_not_the_same(world):
+    drawn = world(0)
+    iterated, once = (estimate(drawn.features, drawn.body, replace(MODEL, method=m)) for m in ("laplace", "ekf"))
+    apart = np.abs(iterated.joints.values - once.joints.values).max()
+    assert 1e-8 < apart < 5e-3
+
+
+def test_same_input_same_bytes(world):
+    drawn = world(0, duration=5.0)
+    one, two = (estimate(drawn.features, drawn.body, Estimation()) for _ in range(2))
+    assert one.joints.values.tobytes() == two.joints.values.tobytes()
+    assert one.cov.tobytes() == two.cov.tobytes()
+
+
+def test_nan_and_backward_times_are_skipped_and_counted(world):
+    drawn = world(0, duration=5.0)
+    joints = drawn.features.joints
+    values, t = joints.values.copy(), joints.t.copy()
+    values[50:60] = np.nan
+    values[70:80, 0] = np.nan
+    t[100:110] = t[40:50]
+    spoilt = Series(t, values, joints.names, joints.unit, joints.source_ns)
+    found = estimate(replace(drawn.features, joints=spoilt), drawn.body, Estimation())
+    assert found.used["encoders"].rejected == {"time runs backwards": 10, "not a number": 10}
+    assert rmse(found, drawn)["joint_rmse"] < 0.01

@@ -1,0 +1,77 @@
+"""What may be asked of a log, and the one line each impossible wish is answered with."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import EvidenceError, LogError, ModelError, UsageError
+from bodylog.estimation import METHODS, estimate
+from bodylog.settings import Estimation
+
+
+def unseen(drawn):
+    track = drawn.features.tracks["effector"]
+    return replace(drawn.features, tracks={"effector": replace(track, values=np.full_like(track.values, np.nan))})
+
+
+def test_joints_are_matched_by_name_whatever_their_order(world):
+    drawn = world(0, duration=3.0)
+    joints = drawn.features.joints
+    turned = replace(joints, names=joints.names[::-1], values=joints.values[:, ::-1])
+    one = estimate(drawn.features, drawn.body, Estimation())
+    two = estimate(replace(drawn.features, joints=turned), drawn.body, Estimation())
+    np.testing.assert_array_equal(one.joints.values, two.joints.values)
+    assert one.joints.names == ("pan", "lift", "elbow")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_model_of_another_robot_names_both(world, method):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(ModelError, match=r"(?s)gripper.*elbow, pan, lift") as caught:
+        estimate(drawn.features, replace(drawn.body, joints=("pan", "lift", "gripper")), Estimation(method=method))
+    assert caught.value.exit_code == 65 and "\n" not in str(caught.value)
+
+
+def test_a_named_sense_without_sightings_is_an_error_and_a_guessed_one_a_finding(world):
+    drawn = world(0, duration=3.0)
+    with pytest.raises(EvidenceError, match="vision: asked for.*0 of 36 used, 36 out of view"):
+        estimate(unseen(drawn), drawn.body, Estimation(senses=("encoders", "vision")))
+    found = estimate(unseen(drawn), drawn.body, Estimation())
+    assert any("effector: nothing usable" in finding.text for finding in found.findings)
+
+
+def test_touch_asked_for_without_skin_is_an_error(world):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(EvidenceError, match="touch: asked for"):
+        estimate(drawn.features, drawn.body, Estimation(senses=("encoders", "touch")))
+
+
+def test_an_unknown_sense_names_those_there_are(world):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(UsageError, match="'sonar' is none of encoders, vision, touch, effector, elbow, lift, pan|sonar"):
+        estimate(drawn.features, drawn.body, Estimation(senses=("sonar",)))
+
+
+def test_nothing_at_all_is_an_error(world):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(EvidenceError, match="no sense has anything to say"):
+        estimate(replace(unseen(drawn), joints=None), drawn.body, Estimation())
+
+
+def test_vision_alone_needs_to_be_told_where_it_starts(world):
+    drawn = world(0, duration=2.0)
+    features = replace(drawn.features, joints=None)
+    with pytest.raises(LogError, match="give `start`"):
+        estimate(features, drawn.body, Estimation())
+    found = estimate(features, drawn.body, Estimation(start=tuple(drawn.truth.values[0])))
+    assert np.isfinite(found.joints.values).all()
+    with pytest.raises(UsageError, match="2 angles given, the body has 3"):
+        estimate(features, drawn.body, Estimation(start=(0.0, 0.0)))
+
+
+@pytest.mark.parametrize(("field", "value"), [("method", "oracle"), ("rate", -1.0)])
+def test_settings_that_make_no_sense(world, field, value):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(UsageError, match=field):
+        estimate(drawn.features, drawn.body, replace(Estimation(), **{field: value}))

@@ -1,0 +1,61 @@
+"""The full-interval posterior against the textbook smoother and against the filter."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate
+from bodylog.evaluation.scores import scores
+from bodylog.settings import Estimation
+
+MODEL = Estimation(method="smoother", precision="model", bias="off")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_on_a_linear_body_it_is_the_rts_smoother(world, reference, linear_model, seed):
+    drawn = world(seed, duration=8.0, model=linear_model, hidden=(2.0, 3.0))
+    found = estimate(drawn.features, drawn.body, MODEL)
+    expected = reference(drawn, np.full(3, 0.3), np.full(3, 0.02**2), 0.4**2)
+    at = np.searchsorted(expected.t, found.joints.t)
+    np.testing.assert_allclose(found.joints.values, expected.smooth[at, :3], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(found.rate.values, expected.smooth[at, 3:], atol=1e-8, rtol=0)
+    np.testing.assert_allclose(found.cov, expected.smooth_cov[at, :3, :3], atol=1e-9, rtol=0)
+
+
+def test_its_last_row_is_the_filters_last_row(world, linear_model):
+    drawn = world(5, duration=6.0, model=linear_model, camera_hz=10.0)
+    track = drawn.features.tracks["effector"]
+    kept = track.t < drawn.features.joints.t[-1]
+    track = replace(
+        track, t=track.t[kept], values=track.values[kept], source_ns=track.source_ns[kept], std=track.std[kept]
+    )
+    features = replace(drawn.features, tracks={"effector": track})
+    smooth, filtered = (estimate(features, drawn.body, replace(MODEL, method=m)) for m in ("smoother", "laplace"))
+    np.testing.assert_allclose(smooth.joints.values[-1], filtered.joints.values[-1], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(smooth.cov[-1], filtered.cov[-1], atol=1e-10, rtol=0)
+
+
+def test_the_future_helps_most_where_nothing_was_seen(world):
+    gains, gaps = [], []
+    for seed in range(3):
+        drawn = world(seed, hidden=(6.0, 8.0))
+        errors = []
+        for method in ("laplace", "smoother"):
+            found = estimate(drawn.features, drawn.body, Estimation(method=method))
+            error = found.joints.values - drawn.truth.values
+            gap = (found.joints.t > 6.0) & (found.joints.t < 8.0)
+            errors.append((np.sqrt(np.mean(error**2)), np.sqrt(np.mean(error[gap] ** 2))))
+        gains.append(errors[1][0] / errors[0][0])
+        gaps.append(errors[1][1] / errors[0][1])
+    assert np.mean(gains) < 0.6
+    assert np.mean(gaps) < 0.7
+
+
+def test_it_is_not_over_confident(world):
+    inside = []
+    for seed in range(4):
+        drawn = world(seed)
+        found = estimate(drawn.features, drawn.body, Estimation(method="smoother"))
+        inside.append({s.name: s.value for s in scores(found, drawn.truth, None)}["coverage_2sigma"])
+    assert np.mean(inside) > 94.0
