@@ -20,6 +20,7 @@ MESSAGE_HEAD = np.dtype(
 """The first 31 bytes of a Message record: the payload follows."""
 
 _BLOCK = 4096
+_BLOCK_BYTES = 4 << 20
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _U64 = struct.Struct("<Q")
 _INDEX_HEAD = struct.Struct("<BQHI")
@@ -170,7 +171,7 @@ def loose_messages(data: memoryview, run: Loose) -> Iterator[Messages]:
         opcode, length = unpack(data, at)
         if opcode == MESSAGE:
             starts.append(at)
-            if len(starts) == _BLOCK:
+            if len(starts) == _BLOCK or at - starts[0] > _BLOCK_BYTES:
                 yield _at(data, starts)
                 starts = []
         at += HEAD.size + length

@@ -83,7 +83,7 @@ class McapLog:
                 whole = np.frombuffer(self._data, np.uint8)
                 for found in loose_messages(self._data, part):
                     yield whole, found
-                    forget(self._data, int(found.starts[0]), int(found.starts[-1]))
+                    forget(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
             elif wanted is None or not part.listed or not part.indexes or wanted[list(part.indexes)].any():
                 content = load(self._data, part, buffer, self._ledger)
                 if content is not None:

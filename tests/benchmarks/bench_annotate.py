@@ -1,0 +1,172 @@
+"""Annotating a log of raw pictures against a plain copy of it and against mcap's reader piped to its writer; memory.
+
+`python -m tests.benchmarks.bench_annotate 1300` does it at 1300 MB, and the memory at 200 and 2000 MB.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from bodylog.logs import cdr
+from bodylog.logs.annotate import annotate
+from bodylog.logs.messages import from_estimate, from_features
+from bodylog.logs.ros1 import known_definition
+from bodylog.types import Array, Estimate, Features, Outgoing, Series
+
+from .timing import side_by_side
+
+_START = 1_700_000_000_000_000_000
+_WIDTH, _HEIGHT, _RATE, _STEPS = 640, 480, 30, 100
+_IMAGE = "sensor_msgs/msg/Image"
+_JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+_CHILD = """
+import resource, sys
+from pathlib import Path
+from bodylog.logs.annotate import annotate
+from bodylog.logs.ingest import ingest
+from bodylog.settings import Settings
+from tests.benchmarks.bench_annotate import estimate
+what, log, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
+if what == "ingest":
+    ingest(log, out, Settings())
+else:
+    annotate(log, estimate(10.0), {}, out)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def main(megabytes: int = 300) -> None:
+    """Print the times side by side, the memory, and the bounds they are held to."""
+    with tempfile.TemporaryDirectory() as folder:
+        log, out = Path(folder) / "log.mcap", Path(folder) / "out.mcap"
+        seconds = record(log, megabytes)
+        outgoing = estimate(seconds)
+        count = sum(len(o.log_ns) for o in outgoing)
+        print(f"{log.stat().st_size / 1e6:.0f} MB in chunks, {seconds:.0f} s; {count} messages are added")
+        cases = {
+            "plain copy": lambda: shutil.copyfile(log, out),
+            "plain copy, synced": lambda: _synced_copy(log, out),
+            "bodylog annotate (synced, re-opened, counted)": lambda: annotate(log, outgoing, {}, out),
+            "mcap reader -> writer": lambda: _by_mcap(log, out),
+        }
+        # Each removes what it wrote, so that the next finds memory of this machine's own to put its pages in.
+        cases = {name: partial(_and_remove, case, out) for name, case in cases.items()}
+        plain, synced, ours, mcap = side_by_side("annotating", cases, repeats=3).values()
+        print(f"  against a plain copy {ours / plain:.2f} (bound 1.5), against a synced one {ours / synced:.2f}")
+        print(f"  mcap's reader piped to its writer takes {mcap / ours:.1f} x as long (bound 4)")
+        log.unlink()
+        worst = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (30, 300))
+    if ours > 1.5 * plain or mcap < 4 * ours or worst > 1.1:
+        sys.exit("a bound is broken")
+
+
+def record(path: Path, megabytes: int, chunked: bool = True) -> float:
+    """Write about that much of raw 640x480 pictures with sensor noise at 30 Hz; returns how many seconds they last."""
+    rng = np.random.default_rng(0)
+    slope = np.linspace(40, 200, _WIDTH)[:, None] + np.zeros(3)
+    noisy = [np.clip(slope + rng.normal(0, 4, (_HEIGHT, _WIDTH, 3)), 0, 255).astype(np.uint8) for _ in range(6)]
+    count = int(megabytes * 1e6 / noisy[0].size)
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, use_chunking=chunked, compression=CompressionType.ZSTD)
+        writer.start("ros2", "benchmark")
+        schema = writer.register_schema(_IMAGE, "ros2msg", known_definition(_IMAGE) or b"")
+        channel = writer.register_channel("/camera/image", "cdr", schema)
+        for i in range(count):
+            stamp = _START + i * 1_000_000_000 // _RATE
+            writer.add_message(channel, stamp, _image(stamp, noisy[i % len(noisy)]), stamp)
+        writer.finish()
+    return count / _RATE
+
+
+def _image(stamp: int, picture: Array) -> bytes:
+    fields: list[cdr.Field] = [
+        *cdr.header(np.array([stamp]), "camera"),
+        ("uint32", _HEIGHT),
+        ("uint32", _WIDTH),
+        ("string", "rgb8"),
+        ("uint8", 0),
+        ("uint32", 3 * _WIDTH),
+        ("uint8[]", picture.reshape(1, -1)),
+    ]
+    return cdr.serialise(1, fields).data.tobytes()
+
+
+def estimate(seconds: float) -> list[Outgoing]:
+    """What an estimate at 100 Hz and tracks at 30 Hz add to a log of that length."""
+    rng = np.random.default_rng(1)
+    joints, rate = _series(rng, seconds, _STEPS, _JOINTS), _series(rng, seconds, _STEPS, _JOINTS)
+    track = _series(rng, seconds, _RATE, ("u", "v"))
+    features = Features(joints, {"effector": track, "hand": track}, (), (), (), {})
+    found = Estimate(
+        method="laplace",
+        joints=joints,
+        rate=rate,
+        cov=rng.normal(size=(len(joints.t), 3, 3)),
+        errors={"encoders": rate, "effector": track},
+        free_energy=rng.normal(size=len(joints.t)),
+        used={},
+        predicted={"effector": track},
+        predicted_cov={"effector": np.tile(np.eye(2), (len(track.t), 1, 1))},
+        settings={},
+    )
+    return from_features(features, _START, "/camera/image") + from_estimate(found, features, _START, "/camera/image")
+
+
+def _series(rng: np.random.Generator, seconds: float, rate: int, names: tuple[str, ...]) -> Series:
+    ns = np.arange(int(seconds * rate)) * 1_000_000_000 // rate
+    values = rng.normal(size=(len(ns), len(names)))
+    return Series(ns / 1e9, values, names, "", _START + ns, np.abs(values))
+
+
+def _and_remove(case: Callable[[], object], out: Path) -> None:
+    case()
+    out.unlink()
+
+
+def _synced_copy(log: Path, out: Path) -> None:
+    shutil.copyfile(log, out)
+    with out.open("rb") as stream:
+        os.fsync(stream.fileno())
+
+
+def _by_mcap(log: Path, out: Path) -> None:
+    with log.open("rb") as source, out.open("wb") as target:
+        writer = McapWriter(target, compression=CompressionType.ZSTD)
+        writer.start("ros2", "benchmark")
+        channels: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.id not in channels and schema is not None:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            number = channels[channel.id]
+            writer.add_message(number, message.log_time, message.data, message.publish_time, message.sequence)
+        writer.finish()
+
+
+def _memory(folder: Path, sizes: tuple[int, int]) -> float:
+    """Print the largest resident memory of three jobs at both sizes; returns the worst ratio of the two."""
+    print(f"\npeak memory, logs of {sizes[0]} and {sizes[1]} MB (10 s of messages are added to each)")
+    worst = 0.0
+    for job, chunked in {"annotate by copying": True, "annotate by rewriting": False, "ingest": True}.items():
+        peaks = []
+        for size in sizes:
+            record(folder / "log.mcap", size, chunked)
+            command = [sys.executable, "-c", _CHILD, job, folder / "log.mcap", folder / "out.mcap"]
+            peaks.append(float(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
+        print(f"  {job:<24} {peaks[0]:7.1f} MB {peaks[1]:7.1f} MB   x{peaks[1] / peaks[0]:.2f} (bound 1.1)")
+        worst = max(worst, peaks[1] / peaks[0])
+    return worst
+
+
+if __name__ == "__main__":
+    main(*(int(argument) for argument in sys.argv[1:]))
