@@ -31,7 +31,10 @@ def template(layout: Layout, payload: bytes) -> Template:
 
 def agrees(rows: Array, known: Template) -> Array:
     """True (n,) for the rows whose constant bytes are the template's."""
-    differs: Array = ((rows.view(np.uint64) ^ known.reference) & known.mask) != 0
+    differs = rows.view(np.uint64) ^ known.reference
+    differs &= known.mask
+    if not differs.max(initial=0):
+        return np.ones(len(rows), bool)
     return np.logical_not(differs.any(axis=1))
 
 

@@ -79,6 +79,8 @@ def _order(seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what
 
 
 def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -> Array:
+    if names == order:
+        return positions
     values = np.full((len(positions), len(order)), np.nan)
     for place, name in enumerate(order):
         if name in names:
@@ -125,12 +127,13 @@ def _joined(
 ) -> Signal:
     if not places:
         return Signal(np.empty(0, np.int64), None, np.empty((0, len(names))), names, dict(rejected))
-    rows = np.concatenate([r for r, _ in places])
-    order = np.argsort(rows, kind="stable")
+    rows, joined = np.concatenate([r for r, _ in places]), np.concatenate(values)
     stamps = [s for _, s in places if s is not None]
-    stamp_ns = np.concatenate(stamps)[order] if len(stamps) == len(places) else None
-    joined = np.concatenate(values)[order] if len(values) > 1 else values[0][order]
-    return Signal(rows[order], stamp_ns, joined, names, dict(rejected))
+    stamp_ns = np.concatenate(stamps) if len(stamps) == len(places) else None
+    if (np.diff(rows) < 0).any():
+        order = np.argsort(rows, kind="stable")
+        rows, joined, stamp_ns = rows[order], joined[order], None if stamp_ns is None else stamp_ns[order]
+    return Signal(rows, stamp_ns, joined, names, dict(rejected))
 
 
 def merged(t_ns: Array, values: Array) -> tuple[Array, Array, int]:

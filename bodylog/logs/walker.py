@@ -92,13 +92,13 @@ class Walker:
         self.pos += 8
 
     def _text(self, type_: str, wanted: Wanted) -> None:
-        length = self._count() * (2 if type_ == "wstring" else 1)
+        if type_ == "wstring":
+            raise FormatError(f"{self.definition.root}: a wstring; writers disagree on the size of its characters")
+        length = self._count()
         self._need(length, f"a text of {length} bytes")
         if wanted:
             self.constants.append((self.pos, self.pos + length))
-            raw = bytes(self.payload[self.pos : self.pos + length])
-            wide = "utf-16-be" if self.big else "utf-16-le"
-            text = raw.decode(wide if type_ == "wstring" else "utf-8", errors="replace").removesuffix("\0")
+            text = self.payload[self.pos : self.pos + length].decode(errors="replace").removesuffix("\0")
             for k, _ in wanted:
                 self.texts[k].append(text)
         self.pos += length

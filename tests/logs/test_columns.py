@@ -398,3 +398,9 @@ def test_a_message_cut_inside_its_numbers_does_not_borrow_its_neighbour(batch):
     payloads[1] = payloads[1][: place + 4]
     found = columns(Messages(payloads, batch), joint_topic(), JOINT_FIELDS)
     assert (found.sound.tolist(), dict(found.rejected)) == ([0, 2], {"malformed": 1})
+
+
+def test_text_whose_width_is_unknown_is_rejected_and_what_comes_before_it_is_not():
+    log, wide = Messages([b"\0\1\0\0" + struct.pack("<dI6s", 2.5, 3, b"a\0b\0c\0")]), topic("float64 x\nwstring y")
+    assert columns(log, wide, ("x",)).column("x").tolist() == [2.5]
+    assert dict(columns(log, wide, ("y",)).rejected) == {"malformed": 1}

@@ -1,6 +1,7 @@
 """Whole recordings from small logs written here: joints by name, time, health, frames in order, and one-line errors."""
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,19 @@ def test_frames_come_in_time_order_even_when_the_file_is_not(tmp_path):
         assert [int(f.image[0, 0, 0]) for f in frames] == list(range(0, 250, 5))
     assert got.health["camera"].used == 50
     assert any("out of order" in finding.text for finding in got.findings)
+
+
+def test_frames_are_streamed(tmp_path):
+    noise = np.random.default_rng(1).integers(0, 256, (80, 80, 3), np.uint8)
+    rows = [(T0 + 40 * MS * i, compressed(T0 + 40 * MS * i, noise)) for i in range(300)]
+    size = sum(len(payload) for _, payload in rows)
+    frames = read(write(tmp_path / "a.mcap", [camera("/cam", rows)], chunk=1 << 16), PLAIN).frames
+    assert frames is not None
+    tracemalloc.start()
+    count = sum(1 for _ in frames())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count == 300 and peak < size / 5
 
 
 def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
