@@ -1,6 +1,8 @@
 """Marginal likelihood of an SE-ARD Gaussian process with constant mean, its gradient, and what maximises it."""
 
 from dataclasses import dataclass
+from functools import cache
+from typing import Any
 
 import numpy as np
 
@@ -86,26 +88,22 @@ def condition(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior:
 
 def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
     """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
-    from scipy.linalg.lapack import dpotri
-
-    kernel = hyper(theta)
+    kernel, (count, group) = hyper(theta), y.shape
     gram = _gram(kernel, x)
     found = _condition(gram, kernel, y, spread)
-    inverse, _ = dpotri(found.chol, lower=1, overwrite_c=1)
-    group = y.shape[1]
-    trace = found.alpha.ravel() @ found.alpha.ravel() - group * np.trace(inverse)
-    z = np.column_stack([np.ones(len(x)), (x - x.mean(axis=0)) / kernel.scales])
-    # the factor leaves zeros above the diagonal: twice the lower triangle, less its diagonal
+    inverse = _lapack().dpotri(found.chol, lower=1, overwrite_c=1)[0]
+    diagonal = inverse.ravel(order="F")[:: count + 1].copy()
+    trace = np.vdot(found.alpha, found.alpha) - group * diagonal.sum()
+    z = np.ones((count, x.shape[1] + 1))
+    z[:, 1:] = (x - x.mean(axis=0)) / kernel.scales
+    fits = gram @ (found.alpha[:, :, None] * z[:, None, :]).reshape(count, -1)
+    pull = (found.alpha[:, :, None] * fits.reshape(count, group, -1)).sum(axis=1)
+    # the factor leaves zeros above the diagonal: the lower triangle and its transpose, less the diagonal once
     inverse *= gram.T
-    inverse *= -2.0 * group
-    inverse[np.diag_indices_from(inverse)] *= 0.5
-    rows, columns = inverse @ z, inverse.T @ z
-    for a in found.alpha.T:
-        fit = a[:, None] * (gram @ (a[:, None] * z))
-        rows, columns = rows + fit, columns + fit
-    # Σ P (zᵢ − zⱼ)² = zᵢ²·row sums + zⱼ²·column sums − 2 zᵢ P zⱼ, P not symmetric
-    scales = np.square(z[:, 1:]).T @ (rows[:, 0] + columns[:, 0]) - 2.0 * (z[:, 1:] * rows[:, 1:]).sum(axis=0)
-    gradient = 0.5 * np.concatenate([[rows[:, 0].sum()], scales, [kernel.noise * trace]])
+    rows = pull - group * (inverse @ z + inverse.T @ z - (kernel.amplitude * diagonal)[:, None] * z)
+    # Σ P (zᵢ − zⱼ)² = 2 zᵢ² Σⱼ P − 2 zᵢ P zⱼ for symmetric P
+    turned = (z * (z * rows[:, :1] - rows)).sum(axis=0)
+    gradient = np.concatenate([[0.5 * rows[:, 0].sum()], turned[1:], [0.5 * kernel.noise * trace]])
     return found.evidence, gradient
 
 
@@ -145,35 +143,42 @@ def _gram(kernel: Hyper, x: Array) -> Array:
 
 
 def _condition(gram: Array, kernel: Hyper, y: Array, spread: Spread) -> Posterior:
-    from scipy.linalg.lapack import dpotrs
-
     chol = cholesky(gram, spread, kernel.noise)
-    solved, _ = dpotrs(chol, np.column_stack([np.ones(len(y)), y]), lower=1)
+    sides = np.ones((len(y), y.shape[1] + 1), order="F")
+    sides[:, 1:] = y
+    solved = _lapack().dpotrs(chol, sides, lower=1, overwrite_b=1)[0]
     mean = solved[:, 1:].sum(axis=0) / solved[:, 0].sum()
     alpha = solved[:, 1:] - solved[:, :1] * mean
-    fit = ((y - mean) * alpha).sum()
-    entropy = y.shape[1] * (np.log(np.diag(chol)).sum() + 0.5 * len(y) * np.log(2.0 * np.pi))
+    fit = np.vdot(y - mean, alpha)
+    entropy = y.shape[1] * (np.log(chol.diagonal()).sum() + 0.5 * len(y) * np.log(2.0 * np.pi))
     return Posterior(alpha, mean, chol, float(-0.5 * fit - entropy))
 
 
 def cholesky(gram: Array, spread: Spread, noise: float) -> Array:
     """Lower factor (n,n) of gram + spread + noise I, zeros above; jitter grows tenfold until it exists."""
-    from scipy.linalg.lapack import dpotrf
-
-    jitter = _JITTER * float(np.mean(np.diag(gram)))
+    count, dpotrf = len(gram), _lapack().dpotrf
+    diagonal = spread.diagonal + noise
+    jitter = _JITTER * float(gram.trace() or diagonal.sum()) / count
     for _ in range(9):
-        matrix = gram.T.copy(order="F")
-        matrix[np.diag_indices_from(matrix)] += spread.diagonal + (noise + jitter)
-        matrix[spread.i, spread.j] += spread.value
-        chol, failed = dpotrf(matrix, lower=1, overwrite_a=1)
+        matrix = gram.copy()
+        matrix.ravel()[:: count + 1] += diagonal + jitter
+        if len(spread.i):
+            matrix[spread.j, spread.i] += spread.value
+        # its transpose is in LAPACK's order, and as it is symmetric, the same
+        chol, failed = dpotrf(matrix.T, lower=1, overwrite_a=1)
         if not failed:
             return np.asarray(chol)
         jitter *= 10.0
-    raise np.linalg.LinAlgError(f"the kernel of {len(gram)} samples is not positive definite")
+    raise np.linalg.LinAlgError(f"the kernel of {count} samples is not positive definite")
 
 
 def inverse_lower(chol: Array) -> Array:
     """Inverse (n,n) of a lower triangular factor."""
-    from scipy.linalg.lapack import dtrtri
+    return np.ascontiguousarray(_lapack().dtrtri(chol, lower=1)[0])
 
-    return np.ascontiguousarray(dtrtri(chol, lower=1)[0])
+
+@cache
+def _lapack() -> Any:
+    from scipy.linalg import lapack
+
+    return lapack

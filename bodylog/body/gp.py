@@ -2,13 +2,15 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
 from ..types import Array
 
 _BLOCK_BYTES = 4 << 20
+_STRIP = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,7 +18,7 @@ class GP:
     """One sense's learned model: D outputs on shared centres, one squared-exponential kernel (G=1) or one each (G=D).
 
     outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² ·
-    mean (D,) unit · weights (D,n) · factor (G,n,n): variance = amplitude − |factor k|² · noise (D,) unit² found
+    mean (D,) unit · weights (D,n) · lower factor (G,n,n): variance = amplitude − |factor k|² · noise (D,) unit² found
     beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
     """
 
@@ -42,16 +44,19 @@ class GP:
         value, slope, spread = self._empty(len(x))
         for group, rows, kernel in self._kernels(x):
             self._linear(group, x[rows], kernel, value[rows], slope[rows])
-            left = self.amplitude[group] - np.square(kernel @ self.factor[group].T).sum(axis=1)
+            left = self.amplitude[group] - np.square(self._projected(group, kernel)).sum(axis=-1)
             spread[rows, self._members(group)] = np.maximum(left, 0.0)[:, None]
         return value, slope, spread
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         kernel, value, slope = self._at(x)
-        projected = np.matmul(self.factor, kernel[:, :, None])[:, :, 0]
-        left = np.maximum(self.amplitude - np.einsum("gn,gn->g", projected, projected), 0.0)
-        return value, slope, np.repeat(left, len(value) // len(left))
+        spread = np.empty(len(value))
+        spread[:] = self.amplitude
+        for group, row in enumerate(kernel):
+            seen = _times(self.factor[group], row)
+            spread[group if len(kernel) > 1 else slice(None)] -= seen @ seen
+        return value, slope, np.maximum(spread, 0.0, out=spread)
 
     def mean_one(self, x: Array) -> tuple[Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad; the short way."""
@@ -69,7 +74,7 @@ class GP:
         result = np.empty((len(self.scales), len(x), len(x)))
         for group, scales in enumerate(self.scales):
             kernel = se(x / scales, self.centres / scales, self.amplitude[group])
-            projected = kernel @ self.factor[group].T
+            projected = self._projected(group, kernel)
             result[group] = se(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T
         return result
 
@@ -79,7 +84,7 @@ class GP:
         for group, rows, kernel in self._kernels(x):
             for m, scale in enumerate(self.scales[group]):
                 lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
-                left = self.amplitude[group] / scale**2 - np.square(lean @ self.factor[group].T).sum(axis=1)
+                left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
                 result[rows, self._members(group), m] = np.maximum(left, 0.0)[:, None]
         return result
 
@@ -89,6 +94,12 @@ class GP:
         kernel = np.exp(self._exponent @ (lifted * lifted))
         sums = (kernel * self.weights) @ lifted.T
         return kernel, sums[:, -1] + self.mean, sums[:, :-1] * self._minus_precision
+
+    def _projected(self, group: int, kernel: Array) -> Array:
+        """factor · k for kernel (N,n); zeros above the diagonal are passed over in strips."""
+        factor, count = self.factor[group], kernel.shape[1]
+        strips = [(start, min(start + _STRIP, count)) for start in range(0, count, _STRIP)]
+        return np.concatenate([kernel[:, :stop] @ factor[start:stop, :stop].T for start, stop in strips], axis=1)
 
     def _linear(self, group: int, x: Array, kernel: Array, value: Array, slope: Array) -> None:
         """Fill value (N,D) and slope (N,D,M) of the group's outputs: dk/dx = −k (x − z)/l², sums over centres."""
@@ -134,11 +145,26 @@ class GP:
         return np.asarray(-1.0 / self.scales**2)
 
 
+def _times(lower: Array, vector: Array) -> Array:
+    """lower (n,n) · vector (n,), reading only the triangle once it no longer fits the nearest cache."""
+    if len(vector) <= _STRIP:
+        return np.asarray(lower @ vector)
+    return np.asarray(_dtrmv()(lower.T, vector, lower=0, trans=1))
+
+
+@cache
+def _dtrmv() -> Any:
+    from scipy.linalg.blas import dtrmv
+
+    return dtrmv
+
+
 def se(a: Array, b: Array, amplitude: float) -> Array:
     """Squared-exponential kernel between a (N,M) and b (n,M), both divided by their length scales: (N,n)."""
     half_a, half_b = np.square(a).sum(axis=1), np.square(b).sum(axis=1)
-    left = np.column_stack([a, np.full(len(a), 1.0), -0.5 * half_a])
-    right = np.column_stack([b, -0.5 * half_b, np.full(len(b), 1.0)])
+    left, right = (np.ones((len(part), part.shape[1] + 2)) for part in (a, b))
+    left[:, :-2], left[:, -1] = a, -0.5 * half_a
+    right[:, :-2], right[:, -2] = b, -0.5 * half_b
     exponent = left @ right.T
     np.minimum(exponent, 0.0, out=exponent)
     np.exp(exponent, out=exponent)

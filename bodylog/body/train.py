@@ -14,7 +14,9 @@ from .sparse import Basis, basis, inducing, posterior, sums
 EXACT = 500
 """Up to so many samples the posterior is exact: one prediction costs O(n²)."""
 
-_RESTARTS = 4
+RESTARTS = 4
+"""How many first guesses the search for a kernel starts from."""
+
 _SCOUTS = 200
 _ROUNDS = 8
 _SETTLED = 0.01
@@ -107,7 +109,7 @@ def search(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper
     scouts = spaced(len(x), _SCOUTS)
     sx, sy = _deviation(x), float(np.mean(_deviation(y)))
     few = x[scouts] / sx, y[scouts] / sy, independent(spread.diagonal[scouts] / sy**2)
-    found = maximise(*few, prior.scaled(1.0 / sx), starts(few[0], seed, _RESTARTS))
+    found = maximise(*few, prior.scaled(1.0 / sx), starts(few[0], seed, RESTARTS))
     best = Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
     return polish(best, x, y, spread, prior) if len(scouts) < len(x) else best
 
