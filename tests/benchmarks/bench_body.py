@@ -1,0 +1,176 @@
+"""Body learning beside scikit-learn and beside LAPACK: python -m tests.benchmarks.bench_body [--long]."""
+
+import resource
+import sys
+import time
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+
+from bodylog.body.evidence import FLAT, ROTATION, evidence, independent
+from bodylog.body.gp import GP
+from bodylog.body.train import RESTARTS, Samples, build, fitted, samples
+from bodylog.types import Array
+
+from .timing import side_by_side
+
+_LOW, _HIGH = np.array([-0.8, -0.4, 0.1]), np.array([0.8, 0.9, 1.2])
+_NOISE_PX = 0.3
+
+
+def project(q: Array) -> Array:
+    """Pixels (N,2) of a three-joint arm's end effector at q (N,3) rad."""
+    pan, lift, elbow = q.T
+    reach = 0.42 * np.cos(lift) + 0.39 * np.cos(lift + elbow)
+    height = 0.42 * np.sin(lift) + 0.39 * np.sin(lift + elbow)
+    depth = 1.6 - reach * np.cos(pan)
+    return np.column_stack([160 + 280 * reach * np.sin(pan) / depth, 120 - 280 * (height - 0.3) / depth])
+
+
+def drawn(count: int, seed: int = 0) -> Samples:
+    """Samples of the arm at random angles, with pixel noise."""
+    draw = np.random.default_rng(seed)
+    x = draw.uniform(_LOW, _HIGH, (count, 3))
+    return samples(x, project(x) + draw.normal(0, _NOISE_PX, (count, 2)))
+
+
+def error(gp: GP) -> float:
+    """Root mean square error against the true arm, px, at 2000 fresh angles."""
+    x = np.random.default_rng(99).uniform(_LOW, _HIGH, (2000, 3))
+    return float(np.sqrt(np.mean((gp.means(x)[0] - project(x)) ** 2)))
+
+
+def exact(data: Samples) -> GP:
+    """The exact GP, hyperparameters by evidence on all the samples."""
+    count = len(data.x)
+    return build(data, fitted(data, FLAT, True, 0, count), ("u", "v"), "px", count)
+
+
+def peer(data: Samples, gp: GP | None = None, restarts: int = 0) -> object | None:
+    """scikit-learn's regressor for the same model, fitted by its own optimiser, or with gp's hyperparameters."""
+    try:
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+    except ImportError:
+        return None
+    centre = data.y.mean(axis=0) if gp is None else gp.mean
+    variance = float(data.y.var())
+    amplitude, scales, noise = (variance, 2 * data.x.std(axis=0), 0.01 * variance)
+    if gp is not None:
+        amplitude, scales, noise = gp.amplitude[0], gp.scales[0], gp.noise[0]
+    shape = ConstantKernel(amplitude, (1e-3, 1e9)) * RBF(scales, (1e-3, 1e3)) + WhiteKernel(noise, (1e-9, 1e6))
+    alpha = 1e-10 * float(amplitude)
+    optimizer = "fmin_l_bfgs_b" if gp is None else None
+    regressor = GaussianProcessRegressor(
+        shape, alpha=alpha, optimizer=optimizer, n_restarts_optimizer=restarts, random_state=0
+    )
+    return regressor.fit(data.x, data.y - centre)
+
+
+def agree(count: int) -> None:
+    """Evidence and prediction of both at the same hyperparameters."""
+    data = drawn(count)
+    gp = exact(data)
+    other = peer(data, gp)
+    x = np.random.default_rng(5).uniform(_LOW, _HIGH, (500, 3))
+    theta = np.log(np.concatenate([gp.amplitude, gp.scales[0], gp.noise[:1]]))
+    ours = evidence(theta, data.x, data.y, independent(np.zeros(count)))[0]
+    value, std = other.predict(x, return_std=True)
+    mean, _, spread = gp.predict(x)
+    apart = abs(ours / other.log_marginal_likelihood_value_ - 1)
+    # its standard deviation is that of a reading: the noise is in it
+    wide, off = np.abs(np.sqrt(spread + gp.noise) / std - 1).max(), np.abs(value + gp.mean - mean).max()
+    print(f"  n={count}: evidence {apart:.1e} relative, mean {off:.1e} px, standard deviation {wide:.1e} relative")
+
+
+def fits(count: int) -> None:
+    """One fit of each, and how good a kernel each found."""
+    data = drawn(count)
+    cases: dict[str, Callable[[], object]] = {f"fit n={count}: bodylog, {RESTARTS} starts": lambda: exact(data)}
+    if peer(drawn(10)) is not None:
+        cases[f"fit n={count}: scikit-learn, 1 start"] = lambda: peer(data)
+        if count < 1000:
+            cases[f"fit n={count}: scikit-learn, {RESTARTS} starts"] = lambda: peer(data, restarts=RESTARTS - 1)
+    if count < 1000:
+        side_by_side(f"Fit, n = {count}, 2 outputs", cases, 3)
+        return
+    print(f"\nFit, n = {count}, 2 outputs, once each")
+    for name, case in cases.items():
+        started = time.perf_counter()
+        case()
+        print(f"  {name:<52} {time.perf_counter() - started:10.2f} s")
+
+
+def single(count: int) -> None:
+    """Mean, Jacobian and variance at one point; the peer by central differences, its seven points in one call."""
+    data = drawn(count)
+    gp, rounds = exact(data), 300
+    x, steps = np.array([0.1, 0.2, 0.6]), np.vstack([np.zeros((1, 3)), 1e-5 * np.eye(3), -1e-5 * np.eye(3)])
+
+    def repeat(once: Callable[[], object]) -> Callable[[], object]:
+        return lambda: [once() for _ in range(rounds)]
+
+    cases = {
+        "mean, Jacobian, variance": repeat(lambda: gp.predict_one(x)),
+        "mean, Jacobian": repeat(lambda: gp.mean_one(x)),
+        "the variance's matrix times one vector alone": repeat(lambda: gp.factor[0] @ gp.weights[0]),
+    }
+    other = peer(data, gp)
+    if other is not None:
+        around = x + steps
+        cases["scikit-learn predict(return_std), differences"] = repeat(lambda: other.predict(around, return_std=True))
+    side_by_side(f"One point, n = {count}, {rounds} times", cases, 3)
+
+
+def curve() -> None:
+    """Learning curve and what it costs: exact to 2000, on inducing points beyond."""
+    print("\nLearning curve (rms error against the true arm, px) and seconds to fit")
+    print("| n | exact px | exact s | inducing points | sparse px | sparse s |\n|---|---|---|---|---|---|")
+    for count in (10, 20, 46, 100, 200, 500, 1000, 2000, 10_000, 100_000):
+        data, row = drawn(count), [f"{count}"]
+        if count <= 2000:
+            started = time.perf_counter()
+            gp = exact(data)
+            row += [f"{error(gp):.3f}", f"{time.perf_counter() - started:.2f}"]
+        else:
+            row += ["", ""]
+        started = time.perf_counter()
+        gp = build(data, fitted(data, ROTATION, True, 0), ("u", "v"), "px")
+        row += [str(len(gp.centres)), f"{error(gp):.3f}", f"{time.perf_counter() - started:.2f}"]
+        print("| " + " | ".join(row) + " |")
+    print(f"  peak memory so far {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB")
+
+
+def large() -> None:
+    """100,000 samples on inducing points against the exact posterior of 3,000 of them."""
+    data = drawn(100_000)
+    started = time.perf_counter()
+    found = fitted(data, ROTATION, True, 0)
+    gp = build(data, found, ("u", "v"), "px")
+    seconds = time.perf_counter() - started
+    part = data.rows(np.arange(3000))
+    few = build(part, fitted(part, ROTATION, True, 0), ("u", "v"), "px", 3000)
+    print(f"\nn = 100,000: {seconds:.1f} s, {len(gp.centres)} inducing points, error {error(gp):.4f} px", end="")
+    print(f" (exact posterior of 3,000: {error(few):.4f} px)")
+
+
+def main() -> None:
+    """Print everything; --long adds the fit at n = 2000, minutes for the peer."""
+    warnings.simplefilter("ignore")
+    if peer(drawn(10)) is None:
+        print("scikit-learn is not installed: its columns are left out (pip install scikit-learn)")
+    else:
+        print("Agreement with scikit-learn at the same hyperparameters")
+        for count in (46, 500):
+            agree(count)
+    for count in (46, 500, *((2000,) if "--long" in sys.argv else ())):
+        fits(count)
+    for count in (46, 500):
+        single(count)
+    large()
+    curve()
+
+
+if __name__ == "__main__":
+    main()
