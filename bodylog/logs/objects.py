@@ -119,5 +119,7 @@ class ObjectDecoder:
                 values.append(tuple(str(x) for x in key))
                 continue
             array = np.array([v[k] for _, v in rows]).reshape(len(rows), key)
+            # Whole numbers past 64 bits come as objects.
+            array = array.astype(np.float64) if array.dtype.kind == "O" else array
             values.append(array[:, 0] if self.single[k] and key == 1 else array)
         return Part(np.array([row for row, _ in rows]), tuple(values))

@@ -4,7 +4,6 @@ import base64
 import json
 import struct
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ from bodylog.errors import FormatError
 from bodylog.logs.images import ENCODINGS, decoder, refusal
 from bodylog.types import Topic
 
-from .writing import T0, cdr, compressed, define, header
+from .writing import T0, cdr, compressed, define, descriptors, header, wire
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 RAW_TEXT = """builtin_interfaces/Time timestamp
@@ -170,34 +169,6 @@ def test_foxglove_pictures_in_json_and_ros2msg():
     payload = b"\0\1\0\0" + body + struct.pack("<II", 93, bgr.size) + bgr[:, :, ::-1].tobytes()
     read = decoder(topic("foxglove_msgs/msg/RawImage", RAW_TEXT.encode()))
     np.testing.assert_array_equal(read(payload, 1), bgr)
-
-
-def varint(value: int) -> bytes:
-    out = b""
-    while value > 0x7F:
-        out, value = out + bytes([value & 0x7F | 0x80]), value >> 7
-    return out + bytes([value])
-
-
-def wire(number: int, value: Any) -> bytes:
-    """One protobuf record: int as varint, 4 bytes in a tuple as fixed32, anything else length-delimited."""
-    if isinstance(value, int):
-        return varint(number << 3) + varint(value)
-    if isinstance(value, tuple):
-        return varint(number << 3 | 5) + value[0]
-    return varint(number << 3 | 2) + varint(len(value)) + value
-
-
-def descriptors(package: str, messages: dict[str, list[tuple[str, int, int, str]]]) -> bytes:
-    """A FileDescriptorSet: message -> fields (name, number, type, type name)."""
-    file = wire(2, package.encode())
-    for name, fields in messages.items():
-        body = wire(1, name.encode())
-        for label, number, kind, of in fields:
-            described = wire(1, label.encode()) + wire(3, number) + wire(4, 1) + wire(5, kind)
-            body += wire(2, described + wire(6, of.encode()))
-        file += wire(4, body)
-    return wire(1, file)
 
 
 def test_foxglove_pictures_in_protobuf():

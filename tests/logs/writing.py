@@ -98,3 +98,33 @@ def compressed(stamp_ns: int, image: np.ndarray, suffix: str = ".png", form: str
 def camera(topic: str, messages: Sequence[tuple[int, bytes]]) -> Stream:
     """A CompressedImage channel."""
     return Stream(topic, "sensor_msgs/msg/CompressedImage", define("sensor_msgs/msg/CompressedImage"), messages)
+
+
+def varint(value: int) -> bytes:
+    """A protobuf varint."""
+    out = b""
+    while value > 0x7F:
+        out, value = out + bytes([value & 0x7F | 0x80]), value >> 7
+    return out + bytes([value])
+
+
+def wire(number: int, value: Any) -> bytes:
+    """One protobuf record: int as varint, 4 bytes in a tuple as fixed32, anything else length-delimited."""
+    if isinstance(value, int):
+        return varint(number << 3) + varint(value)
+    if isinstance(value, tuple):
+        return varint(number << 3 | 5) + value[0]
+    return varint(number << 3 | 2) + varint(len(value)) + value
+
+
+def descriptors(package: str, messages: dict[str, list[tuple[str, int, int, str]]]) -> bytes:
+    """A FileDescriptorSet: message -> fields (name, number, type, type name); names ending in [] repeat."""
+    file = wire(2, package.encode())
+    for name, fields in messages.items():
+        body = wire(1, name.encode())
+        for label, number, kind, of in fields:
+            repeated = 3 if label.endswith("[]") else 1
+            described = wire(1, label.removesuffix("[]").encode()) + wire(3, number) + wire(4, repeated) + wire(5, kind)
+            body += wire(2, described + wire(6, of.encode()))
+        file += wire(4, body)
+    return wire(1, file)

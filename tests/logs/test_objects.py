@@ -1,0 +1,128 @@
+"""JSON and protobuf messages as columns, and what becomes of broken ones."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bodylog.errors import FormatError
+from bodylog.logs.columns import columns
+from bodylog.logs.stamps import stamp_field
+from bodylog.types import Topic
+
+from .test_columns import Messages
+from .writing import descriptors, wire
+
+SCHEMA = descriptors("google.protobuf", {"Timestamp": [("seconds", 1, 3, ""), ("nanos", 2, 5, "")]}) + descriptors(
+    "robot",
+    {
+        "Joint": [("name", 1, 9, ""), ("angle", 2, 1, "")],
+        "State": [
+            ("timestamp", 1, 11, ".google.protobuf.Timestamp"),
+            ("joints[]", 2, 11, ".robot.Joint"),
+            ("temperature", 3, 2, ""),
+            ("offset", 4, 17, ""),
+            ("level", 5, 5, ""),
+            ("packed_values[]", 6, 1, ""),
+            ("counts[]", 7, 13, ""),
+            ("label", 8, 9, ""),
+            ("wide", 9, 16, ""),
+        ],
+    },
+)
+
+
+def topic(definition: bytes, encoding: str, type_: str) -> Topic:
+    return Topic(1, "/x", type_, encoding, definition, {"json": "jsonschema"}.get(encoding, encoding), 3)
+
+
+def state(n: int) -> bytes:
+    joints = b"".join(wire(2, wire(1, name) + b"\x11" + struct.pack("<d", n + k)) for k, name in ((0, b"a"), (1, b"b")))
+    numbers = wire(3, (struct.pack("<f", 0.5 * n),)) + wire(4, 2 * n + 1) + wire(5, (1 << 64) - 7)
+    packed = wire(6, struct.pack("<3d", n, 1, 2)) + wire(7, b"\x05\x80\x02") + wire(7, 9)
+    stamp, wide = wire(1, wire(1, 5) + wire(2, n)), b"\x49" + struct.pack("<q", -n)
+    return stamp + joints + numbers + packed + wire(8, b"abc") + wide
+
+
+KEYS = ("q", "header", "stamp", "sec")
+STATE = topic(SCHEMA, "protobuf", "robot.State")
+
+
+def test_protobuf_fields_of_every_kind():
+    fields = (
+        "timestamp", "joints[:].angle", "joints[:].name", "temperature", "offset", "level", "packed_values", "counts",
+        "label", "wide", "joints[:]{name==\"b\"}.angle", "joints[-1].angle",
+    )  # fmt: skip
+    got = columns(Messages([state(n) for n in range(3)]), STATE, fields)
+    assert (got.fallback, dict(got.rejected)) == (3, {})
+    assert got.column("timestamp").tolist() == [5 * 10**9 + n for n in range(3)]
+    assert got.column("joints[:].angle").tolist() == [[n, n + 1] for n in range(3)]
+    assert got.parts[0].values[2] == ("a", "b")
+    assert got.column("temperature").tolist() == [0, 0.5, 1]
+    assert got.column("offset").tolist() == [-1, -2, -3]
+    assert got.column("level").tolist() == [-7] * 3
+    assert got.column("packed_values").tolist() == [[n, 1, 2] for n in range(3)]
+    assert got.column("counts").tolist() == [[5, 256, 9]] * 3
+    assert got.column("wide").tolist() == [0, -1, -2]
+    assert got.column('joints[:]{name=="b"}.angle').tolist() == [[n + 1] for n in range(3)]
+    assert got.column("joints[-1].angle").tolist() == [n + 1 for n in range(3)]
+
+
+def test_absent_protobuf_numbers_are_zero_and_absent_messages_rejected():
+    got = columns(Messages([b""]), STATE, ("temperature", "label"))
+    assert (got.column("temperature").tolist(), got.parts[0].values[1]) == ([0], ("",))
+    got = columns(Messages([b""]), STATE, ("timestamp.seconds",))
+    assert dict(got.rejected) == {"field missing": 1}
+
+
+@pytest.mark.parametrize(
+    ("definition", "type_", "says"),
+    [
+        (b"\xff\xff\xff", "robot.State", "not a FileDescriptorSet"),
+        (b"", "robot.State", "defines no robot.State"),
+        (SCHEMA, "robot.Sate", "defines no robot.Sate; it has google.protobuf.Timestamp, robot.Joint, robot.State"),
+    ],
+)
+def test_schemas_that_do_not_fit_are_refused(definition, type_, says):
+    with pytest.raises(FormatError, match=says):
+        columns(Messages([]), topic(definition, "protobuf", type_), ("label",))
+
+
+def test_stamps_are_found_in_schemas():
+    assert stamp_field(STATE) == "timestamp"
+    assert stamp_field(topic(SCHEMA, "protobuf", "robot.Joint")) is None
+    schema = {"properties": {"header": {"type": "object"}, "q": {"type": "array"}}}
+    assert stamp_field(topic(json.dumps(schema).encode(), "json", "x")) == "header.stamp"
+    assert stamp_field(topic(b'{"properties": {"timestamp": {}}}', "json", "x")) == "timestamp"
+    assert stamp_field(topic(b"", "json", "x")) is None
+    assert stamp_field(topic(b"[1", "json", "x")) is None
+
+
+@settings(max_examples=150, deadline=None)
+@given(flips=st.lists(st.tuples(st.integers(0, 300), st.integers(1, 255)), max_size=4), cut=st.integers(0, 200))
+def test_damaged_protobuf_is_counted_and_never_crashes(flips, cut):
+    broken = bytearray(state(3)[:cut])
+    for where, bits in flips if broken else ():
+        broken[where % len(broken)] ^= bits
+    got = columns(Messages([bytes(broken)]), STATE, ("timestamp", "joints[:].angle", "counts", "label"))
+    assert len(got.sound) + sum(got.rejected.values()) == 1
+
+
+def test_whole_numbers_past_64_bits_become_floats():
+    got = columns(Messages([b'{"q": [1, 1000000000000000000000]}']), topic(b"", "json", "x"), ("q",))
+    assert got.column("q").tolist() == [[1, 1e21]]
+
+
+@settings(max_examples=150, deadline=None)
+@given(payload=st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner),
+    max_leaves=12,
+))  # fmt: skip
+def test_any_json_is_counted_and_never_crashes(payload):
+    got = columns(Messages([json.dumps(payload).encode()]), topic(b"", "json", "x"), ("header.stamp", "q", "q[0]"))
+    assert len(got.sound) + sum(got.rejected.values()) == 1
+    np.testing.assert_array_equal(got.sound, np.arange(len(got.sound)))
