@@ -15,7 +15,7 @@ from .arms import Arm
 from .camera import FAR, NEAR, Camera
 
 EFFECTOR_RADIUS, HAND_RADIUS = 0.025, 0.035
-_FINE = 480
+_FINE = 300
 
 
 @dataclass(frozen=True)

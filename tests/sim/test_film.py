@@ -6,6 +6,8 @@ from bodylog.sim import record
 
 from . import reading
 
+pytest.importorskip("pybullet", reason="recording needs PyBullet, which has no wheels for this Python")
+
 
 def centroid(picture, channel):
     """Centroid (u, v) of the largest blob that is more `channel` than anything else, weighted by how much more."""

@@ -12,6 +12,8 @@ from bodylog.sim.stage import START_NS
 
 from . import reading
 
+pytest.importorskip("pybullet", reason="recording needs PyBullet, which has no wheels for this Python")
+
 SMALL = {"size": (160, 120)}
 
 

@@ -9,6 +9,8 @@ from bodylog.sim.arms import ARMS
 
 from . import reading
 
+pytest.importorskip("pybullet", reason="recording needs PyBullet, which has no wheels for this Python")
+
 SMALL = {"size": (160, 120)}
 EVERY = [(name, variant) for name, entry in SCENARIOS.items() for variant in entry.variants]
 
