@@ -21,7 +21,7 @@ MESSAGE_HEAD = np.dtype(
 
 _BLOCK = 4096
 _BLOCK_BYTES = 4 << 20
-_CHUNK_HEAD = struct.Struct("<QQQII")
+CHUNK_HEAD = struct.Struct("<QQQII")
 _U64 = struct.Struct("<Q")
 _INDEX_HEAD = struct.Struct("<BQHI")
 
@@ -57,11 +57,11 @@ class Messages(NamedTuple):
 
 def chunk_head(data: memoryview, start: int) -> tuple[int, int, int, int, str, memoryview]:
     """Start, end (ns), unpacked size, CRC, compression and packed bytes of the Chunk at `start`; or FormatError."""
-    if start < 0 or len(data) - start < HEAD.size + _CHUNK_HEAD.size:
+    if start < 0 or len(data) - start < HEAD.size + CHUNK_HEAD.size:
         raise FormatError(f"byte {start}: too few bytes for a chunk")
     opcode, length = HEAD.unpack_from(data, start)
-    first, last, size, crc, letters = _CHUNK_HEAD.unpack_from(data, start + HEAD.size)
-    at = start + HEAD.size + _CHUNK_HEAD.size + letters
+    first, last, size, crc, letters = CHUNK_HEAD.unpack_from(data, start + HEAD.size)
+    at = start + HEAD.size + CHUNK_HEAD.size + letters
     if opcode != CHUNK or length > len(data) - start - HEAD.size or letters > 16 or at + 8 > len(data):
         raise FormatError(f"byte {start}: opcode {opcode} with {length} bytes is no whole chunk")
     packed = _U64.unpack_from(data, at)[0]

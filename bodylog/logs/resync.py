@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..types import Array
-from .chunks import MESSAGE_HEAD, chunk_head, heads_of
+from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, heads_of
 from .compression import NAMES
 from .records import (
     CHANNEL,
@@ -51,7 +51,7 @@ def sound_records(
                 break
             continue
         if chunked is None:
-            chunked = resync(data, at, min(end, at + _AHEAD), _IN_CHUNKED, ()) is not None
+            chunked = _chunk_like(data, at) or resync(data, at, min(end, at + _AHEAD), _IN_CHUNKED, ()) is not None
         low = at if held is None or held[0] == CHUNK else held[1] + 1
         found = resync(data, low, end, *_sought(chunked, channels))
         begin = at
@@ -64,6 +64,20 @@ def sound_records(
         lost(begin, at - begin)
     if held:
         yield held
+
+
+def _chunk_like(data: memoryview, at: int) -> bool:
+    """Whether a chunk begins at a damaged place: at least two signs of its head are there."""
+    if len(data) - at < HEAD.size + _CHUNK_FIXED:
+        return False
+    opcode, length = HEAD.unpack_from(data, at)
+    _, _, size, _, letters = CHUNK_HEAD.unpack_from(data, at + HEAD.size)
+    name = at + HEAD.size + CHUNK_HEAD.size
+    named = [known for known in NAMES if data[name : name + len(known)] == known.encode()]
+    packed = int.from_bytes(data[name + len(named[-1]) : name + len(named[-1]) + 8], "little")
+    signs = [opcode == CHUNK, letters > 0 and letters == len(named[-1]), length == _CHUNK_FIXED + letters + packed]
+    signs += [letters == 0 and length == _CHUNK_FIXED + size, letters == 0 and 0 < packed == size]
+    return sum(signs) >= 2
 
 
 def _sought(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
