@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ..types import Array
-from .gp import se
 
 _JITTER = 1e-10
 
@@ -83,19 +82,19 @@ ROTATION = Prior(np.ones(()), 0.35)
 
 def condition(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior:
     """Posterior of outputs y (n,G) that share `kernel`, with known noise `spread`."""
-    return _condition(_gram(kernel, x), kernel, y, spread)
+    return _condition(_gram(kernel.amplitude, (x - x.mean(axis=0)) / kernel.scales), kernel, y, spread)
 
 
 def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
     """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
     kernel, (count, group) = hyper(theta), y.shape
-    gram = _gram(kernel, x)
+    z = np.ones((count, x.shape[1] + 1))
+    z[:, 1:] = (x - x.mean(axis=0)) / kernel.scales
+    gram = _gram(kernel.amplitude, z[:, 1:])
     found = _condition(gram, kernel, y, spread)
     inverse = _lapack().dpotri(found.chol, lower=1, overwrite_c=1)[0]
     diagonal = inverse.ravel(order="F")[:: count + 1].copy()
     trace = np.vdot(found.alpha, found.alpha) - group * diagonal.sum()
-    z = np.ones((count, x.shape[1] + 1))
-    z[:, 1:] = (x - x.mean(axis=0)) / kernel.scales
     fits = gram @ (found.alpha[:, :, None] * z[:, None, :]).reshape(count, -1)
     pull = (found.alpha[:, :, None] * fits.reshape(count, group, -1)).sum(axis=1)
     # the factor leaves zeros above the diagonal: the lower triangle and its transpose, less the diagonal once
@@ -107,19 +106,23 @@ def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, A
     return found.evidence, gradient
 
 
-def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: list[Hyper], iterations: int = 100) -> Hyper:
-    """The kernel of greatest evidence under the prior, by L-BFGS-B from any of the starts; x and y of order one."""
+def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: list[Hyper]) -> Hyper:
+    """The kernel of greatest evidence under the prior; x and y of order one.
+
+    L-BFGS-B takes five steps from each start, and from the best of where they lead goes on until it settles.
+    """
+    thetas = [start.theta for start in starts]
+    if len(thetas) > 1:
+        thetas = [min((_descend(t, x, y, spread, prior, 5) for t in thetas), key=lambda found: found.fun).x]
+    return hyper(_descend(thetas[0], x, y, spread, prior, 200).x)
+
+
+def _descend(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior, steps: int) -> Any:
     from scipy.optimize import minimize
 
     bounds = [(-10.0, 16.0)] + [(-5.0, 10.0)] * x.shape[1] + [(-23.0, 3.0)]
-    best, value = starts[0], -np.inf
-    for start in starts:
-        first = np.clip(start.theta, *np.transpose(bounds))
-        options = {"maxiter": iterations, "ftol": 1e-10}
-        found = minimize(_loss, first, (x, y, spread, prior), "L-BFGS-B", True, bounds=bounds, options=options)
-        if -found.fun > value:
-            best, value = hyper(found.x), -found.fun
-    return best
+    first, options = np.clip(theta, *np.transpose(bounds)), {"maxiter": steps, "ftol": 1e-9}
+    return minimize(_loss, first, (x, y, spread, prior), "L-BFGS-B", True, bounds=bounds, options=options)
 
 
 def starts(x: Array, seed: int, count: int) -> list[Hyper]:
@@ -137,9 +140,12 @@ def _loss(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior) -> tup
     return 0.5 * float(away @ away) - value, -gradient
 
 
-def _gram(kernel: Hyper, x: Array) -> Array:
-    z = (x - x.mean(axis=0)) / kernel.scales
-    return se(z, z, kernel.amplitude)
+def _gram(amplitude: float, z: Array) -> Array:
+    half = 0.5 * (np.log(amplitude) - np.einsum("nm,nm->n", z, z))
+    gram = z @ z.T
+    gram += half[:, None]
+    gram += half
+    return np.asarray(np.exp(gram, out=gram))
 
 
 def _condition(gram: Array, kernel: Hyper, y: Array, spread: Spread) -> Posterior:
