@@ -69,8 +69,9 @@ def decoder(topic: Topic) -> Callable[[bytes, int], Array]:
     def decode(payload: bytes, k: int) -> Array:
         try:
             return unpack(read(payload), k)
-        except FormatError as error:
-            raise FormatError(f"{topic.name}: {error}") from None
+        except (FormatError, TypeError, ValueError) as error:
+            # JSON may hold anything under any name.
+            raise FormatError(f"{topic.name}: {str(error).removeprefix(f'{topic.name}: ')}") from None
 
     return decode
 

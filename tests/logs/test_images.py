@@ -187,6 +187,21 @@ def test_foxglove_pictures_in_protobuf():
 
 
 @pytest.mark.parametrize(
+    "odd",
+    [
+        {"height": "x"}, {"height": -2, "width": -3}, {"data": [1, 2]}, {"data": "*"}, {"data": None},
+        {"step": {"a": 1}}, {"encoding": 7},
+    ],
+)  # fmt: skip
+def test_json_pictures_that_hold_something_else_are_refused(odd):
+    held = {"width": 1, "height": 1, "encoding": "mono8", "step": 1, "data": "AA=="}
+    read = decoder(topic("foxglove.RawImage", b"{}", "json"))
+    assert read(json.dumps(held).encode(), 1).shape == (1, 1, 3)
+    with pytest.raises(FormatError, match=r"^/cam: "):
+        read(json.dumps({**held, **odd}).encode(), 1)
+
+
+@pytest.mark.parametrize(
     ("type_", "text", "says"),
     [
         (COMPRESSED, "16UC1; compressedDepth png", "compressedDepth"),
