@@ -80,7 +80,8 @@ def _joint_state(t: int, angles: Array) -> bytes:
     out = bytearray(b"\0\1\0\0" + struct.pack("<iI", *divmod(t, 1_000_000_000)))
     for text in ("base", None, *_NAMES):
         out += b"\0" * (-len(out) % 4)
-        out += struct.pack("<I", len(_NAMES)) if text is None else struct.pack("<I", len(text) + 1) + text.encode() + b"\0"
+        held = b"" if text is None else text.encode() + b"\0"
+        out += struct.pack("<I", len(_NAMES) if text is None else len(held)) + held
     for values in (angles, angles * 0, angles * 0):
         out += b"\0" * (-len(out) % 4) + struct.pack("<I", len(values))
         out += b"\0" * ((4 - len(out)) % 8) + values.tobytes()
