@@ -14,6 +14,7 @@ FIELDS = 7
 _COARSE_WIDTH = 160
 _FAINT = 0.25
 _SMALLEST = 9
+_MARGIN = 10
 _SOFT, _ROOM = 2.0, 12.0
 
 Box = tuple[int, int, int, int]
@@ -56,9 +57,8 @@ def _measured(image: Array, box: Box, colour: Range) -> tuple[float, ...] | None
     import cv2
 
     x0, y0, x1, y1 = box
-    margin = 8 + max(x1 - x0, y1 - y0) // 4
-    left, top = max(0, x0 - margin), max(0, y0 - margin)
-    window = image[top : y1 + margin, left : x1 + margin]
+    left, top = max(0, x0 - _MARGIN), max(0, y0 - _MARGIN)
+    window = np.ascontiguousarray(image[top : y1 + _MARGIN, left : x1 + _MARGIN])
     core = _largest(mask(cv2.cvtColor(window, cv2.COLOR_BGR2HSV), colour))
     if cv2.countNonZero(core) < _SMALLEST:
         return None

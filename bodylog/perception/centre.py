@@ -4,6 +4,8 @@ The centre is that of the blob's mixing weight: how far each pixel lies from the
 own, which an anti-aliased or blurred edge crosses linearly and a mask does not.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from ..types import Array
@@ -11,7 +13,7 @@ from ..types import Array
 _SOFT, _GUARD = 3, 2
 _DEADBAND, _FULL = 0.15, 0.97
 _CORRELATED = 9.0
-_FEWEST = 12
+_FEWEST, _MANY = 12, 3000
 _QUIETEST = 0.01
 _CALIBRATED = 1.25
 _DOUBT = 1 / 7
@@ -48,6 +50,7 @@ def measure(window: Array, core: Array) -> tuple[float, float, float, float, flo
     return u, v, std_u, std_v, mass, contrast
 
 
+@lru_cache(maxsize=512)
 def _powers(size: int) -> Array:
     """1, x, x² of the pixels of a row or column: (3,size)."""
     x = np.arange(size, dtype=np.float32)
@@ -87,7 +90,12 @@ def _shade(mixing: Array, inner: Array, x: Array, y: Array) -> tuple[float, Arra
 
 def _weight(mixing: Array, grown: Array) -> Array:
     """Covered share of each pixel, with what is little set to none: (H,W) 0..1."""
-    return np.clip((mixing - _DEADBAND) * (1 / (_FULL - _DEADBAND)), 0, 1) * grown
+    weight = mixing - np.float32(_DEADBAND)
+    weight *= np.float32(1 / (_FULL - _DEADBAND))
+    np.minimum(weight, 1, out=weight)
+    np.maximum(weight, 0, out=weight)
+    weight *= grown
+    return weight
 
 
 def _centroid(weight: Array, x: Array, y: Array) -> tuple[float, float, float]:
@@ -110,9 +118,10 @@ def _noise(mixing: Array, outer: Array, band: float) -> float:
     """
     import cv2
 
-    where = outer[::2, ::2].astype(bool)
-    single = _deviation(mixing[::2, ::2][where])
-    square = 4.0 * _deviation(cv2.boxFilter(mixing, -1, (4, 4))[::2, ::2][where])
+    some = slice(None, None, 2 if outer.size < _MANY else 4)
+    where = outer[some, some].view(bool)
+    single = _deviation(mixing[some, some][where])
+    square = 4.0 * _deviation(cv2.boxFilter(mixing, -1, (4, 4))[some, some][where])
     across = min(max((band - 1) / 3, 0.0), 1.0)
     summed = square ** (0.5 + 0.5 * across) * single ** (0.5 - 0.5 * across)
     return float(_CALIBRATED / (_FULL - _DEADBAND) * summed)

@@ -3,6 +3,7 @@
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import islice
 
 import numpy as np
 
@@ -13,7 +14,10 @@ from . import blobs, choose
 from .ranges import Range, nearest, resolve
 
 _THREADS = 2
-_AHEAD = 8
+_BATCH, _AHEAD = 4, 4
+
+Seen = tuple[Array | None, int]
+"""What one picture shows (None: undecodable), and its width in px."""
 
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
@@ -46,53 +50,52 @@ def track(
     return tracks, health, tuple(findings)
 
 
-def in_order(
-    frames: Iterable[Frame], task: Callable[[Frame], Array | None], threads: int = _THREADS
-) -> Iterator[tuple[Frame, Array | None]]:
-    """Each frame with task(frame), in order; at most _AHEAD frames are under way, on `threads` threads."""
-    waiting: deque[tuple[Frame, Future[Array | None]]] = deque()
-    with ThreadPoolExecutor(threads) as pool:
+def in_order(frames: Iterable[Frame], task: Callable[[Frame], Seen]) -> Iterator[tuple[Frame, Seen]]:
+    """Each frame with task(frame), in order, on a pool of threads a few frames ahead of the reader and no more."""
+    waiting: deque[tuple[list[Frame], Future[list[Seen]]]] = deque()
+    source = iter(frames)
+    with ThreadPoolExecutor(_THREADS) as pool:
         try:
-            for frame in frames:
-                waiting.append((frame, pool.submit(task, frame)))
+            while batch := list(islice(source, _BATCH)):
+                waiting.append((batch, pool.submit(lambda some: [task(frame) for frame in some], batch)))
                 if len(waiting) > _AHEAD:
-                    yield _first(waiting)
+                    yield from _first(waiting)
             while waiting:
-                yield _first(waiting)
+                yield from _first(waiting)
         finally:
             for _, future in waiting:
                 future.cancel()
 
 
-def _first(waiting: "deque[tuple[Frame, Future[Array | None]]]") -> tuple[Frame, Array | None]:
-    frame, future = waiting.popleft()
-    return frame, future.result()
+def _first(waiting: "deque[tuple[list[Frame], Future[list[Seen]]]]") -> Iterator[tuple[Frame, Seen]]:
+    batch, future = waiting.popleft()
+    return zip(batch, future.result(), strict=True)
 
 
 def _look_at_all(
     frames: Iterator[Frame], ranges: Sequence[Range], progress: Callable[[int], None] | None
 ) -> tuple[Array, Array, Array, Array, float]:
-    """t (N,) · source_ns (N,) · blobs (N,colours,…) · undecodable (N,) bool · width of the pictures in px."""
+    """t (N,) · source_ns (N,) · blobs (N,colours,…) · undecodable (N,) bool · width of the widest picture in px."""
     none = np.full((len(ranges), blobs.CANDIDATES, blobs.FIELDS), np.nan)
-    t, source_ns, found, broken, widths = [], [], [], [], [0.0]
+    t, source_ns, found, broken, width = [], [], [], [], 0
 
-    def task(frame: Frame) -> Array | None:
+    def task(frame: Frame) -> Seen:
         try:
             image = frame.decode(1)
         except InputError:
-            return None
-        widths[0] = max(widths[0], float(image.shape[1]))
-        return blobs.look(image, ranges)
+            return None, 0
+        return blobs.look(image, ranges), image.shape[1]
 
-    for frame, seen in in_order(frames, task):
+    for frame, (seen, wide) in in_order(frames, task):
         t.append(frame.t)
         source_ns.append(frame.source_ns)
         found.append(none if seen is None else seen)
         broken.append(seen is None)
+        width = max(width, wide)
         if progress:
             progress(1)
     stacked = np.stack(found) if found else none[None][:0]
-    return np.array(t), np.array(source_ns, dtype=np.int64), stacked, np.array(broken, dtype=bool), widths[0]
+    return np.array(t), np.array(source_ns, dtype=np.int64), stacked, np.array(broken, dtype=bool), float(width)
 
 
 def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:

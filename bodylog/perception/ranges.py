@@ -20,12 +20,21 @@ _NAMED: dict[str, tuple[int, int]] = {
 _SATURATION, _VALUE = 90, 50
 
 
-@dataclass(frozen=True, eq=False)
-class Range:
-    """What counts as a colour: low, high (3,) uint8 HSV bounds, both included; low hue above high hue wraps round."""
+Bound = tuple[int, int, int]
 
-    low: Array
-    high: Array
+
+@dataclass(frozen=True)
+class Range:
+    """What counts as a colour: one or, where the hue wraps round, two boxes of HSV (low, high), both ends included."""
+
+    parts: tuple[tuple[Bound, Bound], ...]
+
+
+def between(low: Bound, high: Bound) -> Range:
+    """The range from low to high, round the end of the hues where low hue is above high hue."""
+    if low[0] <= high[0]:
+        return Range(((low, high),))
+    return Range(((low, (180, high[1], high[2])), ((0, low[1], low[2]), high)))
 
 
 def resolve(colour: Colour, key: str) -> Range:
@@ -41,19 +50,18 @@ def resolve(colour: Colour, key: str) -> Range:
             f"colours.{key}: found {dict(colour)}; possible: low = [h, s, v] and high = [h, s, v] with h 0..180, "
             f"s and v 0..255; type: {key} = {{low = [37, 90, 50], high = [85, 255, 255]}}"
         )
-    return Range(bounds[0].astype(np.uint8), bounds[1].astype(np.uint8))
+    low, high = bounds.tolist()
+    return between((low[0], low[1], low[2]), (high[0], high[1], high[2]))
 
 
 def mask(hsv: Array, colour: Range) -> Array:
     """255 where hsv (H,W,3) lies in the range, else 0: (H,W) uint8."""
     import cv2
 
-    low, high = colour.low, colour.high
-    if low[0] <= high[0]:
-        return np.asarray(cv2.inRange(hsv, low, high))
-    upper = cv2.inRange(hsv, low, np.array([179, high[1], high[2]], dtype=np.uint8))
-    lower = cv2.inRange(hsv, np.array([0, low[1], low[2]], dtype=np.uint8), high)
-    return np.asarray(cv2.bitwise_or(upper, lower))
+    seen = cv2.inRange(hsv, *colour.parts[0])
+    for low, high in colour.parts[1:]:
+        cv2.bitwise_or(seen, cv2.inRange(hsv, low, high), seen)
+    return np.asarray(seen)
 
 
 def names() -> tuple[str, ...]:
@@ -77,9 +85,7 @@ def _by_name(colour: str, key: str) -> Range:
             f"type: {key} = \"{_closest(colour)}\""
         )
     low, high = _NAMED[colour]
-    return Range(
-        np.array([low, _SATURATION, _VALUE], dtype=np.uint8), np.array([high, 255, 255], dtype=np.uint8)
-    )
+    return between((low, _SATURATION, _VALUE), (high, 255, 255))
 
 
 def _closest(colour: str) -> str:
