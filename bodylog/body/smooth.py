@@ -2,17 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import factorial
 
 import numpy as np
 
 from ..types import Array
+from .wiener import banded, covariance, log_determinant, precision, selected_inverse, solve, transition
 
 _BIN_S = 0.01
 _NEAR = 0.25
 _DIFFUSE = 1e-8
 _STIFFEST = {2: -30.0, 3: -20.0}
 _LOOSEST = 14.0
+_STRIDE = 4.0
 _REACH = 20.0
 _CHUNK = 64
 _NEGLIGIBLE = 1e-4
@@ -46,6 +47,16 @@ class Motion:
     encoder: float
     evidence: float
     std_error: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class _System:
+    """A chain's motion of unit density: precision in bands (2p, K p), right-hand side (K p,1), its ln determinant."""
+
+    signal: Chain
+    band: Array
+    right: Array
+    logdet: float
 
 
 def chain(t: Array, z: Array) -> Chain:
@@ -82,17 +93,17 @@ def fit(signals: Sequence[Chain], order: int) -> Motion:
     """The process and encoder variance of greatest evidence over all chains; encoder profiled out, ratio searched."""
     from scipy.optimize import minimize_scalar
 
-    unit = max(signal.unit for signal in signals)
-    grid = np.arange(_STIFFEST[order], _LOOSEST, 2.0)
-    best = float(grid[int(np.argmax([_profile(signals, order, unit, r)[0] for r in grid]))])
-    low, high = max(best - 2.0, _STIFFEST[order]), best + 2.0
+    unit, systems = max(signal.unit for signal in signals), [_system(signal, order) for signal in signals]
+    grid = np.arange(_STIFFEST[order], _LOOSEST, _STRIDE)
+    best = float(grid[int(np.argmax([_profile(systems, order, unit, r)[0] for r in grid]))])
+    low, high = max(best - _STRIDE, _STIFFEST[order]), best + _STRIDE
     found = minimize_scalar(
-        lambda r: -_profile(signals, order, unit, r)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-3}
+        lambda r: -_profile(systems, order, unit, r)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-2}
     )
     ratio = float(found.x)
-    value, variance = _profile(signals, order, unit, ratio)
+    value, variance = _profile(systems, order, unit, ratio)
     density = float(np.exp(ratio) * variance / unit ** (2 * order - 1))
-    return Motion(order, density, variance, value, _std_error(signals, order, unit, ratio, density, variance))
+    return Motion(order, density, variance, value, _std_error(systems, order, unit, ratio, density, variance))
 
 
 def posterior(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array]:
@@ -100,8 +111,8 @@ def posterior(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array]:
     order = motion.order
     ratio = _ratio(signal, motion)
     diagonal, upper, right = _blocks(signal, order, ratio)
-    state = _solve(_banded(diagonal, upper), right.reshape(-1, 1))[1].reshape(-1, order)
-    own, between = _selected_inverse(diagonal, upper)
+    state = solve(banded(diagonal, upper), right)[1].reshape(-1, order)
+    own, between = selected_inverse(diagonal, upper)
     left, early, late = _place(signal, at)
     from_left, from_right, rest = _bridge(early, late, order, ratio)
     mean = (from_left * state[left] + from_right * state[left + 1]).sum(axis=1)
@@ -130,7 +141,7 @@ def coupling(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array, Ar
         right[left[first:last] - low + 1, :, columns] = from_right[first:last]
         flat = right.reshape(-1, last - first)
         own = slice(start - first, stop - first)
-        _, solved = _solve(_banded(diagonal[low:high], upper[low : high - 1]), flat[:, own])
+        _, solved = solve(banded(diagonal[low:high], upper[low : high - 1]), flat[:, own])
         parts.append(_significant(flat.T @ solved, first, start))
     i, j, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     return i, j, motion.encoder * value
@@ -156,8 +167,8 @@ def _ratio(signal: Chain, motion: Motion) -> float:
 
 def _bridge(early: Array, late: Array, order: int, ratio: float) -> tuple[Array, Array, Array]:
     """The angle between two nodes: weights (K,p) of the left and the right state, and the variance (K,) they leave."""
-    here, there = _wiener(order, early), _wiener(order, late)
-    out, on = _step(order, early), _step(order, late)
+    here, there = covariance(order, early), covariance(order, late)
+    out, on = transition(order, early), transition(order, late)
     whole = np.matmul(np.matmul(on, here), on.transpose(0, 2, 1)) + there
     gain = np.linalg.solve(whole, np.matmul(on, here)).transpose(0, 2, 1)
     from_left = out - np.matmul(gain, np.matmul(on, out))
@@ -165,130 +176,59 @@ def _bridge(early: Array, late: Array, order: int, ratio: float) -> tuple[Array,
     return from_left[:, 0], gain[:, 0], np.maximum(rest[:, 0, 0], 0.0) * np.exp(ratio)
 
 
-def _profile(signals: Sequence[Chain], order: int, unit: float, ratio: float) -> tuple[float, float]:
+def _profile(systems: Sequence[_System], order: int, unit: float, ratio: float) -> tuple[float, float]:
     """Log evidence with the encoder variance at its best value, and that value; −inf where it cannot be computed."""
     try:
-        count, misfit, volume = _parts(signals, order, unit, ratio)
+        count, misfit, volume = _parts(systems, order, unit, ratio)
     except np.linalg.LinAlgError:
         return float("-inf"), 0.0
     variance = max(misfit / count, 1e-18)
     return float(-0.5 * (count * np.log(2 * np.pi * variance) + misfit / variance + volume)), variance
 
 
-def _parts(signals: Sequence[Chain], order: int, unit: float, ratio: float) -> Array:
+def _parts(systems: Sequence[_System], order: int, unit: float, ratio: float) -> Array:
     """Degrees of freedom, squared misfit for unit encoder variance, ln|posterior precision| − ln|prior precision|.
 
     ratio is ln(process/encoder) with time counted in `unit` s.
     """
     total = np.zeros(3)
-    for signal in signals:
+    for system in systems:
+        signal = system.signal
         own = ratio + (2 * order - 1) * float(np.log(signal.unit / unit))
-        diagonal, upper, right = _blocks(signal, order, own)
-        logdet, mean = _solve(_banded(diagonal, upper), right.reshape(-1, 1))
-        misfit = max(signal.squares - float(right.ravel() @ mean.ravel()), 0.0)
-        total += signal.degrees, misfit, logdet - _prior_logdet(signal, order, own)
+        band = system.band * np.exp(-own)
+        band[-1, :order] += _DIFFUSE
+        band[-1, ::order] += signal.count
+        logdet, mean = solve(band, system.right)
+        misfit = max(signal.squares - float(np.vdot(system.right, mean)), 0.0)
+        before = order * float(np.log(_DIFFUSE)) - len(signal.gap) * order * own + system.logdet
+        total += signal.degrees, misfit, logdet - before
     return total
 
 
-def _prior_logdet(signal: Chain, order: int, ratio: float) -> float:
-    steps, constant = len(signal.gap), np.linalg.slogdet(_wiener(order, np.ones(1))[0])[1]
-    return float(order * np.log(_DIFFUSE) - steps * (order * ratio + constant) - order**2 * np.log(signal.gap).sum())
-
-
-def _wiener(order: int, gap: Array) -> Array:
-    """Covariance (K,p,p) that unit white noise in the p-th derivative brings to (angle, rate, …) within the gaps."""
-    back = np.arange(order - 1, -1, -1)
-    scale = np.array([factorial(int(b)) for b in back], float)
-    power = back[:, None] + back + 1.0
-    return np.asarray(gap[:, None, None] ** power / (power * scale[:, None] * scale))
-
-
-def _step(order: int, gap: Array) -> Array:
-    """Transition (K,p,p) of (angle, rate, …) over the gaps."""
-    lag = np.arange(order)[None, :] - np.arange(order)[:, None]
-    coefficient = np.array([[1.0 / factorial(int(k)) if k >= 0 else 0.0 for k in row] for row in lag])
-    return np.asarray(coefficient * gap[:, None, None] ** np.maximum(lag, 0))
+def _system(signal: Chain, order: int) -> _System:
+    right = np.zeros((len(signal.t) * order, 1), order="F")
+    right[::order, 0] = signal.total
+    band = banded(*precision(order, signal.gap))
+    return _System(signal, band, right, log_determinant(order, signal.gap))
 
 
 def _blocks(signal: Chain, order: int, ratio: float) -> tuple[Array, Array, Array]:
-    """Posterior precision in units of the encoder's: diagonal (K,p,p), upper (K-1,p,p); right-hand side (K,p)."""
-    gap, step = signal.gap, _step(order, signal.gap)
-    grow = gap[:, None] ** (order - np.arange(order) - 0.5)
-    unit = np.linalg.inv(_wiener(order, np.ones(1))[0])
-    inverse = unit * np.exp(-ratio) / (grow[:, :, None] * grow[:, None, :])
-    diagonal = np.zeros((len(gap) + 1, order, order))
+    """Posterior precision in units of the encoder's: diagonal (K,p,p), upper (K-1,p,p); right-hand side (K p,1)."""
+    diagonal, upper = (part * np.exp(-ratio) for part in precision(order, signal.gap))
     diagonal[0] += _DIFFUSE * np.eye(order)
-    diagonal[1:] += inverse
-    leant = np.matmul(step.transpose(0, 2, 1), inverse)
-    diagonal[:-1] += np.matmul(leant, step)
     diagonal[:, 0, 0] += signal.count
-    right = np.zeros((len(gap) + 1, order))
-    right[:, 0] = signal.total
-    return diagonal, -leant, right
-
-
-def _banded(diagonal: Array, upper: Array) -> Array:
-    """Upper band storage (2p, K p) of the block-tridiagonal matrix, as LAPACK's pb routines want it."""
-    count, order, _ = diagonal.shape
-    band = np.zeros((2 * order, count * order))
-    for i in range(order):
-        for j in range(order):
-            if j >= i:
-                band[2 * order - 1 - (j - i), j::order] = diagonal[:, i, j]
-            band[order - 1 - (j - i), order + j :: order] = upper[:, i, j]
-    return band
-
-
-def _solve(band: Array, right: Array) -> tuple[float, Array]:
-    """ln|A| and A⁻¹ right (n,k) of a banded positive definite A."""
-    from scipy.linalg.lapack import dpbtrf, dpbtrs
-
-    factor, failed = dpbtrf(band, lower=0)
-    if failed:
-        raise np.linalg.LinAlgError("the motion prior is too stiff for these times")
-    solved, _ = dpbtrs(factor, right, lower=0)
-    return 2.0 * float(np.log(factor[-1]).sum()), np.asarray(solved)
-
-
-def _selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:
-    """Diagonal (K,p,p) and upper (K-1,p,p) blocks of the inverse, by cyclic reduction: O(K), log K rounds."""
-    count = len(diagonal)
-    if count == 1:
-        return np.linalg.inv(diagonal), np.zeros((0, *diagonal.shape[1:]))
-    odd = np.linalg.inv(diagonal[1::2])
-    before, after = upper[0::2], upper[1::2]
-    left = np.matmul(before, odd)
-    right = np.matmul(odd[: len(after)], after)
-    even = diagonal[0::2].copy()
-    even[: len(left)] -= np.matmul(left, before.transpose(0, 2, 1))
-    even[1 : 1 + len(after)] -= np.matmul(after.transpose(0, 2, 1), right)
-    joined = -np.matmul(left[: len(after)], after)
-    kept, between = _selected_inverse(even, joined)
-    return _restore(kept, between, odd, left, right, count)
-
-
-def _restore(kept: Array, between: Array, odd: Array, left: Array, right: Array, count: int) -> tuple[Array, Array]:
-    """Put the eliminated blocks back: Σ_oe = −D⁻¹ B Σ_ee, Σ_oo = D⁻¹ − Σ_oe Bᵀ D⁻¹."""
-    inner, order = len(right), kept.shape[1]
-    diagonal, upper = np.empty((count, order, order)), np.empty((count - 1, order, order))
-    diagonal[0::2] = kept
-    before = -np.matmul(kept[: len(left)], left)
-    before[:inner] -= np.matmul(between[:inner], right.transpose(0, 2, 1))
-    after = -np.matmul(right, kept[1 : 1 + inner])
-    after -= np.matmul(left[:inner].transpose(0, 2, 1), between[:inner])
-    upper[0::2], upper[1::2] = before, after
-    diagonal[1::2] = odd - np.matmul(before.transpose(0, 2, 1), left)
-    diagonal[1 : 2 * inner : 2] -= np.matmul(after, right.transpose(0, 2, 1))
-    return diagonal, upper
+    right = np.zeros((len(signal.t) * order, 1))
+    right[::order, 0] = signal.total
+    return diagonal, upper, right
 
 
 def _std_error(
-    signals: Sequence[Chain], order: int, unit: float, ratio: float, density: float, variance: float
+    systems: Sequence[_System], order: int, unit: float, ratio: float, density: float, variance: float
 ) -> tuple[float, float]:
     """Standard errors of (process, encoder) from the curvature of the evidence in their logarithms."""
 
     def value(process: float, encoder: float) -> float:
-        count, misfit, volume = _parts(signals, order, unit, ratio + process - encoder)
+        count, misfit, volume = _parts(systems, order, unit, ratio + process - encoder)
         log_variance = np.log(variance) + encoder
         return float(-0.5 * (count * log_variance + misfit / np.exp(log_variance) + volume))
 
@@ -299,5 +239,5 @@ def _std_error(
     pe = (value(h, h) - value(h, -h) - value(-h, h) + value(-h, -h)) / (4 * h**2)
     area = pp * ee - pe**2
     if not (pp < 0 and ee < 0 and area > 0):  # at the edge of the search: nothing is known of the process
-        return float("inf"), float(variance * np.sqrt(2.0 / sum(signal.degrees for signal in signals)))
+        return float("inf"), float(variance * np.sqrt(2.0 / sum(system.signal.degrees for system in systems)))
     return float(density * np.sqrt(-ee / area)), float(variance * np.sqrt(-pp / area))
