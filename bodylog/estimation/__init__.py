@@ -23,4 +23,6 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     """The belief by `settings.method`; ModelError, EvidenceError or UsageError when it cannot be had."""
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is none of {', '.join(METHODS)}")
+    if settings.touch == "literal" and settings.method != "predictive-coding":
+        raise UsageError("touch: 'literal' is the paper's form, for predictive-coding alone; type --touch likelihood")
     return METHODS[settings.method](features, body, settings)

@@ -67,8 +67,6 @@ def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | N
     try:
         found, warm = tune(problem)
     except Restless:
-        if problem.path is None:
-            raise
         return problem, None
     if settings.method != "smoother":
         # white acceleration fits no motion at all time scales: filtering takes the middle of encoders' and frames'
@@ -82,13 +80,11 @@ def settled(
 ) -> tuple[Problem, S]:  # fmt: skip
     """The problem solved; with offsets where the settings allow them, vision is surprised and the evidence agrees.
 
-    `patient` takes over where encoders are silent and the solver's sweeps do not come to rest.
+    `patient`, slower but sure, takes over where the solver's sweeps do not come to rest.
     """
     try:
         solved = solver(problem, warm)
     except Restless:
-        if problem.path is None:
-            raise
         return problem, patient(problem)
     if settings.bias != "auto" or problem.evidence.encoders is None or not bias.surprised(problem, solved):
         return problem, solved
@@ -100,7 +96,10 @@ def settled(
 
 def cost(problem: Problem) -> float:
     """Free energy (nats) of the whole log, filtered."""
-    solution = solve(problem, rest=ROUGHLY)
+    try:
+        solution = solve(problem, rest=ROUGHLY)
+    except Restless:
+        return np.inf
     return float(solution.fold.unfold(solution.trace.nats).sum())
 
 

@@ -10,7 +10,6 @@ from itertools import accumulate
 
 import numpy as np
 
-from ..errors import EvidenceError
 from ..types import Array
 from .folds import Fold, fold_for
 from .instant import ALIKE
@@ -88,11 +87,11 @@ def solve(
         move, z, p = far(z, p, next_z, next_p), next_z, next_p
         if move < rest and not moved:
             return Solution(fold, readings, tangents.points, trace)
-    raise Restless(f"laplace: no rest after {SWEEPS} rounds, last move {move:.2g}; type --method kalman")
+    raise Restless(f"laplace: no rest after {SWEEPS} sweeps, last move {move:.2g}")
 
 
-class Restless(EvidenceError):
-    """Sweeps over the log did not come to rest."""
+class Restless(Exception):
+    """Sweeps over the log did not come to rest: the caller goes through it one instant after the other."""
 
 
 class Tangents:

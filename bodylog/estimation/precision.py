@@ -36,6 +36,14 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precis
     """By `settings.precision`: `auto` from this log, `model` from the body, `fixed` from the paper."""
     encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
+    if settings.precision == "fixed":
+        return Precision(np.full(len(encoder), PAPER[0]), process, None, _fixed(evidence))
     if settings.precision == "auto" and evidence.encoders is not None:
         encoder, process = motion.learn(evidence.encoders, encoder, process)
     return Precision(encoder, process, None, scale)
+
+
+def _fixed(evidence: Evidence) -> dict[str, float]:
+    """Factors that bring each track's median variance to the paper's σ_v; touch keeps its own."""
+    visual = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
+    return {s.name: float(PAPER[1] / np.median(s.var)) for s in visual}

@@ -22,6 +22,8 @@ RATE = 20.0
 """Hz: the paper's Δt of 0.05 s."""
 LEARNING = 1.0
 """The paper's λ: how fast the prior follows the belief."""
+FAR = 100.0
+"""rad: a belief beyond this has diverged."""
 PAPER = (1.0, 1.0, 5.0)
 """The paper's σ_x, σ_p (rad²) and σ_v (pixels divided by the image width, squared)."""
 
@@ -63,7 +65,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     x, cov, nats = (explicitly if explicit else implicitly)(plan)
     findings = step_warning(plan) if explicit else ()
     if not np.isfinite(x).all():
-        raise UsageError(f"step: explicit diverged; {findings[0].text if findings else 'type --step implicit'}")
+        why = findings[0].text if findings else "step: explicit; type --step implicit"
+        raise UsageError(f"{why} (the belief left {FAR:g} rad)")
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
 
@@ -201,7 +204,7 @@ def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
         # METHOD 4: ė_x = x̂ − μ − σ_x e_x, and μ̇ = λ e_x
         dex, dmu = x - mu - plan.sigma_x * ex, LEARNING * ex
         x, ex, mu = x + plan.dt * dx, ex + plan.dt * dex, mu + plan.dt * dmu
-        if not np.abs(x).max() < 1e3:
+        if not np.abs(x).max() < FAR:
             break
         xs[k], cov[k] = x, np.linalg.inv(hessian)
     return xs, cov, nats

@@ -44,7 +44,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
-    """The maximum a posteriori path; EvidenceError when it does not come to rest."""
+    """The maximum a posteriori path; Restless when the rounds do not settle."""
     fold, line = fold_for(len(problem.timeline.t)), problem.timeline
     readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
     tangents, forth = Tangents(guesses(problem) if warm is None else warm.points), FORTH if warm is None else 0
@@ -61,7 +61,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
         moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
         if sweep >= forth and rest < SETTLED and not moved:
             return Smooth(fold, readings, tangents.points, trace, means, cov)
-    raise Restless(f"smoother: no rest after {SWEEPS} rounds, last move {rest:.2g}; type --method laplace")
+    raise Restless(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
 
 
 def once(problem: Problem) -> Smooth:

@@ -4,6 +4,9 @@ import numpy as np
 
 from ..types import Array, Estimate, Score, Series
 
+SAME = 1e-6
+"""s: stamps closer than this are the same but for rounding."""
+
 
 def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
     """joint_rmse, nees, coverage_2sigma (with truth), encoder_rmse (with encoders), evidence and counts per sense."""
@@ -19,9 +22,9 @@ def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> t
 def against_truth(estimate: Estimate, truth: Series, names: list[str]) -> list[Score]:
     """Error, its ratio to the stated covariance, and how often it is within two standard deviations."""
     rows, columns = overlap(estimate.joints.t, truth), [estimate.joints.names.index(name) for name in names]
-    error = (estimate.joints.values[:, columns] - at_times(truth, names, estimate.joints.t))[rows]
-    if not len(error):
+    if not rows.any():
         return []
+    error = (estimate.joints.values[:, columns] - at_times(truth, names, estimate.joints.t))[rows]
     cov = estimate.cov[rows][:, columns][:, :, columns]
     var = np.einsum("nii->ni", cov)
     ratio = error**2 / var
@@ -40,6 +43,8 @@ def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: lis
     names = [name for name in names if name in joints.names]
     span = (joints.t >= estimate.joints.t[0]) & (joints.t <= estimate.joints.t[-1])
     rows = span & overlap(joints.t, truth)
+    if not rows.any():
+        return []
     error = (joints.values[:, [joints.names.index(name) for name in names]] - at_times(truth, names, joints.t))[rows]
     error = error[np.isfinite(error)]
     return [Score("encoder_rmse", _rms(error), "rad")] if len(error) else []
@@ -64,9 +69,10 @@ def at_times(truth: Series, names: list[str], t: Array) -> Array:
 
 
 def overlap(t: Array, truth: Series) -> Array:
-    """Which times (N,) lie within the truth's span, with no extrapolation beyond half its step."""
-    step = float(np.median(np.diff(np.sort(truth.t)))) if len(truth.t) > 1 else 0.0
-    inside: Array = (t >= truth.t.min() - step / 2) & (t <= truth.t.max() + step / 2)
+    """Which times (N,) lie within the truth's span."""
+    if not len(truth.t):
+        return np.zeros(len(t), bool)
+    inside: Array = (t >= truth.t.min() - SAME) & (t <= truth.t.max() + SAME)
     return inside
 
 

@@ -35,7 +35,7 @@ def test_a_model_of_another_robot_names_both(world, method):
 
 def test_a_named_sense_without_sightings_is_an_error_and_a_guessed_one_a_finding(world):
     drawn = world(0, duration=3.0)
-    with pytest.raises(EvidenceError, match="vision: asked for.*0 of 36 used, 36 out of view"):
+    with pytest.raises(EvidenceError, match=r"vision: asked for.*0 of 36 used, 36 out of view"):
         estimate(unseen(drawn), drawn.body, Estimation(senses=("encoders", "vision")))
     found = estimate(unseen(drawn), drawn.body, Estimation())
     assert any("effector: nothing usable" in finding.text for finding in found.findings)
@@ -49,7 +49,7 @@ def test_touch_asked_for_without_skin_is_an_error(world):
 
 def test_an_unknown_sense_names_those_there_are(world):
     drawn = world(0, duration=2.0)
-    with pytest.raises(UsageError, match="'sonar' is none of encoders, vision, touch, effector, elbow, lift, pan|sonar"):
+    with pytest.raises(UsageError, match="'sonar' is none of encoders, vision, touch, effector, elbow, lift, pan"):
         estimate(drawn.features, drawn.body, Estimation(senses=("sonar",)))
 
 

@@ -1,0 +1,81 @@
+"""Figures on the recorded arm: close to the attainable error, true error bars, and the drifting encoder named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodylog import body, pipeline
+from bodylog.estimation import estimate
+from bodylog.evaluation.scores import scores
+from bodylog.settings import Estimation, Settings
+from bodylog.types import Series
+
+ARM = Path(__file__).parents[2].parent / "shared" / "logs" / "arm"
+NAMES = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+ATTAINABLE = {"explore.mcap": (0.0020, 0.0007), "reach.mcap": (0.0074, 0.0028), "reach.bag": (0.0072, 0.0030)}
+pytestmark = pytest.mark.skipif(not ARM.is_dir(), reason="the recorded arm logs are not beside the project")
+
+
+@pytest.fixture(scope="module")
+def seen():
+    found = {}
+
+    def look(name):
+        if name not in found:
+            found[name] = pipeline.observe(ARM / name, Settings())
+        return found[name]
+
+    return look
+
+
+@pytest.fixture(scope="module")
+def learned(seen):
+    return body.learn([seen("explore.mcap")[1]], Settings(), {}).model
+
+
+def truth_of(name, recording):
+    data = np.load(ARM / f"{name}.truth.npz")
+    t = data["t"] + (int(data["T0"]) - recording.start_ns) * 1e-9
+    return Series(t, data["x"], NAMES, "rad", (data["t"] * 1e9).astype(np.int64) + int(data["T0"]))
+
+
+def scored(seen, learned, name, method="laplace"):
+    recording, features = seen(name)
+    found = estimate(features, learned, Estimation(method=method))
+    return found, {s.name: s.value for s in scores(found, truth_of(name, recording), features.joints)}
+
+
+@pytest.mark.parametrize("name", ATTAINABLE)
+@pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.2)])
+def test_the_error_is_close_to_the_attainable(seen, learned, name, method, column, factor):
+    found, score = scored(seen, learned, name, method)
+    assert score["joint_rmse"] <= factor * ATTAINABLE[name][column]
+    assert 93.0 < score["coverage_2sigma"] < 98.0
+    assert 0.7 < score["nees"] < 1.2
+    assert not found.faults
+
+
+def test_the_drifting_encoder_is_named_in_time_and_the_drift_is_gone(seen, learned):
+    recording, _ = seen("drift.mcap")
+    found, _ = scored(seen, learned, "drift.mcap")
+    (fault,) = found.faults
+    assert (fault.name, fault.kind, fault.sense) == ("shoulder_pan_joint", "drifting", "encoders")
+    exceeds = 8.0 + 16.0 * 0.03 / 0.3
+    assert fault.since < exceeds + 2.0
+    assert fault.size == pytest.approx(0.3, abs=0.02)
+    truth, late = truth_of("drift.mcap", recording), found.joints.t > found.joints.t[-1] - 8.0
+    for index, name in enumerate(found.joints.names):
+        error = found.joints.values[:, index] - np.interp(found.joints.t, truth.t, truth.values[:, NAMES.index(name)])
+        assert np.sqrt(np.mean(error[late] ** 2)) < 0.015
+
+
+def test_no_fault_is_named_where_there_is_none(seen, learned):
+    assert not scored(seen, learned, "touch.mcap")[0].faults
+
+
+@pytest.mark.parametrize("name", ["reach.mcap", "drift.mcap"])
+def test_the_papers_preset_runs_to_the_end(seen, learned, name):
+    _, features = seen(name)
+    found = estimate(features, learned, Estimation(method="predictive-coding", preset="paper"))
+    assert np.abs(found.joints.values).max() < 3.0

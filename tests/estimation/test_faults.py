@@ -1,0 +1,92 @@
+"""Encoders that lie: named with what, since when and how much, and replaced by vision."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate, faults
+from bodylog.settings import Estimation
+
+
+def spoil(drawn, change, joint="pan"):
+    joints = drawn.features.joints
+    values = joints.values.copy()
+    change(joints.t, values[:, joints.names.index(joint)])
+    return replace(drawn.features, joints=replace(joints, values=values))
+
+
+def freeze(t, y):
+    y[t >= 8.0] = y[np.searchsorted(t, 8.0)]
+
+
+def die(t, y):
+    y[t >= 9.0] = np.nan
+
+
+def jump(t, y):
+    y[t >= 7.0] -= 0.2
+
+
+def drift(t, y):
+    y += np.clip((t - 6.0) * 0.02, 0.0, None)
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "since", "late", "size"),
+    [
+        (freeze, "frozen", 8.0, 0.1, 0.0),
+        (die, "dead", 9.0, 0.1, 0.0),
+        (jump, "jumping", 7.0, 0.01, -0.2),
+        (drift, "drifting", 6.5, 2.0, 0.18),
+    ],
+)
+def test_a_lying_encoder_is_named_and_does_no_harm(world, change, kind, since, late, size):
+    drawn = world(4, duration=15.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
+    found = estimate(spoil(drawn, change), drawn.body, Estimation())
+    assert [(f.name, f.kind) for f in found.faults] == [("pan", kind)]
+    assert since - 0.5 * late - 0.03 <= found.faults[0].since <= since + late
+    assert found.faults[0].size == pytest.approx(size, abs=0.02)
+    error = np.sqrt(np.mean((found.joints.values - drawn.truth.values)[:, 0] ** 2))
+    assert error < 0.006
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sound_encoders_are_not_accused(world, seed):
+    drawn = world(seed, duration=15.0, hidden=(6.0, 8.0), blunder=0.02)
+    assert not estimate(drawn.features, drawn.body, Estimation()).faults
+
+
+def test_a_frozen_encoder_costs_less_than_three_milliradians(world):
+    errors = []
+    for seed in range(3):
+        drawn = world(seed, duration=15.0, encoder_std=0.001, pixel_std=0.5, camera_hz=30.0)
+        found = estimate(spoil(drawn, freeze), drawn.body, Estimation())
+        errors.append(np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)))
+    assert np.mean(errors) < 3e-3
+
+
+def test_an_ideal_encoder_at_rest_is_not_frozen():
+    t = np.arange(0.0, 10.0, 0.02)
+    smooth = np.where(t < 5.0, np.sin(t), np.sin(5.0))
+    assert faults.frozen(t, smooth) == []
+    noisy = np.sin(t) + np.random.default_rng(0).normal(0, 1e-3, len(t))
+    noisy[200:260] = noisy[200]
+    assert faults.frozen(t, noisy) == [(201, 260)]
+
+
+def test_a_single_spike_is_no_jump():
+    y = np.random.default_rng(1).normal(0, 0.01, 400)
+    y[200] += 1.0
+    assert faults.jumps(y) == []
+    y[250:] += 0.5
+    ((at, size),) = faults.jumps(y)
+    assert at == 250 and size == pytest.approx(0.5, abs=0.05)
+
+
+def test_offsets_on_request_are_reported_for_every_joint(world):
+    drawn = world(0, duration=6.0)
+    found = estimate(drawn.features, drawn.body, Estimation(bias="on"))
+    assert found.bias is not None and found.bias.names == drawn.body.joints
+    assert np.abs(found.bias.values).max() < 0.05
+    assert estimate(drawn.features, drawn.body, Estimation(bias="off")).bias is None

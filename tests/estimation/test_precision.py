@@ -1,0 +1,75 @@
+"""Variances found by evidence, against the ones the readings were drawn with."""
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate, motion
+from bodylog.estimation.senses import Encoders
+from bodylog.settings import Estimation
+
+
+def white(seed, noise, process, t):
+    """Readings (N,) of a joint whose acceleration really is white."""
+    rng = np.random.default_rng(seed)
+    x = v = 0.0
+    y = np.empty(len(t))
+    for k, dt in enumerate(np.diff(t, prepend=t[0])):
+        cov = process * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+        dx, dv = rng.multivariate_normal([0, 0], cov)
+        x, v = x + dt * v + dx, v + dv
+        y[k] = x + rng.normal(0, np.sqrt(noise))
+    return y
+
+
+@pytest.mark.parametrize(("noise", "process"), [(4e-4, 0.1), (1e-6, 0.1), (1e-4, 1e-3)])
+@pytest.mark.parametrize("jitter", [0.0, 0.004])
+def test_noise_and_motion_are_told_apart(noise, process, jitter):
+    found = []
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        t = np.cumsum(0.02 + rng.uniform(-jitter, jitter, 3000))
+        found.append(motion.learn_one(t, white(seed, noise, process, t)))
+    assert np.mean([f[0] for f in found]) == pytest.approx(noise, rel=0.1)
+    assert np.exp(np.mean([np.log(f[1]) for f in found])) == pytest.approx(process, rel=0.35)
+
+
+def test_a_jump_does_not_pass_for_motion():
+    t = np.arange(0.0, 30.0, 0.02)
+    y = white(0, 1e-4, 0.05, t)
+    plain = motion.learn_one(t, y)
+    jumped = motion.learn_one(t, y + 0.5 * (t > 15.0))
+    np.testing.assert_allclose(jumped, plain, rtol=0.3)
+
+
+def test_a_constant_or_silent_joint_keeps_what_the_body_says():
+    t = np.arange(0.0, 4.0, 0.02)
+    values = np.stack([np.zeros_like(t), np.full_like(t, np.nan)], axis=1)
+    given = np.array([1e-4, 1e-4]), np.array([0.2, 0.3])
+    encoder, process = motion.learn(Encoders(t, values, t.astype(np.int64)), *given)
+    np.testing.assert_array_equal(encoder, given[0])
+    np.testing.assert_array_equal(process, given[1])
+
+
+@pytest.mark.parametrize("std", [0.003, 0.02])
+def test_the_log_at_hand_says_how_noisy_its_encoders_are(world, std):
+    drawn = world(0, encoder_std=std)
+    found = estimate(drawn.features, drawn.body, Estimation())
+    np.testing.assert_allclose(np.sqrt(found.settings["encoder"]), std, rtol=0.1)
+
+
+def test_pixels_noisier_than_claimed_are_noticed(world):
+    from dataclasses import replace
+
+    drawn = world(0, pixel_std=1.5)
+    track = drawn.features.tracks["effector"]
+    modest = replace(drawn.features, tracks={"effector": replace(track, std=np.full_like(track.values, 0.5))})
+    found = estimate(modest, drawn.body, Estimation())
+    assert 5.0 < found.settings["scale"]["effector"] < 14.0
+
+
+def test_the_bodys_own_and_the_papers_variances(world):
+    drawn = world(0, duration=3.0)
+    own = estimate(drawn.features, drawn.body, Estimation(precision="model")).settings
+    assert own["encoder"] == pytest.approx([4e-4] * 3) and own["process"] == pytest.approx([0.3] * 3)
+    paper = estimate(drawn.features, drawn.body, Estimation(precision="fixed")).settings
+    assert paper["encoder"] == [1.0] * 3

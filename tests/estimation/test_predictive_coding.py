@@ -1,0 +1,108 @@
+"""The paper's descent: where it rests, when it is stable, and its two forms of touch."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.estimation import estimate, predictive_coding
+from bodylog.estimation.literal import Literal
+from bodylog.evaluation.scores import scores
+from bodylog.settings import Estimation
+from bodylog.types import TouchConstants
+
+DESCENT = Estimation(method="predictive-coding")
+
+
+def still(drawn):
+    """The world's features with the arm held where it began, without noise."""
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    x = drawn.truth.values[0]
+    held = np.repeat(x[None, [2, 0, 1]], len(joints.t), axis=0)
+    seen = np.repeat(drawn.body.senses["effector"].predict(x[None])[0], len(track.t), axis=0)
+    tracks = {"effector": replace(track, values=seen)}
+    return replace(drawn.features, joints=replace(joints, values=held), tracks=tracks), x
+
+
+@pytest.mark.parametrize("settings", [replace(DESCENT, preset="paper"), replace(DESCENT, precision="model")])
+def test_a_wrong_start_is_forgotten_when_the_arm_is_still(world, settings):
+    features, x = still(world(0, duration=30.0))
+    found = estimate(features, world(0).body, replace(settings, start=tuple(x + 0.1)))
+    assert np.abs(found.joints.values[0] - x).max() > 0.01
+    np.testing.assert_allclose(found.joints.values[-1], x, atol=2e-3)
+
+
+def test_calibrated_descent_beats_the_encoders_and_the_papers_preset(world):
+    ratios = []
+    for seed in range(3):
+        drawn = world(seed)
+        rmse = {}
+        for preset in ("default", "paper"):
+            found = estimate(drawn.features, drawn.body, replace(DESCENT, preset=preset))
+            rmse[preset] = {s.name: s.value for s in scores(found, drawn.truth, drawn.features.joints)}
+        assert rmse["default"]["joint_rmse"] < rmse["default"]["encoder_rmse"] < rmse["paper"]["joint_rmse"]
+        ratios.append(rmse["default"]["joint_rmse"])
+    assert np.mean(ratios) < 0.016
+
+
+def test_explicit_steps_are_stable_just_below_the_named_step_and_not_above(world, linear_model):
+    drawn = world(0, duration=20.0, model=linear_model)
+    features, x = still(drawn)
+    settings = replace(DESCENT, preset="paper", start=tuple(x + 0.01))
+    plan, *_ = predictive_coding.plan_for(features, drawn.body, replace(settings, rate=100.0))
+    senses = tuple(replace(s, s=np.tile(s.predict(x)[0], (len(s.s), 1))) for s in plan.senses)
+    stable = predictive_coding.stable_step(replace(plan, senses=senses))
+    for factor, holds in ((0.95, True), (1.05, False)):
+        found = predictive_coding.explicitly(replace(plan, senses=senses, dt=factor * stable))[0]
+        assert bool(np.isfinite(found).all() and np.abs(found[-1] - x).max() < 0.01) is holds
+
+
+def test_a_step_too_long_is_refused_by_naming_the_longest(world):
+    drawn = world(0, duration=10.0)
+    with pytest.raises(UsageError, match=r"largest stable Δt is \S+ s; type --step implicit"):
+        estimate(drawn.features, drawn.body, replace(DESCENT, step="explicit"))
+    short = world(0, duration=1.0)
+    found = estimate(short.features, short.body, replace(DESCENT, step="explicit"))
+    assert "largest stable Δt" in found.findings[0].text
+
+
+def test_the_literal_touch_gradient_is_the_derivative(world):
+    drawn = world(0, duration=1.0)
+    model, x = drawn.body.senses["effector"], drawn.truth.values[0]
+    hand = model.predict(x[None])[0] + 5.0
+    touch = Literal(model, TouchConstants(0.9, 0.004, 1.0, 50.0), np.array([True]), hand, np.array([0.8]))
+    e, slope = touch.pull(0, x)
+    for joint in range(3):
+        step = 1e-6 * np.eye(3)[joint]
+        numeric = (touch.pull(0, x - step)[0] - touch.pull(0, x + step)[0]) / 2e-6
+        assert slope[joint] == pytest.approx(numeric, rel=1e-5)
+    assert 0 < e < 0.72
+
+
+def test_a_non_linear_encoder_is_matched_in_its_own_units(world):
+    """s_p = x²: the belief settles where x² is right, and cannot know the sign."""
+
+    class Square:
+        outputs = ("pan", "lift", "elbow")
+
+        def predict(self, x):
+            return x**2, 2.0 * np.stack([np.diag(row) for row in x]), np.zeros_like(x)
+
+    drawn = world(0, duration=30.0)
+    joints, x = drawn.features.joints, np.array([-0.955, -0.869, 0.753])
+    values = np.repeat((x[None] ** 2)[:, [2, 0, 1]], len(joints.t), axis=0)
+    features = replace(drawn.features, joints=replace(joints, values=values), tracks={})
+    body = replace(drawn.body, senses={"encoders": Square()})
+    found = estimate(features, body, replace(DESCENT, preset="paper", start=(-0.8, 0.7, 0.6)))
+    np.testing.assert_allclose(found.joints.values[-1] ** 2, x**2, atol=0.01)
+    assert found.joints.values[-1, 1] == pytest.approx(0.869, abs=0.01)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_descent_on_encoders_alone_is_the_papers_kalman_filter_in_kind(world, seed):
+    drawn = world(seed)
+    descent = estimate(drawn.features, drawn.body, replace(DESCENT, preset="paper", senses=("encoders",)))
+    kalman = estimate(drawn.features, drawn.body, Estimation(method="kalman"))
+    rmse = [{s.name: s.value for s in scores(found, drawn.truth, None)}["joint_rmse"] for found in (descent, kalman)]
+    assert 0.5 < rmse[0] / rmse[1] < 2.0

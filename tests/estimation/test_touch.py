@@ -1,0 +1,72 @@
+"""Touch: a synchronous one tells where the arm is, an asynchronous one hardly anything."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.estimation import estimate, touch
+from bodylog.settings import Estimation
+
+BLIND = Estimation(senses=("encoders", "touch"), precision="model", bias="on")
+
+
+def biased(drawn, stroked, weight):
+    """Encoders 0.03 rad off in one joint, no effector in view, strokes on the effector of the given weight."""
+    features = stroked(drawn, weight)
+    joints = features.joints
+    values = joints.values + 0.03 * (np.array(joints.names) == "pan")
+    return replace(features, joints=replace(joints, values=values))
+
+
+def test_variance_and_times_are_the_likelihoods(world, stroked):
+    features = stroked(world(0), 0.5)
+    t, places, var, source_ns = touch.sightings(features, world(0).body.touch)
+    during = np.zeros(len(features.hand.t), bool)
+    for felt in features.touches:
+        during |= (features.hand.t >= felt.onset) & (features.hand.t <= felt.offset)
+    np.testing.assert_array_equal(t, features.hand.t[during])
+    np.testing.assert_array_equal(places, features.hand.values[during])
+    np.testing.assert_allclose(var, 1.0 / (2.0 * 0.005 * 0.5))
+    assert len(source_ns) == len(t)
+
+
+def test_synchronous_touch_corrects_and_asynchronous_does_not(world, stroked):
+    gain = {}
+    for weight in (1.0, 1e-6):
+        drawn = world(1, encoder_std=0.005)
+        features = biased(drawn, stroked, weight)
+        errors = []
+        for settings in (replace(BLIND, senses=("encoders",)), BLIND):
+            found = estimate(features, drawn.body, settings)
+            late = found.joints.t > 10.0
+            errors.append(np.sqrt(np.mean((found.joints.values - drawn.truth.values)[late, 0] ** 2)))
+        gain[weight] = errors[0] - errors[1]
+    assert gain[1.0] > 0.003
+    assert abs(gain[1e-6]) < 0.1 * gain[1.0]
+
+
+def test_the_rubber_hand_pulls_only_when_in_time(world, stroked):
+    drift = {}
+    for weight in (1.0, 1e-3):
+        drawn = world(2, encoder_std=0.005)
+        features = stroked(drawn, weight, (15.0, 0.0))
+        with_touch, without = (
+            estimate(features, drawn.body, replace(BLIND, senses=senses)) for senses in (BLIND.senses, ("encoders",))
+        )
+        drift[weight] = np.abs(with_touch.joints.values - without.joints.values)[-1].max()
+    assert drift[1.0] > 20 * drift[1e-3]
+
+
+def test_the_literal_form_is_the_papers_descents_alone(world, stroked):
+    drawn = world(0, duration=10.0)
+    features = stroked(drawn, 1.0, (10.0, 0.0))
+    with pytest.raises(UsageError, match="literal"):
+        estimate(features, drawn.body, replace(BLIND, touch="literal"))
+    descent = Estimation(method="predictive-coding", preset="paper", senses=("encoders", "touch"))
+    both = [
+        estimate(features, drawn.body, replace(descent, preset=preset, precision="fixed", touch=form)).joints.values
+        for preset, form in (("default", "literal"), ("default", "likelihood"))
+    ]
+    assert np.abs(both[0] - both[1]).max() > 1e-4

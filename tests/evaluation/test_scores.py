@@ -1,0 +1,84 @@
+"""Figures of merit on estimates whose error is known exactly."""
+
+import numpy as np
+import pytest
+
+from bodylog.evaluation.scores import scores
+from bodylog.types import Estimate, Health, Series
+
+
+def made(error, std, n=500, names=("a", "b")):
+    t = np.arange(n) * 0.01
+    truth = np.stack([np.sin(t), np.cos(t)], axis=1)
+    ns = (t * 1e9).astype(np.int64)
+    found = Estimate(
+        "laplace", Series(t, truth + error, names, "rad", ns), Series(t, 0 * truth, names, "rad/s", ns),
+        np.repeat(np.eye(2)[None] * std**2, n, axis=0), {"effector": Series(t, truth * 0 + 2.0, ("u", "v"), "std", ns)},
+        np.full(n, 1.5), {"effector": Health(9, 7)}, {}, {}, {},
+    )  # fmt: skip
+    return found, Series(t, truth, names, "rad", ns)
+
+
+def named(found, truth, joints=None):
+    return {score.name: score for score in scores(found, truth, joints)}
+
+
+def test_each_figure_and_its_unit():
+    found, truth = made(np.array([0.03, 0.04]), 0.05)
+    score = named(found, truth)
+    assert score["joint_rmse"].value == pytest.approx(np.sqrt((0.03**2 + 0.04**2) / 2))
+    assert (score["joint_rmse/a"].value, score["joint_rmse/b"].value) == pytest.approx((0.03, 0.04))
+    assert score["nees"].value == pytest.approx((0.36 + 0.64) / 2)
+    assert score["nees/b"].value == pytest.approx(0.64)
+    assert score["coverage_2sigma"].value == 100.0
+    assert score["error_squared/effector"].value == 4.0
+    assert (score["free_energy"].value, score["used/effector"].value) == (1.5, 7.0)
+    units = {name: score[name].unit for name in ("joint_rmse", "nees", "coverage_2sigma", "free_energy")}
+    assert units == {"joint_rmse": "rad", "nees": "1", "coverage_2sigma": "%", "free_energy": "nats"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_honest_gaussian_scores_one_and_95_percent(seed):
+    error = np.random.default_rng(seed).normal(0, 0.1, (4000, 2))
+    t = np.arange(4000) * 0.01
+    found, truth = made(np.zeros(2), 0.1, 4000)
+    found.joints.values[:] += error
+    score = named(found, truth)
+    assert score["nees"].value == pytest.approx(1.0, abs=0.06)
+    assert score["coverage_2sigma"].value == pytest.approx(95.45, abs=1.0)
+    assert len(t) == 4000
+
+
+def test_correlated_errors_are_judged_by_the_full_covariance():
+    found, truth = made(np.array([0.1, 0.1]), 0.1)
+    found.cov[:, 0, 1] = found.cov[:, 1, 0] = 0.009
+    expected = np.array([0.1, 0.1]) @ np.linalg.solve(found.cov[0], [0.1, 0.1]) / 2
+    assert named(found, truth)["nees"].value == pytest.approx(expected)
+
+
+def test_truth_is_matched_by_name_and_between_its_stamps():
+    found, truth = made(np.zeros(2), 0.1)
+    turned = Series(truth.t[::4], truth.values[::4, ::-1], ("b", "a"), "rad", truth.source_ns[::4])
+    assert named(found, turned)["joint_rmse"].value < 3e-4
+
+
+def test_times_beyond_the_truth_are_left_out():
+    found, truth = made(np.zeros(2), 0.1)
+    short = Series(truth.t[:100], truth.values[:100], truth.names, "rad", truth.source_ns[:100])
+    assert named(found, short)["joint_rmse"].value < 1e-12
+
+
+def test_encoders_are_scored_beside_and_may_hold_nan():
+    found, truth = made(np.zeros(2), 0.1)
+    noisy = truth.values + 0.02
+    noisy[3] = np.nan
+    joints = Series(truth.t, noisy, truth.names, "rad", truth.source_ns)
+    assert named(found, truth, joints)["encoder_rmse"].value == pytest.approx(0.02)
+    assert "encoder_rmse" not in named(found, truth)
+
+
+def test_without_truth_only_what_needs_none():
+    found, truth = made(np.zeros(2), 0.1)
+    assert set(named(found, None, truth)) == {"free_energy", "error_squared/effector", "used/effector"}
+    stranger = Series(truth.t, truth.values, ("x", "y"), "rad", truth.source_ns)
+    assert "joint_rmse" not in named(found, stranger)
