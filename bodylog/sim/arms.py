@@ -12,7 +12,7 @@ class Arm:
     """One arm: joints as in its URDF, home and swing (rad, one per joint), moving joints, camera relative to home.
 
     `swing` is the half range a wide exploration uses; `camera` is the camera's place (m) seen from the end
-    effector at home, in the base frame.
+    effector at home, in the base frame; `marker` is the link at whose origin a blue ball can sit.
     """
 
     urdf: Path
@@ -22,6 +22,7 @@ class Arm:
     moving: tuple[int, ...]
     elbow: int
     camera: tuple[float, float, float]
+    marker: str
 
 
 ARMS: dict[str, Arm] = {
@@ -40,6 +41,7 @@ ARMS: dict[str, Arm] = {
         moving=(0, 1, 2),
         elbow=2,
         camera=(0.20, -1.12, 0.38),
+        marker="wrist_2_link",
     ),
     "seven": Arm(
         urdf=_ASSETS / "seven.urdf",
@@ -49,5 +51,6 @@ ARMS: dict[str, Arm] = {
         moving=(0, 1, 2, 3, 4, 5, 6),
         elbow=3,
         camera=(-0.50, 1.00, 0.50),
+        marker="link_6",
     ),
 }

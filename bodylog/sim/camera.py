@@ -11,7 +11,10 @@ import numpy as np
 from ..types import Array
 
 NEAR, FAR = 0.1, 4.0
-GREEN, RED = (26.0, 190.0, 40.0), (200.0, 32.0, 36.0)
+Colour = tuple[float, float, float]
+GREEN: Colour = (26.0, 190.0, 40.0)
+RED: Colour = (200.0, 32.0, 36.0)
+BLUE: Colour = (36.0, 70.0, 210.0)
 _NOISE_GREY = 2.0
 _CARD = (96, 98, 102)
 
@@ -63,7 +66,8 @@ def background(camera: Camera, rng: np.random.Generator) -> Array:
 def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: float, colour: Array) -> float:
     """Draw a lit sphere into picture (H,W,3) uint8 and depth (H,W) m; what share of its outline is seen, 0..1.
 
-    What is less than one radius before its surface does not hide it: that is the neck that carries it.
+    The arm less than one radius before its surface does not hide it: that is what carries it. Nothing drawn later
+    covers it: draw the nearest first.
     """
     place = camera.rotation @ (centre - camera.position)
     if place[2] < NEAR + radius:
@@ -77,7 +81,7 @@ def sphere(picture: Array, depth: Array, camera: Camera, centre: Array, radius: 
     old = picture[window].astype(float)
     new = old + cover[..., None] * (light[..., None] * colour - old)
     picture[window] = np.rint(new).astype(np.uint8)
-    depth[window] = np.where(cover > 0.5, surface, depth[window])
+    depth[window] = np.where(cover > 0.5, 0.0, depth[window])
     return float(cover.sum() / full_area)
 
 

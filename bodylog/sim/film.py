@@ -9,7 +9,7 @@ from ..types import Array
 from . import camera as cameras
 from . import messages
 from .stage import FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
-from .world import EFFECTOR_RADIUS, HAND_RADIUS
+from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS
 
 _CAMERA_HZ = 20.0
 _OFFSET_NS = 7_000_000
@@ -40,14 +40,14 @@ class _Card:
 
 
 def camera_items(stage: Stage) -> Iterator[Item]:
-    """Pictures, CameraInfo, /tf, and the truth: effector pose and, when wholly in sight, effector and hand pixels."""
+    """Pictures, CameraInfo, /tf, and the truth: effector pose, and the pixel of each thing wholly in sight."""
     rng = stage.chance(3)
     wall, noise = cameras.background(stage.camera, rng), cameras.grain(stage.camera, rng)
     card = _card(stage)
     shot: _Shot | None = None
-    for stamps in stamps_of(stage.duration, _CAMERA_HZ, _OFFSET_NS):
+    for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, _OFFSET_NS):
         t = stamps / 1e9
-        q, hands = stage.plan.motion.position(t), seen_hand(stage, t)
+        q, hands = stage.wish.plan.motion.position(t), seen_hand(stage, t)
         for row, log in enumerate(late(stamps, 8.0, 14.0, rng)):
             if shot is None or not np.array_equal(shot.q, q[row]):
                 shot = _shoot(stage, q[row], wall)
@@ -66,18 +66,23 @@ def _compose(stage: Stage, shot: _Shot, place: Array, card: _Card | None, t: flo
     picture, depth = shot.picture.copy(), shot.depth.copy()
     if card is not None:
         _cover(picture, depth, card, t)
-    effector = shot.places[stage.world.links.index("effector")]
-    things = {
-        "/truth/hand_pixel": (place, HAND_RADIUS, cameras.RED),
-        "/truth/effector_pixel": (effector, EFFECTOR_RADIUS, cameras.GREEN),
-    }
     seen = {}
-    for topic, (centre, radius, colour) in things.items():
-        if np.isnan(centre).any():
-            continue
+    for topic, centre, radius, colour in _things(stage, shot, place):
         if cameras.sphere(picture, depth, stage.camera, centre, radius, np.array(colour)) > _WHOLE:
             seen[topic] = cameras.ellipse_centre(stage.camera, centre[None], radius)[0]
     return picture, seen
+
+
+def _things(stage: Stage, shot: _Shot, place: Array) -> list[tuple[str, Array, float, cameras.Colour]]:
+    """The coloured spheres (topic of its truth, centre, radius, colour), nearest first."""
+    links = stage.world.links
+    things = [("/truth/effector_pixel", shot.places[links.index("effector")], EFFECTOR_RADIUS, cameras.GREEN)]
+    if stage.wish.marker:
+        ball = shot.places[links.index(stage.wish.arm.marker)]
+        things.append(("/truth/marker_pixel", ball, MARKER_RADIUS, cameras.BLUE))
+    if not np.isnan(place).any():
+        things.append(("/truth/hand_pixel", place, HAND_RADIUS, cameras.RED))
+    return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1] - stage.camera.position)))
 
 
 def _items(
@@ -99,7 +104,7 @@ def _items(
 def _image(stage: Stage, stamp: int, picture: Array) -> object:
     import cv2
 
-    if stage.image == "raw":
+    if stage.wish.image == "raw":
         return messages.raw(stamp, FRAME, picture)
     options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)[1]
@@ -119,15 +124,15 @@ def _quaternion(rotation: Array) -> Array:
 
 def _card(stage: Stage) -> _Card | None:
     """The card that hides the end effector wherever it goes while the plan says covered."""
-    if stage.plan.covered is None:
+    if stage.wish.plan.covered is None:
         return None
-    start, end = stage.plan.covered
-    t = np.arange(max(start, 0.0), min(end, stage.duration) + 0.05, 0.05)
+    start, end = stage.wish.plan.covered
+    t = np.arange(max(start, 0.0), min(end, stage.wish.duration) + 0.05, 0.05)
     link = stage.world.links.index("effector")
-    path = np.array([stage.world.pose(q)[0][link] for q in stage.plan.motion.position(t)])
+    path = np.array([stage.world.pose(q)[0][link] for q in stage.wish.plan.motion.position(t)])
     pixels = cameras.ellipse_centre(stage.camera, path, EFFECTOR_RADIUS)
     ahead = (path - stage.camera.position) @ stage.camera.rotation[2]
-    margin = stage.plan.margin * stage.camera.width
+    margin = stage.wish.plan.margin * stage.camera.width
     left, top = np.maximum(pixels.min(0) - margin, 0).astype(int)
     right, bottom = np.minimum(pixels.max(0) + margin, [stage.camera.width, stage.camera.height]).astype(int)
     return _Card((left, top, right, bottom), float(ahead.min()) - 2.4 * EFFECTOR_RADIUS, start, end)

@@ -2,7 +2,6 @@
 
 import heapq
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,28 +9,14 @@ import numpy as np
 
 from .. import files
 from ..errors import UsageError
-from .arms import ARMS, Arm
+from .arms import ARMS
 from .film import camera_items
 from .plan import Plan, Request, choose, unknown
 from .scenarios import SCENARIOS
-from .stage import Stage, open_stage
+from .stage import Stage, Wish, open_stage
 from .streams import encoder_items, event_items, skin_items
 
 _IMAGES = ("jpeg", "raw")
-
-
-@dataclass(frozen=True)
-class _Wish:
-    """What the caller wants, checked."""
-
-    scenario: str
-    plan: Plan
-    arm: Arm
-    duration: float
-    image: str
-    size: tuple[int, int]
-    noise: float
-    seed: int
 
 
 def record(
@@ -46,12 +31,13 @@ def record(
     arm: str = "ur5",
     variant: str | None = None,
     place: str | None = None,
+    marker: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> None:
     """Write `scenario` to `out`, the same bytes for the same arguments; UsageError when one of them is not possible.
 
-    duration (s), noise (encoders, rad), variant and place are the scenario's own when None; size in px; `progress`
-    is told after each picture how many there are.
+    duration (s), noise (encoders, rad), variant and place are the scenario's own when None; size in px; `marker` puts
+    a blue ball on the arm, for a second visual sense; `progress` is told after each picture how many there are.
     """
     plan, length = _plan(scenario, seed, duration, full, arm, variant, place)
     if image not in _IMAGES:
@@ -60,9 +46,9 @@ def record(
     _check("height", size[1], 48, 4096)
     wished = plan.noise if noise is None else noise
     _check("noise", wished, 0.0, 10.0)
-    wish = _Wish(scenario, plan, ARMS[arm], length, image, size, wished, seed)
-    with files.replacing(out) as beside, open_stage(wish.arm, plan, length, seed, size, wished, image) as stage:
-        _write(beside, wish, stage, progress)
+    wish = Wish(scenario, ARMS[arm], plan, length, seed, size, wished, image, marker)
+    with files.replacing(out) as beside, open_stage(wish) as stage:
+        _write(beside, stage, progress)
 
 
 def _plan(
@@ -87,13 +73,13 @@ def _check(name: str, value: float, low: float, high: float) -> None:
         raise UsageError(f"{name} is {value}; possible: {low} to {high:g}; type: --{name} with such a number")
 
 
-def _write(path: Path, wish: _Wish, stage: Stage, progress: Callable[[int], None] | None) -> None:
+def _write(path: Path, stage: Stage, progress: Callable[[int], None] | None) -> None:
     from mcap.writer import CompressionType, Writer
 
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=4 << 20, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="bodylog")
-        writer.add_metadata("bodylog_simulation", _settings(wish))
+        writer.add_metadata("bodylog_simulation", _settings(stage.wish))
         _fill(writer, stage, progress)
         writer.finish()  # type: ignore[no-untyped-call]
 
@@ -124,7 +110,7 @@ def _channel(writer: Any, topic: str, kind: str) -> int:
     return int(writer.register_channel(topic, "cdr", schema))
 
 
-def _settings(wish: _Wish) -> dict[str, str]:
+def _settings(wish: Wish) -> dict[str, str]:
     return {
         "scenario": wish.scenario,
         "seed": str(wish.seed),
@@ -133,4 +119,5 @@ def _settings(wish: _Wish) -> dict[str, str]:
         "size": "x".join(str(side) for side in wish.size),
         "noise_rad": repr(wish.noise),
         "arm": wish.arm.urdf.stem,
+        "marker": str(wish.marker).lower(),
     }

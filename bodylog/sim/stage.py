@@ -37,42 +37,50 @@ class Item:
     message: Any
 
 
+@dataclass(frozen=True)
+class Wish:
+    """What is to be recorded: scenario and its plan, duration s, picture size px, encoder noise rad, marker or not."""
+
+    scenario: str
+    arm: Arm
+    plan: Plan
+    duration: float
+    seed: int
+    size: tuple[int, int]
+    noise: float
+    image: str
+    marker: bool
+
+
 @dataclass(frozen=True, eq=False)
 class Stage:
     """All that the streams share; `column` is the column of skin cells the hand touches."""
 
+    wish: Wish
     world: World
-    arm: Arm
-    plan: Plan
     camera: Camera
     column: int
-    duration: float
-    seed: int
-    noise: float
-    image: str
 
     @property
     def image_topic(self) -> str:
         """The topic of the pictures."""
-        return "/camera/image/compressed" if self.image == "jpeg" else "/camera/image"
+        return "/camera/image/compressed" if self.wish.image == "jpeg" else "/camera/image"
 
     def chance(self, stream: int) -> np.random.Generator:
         """The random numbers of one stream; 0 is the scenario's."""
-        return np.random.default_rng([self.seed, stream])
+        return np.random.default_rng([self.wish.seed, stream])
 
 
 @contextmanager
-def open_stage(
-    arm: Arm, plan: Plan, duration: float, seed: int, size: tuple[int, int], noise: float, image: str
-) -> Iterator[Stage]:
+def open_stage(wish: Wish) -> Iterator[Stage]:
     """The arm loaded and the camera placed; closed afterwards."""
-    with open_world(arm) as world:
-        places, turns = world.pose(np.array(arm.home))
+    with open_world(wish.arm) as world:
+        places, turns = world.pose(np.array(wish.arm.home))
         target = places[world.links.index("effector")]
-        camera = cameras.look(target + arm.camera, target + _ASIDE, size)
+        camera = cameras.look(target + wish.arm.camera, target + _ASIDE, wish.size)
         link = world.links.index("skin")
         column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
-        yield Stage(world, arm, plan, camera, column, duration, seed, noise, image)
+        yield Stage(wish, world, camera, column)
 
 
 def matrix(xyzw: Array) -> Array:
@@ -96,9 +104,9 @@ def late(stamps: Array, least_ms: float, most_ms: float, rng: np.random.Generato
 
 def seen_hand(stage: Stage, t: Array) -> Array:
     """Where the picture shows the hand's centre (N,3) m, base frame; NaN when away."""
-    places, turns = stage.world.pose(stage.plan.motion.position(t[:1])[0])
+    places, turns = stage.world.pose(stage.wish.plan.motion.position(t[:1])[0])
     link = stage.world.links.index("skin")
-    place = hand.path(stage.plan.contacts, stage.column, t, seen=True) @ matrix(turns[link]).T + places[link]
+    place = hand.path(stage.wish.plan.contacts, stage.column, t, seen=True) @ matrix(turns[link]).T + places[link]
     ahead = (place - stage.camera.position) @ stage.camera.rotation[2]
-    shift = stage.plan.aside * stage.camera.width / stage.camera.focal * ahead
+    shift = stage.wish.plan.aside * stage.camera.width / stage.camera.focal * ahead
     return np.asarray(place + shift[:, None] * stage.camera.rotation[0])

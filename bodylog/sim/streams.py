@@ -17,14 +17,14 @@ _RATE_NOISE = 0.01
 
 def encoder_items(stage: Stage) -> Iterator[Item]:
     """/joint_states in alphabetical order as the UR driver publishes, and /truth/joint_states."""
-    yield Item(START_NS, START_NS, "/robot_description", messages.text(stage.arm.urdf.read_text()))
+    yield Item(START_NS, START_NS, "/robot_description", messages.text(stage.wish.arm.urdf.read_text()))
     rng = stage.chance(1)
-    order = np.argsort(stage.arm.joints)
-    names, true_names = [stage.arm.joints[joint] for joint in order], list(stage.arm.joints)
-    for stamps in stamps_of(stage.duration, _JOINT_HZ, 0):
+    order = np.argsort(stage.wish.arm.joints)
+    names, true_names = [stage.wish.arm.joints[joint] for joint in order], list(stage.wish.arm.joints)
+    for stamps in stamps_of(stage.wish.duration, _JOINT_HZ, 0):
         t = stamps / 1e9
-        q, rate = stage.plan.motion.position(t), stage.plan.motion.rate(t)
-        read, speed = _encoders(stage.plan, t, q, stage.noise, rng)
+        q, rate = stage.wish.plan.motion.position(t), stage.wish.plan.motion.rate(t)
+        read, speed = _encoders(stage.wish.plan, t, q, stage.wish.noise, rng)
         for row, (stamp, log) in enumerate(zip(stamps + START_NS, late(stamps, 4.0, 6.0, rng), strict=True)):
             seen = messages.joint_state(int(stamp), names, read[row, order], speed[row, order])
             yield Item(int(log), int(stamp), "/joint_states", seen)
@@ -43,8 +43,8 @@ def skin_items(stage: Stage) -> Iterator[Item]:
     """/skin: the cells' readings."""
     rng = stage.chance(2)
     base = skin.rest(rng)
-    for stamps in stamps_of(stage.duration, _SKIN_HZ, 2_000_000):
-        place = hand.path(stage.plan.contacts, stage.column, stamps / 1e9, seen=False)
+    for stamps in stamps_of(stage.wish.duration, _SKIN_HZ, 2_000_000):
+        place = hand.path(stage.wish.plan.contacts, stage.column, stamps / 1e9, seen=False)
         data = skin.read(skin.proximity(place, HAND_RADIUS, base), rng)
         for row, (stamp, log) in enumerate(zip(stamps + START_NS, late(stamps, 2.0, 4.0, rng), strict=True)):
             yield Item(int(log), int(stamp), "/skin", messages.skin_array(int(stamp), data[row]))
@@ -53,7 +53,7 @@ def skin_items(stage: Stage) -> Iterator[Item]:
 def event_items(stage: Stage) -> Iterator[Item]:
     """/truth/touch and /truth/stroke, each logged when it is over."""
     base = skin.rest(stage.chance(2))
-    items = [item for contact in stage.plan.contacts for item in _events(stage, contact, base)]
+    items = [item for contact in stage.wish.plan.contacts for item in _events(stage, contact, base)]
     yield from sorted(items, key=lambda item: item.log_ns)
 
 

@@ -14,7 +14,7 @@ from ..types import Array
 from .arms import Arm
 from .camera import FAR, NEAR, Camera
 
-EFFECTOR_RADIUS, HAND_RADIUS = 0.025, 0.035
+EFFECTOR_RADIUS, MARKER_RADIUS, HAND_RADIUS = 0.025, 0.055, 0.035
 _FINE = 300
 
 

@@ -20,11 +20,13 @@ def centroid(picture, channel):
 
 
 @pytest.mark.parametrize("image", ["jpeg", "raw"])
-@pytest.mark.parametrize("scenario, topic, channel", [("babble", "effector", 1), ("touch", "hand", 2)])
+@pytest.mark.parametrize(
+    "scenario, topic, channel", [("babble", "effector", 1), ("touch", "hand", 2), ("reach", "marker", 0)]
+)
 def test_truth_is_where_a_tracker_finds_the_blob(tmp_path, image, scenario, topic, channel):
-    errors = []
+    errors, options = [], {"size": (320, 240), "image": image, "marker": topic == "marker"}
     for seed in range(2):
-        record(scenario, tmp_path / "a.mcap", seed=seed, duration=4.0, size=(320, 240), image=image)
+        record(scenario, tmp_path / "a.mcap", seed=seed, duration=4.0, **options)
         topics = reading.read(tmp_path / "a.mcap")
         truth = reading.pixels(topics, f"/truth/{topic}_pixel")
         errors += [centroid(picture, channel) - truth[t] for t, picture in reading.pictures(topics) if t in truth]
