@@ -1,7 +1,7 @@
 """Messages -> arrays: messages laid out alike are decoded all at once, the others one by one and counted."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -23,7 +23,7 @@ _OBJECTS = ("json", "protobuf")
 class Source(Protocol):
     """What of a log is needed here."""
 
-    def batches(self, ids: Any = None) -> Iterator[Batch]:
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
         """Undecoded messages in file order."""
 
 

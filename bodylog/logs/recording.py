@@ -11,7 +11,7 @@ from . import frames as camera
 from . import roles, video
 from .containers import Log, open_log
 from .roles import Role
-from .streams import Stream, health, remarks, series, streams
+from .streams import Stream, health, joints_of, remarks, series, streams
 
 _OURS = "/bodylog/"
 
@@ -19,7 +19,7 @@ _OURS = "/bodylog/"
 def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
     """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come."""
     with open_log(path, strict) as log:
-        found = roles.roles(log.topics, settings.topics, str(path))
+        found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
         heard = streams(log, found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
@@ -49,7 +49,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
         found: dict[str, Role] = {}
         heard: dict[str, Stream] = {}
         try:
-            found = roles.roles(log.topics, settings.topics, str(path))
+            found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
             heard = streams(log, found, settings, str(path))
         except BodylogError as error:
             problems.append(Finding("warning", str(error).removeprefix(f"{path}: ")))

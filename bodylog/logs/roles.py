@@ -42,13 +42,18 @@ class Role:
         return f"{self.topic}.{self.field}" if self.field else self.topic
 
 
-def roles(topics: Sequence[Topic], settings: Topics, name: str) -> dict[str, Role]:
-    """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have."""
+def roles(
+    topics: Sequence[Topic], settings: Topics, name: str, joints_of: Callable[[Topic], int] = lambda topic: 0
+) -> dict[str, Role]:
+    """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have.
+
+    `joints_of` looks how many joints a topic speaks of, where several could be the robot's.
+    """
     found = {}
     for role in ROLES:
         said = getattr(settings, role)
         if said is None:
-            guessed = _guess(role, topics)
+            guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
             found.update({role: guessed} if guessed else {})
         elif not is_video(role, said):
             found[role] = _named(role, said, topics, name)
@@ -64,6 +69,22 @@ def advice(found: Mapping[str, Role]) -> str:
     """The roles as one line ready to paste into robot.toml."""
     lines = ", ".join(f"{role} = {json.dumps(found[role].path)}" for role in ROLES if role in found)
     return f"topics = {{ {lines} }}"
+
+
+def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], int]) -> Sequence[Topic]:
+    """The topics, less those joint states that are about as frequent as the best but speak of fewer joints."""
+    ranks = {topic.name: rank for topic in topics if _is_raw(topic) and (rank := _joints_rank(topic)) is not None}
+    most = max(ranks.values(), default=(0, 0))
+    rivals = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
+    if len(rivals) < 2:
+        return topics
+    joints = {name: max(joints_of(t) for t in topics if t.name == name and t.type == _JOINTS) for name in rivals}
+    fewer = {name for name in rivals if joints[name] < max(joints.values())}
+    return [topic for topic in topics if topic.name not in fewer]
+
+
+def _is_raw(topic: Topic) -> bool:
+    return topic.messages > 0 and not topic.name.startswith(_OURS)
 
 
 def unreadable(topics: Sequence[Topic]) -> list[str]:
@@ -84,7 +105,7 @@ def _problem(topic: Topic) -> str | None:
 
 
 def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
-    ranked = [(_RANKS[role](topic), topic) for topic in topics if topic.messages and not topic.name.startswith(_OURS)]
+    ranked = [(_RANKS[role](topic), topic) for topic in topics if _is_raw(topic)]
     usable = [(rank, topic) for rank, topic in ranked if rank is not None]
     for _, topic in sorted(usable, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
         field = _field(role, topic)

@@ -1,17 +1,18 @@
 """One dated stream per role: columns read in one pass, put on one clock, every message accounted for."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import BodylogError, LogError
 from ..settings import Settings
-from ..types import Array, Finding, Health, Series
+from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import images, signals
 from .clocks import Dated, date, largest_gap, seconds
-from .columns import Columns, columns_of
+from .columns import Columns, columns, columns_of
 from .containers import Log
 from .roles import Role
 from .stamps import stamp_field
@@ -37,8 +38,31 @@ class Stream:
 
 def streams(log: Log, found: Mapping[str, Role], settings: Settings, name: str) -> dict[str, Stream]:
     """The roles of a log that hold usable messages; LogError when a role named in robot.toml does not."""
-    dated = {role: _stream(*read, settings, name) for role, read in _columns(log, found).items()}
+    dated = {role: _stream(*source, settings, name) for role, source in _columns(log, found).items()}
     return _one_epoch({role: stream for role, stream in dated.items() if _is_usable(stream, settings, name)})
+
+
+def joints_of(log: Log) -> Callable[[Topic], int]:
+    """How many joints a JointState topic's first messages name."""
+
+    def count(topic: Topic) -> int:
+        try:
+            found = columns(_Beginning(log), topic, ("name", "position"))
+        except BodylogError:
+            return 0
+        return max((np.shape(part.values[1])[-1] for part in found.parts), default=0)
+
+    return count
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """A log's first batch of what is asked for."""
+
+    log: Log
+
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
+        return islice(self.log.batches(ids), 1)
 
 
 def _columns(log: Log, found: Mapping[str, Role]) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
@@ -59,11 +83,11 @@ def _fields(role: Role) -> tuple[str, ...]:
     return (role.field,) if role.field else _JOINT_FIELDS
 
 
-def _stream(role: Role, columns: tuple[Columns, ...], settings: Settings, name: str) -> Stream:
+def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str) -> Stream:
     stamp = stamp_field(role.topics[0])
-    found = list(signals.blocks(columns, stamp, _fields(role)))
+    found = list(signals.blocks(read, stamp, _fields(role)))
     signal = _signal(role, found, settings, f"{name}: {role.topic}")
-    log_ns = np.concatenate([some.log_ns for some in columns])
+    log_ns = np.concatenate([some.log_ns for some in read])
     choice = getattr(settings.time, role.role)
     if choice == "header" and signal.stamp_ns is None and len(signal.rows):
         raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
@@ -73,10 +97,10 @@ def _stream(role: Role, columns: tuple[Columns, ...], settings: Settings, name: 
     if by_name:
         keep, values, idle = signals.merged(dated.t_ns, np.deg2rad(values) if settings.body.unit == "deg" else values)
         values, dated = values[keep], replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
-    rejected = sum((Counter(some.rejected) for some in columns), Counter(signal.rejected) + Counter(dated.rejected))
+    rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(dated.rejected))
     rejected.update({"same stamp again": idle} if idle else {})
-    rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in columns)
-    slow = sum(some.fallback for some in columns)
+    rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in read)
+    slow = sum(some.fallback for some in read)
     return Stream(role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow)
 
 

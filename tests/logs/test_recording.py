@@ -68,6 +68,11 @@ def test_joints_go_by_name_whatever_their_order(tmp_path):
     np.testing.assert_allclose(chosen.values, np.arange(10.0)[:, None] + [0.2, 0], atol=1e-15)
 
 
+def test_the_arm_is_preferred_to_its_gripper(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/a_gripper", moves(12, ("finger",))), joints("/arm", moves(10))])
+    assert read(log, PLAIN).roles == {"joints": "/arm"}
+
+
 def test_halves_of_the_joints_in_turn_leave_nan_and_of_one_stamp_are_joined(tmp_path):
     arm, hand = ("shoulder", "elbow"), ("wrist",)
     alternating = [(arm, hand)[i % 2] for i in range(6)]

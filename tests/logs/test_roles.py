@@ -65,6 +65,14 @@ def test_more_messages_win_then_the_alphabet():
     assert guessed(("/b", JOINTS, 5), ("/a", JOINTS, 5))["joints"] == "/a"
 
 
+def test_of_about_as_frequent_joints_those_of_the_larger_body_win():
+    messages = {"/gripper": 510, "/arm": 500, "/calibration": 2, "/bodylog/j": 900}
+    joints = {"/gripper": 1, "/arm": 6, "/calibration": 20, "/bodylog/j": 30}
+    described = topics(*((name, JOINTS, count) for name, count in messages.items()))
+    found = roles(described, Topics(), "x.mcap", lambda topic: joints[topic.name])
+    assert found["joints"].topic == "/arm"
+
+
 def test_empty_topics_and_depth_pictures_fill_no_role():
     assert guessed(("/joint_states", JOINTS, 0), ("/cam/depth/image_raw", IMAGE, 5)) == {}
 
