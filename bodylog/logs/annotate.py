@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Collection, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO
 
@@ -39,12 +40,10 @@ def annotate(
         with beside.open("wb") as stream:
             findings: tuple[Finding, ...] = ()
             if base is not None:
-                writer, kept = _copied(source, base, stream)
+                kept = _append(source, base, outgoing, metadata, stream)
             else:
                 writer, kept, findings = carry(source, stream, only)
-            add(writer, outgoing)
-            writer.about(NAME, metadata)
-            writer.finish()
+                _finish(writer, outgoing, metadata)
         verify(beside, kept + sum(len(o.log_ns) for o in outgoing), out)
     return findings
 
@@ -55,9 +54,7 @@ def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) 
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, outgoing)
-            writer.about(NAME, metadata)
-            writer.finish()
+            _finish(writer, outgoing, metadata)
         verify(beside, sum(len(o.log_ns) for o in outgoing), out)
 
 
@@ -76,13 +73,23 @@ def _base(source: Path) -> Base | None:
         return None
 
 
-def _copied(source: Path, base: Base, stream: BinaryIO) -> tuple[Writer, int]:
-    """A writer behind a copy of what can be kept, and how many messages that holds."""
+def _append(
+    source: Path, base: Base, outgoing: Sequence[Outgoing], metadata: Mapping[str, str], stream: BinaryIO
+) -> int:
+    """Copy what can be kept and, meanwhile, write the rest behind it; returns how many messages were kept."""
     kept = sum(base.contents.counts.values())
-    with source.open("rb") as original:
-        _copy(original.fileno(), stream.fileno(), base.end)
-    stream.seek(base.end)
-    return Writer(stream, base.contents, base.end, base.crc), kept
+    with source.open("rb") as original, ThreadPoolExecutor(1) as pool:
+        copying = pool.submit(_copy, original.fileno(), stream.fileno(), base.end)
+        stream.seek(base.end)
+        _finish(Writer(stream, base.contents, base.end, base.crc), outgoing, metadata)
+        copying.result()
+    return kept
+
+
+def _finish(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str, str]) -> None:
+    add(writer, outgoing)
+    writer.about(NAME, metadata)
+    writer.finish()
 
 
 def _copy(source: int, target: int, size: int) -> None:
@@ -96,12 +103,11 @@ def _copy(source: int, target: int, size: int) -> None:
             done += count
     except (OSError, AttributeError):
         pass  # another file system, or one that cannot: the plain copy below takes over where this stopped
-    os.lseek(target, done, os.SEEK_SET)
     while done < size:
         block = os.pread(source, min(_BLOCK, size - done), done)
         if not block:
             raise LogError(f"the log ended at byte {done} of {size} while it was copied; was it still being recorded?")
-        done += os.write(target, block)
+        done += os.pwrite(target, block, done)
 
 
 def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:

@@ -161,7 +161,7 @@ def _memory(folder: Path, sizes: tuple[int, int]) -> float:
         peaks = []
         for size in sizes:
             record(folder / "log.mcap", size, chunked)
-            command = [sys.executable, "-c", _CHILD, job, folder / "log.mcap", folder / "out.mcap"]
+            command = [sys.executable, "-c", _CHILD, job, str(folder / "log.mcap"), str(folder / "out.mcap")]
             peaks.append(float(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
         print(f"  {job:<24} {peaks[0]:7.1f} MB {peaks[1]:7.1f} MB   x{peaks[1] / peaks[0]:.2f} (bound 1.1)")
         worst = max(worst, peaks[1] / peaks[0])
