@@ -15,7 +15,7 @@ _FEW = 0.1
 class Dated:
     """One stream in time order: t_ns (m,) int64 · rows (m,) into what was given · which clock · rejected by reason.
 
-    offset_s, spread_s: median and 5-to-95 % range of log minus header time, None without a header.
+    offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header.
     """
 
     t_ns: Array
@@ -23,7 +23,7 @@ class Dated:
     clock: str
     rejected: Mapping[str, int]
     out_of_order: int
-    offset_s: float | None
+    offset_ns: int | None
     spread_s: float | None
 
 
@@ -64,12 +64,13 @@ def _near(t_ns: Array) -> Array:
     return keep & (t_ns > 0)
 
 
-def _offset(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[float | None, float | None]:
+def _offset(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[int | None, float | None]:
     if stamp_ns is None or not near.any():
         return None, None
-    late = (log_ns - stamp_ns)[near] / 1e9
-    low, middle, high = np.percentile(late, [5, 50, 95])
-    return float(middle), float(high - low)
+    late = (log_ns - stamp_ns)[near]
+    # Relative to the first, or the float64 of clocks fifty years apart would round to 256 ns.
+    low, middle, high = np.percentile(late - late[0], [5, 50, 95])
+    return int(late[0]) + round(middle), float(high - low) / 1e9
 
 
 def seconds(t_ns: Array, start_ns: int) -> Array:

@@ -75,7 +75,8 @@ def _topic(topic: Topic, duration_s: float) -> dict[str, Any]:
 
 def _clock(stream: Stream) -> dict[str, Any]:
     dated = stream.dated
-    return {"clock": dated.clock, "offset_s": dated.offset_s, "spread_s": dated.spread_s}
+    offset_s = None if dated.offset_ns is None else dated.offset_ns / 1e9
+    return {"clock": dated.clock, "offset_s": offset_s, "spread_s": dated.spread_s}
 
 
 def _start_ns(heard: Mapping[str, Stream], log: Log) -> int:

@@ -17,7 +17,7 @@ from .containers import Log
 from .roles import Role
 from .stamps import stamp_field
 
-_MINUTE = 60.0
+_MINUTE = 60_000_000_000
 _JOINT_FIELDS = ("name", "position")
 
 
@@ -34,6 +34,7 @@ class Stream:
     counts: tuple[int, ...]
     rejected: Mapping[str, int]
     fallback: int
+    shifted_s: float = 0.0
 
 
 def streams(log: Log, found: Mapping[str, Role], settings: Settings, name: str) -> dict[str, Stream]:
@@ -126,15 +127,16 @@ def _is_usable(stream: Stream, settings: Settings, name: str) -> bool:
 
 
 def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
-    """Bring log-dated streams to the header's epoch when the two clocks are more than a minute apart."""
-    offsets = [s.dated.offset_s for s in found.values() if s.dated.clock == "header" and s.dated.offset_s is not None]
-    if not offsets or abs(offsets[0]) < _MINUTE:
-        return found
-    late_ns = np.int64(round(offsets[0] * 1e9))
-    return {
-        role: replace(s, dated=replace(s.dated, t_ns=s.dated.t_ns - late_ns)) if s.dated.clock == "log" else s
-        for role, s in found.items()
-    }
+    """Bring streams whose clocks are more than a minute apart to the first one's, by way of their log times."""
+    behind = {role: (s.dated.offset_ns or 0) if s.dated.clock == "header" else 0 for role, s in found.items()}
+    first = next(iter(behind.values()), 0)
+    return {role: _shifted(stream, behind[role] - first) for role, stream in found.items()}
+
+
+def _shifted(stream: Stream, by_ns: int) -> Stream:
+    if abs(by_ns) < _MINUTE:
+        return stream
+    return replace(stream, dated=replace(stream.dated, t_ns=stream.dated.t_ns + by_ns), shifted_s=by_ns / 1e9)
 
 
 def series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
@@ -153,9 +155,12 @@ def health(stream: Stream) -> Health:
 def remarks(stream: Stream) -> Iterator[Finding]:
     """What there is to say about a stream: its clocks, and what was sorted, slow or rejected."""
     dated, name = stream.dated, f"{stream.role.role} {stream.role.topic}"
-    if dated.offset_s is not None:
-        late = f"{dated.offset_s:.6g} s after the header's at the median, 5 to 95 % within {dated.spread_s:.3g} s"
-        yield Finding("info", f"{name}: {dated.clock} time; log times are {late}")
+    if dated.offset_ns is not None:
+        late = f"{dated.offset_ns / 1e9:.6g} s after the header's, 5 to 95 % within {dated.spread_s:.3g} s"
+        yield Finding("info", f"{name}: {dated.clock} time; log times are at the median {late}")
+    if stream.shifted_s:
+        by = f"{stream.shifted_s:.6g} s"
+        yield Finding("warning", f"{name}: its clock is not the others'; shifted by {by} to meet them")
     if dated.out_of_order:
         yield Finding("info", f"{name}: {dated.out_of_order} messages out of order were sorted")
     if stream.fallback:

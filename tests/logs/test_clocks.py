@@ -14,8 +14,14 @@ def test_the_header_is_preferred_when_it_moves():
     dated = date(stamp + 4 * MS, stamp, "auto")
     assert dated.clock == "header"
     np.testing.assert_array_equal(dated.t_ns, stamp)
-    assert dated.offset_s == pytest.approx(0.004)
-    assert dated.spread_s == pytest.approx(0, abs=1e-9)
+    assert (dated.offset_ns, dated.spread_s) == (4 * MS, 0)
+
+
+@pytest.mark.parametrize("apart", [1, T0 - 7, 7 - T0])
+def test_offset_and_spread_are_exact_however_far_the_clocks_are_apart(apart):
+    stamp = T0 + 20 * MS * np.arange(101)
+    dated = date(stamp + apart + MS * np.arange(101), stamp, "header")
+    assert (dated.offset_ns, dated.spread_s) == (apart + 50 * MS, pytest.approx(0.09))
 
 
 @pytest.mark.parametrize("stamp", [np.zeros(50, np.int64), np.full(50, T0), None])
@@ -76,7 +82,7 @@ def test_a_log_of_two_days_keeps_both():
 def test_no_messages_at_all():
     empty = np.empty(0, np.int64)
     dated = date(empty, empty, "auto")
-    assert (len(dated.t_ns), dated.offset_s) == (0, None)
+    assert (len(dated.t_ns), dated.offset_ns) == (0, None)
     assert not is_sound(empty)
     assert largest_gap(empty) == 0
 

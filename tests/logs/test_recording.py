@@ -203,6 +203,28 @@ def test_simulated_stamps_and_wall_clock_logs_are_brought_together(tmp_path):
     assert got.skin.source_ns[0] == wall + 5 * 10**9 + 100 * MS
 
 
+def test_a_camera_that_counts_from_its_boot_is_brought_to_the_joints_clock(tmp_path):
+    boot = 300 * 10**9
+    image = np.zeros((8, 8, 3), np.uint8)
+    pictures = [(T0 + 40 * MS * i + 4 * MS, compressed(boot + 40 * MS * i, image)) for i in range(20)]
+    got = read(write(tmp_path / "a.mcap", [camera("/cam", pictures), joints("/j", moves(40))]), PLAIN)
+    assert got.frames is not None
+    np.testing.assert_allclose([frame.t for frame in got.frames()], 0.04 * np.arange(20), atol=1e-12)
+    assert got.start_ns == T0 and got.duration_s == pytest.approx(0.78)
+    assert any("its clock is not the others'" in finding.text for finding in got.findings)
+
+
+def test_two_publishers_of_one_topic_are_one_stream(tmp_path):
+    every, halves = moves(10), [joints("/j", moves(10)[0::2]), joints("/j", moves(10)[1::2])]
+    shades = [(t, compressed(t, np.full((4, 4, 3), 10 * i, np.uint8))) for i, (t, _) in enumerate(every)]
+    cameras = [camera("/cam", shades[0::2]), camera("/cam", shades[1::2])]
+    got = read(write(tmp_path / "a.mcap", [*halves, *cameras]), PLAIN)
+    assert got.joints is not None and got.frames is not None
+    np.testing.assert_array_equal(got.joints.values[:, 0], np.arange(10))
+    assert [int(frame.image[0, 0, 0]) for frame in got.frames()] == [10 * i for i in range(10)]
+    assert (got.health["joints"].used, got.health["camera"].used) == (10, 10)
+
+
 def test_robot_toml_chooses_the_clock(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), arrays("/skin", np.ones((10, 3)))])
     got = read(log, settings(time=Time(joints="log")))
