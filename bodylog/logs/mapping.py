@@ -3,16 +3,28 @@
 import mmap
 from pathlib import Path
 
+_ADVICE = hasattr(mmap, "MADV_DONTNEED")
+_PAGE = mmap.PAGESIZE
+
 
 def mapped(path: Path) -> memoryview:
-    """The bytes of a file that is not empty, read as they are touched."""
+    """The bytes of a file that is not empty, read as they are touched, and no more than is touched."""
     with path.open("rb") as stream:
-        return memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
+        found = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+    if _ADVICE:
+        found.madvise(mmap.MADV_RANDOM)
+    return memoryview(found)
+
+
+def fetch(data: memoryview, start: int, end: int) -> None:
+    """Start reading what lies between two bytes of a mapped file: all of it is about to be touched."""
+    low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
+    if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
+        data.obj.madvise(mmap.MADV_WILLNEED, low, high - low)
 
 
 def forget(data: memoryview, start: int, end: int) -> None:
     """Let go of the whole pages between two bytes of a mapped file; touching them again reads them again."""
-    page = mmap.PAGESIZE
-    low, high = -(-start // page) * page, end // page * page
-    if high > low and isinstance(data.obj, mmap.mmap) and hasattr(data.obj, "madvise"):
+    low, high = -(-start // _PAGE) * _PAGE, end // _PAGE * _PAGE
+    if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
         data.obj.madvise(mmap.MADV_DONTNEED, low, high - low)

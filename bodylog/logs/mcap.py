@@ -10,7 +10,7 @@ from ..types import Array, Batch, Finding, Topic
 from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, load, loose_messages, messages
 from .compression import Buffer
 from .ledger import Ledger
-from .mapping import forget, mapped
+from .mapping import fetch, forget, mapped
 from .records import HEAD, MAGIC, SCHEMA, Record, parse
 from .topics import Topics, split
 from .unpacked import unpacked
@@ -80,11 +80,13 @@ class McapLog:
         buffer = Buffer()
         for part in self.survey.parts:
             if isinstance(part, Loose):
+                fetch(self._data, part.start, part.end)
                 whole = np.frombuffer(self._data, np.uint8)
                 for found in loose_messages(self._data, part):
                     yield whole, found
                     forget(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
             elif wanted is None or not part.listed or not part.indexes or wanted[list(part.indexes)].any():
+                fetch(self._data, part.start, part.start + part.length)
                 content = load(self._data, part, buffer, self._ledger)
                 if content is not None:
                     yield content, messages(content, self._data, part, self._ledger)

@@ -49,7 +49,23 @@ FIELDS: dict[int, tuple[str, str]] = {
 }
 """opcode -> name of the record and its fields in order, each with its kind."""
 
-_NUMBERS = {kind: struct.Struct(code) for kind, code in (("u8", "<B"), ("u16", "<H"), ("u32", "<I"), ("u64", "<Q"))}
+_CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q"}
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_OFFSET = struct.Struct("<HQ")
+
+
+def _plan(fields: str) -> tuple[tuple[str, tuple[str, ...], struct.Struct], ...]:
+    """Fields in order as (kind, names, struct); numbers that follow one another are read at once."""
+    steps: list[tuple[str, tuple[str, ...], str]] = []
+    for name, kind in (field.split(":") for field in fields.split()):
+        if kind in _CODES and steps and steps[-1][0] == "numbers":
+            steps[-1] = ("numbers", (*steps[-1][1], name), steps[-1][2] + _CODES[kind])
+        else:
+            steps.append(("numbers" if kind in _CODES else kind, (name,), "<" + _CODES.get(kind, "")))
+    return tuple((kind, names, struct.Struct(codes)) for kind, names, codes in steps)
+
+
+_PLANS = {opcode: _plan(fields) for opcode, (_, fields) in FIELDS.items()}
 
 
 @dataclass(frozen=True)
@@ -82,34 +98,42 @@ class _Reader:
 
     def read(self, kind: str) -> Any:
         """The next field of that kind."""
-        number = _NUMBERS.get(kind)
-        if number is not None:
-            return number.unpack(self.take(number.size))[0]
         if kind == "rest":
             return bytes(self.take(len(self._body) - self._at))
         if kind == "long":
-            return self.take(self.read("u64"))
-        content = self.take(self.read("u32"))
+            return self.take(_U64.unpack(self.take(8))[0])
+        content = self.take(_U32.unpack(self.take(4))[0])
         if kind == "str":
             return str(content, "utf-8", "replace")
-        return bytes(content) if kind == "bytes" else _pairs(content, kind)
+        if kind == "bytes":
+            return bytes(content)
+        return _texts(content) if kind == "texts" else _offsets(content)
 
 
-def _pairs(content: memoryview, kind: str) -> dict[Any, Any]:
-    inner = _Reader(content)
-    key, value = ("str", "str") if kind == "texts" else ("u16", "u64")
-    pairs = {}
+def _texts(content: memoryview) -> dict[str, str]:
+    inner, texts = _Reader(content), {}
     while inner._at < len(content):
-        name = inner.read(key)
-        pairs[name] = inner.read(value)
-    return pairs
+        name = inner.read("str")
+        texts[name] = inner.read("str")
+    return texts
+
+
+def _offsets(content: memoryview) -> dict[int, int]:
+    if len(content) % _OFFSET.size:
+        raise FormatError(f"a table of {len(content)} bytes whose rows take {_OFFSET.size}")
+    return dict(_OFFSET.iter_unpack(content))
 
 
 def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
     """The record in `body`; FormatError when a length inside contradicts it."""
     reader = _Reader(body)
-    named = (field.split(":") for field in FIELDS[opcode][1].split())
-    return Record(opcode, start, {name: reader.read(kind) for name, kind in named})
+    fields: dict[str, Any] = {}
+    for kind, names, numbers in _PLANS[opcode]:
+        if kind == "numbers":
+            fields.update(zip(names, numbers.unpack(reader.take(numbers.size)), strict=True))
+        else:
+            fields[names[0]] = reader.read(kind)
+    return Record(opcode, start, fields)
 
 
 def walk(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:

@@ -73,11 +73,15 @@ def _chunk_like(data: memoryview, at: int) -> bool:
     opcode, length = HEAD.unpack_from(data, at)
     _, _, size, _, letters = CHUNK_HEAD.unpack_from(data, at + HEAD.size)
     name = at + HEAD.size + CHUNK_HEAD.size
-    named = [known for known in NAMES if data[name : name + len(known)] == known.encode()]
-    packed = int.from_bytes(data[name + len(named[-1]) : name + len(named[-1]) + 8], "little")
-    signs = [opcode == CHUNK, letters > 0 and letters == len(named[-1]), length == _CHUNK_FIXED + letters + packed]
-    signs += [letters == 0 and length == _CHUNK_FIXED + size, letters == 0 and 0 < packed == size]
-    return sum(signs) >= 2
+    for known in NAMES:
+        end = name + len(known)
+        if data[name:end] == known.encode():
+            packed = int.from_bytes(data[end : end + 8], "little")
+            signs = [opcode == CHUNK, known != "", length == _CHUNK_FIXED + len(known) + packed]
+            signs += [known == "" and length == _CHUNK_FIXED + size, known == "" and 0 < packed == size]
+            if sum(signs) + (known != "" and letters == len(known)) >= 2:
+                return True
+    return False
 
 
 def _sought(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:

@@ -29,6 +29,7 @@ from .resync import sound_records
 from .summary import believe_counts, chunks_of, summary_of
 
 _BLOCK = 4096
+_BLOCK_BYTES = 16 << 20
 _LONGEST_NS = 86400 * 10**9
 _CHANNEL = struct.Struct("<H")
 _MESSAGE = struct.Struct("<HIQ")
@@ -75,6 +76,8 @@ def _summarised(data: memoryview, records: list[Record], ledger: Ledger) -> Surv
 
 def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger) -> int | None:
     """Add what lies between two bytes to the survey; FOOTER or DATA_END if they were met, CHUNK if a cut was said."""
+    if start == end:
+        return None
     run, ended, unsummarised = _Run(data, survey, start, ledger), None, end == len(data)
 
     def lost(at: int, size: int) -> None:
@@ -124,7 +127,7 @@ class _Run:
         """Count the message between two bytes."""
         self._end = end
         self._found.append(start)
-        if len(self._found) == _BLOCK:
+        if len(self._found) == _BLOCK or end - self._found[0] > _BLOCK_BYTES:
             self._flush()
 
     def close(self, following: int) -> None:

@@ -5,22 +5,36 @@ import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 
 from ..errors import LogError
-from ..types import Batch, Finding, Topic
+from ..types import Array, Batch, Finding, Topic
 from .ledger import Ledger
-from .topics import Topics, normalised
+from .topics import Topics, normalised, split
 from .unpacked import unpacked
 
-_ROWS = 4096
-_BYTES = 4 << 20
+_ENDS = ("min", "max")
+_ROWS = 512
+_FIRST_ROWS = 16
+_BYTES = 16 << 20
 _LARGEST = 1 << 30
+_LOWEST = -(1 << 63)
+_SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
 
 Row = tuple[int, int, int, bytes]
 """rowid, topic id in the file, log time (ns), payload."""
+
+
+class Block(NamedTuple):
+    """Rows as arrays: topic id in the file (n,), log time (n,) ns, all payloads one after another, lengths (n,)."""
+
+    topic: Array
+    log_ns: Array
+    data: Array
+    length: Array
 
 
 class Db3Log:
@@ -36,19 +50,17 @@ class Db3Log:
         try:
             self._size = (source or path).stat().st_size
             named = _topics(self._store)
-            counts = self._counts()
+            counts, self.start_ns, self.end_ns = self._survey()
         except sqlite3.Error as problem:
             self._store.close()
             raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; type: bodylog doctor") from None
         topics, self._topic_of = Topics(), {}
         for number, (name, kind, encoding, definition, dialect, metadata) in named.items():
-            count = counts.get(number, (0, 0, 0))[0]
+            count = counts.get(number, 0)
             self._topic_of[number] = topics.add(name, kind, encoding, definition, dialect, count, metadata)
         self.topics: tuple[Topic, ...] = topics.all()
-        self.start_ns = min((low for _, low, _ in counts.values()), default=0)
-        self.end_ns = max((high for _, _, high in counts.values()), default=0)
         for number in counts.keys() - named.keys():
-            self._ledger.lost(-number, None, counts[number][0], None, f"no row says what topic {number} is")
+            self._ledger.lost(-number, None, counts[number], None, f"no row says what topic {number} is")
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -59,8 +71,8 @@ class Db3Log:
         """Messages of the topics `ids` (None: all) in the order stored, one batch per topic and block of rows."""
         wanted = {number: topic for number, topic in self._topic_of.items() if ids is None or topic in ids}
         if wanted:
-            rows = self._rows(None if ids is None else wanted)
-            found = (batch for block in rows for batch in _batches(block, wanted))
+            blocks = self._blocks(None if ids is None else wanted)
+            found = (batch for block in blocks for batch in _batches(block, wanted))
             yield from unpacked(found, self.topics, self._ledger)
 
     def close(self) -> None:
@@ -75,50 +87,66 @@ class Db3Log:
         """Close."""
         self.close()
 
-    def _counts(self) -> dict[int, tuple[int, int, int]]:
-        """Topic id in the file -> messages, first and last log time (ns)."""
-        query = "SELECT topic_id, count(*), min(timestamp), max(timestamp) FROM messages GROUP BY topic_id"
+    def _survey(self) -> tuple[dict[int, int], int, int]:
+        """Messages by topic id in the file, first and last log time (ns)."""
         try:
-            found = self._store.execute(query).fetchall()
-            if all(type(value) is int for row in found for value in row):
-                return {topic: (count, low, high) for topic, count, low, high in found}
+            counts = dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
+            if self._store.execute("PRAGMA index_list(messages)").fetchall():  # two look-ups instead of a scan
+                times = [self._store.execute(f"SELECT {end}(timestamp) FROM messages").fetchone()[0] for end in _ENDS]
+            else:
+                times = self._store.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+            if all(type(value) is int for value in (*counts, *(times if counts else ()))):
+                return counts, times[0] or 0, times[1] or 0
         except sqlite3.DatabaseError as problem:
             self._ledger.warn(f"the table of messages is damaged: {problem}")
-        counts: dict[int, tuple[int, int, int]] = {}
-        for block in self._rows(None):
-            for _, topic, time, _ in block:
-                count, low, high = counts.get(topic, (0, time, time))
-                counts[topic] = (count + 1, min(low, time), max(high, time))
-        return counts
+        counts, ends = {}, []
+        for block in self._blocks(None):
+            for topic in block.topic.tolist():
+                counts[topic] = counts.get(topic, 0) + 1
+            ends += [int(block.log_ns.min()), int(block.log_ns.max())]
+        return counts, min(ends, default=0), max(ends, default=0)
 
-    def _rows(self, wanted: Collection[int] | None) -> Iterator[list[Row]]:
-        """The rows of these topics in blocks, in the order stored; what cannot be read is skipped and said."""
-        chosen = "" if wanted is None else f" AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
-        query = f"SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid > ?{chosen} ORDER BY rowid"
-        last: Row | None = None
-        low = -(1 << 63)
-        while True:
-            block: list[Row] = []
-            size, after = 0, low
-            try:
-                for row in self._store.execute(query, (after,)):
-                    low = row[0]
-                    if type(row[3]) is not bytes or type(row[1]) is not int or type(row[2]) is not int:
-                        self._ledger.lost(low, None, 1, None, f"row {low} of messages is damaged")
-                        continue
-                    block.append(row)
-                    size += len(row[3])
-                    last = row
-                    if len(block) == _ROWS or size > _BYTES:
-                        yield block
-                        block, size = [], 0
-            except sqlite3.DatabaseError as problem:
-                failed: sqlite3.DatabaseError | None = problem
-            else:
-                failed = None
-            if block:
+    def _blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
+        """The rows of these topics in the order stored; what cannot be read is skipped and said."""
+        chosen = "" if wanted is None else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
+        count, largest, done = _FIRST_ROWS, 1, 0
+        try:
+            cursor = self._store.execute(_SELECT.format("topic_id, timestamp, data", chosen), (_LOWEST,))
+            while rows := cursor.fetchmany(count):
+                block = _block(rows)
+                if block is None:
+                    break
                 yield block
-            following = self._next(low, last, failed) if failed else None
+                done += len(rows)
+                largest = max(largest, int(block.length.max()))
+                count = max(1, min(_ROWS, _BYTES // largest))
+            else:
+                return
+        except sqlite3.DatabaseError:
+            pass  # read on row by row, and past the damage
+        yield from self._damaged_rows(chosen, self._rowid(chosen, done))
+
+    def _rowid(self, chosen: str, done: int) -> int:
+        """The rowid of the last of the `done` rows that were read."""
+        query = _SELECT.format("rowid", chosen) + " LIMIT 1 OFFSET ?"
+        return int(self._store.execute(query, (_LOWEST, done - 1)).fetchone()[0]) if done else _LOWEST
+
+    def _damaged_rows(self, chosen: str, low: int) -> Iterator[Block]:
+        """The sound rows after rowid `low`, one to a block."""
+        last: Row | None = None
+        query = _SELECT.format("rowid, topic_id, timestamp, data", chosen)
+        while True:
+            try:
+                for row in self._store.execute(query, (low,)):
+                    low, block = row[0], _block([row[1:]])
+                    if block is not None:
+                        last = row
+                        yield block
+                    else:
+                        self._ledger.lost(low, None, 1, None, f"row {low} of messages is damaged")
+                return
+            except sqlite3.DatabaseError as problem:
+                following = self._next(low, last, problem)
             if following is None:
                 return
             low = following
@@ -148,7 +176,7 @@ class Db3Log:
             return False
 
     def _first(self, after: int) -> Row | None:
-        query = "SELECT rowid, topic_id, timestamp, data FROM messages WHERE rowid > ? ORDER BY rowid LIMIT 1"
+        query = _SELECT.format("rowid, topic_id, timestamp, data", "") + " LIMIT 1"
         row: Row | None = self._store.execute(query, (after,)).fetchone()
         return row if row and type(row[2]) is int else None
 
@@ -210,14 +238,17 @@ def _standard(kind: str) -> tuple[bytes, str]:
     return store.generate_msgdef(kind, ros_version=2)[0].encode(), "ros2msg"
 
 
-def _batches(block: list[Row], wanted: dict[int, int]) -> Iterator[Batch]:
-    of_topic: dict[int, tuple[list[int], list[bytes]]] = {}
-    for _, number, time, payload in block:
-        if number in wanted:
-            times, payloads = of_topic.setdefault(wanted[number], ([], []))
-            times.append(time)
-            payloads.append(payload)
-    for topic, (times, payloads) in of_topic.items():
-        length = np.fromiter(map(len, payloads), np.int64, len(payloads))
-        data = np.frombuffer(b"".join(payloads), np.uint8)
-        yield Batch(topic, np.array(times, np.int64), data, np.cumsum(length) - length, length)
+def _block(rows: list[tuple[int, int, bytes]]) -> Block | None:
+    """The rows as arrays, or None when a value is not of the type its column must have."""
+    numbers, times, payloads = zip(*rows, strict=True)
+    topic, log_ns = np.array(numbers), np.array(times)
+    if topic.dtype != np.int64 or log_ns.dtype != np.int64 or set(map(type, payloads)) != {bytes}:
+        return None
+    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    return Block(topic, log_ns, np.frombuffer(b"".join(payloads), np.uint8), length)
+
+
+def _batches(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
+    numbers, where = np.unique(block.topic, return_inverse=True)
+    topic = np.array([wanted.get(number, -1) for number in numbers.tolist()], np.int64)[where]
+    return split(topic, block.log_ns, block.data, np.cumsum(block.length) - block.length, block.length)
