@@ -19,6 +19,22 @@ def residuals(data: Samples, found: Fitted, block: Array) -> tuple[Array, Array]
     return residual, variance
 
 
+def alone(data: Samples, found: Fitted) -> Array:
+    """Each sample's residual (n,D) in deviations, itself left out (left in on inducing points: it is one of many)."""
+    result = np.empty(data.y.shape)
+    for index, group in enumerate(found.groups):
+        kernel, spread, y = found.kernels[index], found.spreads[index], data.y[:, group]
+        if len(data.x) <= EXACT:
+            whole = condition(kernel, data.x, y, spread)
+            own = np.square(inverse_lower(whole.chol)).sum(axis=0)
+            result[:, group] = whole.alpha / np.sqrt(own)[:, None]
+        else:
+            base = inducing_bases(data, found)[index]
+            fit = sparse.posterior(base, sparse.sums(base, data.x, y, spread))
+            result[:, group] = sparse.deviations(base, fit, data.x, y, spread)
+    return result
+
+
 def _exact(data: Samples, found: Fitted, index: int, blocks: list[Array]) -> tuple[Array, Array]:
     y = data.y[:, found.groups[index]]
     whole = condition(found.kernels[index], data.x, y, found.spreads[index])

@@ -95,7 +95,7 @@ def _readings(features: Features, index: int, count: int) -> Series:
 
 
 def _heard(name: str, readings: Sequence[Series]) -> bool:
-    return all(np.isfinite(r.values[:, r.names.index(name)]).sum() > 3 for r in readings)
+    return all(len(np.unique(r.t[np.isfinite(r.values[:, r.names.index(name)])])) > 3 for r in readings)
 
 
 def _joint(name: str, readings: Sequence[Series]) -> Joint:
@@ -113,8 +113,9 @@ def _likelier(signal: Chain, acceleration: Motion) -> Motion:
 
 
 def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pairs:
-    t, y = track.t[::every], track.values[::every]
-    floor = np.zeros_like(y) if track.std is None else track.std[::every] ** 2
+    rows = np.argsort(track.t, kind="stable")[::every]
+    t, y = track.t[rows], track.values[rows]
+    floor = np.zeros_like(y) if track.std is None else track.std[rows] ** 2
     both = [posterior(j.chains[log], j.motions[log], t) for j in chosen]
     x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
     sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)

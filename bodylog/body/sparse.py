@@ -110,6 +110,14 @@ def held_out(base: Basis, x: Array, y: Array, spread: Spread, blocks: Sequence[A
     return residual, variance
 
 
+def deviations(base: Basis, found: Sparse, x: Array, y: Array, spread: Spread) -> Array:
+    """Residual (n,G) of samples y (n,G) at x (n,M) in standard deviations, noise included."""
+    cross = _cross(base, x)
+    variance = spread.diagonal + base.kernel.noise + base.kernel.amplitude
+    variance = variance - np.square(cross @ found.factor.T).sum(axis=1)
+    return np.asarray((y - cross @ found.weights.T - found.mean) / np.sqrt(variance)[:, None])
+
+
 def _sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
     # whitened before it is summed: the sum itself would square the condition of the Gram matrix
     cross, sides = _cross(base, x) @ base.inverse.T, np.column_stack([np.ones(len(y)), y])

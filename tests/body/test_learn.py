@@ -86,6 +86,23 @@ def test_thinning_is_said_and_costs_little(explored) -> None:
     assert np.sqrt(np.mean(error**2)) < 0.5
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_false_sightings_are_left_out_and_said(explored, seed: int) -> None:
+    run, draw = explored(seed, 0.003), np.random.default_rng(seed)
+    track = run.features.tracks["effector"]
+    wrong = draw.random(len(track.t)) < 0.04
+    values = np.where(wrong[:, None], draw.uniform([0, 0], [320, 240], track.values.shape), track.values)
+    found = learn([replace(run.features, tracks={"effector": replace(track, values=values)})], Settings(), {})
+    error = found.model.senses["effector"].predict(run.angles)[0] - run.pixels
+    assert np.sqrt(np.mean(error**2)) < 0.3
+    said = [f.text for f in found.findings if f.severity == "warning"]
+    assert len(said) == 1 and abs(int(said[0].split()[1]) - wrong.sum()) <= 2
+
+
+def test_sound_sightings_are_all_kept(learned: Learned) -> None:
+    assert not any(f.severity == "warning" for f in learned.findings)
+
+
 def test_paper_preset_has_its_constants_and_its_error(explored) -> None:
     run = explored(0, 0.003)
     found = learn([run.features], Settings(fit=Fit(preset="paper")), {})

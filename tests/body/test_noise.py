@@ -1,0 +1,29 @@
+import numpy as np
+import pytest
+
+from bodylog.body.noise import learned
+from bodylog.body.smooth import Motion
+from bodylog.body.train import samples, train
+
+
+def test_pixel_variance_is_what_perception_measured_and_what_the_fit_adds() -> None:
+    draw = np.random.default_rng(0)
+    x = draw.uniform(-1, 1, (200, 1))
+    y = np.column_stack([50 * x[:, 0], 20 * x[:, 0]]) + draw.normal(0, 0.5, (200, 2))
+    gp = train(samples(x, y), ("u", "v"), "px")
+    motion = Motion(2, 0.3, 1e-4, 0.0, (0.05, 1e-6))
+    noise = learned([motion, motion], {"effector": gp}, {"effector": np.full((200, 2), 0.01)})
+    assert noise.encoder == (1e-4, 1e-4) and noise.process == (0.3, 0.3)
+    assert noise.senses["effector"] == pytest.approx(gp.noise + 0.01)
+    assert noise.std_error["effector"] == pytest.approx((gp.noise + 0.01) * 0.1)
+    assert noise.std_error["process"] == (0.05, 0.05) and noise.std_error["encoder"] == (1e-6, 1e-6)
+
+
+def test_variances_of_perfect_sensors_stay_positive_and_finite() -> None:
+    draw = np.random.default_rng(0)
+    x = draw.uniform(-1, 1, (30, 1))
+    gp = train(samples(x, np.hstack([x, x])), ("u", "v"), "px")
+    still = Motion(2, 0.0, 0.0, 0.0, (float("inf"), 0.0))
+    noise = learned([still], {"effector": gp}, {"effector": np.zeros((30, 2))})
+    values = [*noise.encoder, *noise.process, *noise.senses["effector"], *noise.std_error["process"]]
+    assert all(0 < v < np.inf for v in values)

@@ -1,0 +1,69 @@
+import numpy as np
+import pytest
+
+from bodylog.body.wiener import banded, covariance, log_determinant, precision, selected_inverse, solve, transition
+from bodylog.types import Array
+
+
+def _random(seed: int, count: int, order: int) -> tuple[Array, Array, Array]:
+    """Blocks of a random motion seen through noise, and the same as one dense matrix."""
+    draw = np.random.default_rng(seed)
+    diagonal, upper = precision(order, draw.uniform(0.2, 2.0, count - 1))
+    diagonal = diagonal + draw.uniform(0.5, 1.0, (count, 1, 1)) * np.eye(order)
+    dense = np.zeros((count * order, count * order))
+    for k in range(count):
+        rows = slice(k * order, (k + 1) * order)
+        dense[rows, rows] = diagonal[k]
+        if k + 1 < count:
+            after = slice((k + 1) * order, (k + 2) * order)
+            dense[rows, after], dense[after, rows] = upper[k], upper[k].T
+    return diagonal, upper, dense
+
+
+@pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 16, 33])
+def test_blocks_of_the_inverse_and_solutions_are_those_of_the_dense_matrix(count: int, order: int) -> None:
+    diagonal, upper, dense = _random(count, count, order)
+    inverse = np.linalg.inv(dense).reshape(count, order, count, order)
+    own, between = selected_inverse(diagonal, upper)
+    for k in range(count):
+        assert np.allclose(own[k], inverse[k, :, k], rtol=1e-6, atol=1e-9)
+    for k in range(count - 1):
+        assert np.allclose(between[k], inverse[k, :, k + 1], rtol=1e-6, atol=1e-9)
+    right = np.random.default_rng(0).normal(size=(count * order, 3))
+    logdet, solved = solve(banded(diagonal, upper), right)
+    assert logdet == pytest.approx(np.linalg.slogdet(dense)[1])
+    assert np.allclose(dense @ solved, right, atol=1e-8)
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_precision_is_that_of_the_chain_given_its_start(order: int) -> None:
+    gap = np.array([0.5, 1.7, 0.9])
+    step, noise = transition(order, gap), covariance(order, gap)
+    chain, left = np.zeros((4 * order, 4 * order)), np.eye(4 * order)
+    for k in range(3):
+        now, after = slice(k * order, (k + 1) * order), slice((k + 1) * order, (k + 2) * order)
+        left[after, now] = -step[k]
+        chain[after, after] = np.linalg.inv(noise[k])
+    diagonal, upper = precision(order, gap)
+    expected = (left.T @ chain @ left).reshape(4, order, 4, order)
+    for k in range(4):
+        assert np.allclose(diagonal[k], expected[k, :, k])
+    for k in range(3):
+        assert np.allclose(upper[k], expected[k, :, k + 1])
+    inner = chain[order:, order:]
+    assert log_determinant(order, gap) == pytest.approx(np.linalg.slogdet(inner)[1])
+
+
+@pytest.mark.parametrize("order", [2, 3])
+def test_two_steps_are_one_long_step(order: int) -> None:
+    one, two, both = np.array([0.7]), np.array([0.4]), np.array([1.1])
+    assert np.allclose(transition(order, two) @ transition(order, one), transition(order, both))
+    later = transition(order, two)[0]
+    grown = later @ covariance(order, one)[0] @ later.T + covariance(order, two)[0]
+    assert np.allclose(grown, covariance(order, both)[0])
+
+
+def test_what_cannot_be_factored_is_an_error() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="too stiff"):
+        solve(banded(-np.eye(2)[None], np.zeros((0, 2, 2))), np.ones((2, 1)))
