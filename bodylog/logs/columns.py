@@ -112,6 +112,8 @@ def decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
 
 def definition_of(topic: Topic) -> Definition:
     """The parsed definition of a CDR or ROS 1 topic; FormatError names the topic."""
+    if topic.encoding not in ("cdr", "ros1", ""):
+        raise FormatError(f"{topic.name}: the messages are {topic.encoding!r}; known are cdr, ros1, json, protobuf")
     if topic.definition_encoding not in ("ros2msg", "ros1msg", "ros2idl", ""):
         known = "ros2msg, ros1msg, ros2idl, jsonschema, protobuf"
         raise FormatError(f"{topic.name}: the definition is {topic.definition_encoding!r}; known are {known}")

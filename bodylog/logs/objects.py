@@ -100,6 +100,8 @@ class ObjectDecoder:
             values = [tuple(follow(message, steps)) for steps in self.paths]
         except FormatError:
             self.rejected["malformed"] += 1
+        except RecursionError:
+            self.rejected["malformed"] += 1
         except (KeyError, ValueError, TypeError):
             self.rejected["field missing"] += 1
         else:

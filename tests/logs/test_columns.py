@@ -4,7 +4,7 @@ import json
 import struct
 import tracemalloc
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,8 +20,10 @@ from bodylog.types import Batch, Topic
 from .writing import T0, joint_state
 
 ROOT, INNER, LEAF = "test_msgs/msg/Root", "test_msgs/msg/Inner", "test_msgs/msg/Leaf"
-NUMBERS = ("bool", "int8", "uint8", "int16", "uint16", "int32", "uint32", "int64", "uint64", "float32", "float64")
-RANGES = {name: np.iinfo(name) for name in NUMBERS if "int" in name}
+INTEGERS = tuple(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))
+NUMBERS = ("bool", "byte", "char", *INTEGERS, "float32", "float64")
+RANGES = {name: np.iinfo(name) for name in INTEGERS}
+DTYPES = {name: np.dtype({"byte": "uint8", "char": "uint8"}.get(name, name)) for name in NUMBERS}
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,8 @@ def one(draw: st.DrawFn, types: dict[str, tuple[Member, ...]], type_: str) -> An
         return (draw(st.integers(0, 2**31 - 1)), draw(st.integers(0, 999_999_999)))
     if type_ == "bool":
         return draw(st.booleans())
+    if type_ in ("byte", "char"):
+        return draw(st.integers(0, 127))
     if type_.startswith("float"):
         return draw(st.floats(width=int(type_[5:]), allow_nan=True))
     if type_ in RANGES:
@@ -134,7 +138,7 @@ def _member(store: Any, types: dict[str, tuple[Member, ...]], member: Member, he
 
     if not member.size:
         return single(held)
-    return np.array(held, member.type) if member.type in NUMBERS else [single(x) for x in held]
+    return np.array(held, DTYPES[member.type]) if member.type in NUMBERS else [single(x) for x in held]
 
 
 def paths(types: dict[str, tuple[Member, ...]], name: str = ROOT, above: str = "") -> list[str]:
@@ -375,6 +379,13 @@ def test_unknown_encapsulation_is_rejected():
 def test_a_field_that_is_not_there_is_named_with_those_that_are(path, says):
     with pytest.raises(ConfigError, match=says):
         columns(Messages([]), joint_topic(), (path,))
+
+
+def test_an_unknown_encoding_names_those_known():
+    with pytest.raises(FormatError, match="/x: the messages are 'wrong_format'; known are cdr, ros1, json, protobuf"):
+        columns(Messages([]), topic("bool x", "wrong_format"), ("x",))
+    with pytest.raises(FormatError, match="/x: the definition is 'flatbuffer'; known are ros2msg"):
+        columns(Messages([]), replace(topic("bool x"), definition_encoding="flatbuffer"), ("x",))
 
 
 def test_a_broken_definition_names_its_topic():

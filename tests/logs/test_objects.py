@@ -111,6 +111,12 @@ def test_damaged_protobuf_is_counted_and_never_crashes(flips, cut):
     assert len(got.sound) + sum(got.rejected.values()) == 1
 
 
+def test_json_nested_very_deeply_is_rejected():
+    deep = b'{"q": ' + b"[" * 900 + b"]" * 900 + b"}"
+    got = columns(Messages([deep, b'{"q": [1]}']), topic(b"", "json", "x"), ("q",))
+    assert len(got.sound) + sum(got.rejected.values()) == 2
+
+
 def test_whole_numbers_past_64_bits_become_floats():
     got = columns(Messages([b'{"q": [1, 1000000000000000000000]}']), topic(b"", "json", "x"), ("q",))
     assert got.column("q").tolist() == [[1, 1e21]]
