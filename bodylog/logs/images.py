@@ -81,10 +81,12 @@ def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[bytes], Mapping[
         read = reader(topic)
         return lambda payload: _with_bytes(read(payload))
     definition, paths = definition_of(topic), tuple((name,) for name in fields)
-    declared = is_ros1(topic)
+    ros1: bool | None = True if is_ros1(topic) else None
 
     def from_layout(payload: bytes) -> Mapping[str, Any]:
-        ros1 = declared or speaks_ros1(definition, payload)
+        nonlocal ros1
+        if ros1 is None:
+            ros1 = speaks_ros1(definition, payload)
         return dict(zip(fields, pick(definition, payload, paths, ros1), strict=True))
 
     return from_layout
@@ -182,8 +184,7 @@ def _to_bgr(rows: Array, encoding: _Encoding, big: bool, k: int) -> Array:
     if encoding.size == 2:
         # The high byte alone: what 16 to 8 bits means to every decoder.
         pixels = pixels[:, :, 0 if big else 1 :: 2]
-    pixels = np.ascontiguousarray(pixels)
     if encoding.code is None:
-        return pixels
-    image = cv2.cvtColor(pixels, getattr(cv2, encoding.code))
+        return np.array(pixels, order="C")
+    image = cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, encoding.code))
     return np.ascontiguousarray(image[::k, ::k]) if encoding.whole and k > 1 else image

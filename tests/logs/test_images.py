@@ -274,6 +274,13 @@ def test_damaged_payloads_are_pictures_or_refused(seed, flips):
     assert image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
 
 
+def test_pictures_may_be_drawn_upon():
+    payload = raw("bgr8", scene(11), 31)
+    image = decoder(topic(IMAGE))(payload, 1)
+    image[:] = 0
+    np.testing.assert_array_equal(decoder(topic(IMAGE))(payload, 1), scene(11))
+
+
 def test_decoding_on_threads_gives_the_same_pictures():
     payloads = [compressed(T0, scene(seed, 60, 80), ".jpg", "jpeg") for seed in range(24)]
     read = decoder(topic(COMPRESSED))
