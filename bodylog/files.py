@@ -12,7 +12,12 @@ from .errors import UsageError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to; on success it is synced and takes `path`'s place, on failure it is removed."""
+    """A path beside `path` to write to; on success it is synced and takes `path`'s place, on failure it is removed.
+
+    UsageError when `path` is a folder or in none.
+    """
+    if path.is_dir():
+        raise UsageError(f"{path}: is a folder; give the name of a file with -o")
     if not path.parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")

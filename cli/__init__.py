@@ -37,3 +37,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
+    except OSError as err:
+        if err.filename is None:
+            raise
+        click.echo(f"bodylog: {os.fsdecode(err.filename)}: {err.strerror}", err=True)
+        return 65

@@ -2,11 +2,15 @@
 
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from . import options
+
+if TYPE_CHECKING:
+    from bodylog.batch import Group
+    from bodylog.settings import Settings
 
 
 @click.command(epilog="Example: bodylog batch logs/ -o out --train explore.bag --jobs 2 --fail-if 'joint_rmse>0.02'")
@@ -26,21 +30,35 @@ from . import options
 def batch(
     logs: tuple[str, ...], memory: str | None, shard: str, config_file: Path | None, as_json: bool, **typed: Any
 ) -> int:
-    """Estimate, score and report on many logs: a row each in results.jsonl, junit.xml and summary.html."""
+    """Estimate, score and report on many logs: a row each in results.jsonl, junit.xml and summary.html.
+
+    A single batch.toml instead of logs names groups of them, each with its own body, methods and bounds.
+    """
     from bodylog.batch import Plan, exit_code
     from bodylog.batch import batch as run
 
     from .output import data
 
-    ours = {k: typed.pop(k) for k in ("out", "body", "train", "workers", "scheduler", "resume", "keep_going", "bounds")}
-    chosen = options.settings(config_file, estimate=options.estimation(typed))
-    plan = Plan(logs=logs, settings=chosen, shard=_shard(shard), memory=_bytes(memory), **ours)
+    how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
+    what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
+    groups = _groups(logs, options.settings(config_file, estimate=options.estimation(typed)), what)
+    plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), **how)
     rows = run(plan, _tell)
     if as_json:
         data({"rows": rows, "output": str(plan.out)})
     else:
         _summary(rows)
     return exit_code(rows)
+
+
+def _groups(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -> "tuple[Group, ...]":
+    from bodylog.batch import Group, manifest
+
+    if not any(log.endswith(".toml") for log in logs):
+        return (Group("", logs, settings, **what),)
+    if len(logs) > 1 or any(what.values()):
+        raise click.UsageError("a batch.toml stands alone: it names the logs, bodies and bounds itself")
+    return manifest.load(Path(logs[0]), settings)
 
 
 def _tell(row: dict[str, Any], done: int, total: int) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import common_options, logs_argument, settings
+from .options import PATH, common_options, logs_argument, settings
 
 if TYPE_CHECKING:
     from bodylog.pipeline import Result
@@ -14,15 +14,29 @@ if TYPE_CHECKING:
 @click.command(epilog="Example: bodylog evaluate run.mcap --fail-if 'joint_rmse>0.02'")
 @logs_argument
 @click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help="E.g. 'joint_rmse>0.02'; broken: exit 4.")
+@click.option("--baseline", type=PATH, metavar="RESULTS.jsonl", help="A batch's results to be no worse than.")
+@click.option("--tolerance", default="5%", show_default=True, help="By how much an error may grow over the baseline.")
 @common_options
-def evaluate(logs: tuple[Path, ...], bounds: tuple[str, ...], config_file: Path | None, as_json: bool) -> int:
-    """Score annotated logs against the truth they carry."""
+def evaluate(
+    logs: tuple[Path, ...],
+    bounds: tuple[str, ...],
+    baseline: Path | None,
+    tolerance: str,
+    config_file: Path | None,
+    as_json: bool,
+) -> int:
+    """Score annotated logs against the truth they carry.
+
+    In a batch's folder the logs are OUT/NAME/annotated.mcap; the baseline is looked up by NAME.
+    """
     from bodylog import pipeline
+    from bodylog.evaluation import baseline as earlier
     from bodylog.evaluation import bounds as rules
 
     from .output import as_data, data, lost
 
-    wanted = [rules.parse(text) for text in bounds]
+    wanted, share = [rules.parse(text) for text in bounds], earlier.tolerance(tolerance)
+    before = earlier.load(baseline) if baseline else None
     chosen = settings(config_file)
     results = {str(log): pipeline.evaluate(log, chosen) for log in logs}
     if as_json:
@@ -31,7 +45,13 @@ def evaluate(logs: tuple[Path, ...], bounds: tuple[str, ...], config_file: Path 
     else:
         _print(results)
     rules.check({path: result.scores for path, result in results.items()}, wanted)
+    if before is not None:
+        earlier.check({_name(log): results[str(log)].scores for log in logs}, before, share)
     return max(lost(result.findings) for result in results.values())
+
+
+def _name(log: Path) -> str:
+    return log.parent.name if log.name == "annotated.mcap" else log.name
 
 
 def _print(results: "dict[str, Result]") -> None:

@@ -18,18 +18,22 @@ from .options import out_option
 @click.option("--noise", type=click.FloatRange(0), metavar="RAD", help="Standard deviation of the encoders.")
 @click.option("--full", is_flag=True, help="babble: move every joint.")
 @click.option("--arm", default="ur5", show_default=True, help="ur5 or seven.")
-@click.option("--variant", help="touch, rubber-hand: sync, late, jitter or slow.")
+@click.option("--variant", help="Of the scenario, e.g. touch: synchronous, late, jitter, wide-jitter.")
 @click.option("--place", help="rubber-hand: left, centre or right.")
-def record(scenario: str, out: Path, size: str, **options: Any) -> None:
+@click.option("--marker", is_flag=True, help="A blue ball on the wrist as a second feature.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
+def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:
     """Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth.
 
     SCENARIO is babble (exploration), reach, ...; an unknown one lists them all.
     """
     from bodylog import pipeline
 
-    from .output import show
+    from .output import progress, show
 
-    show(pipeline.record(scenario, out, size=_size(size), **options), False)
+    with progress("record") as tick:
+        result = pipeline.record(scenario, out, size=_size(size), progress=tick, **options)
+    return show(result, as_json)
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -27,3 +27,8 @@ def test_digest_of_a_folder_is_of_its_files_in_name_order(tmp_path):
     (folder / "a").write_bytes(b"1")
     (tmp_path / "both").write_bytes(b"12")
     assert sha256(folder) == sha256(tmp_path / "both")
+
+
+def test_a_folder_is_not_a_file_to_write(tmp_path):
+    with pytest.raises(UsageError, match="is a folder"), replacing(tmp_path):
+        pass

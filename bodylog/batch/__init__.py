@@ -1,4 +1,4 @@
-"""Many logs with one body: every log gets its row, whatever happens to it."""
+"""Many logs, each with a learned body: every log gets its row, whatever happens to it."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -17,15 +17,23 @@ Report = Callable[[Row, int, int], None]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a batch is asked to do; `body` or `train` gives the body model."""
+class Group:
+    """Logs (files, folders, patterns) of one robot: its body, or what to learn it from, settings and bounds."""
 
+    name: str
     logs: tuple[str, ...]
-    out: Path
     settings: Settings
     body: Path | None = None
     train: tuple[Path, ...] = ()
     bounds: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a batch is asked to do, and with what: processes, bytes of memory, which part, on which scheduler."""
+
+    groups: tuple[Group, ...]
+    out: Path
     workers: int = 1
     shard: tuple[int, int] = (1, 1)
     resume: bool = False
@@ -36,16 +44,12 @@ class Plan:
 
 def batch(plan: Plan, report: Report | None = None) -> list[Row]:
     """One row per log, in name order; also left in plan.out as results.jsonl, junit.xml and summary.html."""
-    plan.out.mkdir(parents=True, exist_ok=True)
-    body = _body(plan)
-    logs = jobs.named(plan.logs, plan.shard)
-    planned = [Job(n, log, plan.out / n, body, plan.settings, plan.bounds, plan.resume) for n, log in logs.items()]
+    planned = [job for group in plan.groups for job in _jobs(plan, group)]
     done = {job.name: row for job in planned if plan.resume and (row := resume.finished(job))}
-    open_jobs = [job for job in planned if job.name not in done]
     with results.journal(plan.out) as write:
         for row in done.values():
             write(row)
-        for row in _run(plan, open_jobs):
+        for row in _run(plan, [job for job in planned if job.name not in done]):
             done[row["name"]] = row
             write(row)
             if report:
@@ -60,6 +64,18 @@ def exit_code(rows: Sequence[Row]) -> int:
     return max((row["exit_code"] for row in rows), key=(0, 3, 4, 65, 1).index, default=0)
 
 
+def _jobs(plan: Plan, group: Group) -> list[Job]:
+    logs = jobs.named(group.logs, plan.shard)
+    folder = plan.out / group.name
+    folder.mkdir(parents=True, exist_ok=True)
+    body = _body(group, folder)
+    before = f"{group.name}/" if group.name else ""
+    return [
+        Job(before + name, log, folder / name, body, group.settings, group.bounds, plan.resume)
+        for name, log in logs.items()
+    ]
+
+
 def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:
     if plan.scheduler is not None:
         from . import cluster
@@ -69,14 +85,14 @@ def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:
     yield from local.run(open_jobs, plan.workers, plan.memory, plan.keep_going)
 
 
-def _body(plan: Plan) -> Path:
+def _body(group: Group, folder: Path) -> Path:
     """The body model given, or the one learned from the training logs, kept when it is what would be learned again."""
-    if (plan.body is None) == (not plan.train):
+    if (group.body is None) == (not group.train):
         raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
-    if plan.body is not None:
-        return plan.body
-    with _one_at_a_time(plan.out):
-        return resume.learned(plan.train, plan.out / "body.npz", plan.settings)
+    if group.body is not None:
+        return group.body
+    with _one_at_a_time(folder):
+        return resume.learned(group.train, folder / "body.npz", group.settings)
 
 
 @contextmanager

@@ -55,7 +55,7 @@ def _counted(job: Job, row: dict[str, Any]) -> bool:
     if "annotated.mcap" not in row["outputs"]:
         return True
     try:
-        return pipeline.count(job.folder / "annotated.mcap") == row["messages"]
+        return bool(pipeline.count(job.folder / "annotated.mcap") == row["messages"])
     except BodylogError:
         return False
 

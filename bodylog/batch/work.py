@@ -39,8 +39,9 @@ def _alone(folder: Path) -> Iterator[None]:
 def _anew(job: Job) -> dict[str, Any]:
     for stale in [*job.folder.glob(".*.part"), *(job.folder / name for name in (*OUTPUTS, resume.ROW))]:
         stale.unlink(missing_ok=True)
-    row = _attempt(job)
-    _leave(job.folder / resume.ROW, json.dumps(row, sort_keys=True, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(_attempt(job), sort_keys=True, ensure_ascii=False, allow_nan=False)
+    _leave(job.folder / resume.ROW, text)
+    row: dict[str, Any] = json.loads(text)  # just as a resumed run will read it
     return row
 
 

@@ -17,6 +17,8 @@ from .stage import Stage, Wish, open_stage
 from .streams import encoder_items, event_items, skin_items
 
 _IMAGES = ("jpeg", "raw")
+_CHUNK_BYTES = 1 << 18
+"""Small chunks: a log cut short by a crash loses little."""
 
 
 def record(
@@ -77,7 +79,7 @@ def _write(path: Path, stage: Stage, progress: Callable[[int], None] | None) -> 
     from mcap.writer import CompressionType, Writer
 
     with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=4 << 20, compression=CompressionType.ZSTD)
+        writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="bodylog")
         writer.add_metadata("bodylog_simulation", _settings(stage.wish))
         _fill(writer, stage, progress)

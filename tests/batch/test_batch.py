@@ -8,11 +8,15 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import pytest
 
 from bodylog.batch.jobs import named
+from bodylog.batch.results import junit
 from bodylog.errors import LogError, UsageError
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +53,26 @@ def test_junit_counts_failures_and_errors(tmp_path, mixed, robot, bodylog):
     bodylog("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
     suite = ET.parse(tmp_path / "junit.xml").getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "2")
+
+
+def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot, bodylog):
+    junitparser = pytest.importorskip("junitparser")
+    bodylog("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
+    suite = next(iter(junitparser.JUnitXml.fromfile(str(tmp_path / "junit.xml"))))
+    kinds = {case.name: [type(result).__name__ for result in case.result] for case in suite}
+    broken, unusable = ["Failure"], ["Error"]
+    assert kinds == {"good.mcap": broken, "truncated.mcap": broken, "empty.mcap": unusable, "noise.bag": unusable}
+    if shutil.which("xmllint") is None:
+        pytest.skip("xmllint is not installed: the schema was not checked")
+    schema = ROOT / "fixtures" / "junit" / "junit-10.xsd"
+    subprocess.run(["xmllint", "--noout", "--schema", schema, tmp_path / "junit.xml"], check=True, capture_output=True)
+
+
+def test_what_xml_cannot_hold_is_replaced():
+    row = {"name": "a\x00<b>", "log": "a", "exit_code": 65, "status": "unusable", "error": "bad \x1b[0m & worse"}
+    tree = ET.fromstring(junit([{**row, "scores": {}, "findings": []}]).encode())
+    assert tree.find(".//testcase").get("name") == "a\ufffd<b>"
+    assert tree.find(".//error").get("message") == "bad \ufffd[0m & worse"
 
 
 def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_path, mixed, robot, bodylog):

@@ -26,4 +26,5 @@ def _print(title: str, medians: dict[str, float], runs: dict[str, list[float]]) 
     print(f"\n{title}")
     for name, median in medians.items():
         low, high = min(runs[name]), max(runs[name])
-        print(f"  {name:<52} {median * 1e3:10.2f} ms  (min {low * 1e3:.2f}, max {high * 1e3:.2f})  x{median / first:.2f}")
+        spread = f"(min {low * 1e3:.2f}, max {high * 1e3:.2f})"
+        print(f"  {name:<52} {median * 1e3:10.2f} ms  {spread}  x{median / first:.2f}")

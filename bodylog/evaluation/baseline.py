@@ -1,0 +1,49 @@
+"""Today's scores held against those of an earlier batch: worse than the tolerance is a broken bound."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ..errors import BoundError, InputError, UsageError
+from ..types import Score
+
+ERRORS = ("joint_rmse",)
+"""Scores where more is worse; the parts behind a slash count with them."""
+
+
+def tolerance(text: str) -> float:
+    """A share from what was typed, "5%" or "0.05"; UsageError if it is neither."""
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(%?)\s*", text)
+    if not found:
+        raise UsageError(f"--tolerance {text!r}: it must be a share, e.g. 5%")
+    return float(found[1]) / (100 if found[2] else 1)
+
+
+def load(path: Path) -> dict[str, dict[str, float | None]]:
+    """Scores by log name from a results.jsonl; InputError if it is not one."""
+    try:
+        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        return {row["name"]: dict(row["scores"]) for row in rows}
+    except (OSError, ValueError, KeyError, TypeError) as err:
+        raise InputError(f"{path}: not a results.jsonl of a batch ({err}); type: bodylog batch LOG... -o DIR") from err
+
+
+def check(found: Mapping[str, Sequence[Score]], before: Mapping[str, Mapping[str, float | None]], share: float) -> None:
+    """BoundError naming every error that grew by more than `share`; UsageError when a log is not in the baseline."""
+    worse = [text for name, scores in found.items() for text in _worse(name, scores, before, share)]
+    if worse:
+        raise BoundError("; ".join(worse))
+
+
+def _worse(
+    name: str, scores: Sequence[Score], before: Mapping[str, Mapping[str, float | None]], share: float
+) -> list[str]:
+    if name not in before:
+        raise UsageError(f"{name}: not in the baseline, which has {', '.join(sorted(before)) or 'no logs'}")
+    grown = []
+    for score in scores:
+        old = before[name].get(score.name)
+        if score.name.split("/")[0] in ERRORS and old is not None and not score.value <= old * (1 + share):
+            grown.append(f"{name}: {score.name} was {old:.6g}, is {score.value:.6g}, more than {share:.3%} worse")
+    return grown

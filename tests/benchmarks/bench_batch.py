@@ -1,0 +1,94 @@
+"""Batches: two processes against one, the cost of a row, Dask against the pool, the scheduler's share of tiny logs."""
+
+import io
+import shutil
+import tempfile
+import time
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+
+import bodylog_cli
+
+from bodylog import pipeline
+from bodylog.batch import Group, Plan, batch
+from bodylog.settings import Settings
+
+LOGS = 16
+TINY = (10, 100)
+
+
+def main() -> None:
+    """One row per comparison, ratios included."""
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        _robot(work)
+        _processes(work)
+        _tiny(work)
+
+
+def _robot(work: Path) -> None:
+    for scenario, name, seconds in (("babble", "explore", 20), ("reach", "reach", 20), ("reach", "tiny", 2)):
+        _quiet("record", scenario, "-o", work / f"{name}.mcap", "--duration", seconds, "--size", "320x240")
+    _quiet("fit", work / "explore.mcap", "-o", work / "body.npz")
+
+
+def _quiet(*typed: object) -> None:
+    with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        assert bodylog_cli.run([str(part) for part in typed]) == 0
+
+
+def _copies(work: Path, source: str, count: int) -> Path:
+    folder = work / f"{source}{count}"
+    folder.mkdir()
+    for number in range(count):
+        shutil.copy(work / f"{source}.mcap", folder / f"{number:04}.mcap")
+    return folder
+
+
+def _processes(work: Path) -> None:
+    logs = _copies(work, "reach", LOGS)
+    alone = _estimate(work)
+    one, two = _batch(work, logs, workers=1), _batch(work, logs, workers=2)
+    dask = _batch(work, logs, workers=2, scheduler="local")
+    size = (work / "reach.mcap").stat().st_size / 1e9
+    print(f"\n{LOGS} equal logs of {size * 1e3:.1f} MB")
+    print(f"  one estimate and report in a warm process     {alone:8.2f} s")
+    print(f"  batch, 1 process: per log                      {one / LOGS:8.2f} s  (+{one / LOGS - alone:.3f} s)")
+    print(f"  batch, 2 processes: per log                    {two / LOGS:8.2f} s  (x{one / two:.2f} of one process)")
+    print(f"  Dask, 2 worker processes: per log              {dask / LOGS:8.2f} s  (x{dask / two:.2f} of the pool)")
+    print(f"  per GB of log, 1 process                       {one / LOGS / size:8.1f} s")
+
+
+def _estimate(work: Path) -> float:
+    _once(work)
+    started = time.perf_counter()
+    _once(work)
+    return time.perf_counter() - started
+
+
+def _once(work: Path) -> None:
+    pipeline.estimate(work / "reach.mcap", work / "body.npz", work / "alone.mcap", Settings())
+    pipeline.report(work / "alone.mcap", work / "alone.html", Settings())
+
+
+def _batch(work: Path, logs: Path, workers: int, scheduler: str | None = None) -> float:
+    out = work / "out"
+    started = time.perf_counter()
+    group = Group("", (str(logs),), Settings(), work / "body.npz")
+    rows = batch(Plan((group,), out, workers=workers, scheduler=scheduler))
+    took = time.perf_counter() - started
+    assert all(row["exit_code"] == 0 for row in rows)
+    shutil.rmtree(out)
+    return took
+
+
+def _tiny(work: Path) -> None:
+    print("\ntiny logs (2 s), s per log")
+    for count in TINY:
+        logs = _copies(work, "tiny", count)
+        pool, dask = _batch(work, logs, 2), _batch(work, logs, 2, "local")
+        print(f"  {count:>5} logs: pool {pool / count:.3f}, Dask {dask / count:.3f} (x{dask / pool:.2f})")
+
+
+if __name__ == "__main__":
+    main()
