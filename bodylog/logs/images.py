@@ -85,9 +85,11 @@ def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[bytes], Mapping[
 
     def from_layout(payload: bytes) -> Mapping[str, Any]:
         nonlocal ros1
-        if ros1 is None:
-            ros1 = speaks_ros1(definition, payload)
-        return dict(zip(fields, pick(definition, payload, paths, ros1), strict=True))
+        speaks = speaks_ros1(definition, payload) if ros1 is None else ros1
+        found = dict(zip(fields, pick(definition, payload, paths, speaks), strict=True))
+        # Only a sound payload settles the dialect for those to come.
+        ros1 = speaks
+        return found
 
     return from_layout
 
