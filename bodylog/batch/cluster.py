@@ -31,7 +31,7 @@ def _client(scheduler: str, workers: int) -> "Client":
     if scheduler == "local":
         return Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None))
     try:
-        return Client(scheduler, timeout="10s")
+        return Client(scheduler, timeout="5s")
     except (OSError, ValueError, TimeoutError) as err:
         raise UsageError(f"--scheduler {scheduler}: nothing answers there; type: tcp://HOST:PORT or local") from err
 
