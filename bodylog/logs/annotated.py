@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -59,25 +59,25 @@ def read_metadata(path: Path) -> dict[str, str]:
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
     """The estimate an annotated MCAP carries, t in s since `start_ns` (None: the log's own); LogError without one."""
     with open_log(path) as log:
-        said = read_metadata(path)
+        said = _said(path, read_metadata(path))
         table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
     joints, rate = table.joints()
     size = len(joints.names)
     predicted, predicted_cov = table.predicted()
     return Estimate(
-        method=said.get("method", ""),
+        method=said.method,
         joints=joints,
         rate=rate,
         cov=table.aligned("joint_covariance", joints, size**2).reshape(-1, size, size),
         errors=table.under(ERROR, "std"),
         free_energy=table.aligned("free_energy", joints, 1).reshape(-1),
-        used={sense: Health(**health) for sense, health in json.loads(said.get("used", "{}")).items()},
+        used=said.used,
         predicted=predicted,
         predicted_cov=predicted_cov,
-        settings=json.loads(said.get("resolved", "{}")),
+        settings=said.settings,
         bias=table.series(ROOT + "encoder_bias", "rad"),
         faults=table.faults(),
-        findings=tuple(Finding(**finding) for finding in json.loads(said.get("findings", "[]"))),
+        findings=said.findings,
     )
 
 
@@ -91,6 +91,28 @@ def read_features(log: Log, start_ns: int) -> Features | None:
     touches = table.touches() if ROOT + "touch" in names else None
     health = {name: Health(len(c.log_ns), len(c.sound)) for name, c in table.columns.items()}
     return Features(None, tracks, touches, (), table.synchrony(touches or ()), health)
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What `describe` wrote."""
+
+    method: str
+    used: Mapping[str, Health]
+    settings: Mapping[str, Any]
+    findings: tuple[Finding, ...]
+
+
+def _said(path: Path, metadata: Mapping[str, str]) -> _Said:
+    try:
+        return _Said(
+            metadata.get("method", ""),
+            {sense: Health(**health) for sense, health in json.loads(metadata.get("used", "{}")).items()},
+            dict(json.loads(metadata.get("resolved", "{}"))),
+            tuple(Finding(**finding) for finding in json.loads(metadata.get("findings", "[]"))),
+        )
+    except (ValueError, TypeError, AttributeError) as problem:
+        raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {_again(path)}") from None
 
 
 class _Table:

@@ -13,7 +13,7 @@ from .append import NAME, ROOT, is_mcap
 from .chunks import heads_of
 from .containers import Log, open_log, payloads
 from .mcap_write import MESSAGE_HEAD, Messages, gather
-from .records import ATTACHMENT, HEADER, MESSAGE, METADATA
+from .records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
 from .ros1 import Convert, converter, known_definition
 from .toplevel import sound_heads
 from .unpacked import unpack_file
@@ -53,7 +53,7 @@ def carry(
         for table in _tables(log, carriers, writer):
             writer.write(table)
         if only is None:
-            _extras(source, writer)
+            findings += _extras(source, writer)
         findings += [_resistance(source, c) for c in carriers.values() if c.resisted]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
 
@@ -175,16 +175,25 @@ def _profile(source: Path) -> str:
     return ""
 
 
-def _extras(source: Path, writer: Writer) -> None:
-    """Attachments and metadata of an MCAP, packed or in a folder, as they are, up to where it is damaged."""
+def _extras(source: Path, writer: Writer) -> list[Finding]:
+    """Keep attachments and metadata of an MCAP, packed or in a folder, up to where it is damaged; what was lost."""
     if source.is_dir():
-        for member in sorted(path for path in source.iterdir() if ".mcap" in path.suffixes):
-            _extras(member, writer)
-    elif source.suffix in (".zst", ".zstd"):
-        unpack_file(source, lambda inner: _extras(inner, writer))
-    else:
-        for file, head in sound_heads(source):
-            if head.opcode == ATTACHMENT:
-                writer.keep_attachment(file.record(head), file.fields(head).fields)
-            elif head.opcode == METADATA and (name := file.fields(head).fields["name"]) != NAME:
-                writer.keep_metadata(name, file.record(head))
+        members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes)
+        return [finding for member in members for finding in _extras(member, writer)]
+    if source.suffix in (".zst", ".zstd"):
+        return unpack_file(source, lambda inner: _extras(inner, writer))
+    lost = []
+    for file, head in sound_heads(source):
+        if head.opcode in (ATTACHMENT, METADATA):
+            try:
+                _keep_extra(file.fields(head), file.record(head), writer)
+            except FormatError as problem:
+                lost.append(Finding("lost", f"{source}: the record at byte {head.start} is left out: {problem}"))
+    return lost
+
+
+def _keep_extra(record: Record, raw: bytes, writer: Writer) -> None:
+    if record.opcode == ATTACHMENT:
+        writer.keep_attachment(raw, record.fields)
+    elif record.fields["name"] != NAME:
+        writer.keep_metadata(record.fields["name"], raw)

@@ -7,6 +7,7 @@ from bodylog.errors import FormatError, LogError, UsageError
 from bodylog.logs import annotate as module
 from bodylog.logs.annotate import annotate, write
 from bodylog.logs.append import keepable
+from bodylog.logs.containers import open_log
 
 from .written import (
     START,
@@ -244,3 +245,35 @@ def test_the_recorded_arm_is_read_back_by_everyone(tmp_path, arm, messages):
     every = streamed(tmp_path / "out.mcap")
     assert foreign(every) == streamed(log) and sought(tmp_path / "out.mcap") == every
     assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap") == sorted(without_times(every))
+
+
+def test_damaged_metadata_is_left_out_and_said(tmp_path, messages):
+    log = source(tmp_path / "in.mcap", **UNSUITED["unchunked"])
+    raw = bytearray(log.read_bytes())
+    at = raw.index(b"\x08\0\0\0operator")
+    raw[at + 3] = 0x7F
+    log.write_bytes(raw)
+    (finding,) = (f for f in annotate(log, messages, SAID, tmp_path / "out.mcap") if "left out" in f.text)
+    assert finding.severity == "lost" and f"the record at byte {at - 9} is left out" in finding.text
+    with (tmp_path / "out.mcap").open("rb") as stream:
+        assert [m.name for m in make_reader(stream).iter_metadata()] == ["bodylog"]
+
+
+@pytest.mark.soak
+def test_every_recorded_log_can_be_annotated(tmp_path, arm, messages):
+    suffixes = (".mcap", ".bag", ".db3", ".zst", ".active")
+    logs = [path for path in arm.parent.rglob("*") if path.suffix in suffixes or (path / "metadata.yaml").exists()]
+    written = 0
+    for log in sorted(logs):
+        try:
+            with open_log(log) as opened:
+                ours = {t.id for t in opened.topics if not t.name.startswith("/bodylog/")}
+                count = sum(len(batch.log_ns) for batch in opened.batches(ours))
+        except LogError:
+            continue
+        annotate(log, messages, SAID, tmp_path / "out.mcap")
+        every = streamed(tmp_path / "out.mcap")
+        assert len(every) == count + amount(messages), log
+        assert sought(tmp_path / "out.mcap") == every, log
+        written += 1
+    assert written > 250

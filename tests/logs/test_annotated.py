@@ -120,3 +120,14 @@ def test_an_estimate_that_does_not_hang_together_is_refused(tmp_path, lacking):
 def test_other_containers_have_no_metadata(arm, file):
     with pytest.raises(LogError, match="no /bodylog/ topics"):
         read_metadata(arm / file)
+
+
+DAMAGE = [{"used": '{"touch": {"sen": 1}}'}, {"findings": "["}, {"resolved": "3"}, {"used": "[]"}]
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_a_damaged_metadata_record_is_said(tmp_path, damage):
+    features, estimate = found()
+    write(from_estimate(estimate, features, START, None), {**describe(estimate), **damage}, tmp_path / "log.mcap")
+    with pytest.raises(LogError, match=r"the metadata record bodylog is damaged \(.*\); type: bodylog estimate"):
+        read_estimate(tmp_path / "log.mcap", START)
