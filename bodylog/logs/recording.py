@@ -37,7 +37,7 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         truth=series(heard.get("truth"), start_ns, "rad"),
         frames=_frames(path, strict, heard.get("camera"), sidecar, settings, start_ns),
         features=features,
-        health={role: health(stream) for role, stream in heard.items()} | _seen(sidecar),
+        health={stream.role.topic: health(stream) for stream in heard.values()} | _seen(sidecar),
         findings=findings,
     )
 
@@ -102,7 +102,7 @@ def _said(sidecar: video.Sidecar | None, settings: Settings) -> dict[str, str]:
 
 
 def _seen(sidecar: video.Sidecar | None) -> dict[str, Health]:
-    return {"camera": Health(sidecar.frames, sidecar.frames, {}, 1 / sidecar.rate)} if sidecar else {}
+    return {sidecar.path.name: Health(sidecar.frames, sidecar.frames, {}, 1 / sidecar.rate)} if sidecar else {}
 
 
 def _frames(

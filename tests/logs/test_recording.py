@@ -84,7 +84,7 @@ def test_halves_of_the_joints_in_turn_leave_nan_and_of_one_stamp_are_joined(tmp_
     got = read(write(tmp_path / "b.mcap", [joints("/j", both)]), PLAIN)
     assert got.joints is not None and not np.isnan(got.joints.values).any()
     assert len(got.joints.t) == 6
-    assert (got.health["joints"].seen, got.health["joints"].used) == (12, 12)
+    assert (got.health["/j"].seen, got.health["/j"].used) == (12, 12)
 
 
 def test_nameless_joints_need_names_and_as_many_as_there_are(tmp_path):
@@ -134,7 +134,7 @@ def test_every_message_is_used_or_rejected_for_a_reason(tmp_path):
     ]
     got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
     reasons = {"malformed": 1, "no positions": 1, "time years away": 1, "same stamp again": 1}
-    health = got.health["joints"]
+    health = got.health["/j"]
     assert (health.seen, health.used, dict(health.rejected)) == (44, 40, reasons)
     assert health.largest_gap_s == pytest.approx(0.02)
     assert got.joints is not None and len(got.joints.t) == 40
@@ -155,7 +155,7 @@ def test_frames_come_in_time_order_even_when_the_file_is_not(tmp_path):
         np.testing.assert_array_equal([f.t for f in frames], np.arange(50) * 40 * MS / 1e9)
         assert [f.source_ns for f in frames] == [t for t, _ in rows]
         assert [int(f.image[0, 0, 0]) for f in frames] == list(range(0, 250, 5))
-    assert got.health["camera"].used == 50
+    assert got.health["/cam"].used == 50
     assert any("out of order" in finding.text for finding in got.findings)
 
 
@@ -178,7 +178,7 @@ def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
     depth = [(T0 + i * MS, compressed(T0 + i * MS, image, form="16UC1; compressedDepth png")) for i in range(3)]
     good = [(T0 + i * MS, compressed(T0 + i * MS, image)) for i in range(3, 8)]
     got = read(write(tmp_path / "a.mcap", [camera("/cam", [*depth, *good])]), PLAIN)
-    assert dict(got.health["camera"].rejected) == {"compressedDepth holds depth, not a picture": 3}
+    assert dict(got.health["/cam"].rejected) == {"compressedDepth holds depth, not a picture": 3}
     assert got.frames is not None and len(list(got.frames())) == 5
     only = write(tmp_path / "b.mcap", [camera("/cam", depth)])
     assert read(only, PLAIN).frames is None
@@ -222,7 +222,7 @@ def test_two_publishers_of_one_topic_are_one_stream(tmp_path):
     assert got.joints is not None and got.frames is not None
     np.testing.assert_array_equal(got.joints.values[:, 0], np.arange(10))
     assert [int(frame.image[0, 0, 0]) for frame in got.frames()] == [10 * i for i in range(10)]
-    assert (got.health["joints"].used, got.health["camera"].used) == (10, 10)
+    assert (got.health["/j"].used, got.health["/cam"].used) == (10, 10)
 
 
 def test_robot_toml_chooses_the_clock(tmp_path):
@@ -254,7 +254,7 @@ def test_arrays_of_another_length_are_rejected(tmp_path):
     stream = arrays("/skin", np.ones((10, 3)))
     log = write(tmp_path / "a.mcap", [replace(stream, messages=[*stream.messages, *odd.messages])])
     got = read(log, PLAIN)
-    assert dict(got.health["skin"].rejected) == {"5 values, not 3": 1}
+    assert dict(got.health["/skin"].rejected) == {"5 values, not 3": 1}
 
 
 def test_a_role_that_is_absent_is_none_and_one_that_is_named_wrongly_an_error(tmp_path):
@@ -285,6 +285,7 @@ def test_a_video_beside_the_log_is_a_camera(tmp_path):
     got = read(log, settings(topics=Topics(camera="cam.avi")))
     assert got.frames is not None and got.roles["camera"] == "cam.avi"
     frames = list(got.frames())
+    assert (got.health["cam.avi"].seen, got.health["cam.avi"].used) == (10, 10)
     np.testing.assert_allclose([f.t for f in frames], np.arange(10) / 10)
     assert np.abs([float(f.image.mean()) for f in frames] - np.array(shades)).max() < 4
     assert frames[0].decode(4).shape == (6, 8, 3)
