@@ -1,6 +1,7 @@
 """A log of any container as a new chunked MCAP, one batch of messages at a time."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -170,8 +171,11 @@ def _sorted(parts: list[Messages]) -> Messages:
 
 
 def _profile(source: Path) -> str:
+    """An MCAP's own profile; none when its header is damaged."""
     for file, head in sound_heads(source):
-        return str(file.fields(head).fields["profile"]) if head.opcode == HEADER else ""
+        with suppress(FormatError):
+            return str(file.fields(head).fields["profile"]) if head.opcode == HEADER else ""
+        break
     return ""
 
 

@@ -1,9 +1,10 @@
 import shutil
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from bodylog.errors import FormatError, LogError, UsageError
+from bodylog.errors import FormatError, InputError, LogError, UsageError
 from bodylog.logs import annotate as module
 from bodylog.logs.annotate import annotate, write
 from bodylog.logs.append import keepable
@@ -277,3 +278,26 @@ def test_every_recorded_log_can_be_annotated(tmp_path, arm, messages):
         assert sought(tmp_path / "out.mcap") == every, log
         written += 1
     assert written > 250
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_damage_anywhere_gives_a_sound_file_or_one_line(tmp_path, seed):
+    rng, messages = np.random.default_rng(seed), outgoing(seed, 20, 10)
+    log, out = source(tmp_path / "in.mcap", count=60), tmp_path / "out.mcap"
+    annotate(log, messages, SAID, tmp_path / "annotated.mcap")
+    files = [log.read_bytes(), (tmp_path / "annotated.mcap").read_bytes()]
+    kept = 0
+    for number in range(40):
+        raw = bytearray(files[number % 2])
+        back = rng.integers(1, min(len(raw), 3000))
+        raw[-back] ^= 1 << rng.integers(0, 8)
+        log.write_bytes(raw[: len(raw) if rng.random() < 0.8 else rng.integers(1, len(raw))])
+        try:
+            annotate(log, messages, SAID, out)
+        except InputError as problem:
+            assert "\n" not in str(problem)
+            continue
+        with out.open("rb") as stream:
+            assert make_reader(stream).get_summary().statistics.message_count >= amount(messages)
+        kept += 1
+    assert kept > 20
