@@ -4,11 +4,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..errors import EvidenceError
+from ..errors import EvidenceError, ModelError
 from ..settings import Fit, Settings
 from ..types import BodyModel, Features, Finding, Score
 from . import coverage, noise, sense, touch
-from .pairs import Joint, Pairs, joints, moves, pairs
+from .gp import GP
+from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs
 
 _LEAST_SIGHTINGS = 8
 
@@ -22,17 +23,21 @@ class Learned:
     findings: tuple[Finding, ...]
 
 
-def learn(features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any]) -> Learned:
+def learn(
+    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None
+) -> Learned:
     """A body model from the features of one or many exploration logs, with what it says of itself.
 
-    LogError without joints, ConfigError for an unknown joint, EvidenceError when nothing was seen or nothing moved.
+    A body to update keeps its joints, and what it was learned from counts as one more log. LogError without joints,
+    ConfigError for an unknown joint, ModelError for another robot's body, EvidenceError when nothing was seen or moved.
     """
-    heard = joints(features, settings.body.joints)
-    chosen = [j for j in heard if settings.body.joints or moves(j)]
+    wanted = settings.body.joints if update is None else _same(features, update)
+    heard = joints(features, wanted)
+    chosen = [j for j in heard if wanted or moves(j)]
     if not chosen:
         possible = ", ".join(j.name for j in heard)
         raise EvidenceError(f"no joint moved; heard: {possible}; record an exploration, or name them in [body] joints")
-    tracks = _tracks(features, chosen, settings.fit)
+    tracks = _tracks(features, chosen, settings.fit, update)
     senses = {name: sense.sense(part, chosen, settings.fit) for name, part in tracks}
     if not senses:
         raise EvidenceError(
@@ -50,8 +55,24 @@ def learn(features: Sequence[Features], settings: Settings, provenance: Mapping[
     )
 
 
-def _tracks(features: Sequence[Features], chosen: Sequence[Joint], fit: Fit) -> Iterator[tuple[str, Pairs]]:
-    for name in sorted({name for f in features for name in f.tracks if name != "hand"}):
-        part = pairs(features, name, chosen, fit.every)
+def _tracks(
+    features: Sequence[Features], chosen: Sequence[Joint], fit: Fit, update: BodyModel | None
+) -> Iterator[tuple[str, Pairs]]:
+    known = {} if update is None else {n: g for n, g in update.senses.items() if isinstance(g, GP)}
+    for name in sorted({name for f in features for name in f.tracks if name != "hand"} | set(known)):
+        parts = [pairs(features, name, chosen, fit.every)] if any(name in f.tracks for f in features) else []
+        if name in known:
+            parts.append(earlier(known[name].samples, known[name].targets, known[name].spread))
+        part = joined(parts)
         if len(part.x) >= _LEAST_SIGHTINGS:
             yield name, part
+
+
+def _same(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:
+    for index, found in enumerate(features):
+        names = () if found.joints is None else found.joints.names
+        missing = [name for name in update.joints if name not in names]
+        if names and missing:
+            which, heard = f"log {index + 1} of {len(features)}", ", ".join(names)
+            raise ModelError(f"{which}: joint {missing[0]!r} of the body to update is not there; heard: {heard}")
+    return update.joints

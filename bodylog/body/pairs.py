@@ -13,6 +13,7 @@ from .train import Coupling
 
 _LEAST_RANGE = 0.02
 _BLOCKS = 10
+_EARLIER = -1
 _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
 
@@ -72,16 +73,27 @@ def moves(joint: Joint) -> bool:
 
 def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
     """Sightings of one track with the angles of the chosen joints at the same instants."""
-    found = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
-    joined = {name: np.concatenate([getattr(p, name) for p in found]) for name in _COLUMNS}
-    return Pairs(**joined, frames=sum(p.frames for p in found))
+    return joined([_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks])
+
+
+def earlier(x: Array, y: Array, spread: Array) -> Pairs:
+    """The samples of a body learned before, whose noise variance spread (n,D) already holds that of the angles."""
+    label, block = np.full(len(x), _EARLIER), np.arange(len(x)) * _BLOCKS // len(x) - _BLOCKS
+    return Pairs(x, np.zeros(x.shape), y, spread, block, label, np.arange(len(x), dtype=float), len(x))
+
+
+def joined(parts: Sequence[Pairs]) -> Pairs:
+    """All the pairs, in order."""
+    columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS}
+    return Pairs(**columns, frames=sum(p.frames for p in parts))
 
 
 def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
     """How the errors of the smoothed joints go together from one sighting to the next."""
-    found = []
+    nothing = np.zeros(0, np.int64)
+    found = [(nothing, nothing, nothing, np.zeros(0))]
     for m, joint in enumerate(chosen):
-        for log in np.unique(part.log):
+        for log in np.unique(part.log[part.log != _EARLIER]):
             rows = np.flatnonzero(part.log == log)
             i, j, value = coupling(joint.chains[log], joint.motions[log], part.t[rows])
             found.append((rows[i], rows[j], np.full(len(i), m), value))

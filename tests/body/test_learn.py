@@ -8,7 +8,7 @@ import pytest
 from bodylog import perception
 from bodylog.body import Learned, learn
 from bodylog.body.model import save
-from bodylog.errors import EvidenceError
+from bodylog.errors import EvidenceError, ModelError
 from bodylog.logs import recording
 from bodylog.settings import Body, Fit, Settings
 from bodylog.types import Features
@@ -65,6 +65,24 @@ def test_two_logs_teach_more_than_one(explored) -> None:
         return float(np.sqrt(np.mean((gp.predict(test.angles)[0] - test.pixels) ** 2)))
 
     assert error([run.features for run in logs]) < 0.9 * min(error([run.features]) for run in logs)
+
+
+def test_a_body_learns_on_from_another_log(explored) -> None:
+    first, second, test = (explored(seed, 0.003, 20.0) for seed in (1, 2, 9))
+    once = learn([first.features], Settings(), {})
+    twice = learn([second.features], Settings(), {}, once.model)
+    both = learn([first.features, second.features], Settings(), {})
+    assert twice.model.joints == once.model.joints and len(twice.model.senses["effector"].samples) == 398
+
+    def error(found: Learned) -> float:
+        value = found.model.senses["effector"].predict(test.angles)[0]
+        return float(np.sqrt(np.mean((value - test.pixels) ** 2)))
+
+    assert error(twice) < 0.9 * error(once)
+    assert error(twice) == pytest.approx(error(both), rel=0.15)
+    other = replace(second.features, joints=replace(second.features.joints, names=("pan", "lift", "e", "wrist")))
+    with pytest.raises(ModelError, match="log 1 of 1: joint 'elbow' of the body to update is not there; heard: pan"):
+        learn([other], Settings(), {}, once.model)
 
 
 def test_every_named_track_gets_its_model_and_the_hand_none(explored) -> None:
