@@ -1,5 +1,6 @@
 """Whole recordings from small logs written here: joints by name, time, health, frames in order, and one-line errors."""
 
+import contextlib
 import json
 import tracemalloc
 from dataclasses import replace
@@ -10,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.errors import ConfigError, LogError
+from bodylog.errors import BodylogError, ConfigError, FormatError, LogError
 from bodylog.logs.recording import info, read
 from bodylog.settings import Body, Settings, Time, Topics, Video
 
@@ -321,3 +322,42 @@ def test_reading_twice_gives_the_same(tmp_path):
     assert one.joints is not None and two.joints is not None
     assert one.joints.values.tobytes() == two.joints.values.tobytes()
     assert (one.health, one.findings) == (two.health, two.findings)
+
+
+@pytest.fixture(scope="module")
+def unguarded(tmp_path_factory) -> bytes:
+    """A small log of every role, neither compressed nor checked, so that damage reaches the decoding."""
+    image = np.random.default_rng(5).integers(0, 256, (12, 16, 3), np.uint8)
+    pictures = [(T0 + 40 * MS * i, compressed(T0 + 40 * MS * i, image, ".jpg", "jpeg")) for i in range(4)]
+    skin = arrays("/skin", np.ones((12, 4)))
+    streams = [joints("/j", moves(12)), joints("/truth", moves(12)), skin, camera("/cam", pictures)]
+    path = tmp_path_factory.mktemp("fuzz") / "a.mcap"
+    return write(path, streams, chunk=1 << 11, checked=False).read_bytes()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_damage_anywhere_gives_a_recording_or_one_line(unguarded, tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    log = tmp_path / "a.mcap"
+    for _ in range(25):
+        broken = np.frombuffer(unguarded, np.uint8).copy()
+        broken[rng.integers(8, len(broken), rng.integers(1, 6))] ^= rng.integers(1, 256, dtype=np.uint8)
+        log.write_bytes(broken[: len(broken) if rng.random() < 0.7 else rng.integers(0, len(broken))].tobytes())
+        try:
+            got = read(log, PLAIN)
+            for frame in got.frames() if got.frames else ():
+                with contextlib.suppress(FormatError):
+                    frame.decode(2)
+        except BodylogError as error:
+            assert "\n" not in str(error)
+        else:
+            assert all(h.used + sum(h.rejected.values()) == h.seen for h in got.health.values())
+            assert got.joints is None or np.all(np.diff(got.joints.t) > 0)
+        assert isinstance(info_or_error(log), str)
+
+
+def info_or_error(log: Path) -> str:
+    try:
+        return json.dumps(info(log, PLAIN))
+    except BodylogError as error:
+        return str(error)

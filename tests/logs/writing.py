@@ -26,10 +26,13 @@ class Stream:
     definition_encoding: str = "ros2msg"
 
 
-def write(path: Path, streams: Sequence[Stream], in_order: bool = True, chunk: int = 1 << 14) -> Path:
-    """An MCAP of the streams, messages interleaved by log time unless `in_order` is False."""
+def write(
+    path: Path, streams: Sequence[Stream], in_order: bool = True, chunk: int = 1 << 14, checked: bool = True
+) -> Path:
+    """An MCAP of the streams, messages interleaved by log time; compressed and with CRCs if `checked`."""
     with path.open("wb") as out:
-        writer = Writer(out, chunk_size=chunk, compression=CompressionType.ZSTD)
+        kind = CompressionType.ZSTD if checked else CompressionType.NONE
+        writer = Writer(out, chunk_size=chunk, compression=kind, enable_crcs=checked)
         writer.start(profile="ros2", library="test")
         schemas = [writer.register_schema(s.type, s.definition_encoding, s.definition) for s in streams]
         channels = [writer.register_channel(s.topic, s.encoding, i) for s, i in zip(streams, schemas, strict=True)]
