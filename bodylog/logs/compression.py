@@ -107,10 +107,13 @@ def unpack_zstd(payload: memoryview, limit: int) -> bytes:
     import zstandard
 
     try:
+        size = zstandard.get_frame_parameters(payload).content_size
         with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
             content = bytes(reader.read(limit + 1))
     except zstandard.ZstdError as problem:
         raise FormatError(f"zstd data is damaged: {problem}") from None
     if len(content) > limit:
         raise FormatError(f"zstd data of {len(payload)} bytes holds more than {limit}")
+    if size not in (zstandard.CONTENTSIZE_UNKNOWN, len(content)):
+        raise FormatError(f"zstd data holds {len(content)} bytes where {size} are declared")
     return content

@@ -122,7 +122,7 @@ def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:
         name, encoding, data = ("", "", b"")
         if schema is not None:
             name, encoding, data = schema.fields["name"], schema.fields["encoding"], schema.fields["data"]
-        elif said["schema_id"]:
+        elif said["schema_id"] and channel in survey.counts:
             ledger.warn(f"topic {said['topic']}: schema {said['schema_id']} is missing; its messages are undefined")
         count = survey.counts.get(channel, 0)
         topic_of[channel] = topics.add(

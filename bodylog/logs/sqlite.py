@@ -16,6 +16,7 @@ from .ledger import Ledger
 from .topics import Topics, normalised, split
 from .unpacked import unpacked
 
+_DAMAGE = (sqlite3.Error, UnicodeError)
 _ENDS = ("min", "max")
 _ROWS = 512
 _FIRST_ROWS = 16
@@ -48,10 +49,9 @@ class Db3Log:
         self._ledger = Ledger(path, strict)
         self._store = _connect(path, source or path)
         try:
-            self._size = (source or path).stat().st_size
             named = _topics(self._store)
             counts, self.start_ns, self.end_ns = self._survey()
-        except sqlite3.Error as problem:
+        except _DAMAGE as problem:
             self._store.close()
             raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; type: bodylog doctor") from None
         topics, self._topic_of = Topics(), {}
@@ -97,7 +97,7 @@ class Db3Log:
                 times = self._store.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
             if all(type(value) is int for value in (*counts, *(times if counts else ()))):
                 return counts, times[0] or 0, times[1] or 0
-        except sqlite3.DatabaseError as problem:
+        except _DAMAGE as problem:
             self._ledger.warn(f"the table of messages is damaged: {problem}")
         counts, ends = {}, []
         for block in self._blocks(None):
@@ -122,7 +122,7 @@ class Db3Log:
                 count = max(1, min(_ROWS, _BYTES // largest))
             else:
                 return
-        except sqlite3.DatabaseError:
+        except _DAMAGE:
             pass  # read on row by row, and past the damage
         yield from self._damaged_rows(chosen, self._rowid(chosen, done))
 
@@ -145,13 +145,13 @@ class Db3Log:
                     else:
                         self._ledger.lost(low, None, 1, None, f"row {low} of messages is damaged")
                 return
-            except sqlite3.DatabaseError as problem:
+            except _DAMAGE as problem:
                 following = self._next(low, last, problem)
             if following is None:
                 return
             low = following
 
-    def _next(self, low: int, last: Row | None, problem: sqlite3.Error) -> int | None:
+    def _next(self, low: int, last: Row | None, problem: Exception) -> int | None:
         """The rowid after which rows can be read again, or None; what lies between is lost."""
         base = max(low, 0)
         step = 1
@@ -172,7 +172,7 @@ class Db3Log:
         try:
             self._first(after)
             return True
-        except sqlite3.DatabaseError:
+        except _DAMAGE:
             return False
 
     def _first(self, after: int) -> Row | None:
@@ -215,9 +215,11 @@ def _topics(store: sqlite3.Connection) -> dict[int, tuple[str, str, str, bytes, 
     definitions = _definitions(store)
     topics = {}
     for number, name, kind, encoding, *rest in store.execute(f"SELECT {chosen} FROM topics"):
+        if type(number) is not int:
+            continue  # a damaged row; its messages are said to be of an unknown topic
         metadata = {key: str(value) for key, value in zip(kept, rest, strict=True) if value}
         definition, dialect = definitions.get(kind) or _standard(normalised(str(kind)))
-        topics[int(number)] = (str(name), str(kind), str(encoding or "cdr"), definition, dialect, metadata)
+        topics[number] = (str(name), str(kind), str(encoding or "cdr"), definition, dialect, metadata)
     return topics
 
 
