@@ -1,0 +1,253 @@
+"""MCAP: whatever a writer may do, what was written is read; only the chunks asked for are opened; lies are refused."""
+
+import struct
+import tracemalloc
+from collections import Counter
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+
+from bodylog.errors import FormatError
+from bodylog.logs.compression import Buffer
+from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.records import CHANNEL, SCHEMA, parse
+
+from . import peers
+
+FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
+options = st.fixed_dictionaries(
+    {
+        "chunk_size": st.sampled_from([1, 300, 5000]),
+        "compression": st.sampled_from(list(CompressionType)),
+        "index_types": st.sampled_from([IndexType.ALL, IndexType.NONE, IndexType.CHUNK, IndexType.MESSAGE]),
+        "repeat_channels": st.booleans(),
+        "repeat_schemas": st.booleans(),
+        "use_chunking": st.booleans(),
+        "use_statistics": st.booleans(),
+        "use_summary_offsets": st.booleans(),
+        "enable_crcs": st.booleans(),
+        "enable_data_crcs": st.booleans(),
+    }
+)
+messages = st.lists(
+    st.tuples(st.integers(0, 3), st.integers(0, 1 << 62), st.binary(max_size=200)), max_size=40
+)
+SCHEMAS = ("", "pkg/msg/One", "pkg/msg/Two")
+TOPICS = [("/a", 1, "cdr"), ("/a", 2, "cdr"), ("/b", 1, "ros1"), ("/c", 0, "json")]
+"""Topic, schema, encoding of each channel: one name with two schemas, one channel without a schema."""
+
+
+def write(path: Path, some: list[tuple[int, int, bytes]], **options: Any) -> Writer:
+    writer = Writer(str(path), **options)
+    writer.start(profile="anything")
+    for name in ("pkg/One", "pkg/msg/Two"):
+        writer.register_schema(name, "ros2msg", name.encode())
+    channels = [writer.register_channel(topic, encoding, schema) for topic, schema, encoding in TOPICS]
+    for number, (channel, time, payload) in enumerate(some):
+        writer.add_message(channels[channel], time, payload, number, number)
+    return writer
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(some=messages, options=options)
+def test_whatever_the_writer_does_all_is_read(
+    tmp_path: Path, some: list[tuple[int, int, bytes]], options: dict[str, Any]
+) -> None:
+    path = tmp_path / "x.mcap"
+    write(path, some, **options).finish()
+    assert peers.ours(path) == Counter((TOPICS[channel][0], time, payload) for channel, time, payload in some)
+    with open_log(path, strict=True) as log:
+        assert sum(topic.messages for topic in log.topics) == len(some)
+        for topic in log.topics:
+            found = [bytes(part) for batch in log.batches([topic.id]) for part in payloads(batch)]
+            mine = TOPICS.index((topic.name, SCHEMAS.index(topic.type), topic.encoding))
+            assert found == [payload for channel, _, payload in some if channel == mine]
+            assert topic.messages == len(found)
+        assert log.findings == ()
+
+
+def test_one_name_with_two_schemas_is_two_topics_and_types_are_normalised(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    write(path, [(channel, 1, b"x") for channel in range(4)]).finish()
+    with open_log(path) as log:
+        found = [(topic.name, topic.type, topic.encoding, topic.definition) for topic in log.topics]
+        assert found == [
+            ("/a", "pkg/msg/One", "cdr", b"pkg/One"),
+            ("/a", "pkg/msg/Two", "cdr", b"pkg/msg/Two"),
+            ("/b", "pkg/msg/One", "ros1", b"pkg/One"),
+            ("/c", "", "json", b""),
+        ]
+        assert [topic.id for topic in log.topics] == [0, 1, 2, 3]
+
+
+def test_two_publishers_of_one_topic_are_one_topic_in_file_order(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    writer = Writer(str(path))
+    writer.start()
+    schema = writer.register_schema("pkg/msg/One", "ros2msg", b"")
+    channels = [writer.register_channel("/tf", "cdr", schema, {"callerid": name}) for name in ("a", "b")]
+    for number in range(10):
+        writer.add_message(channels[number % 2], number, bytes([number]), number)
+    writer.finish()
+    with open_log(path) as log:
+        assert [(topic.name, topic.messages) for topic in log.topics] == [("/tf", 10)]
+        (batch,) = log.batches()
+        assert [bytes(payload) for payload in payloads(batch)] == [bytes([number]) for number in range(10)]
+
+
+def test_only_the_chunks_of_the_topic_are_opened(tmp_path: Path) -> None:
+    """All chunks but the one that holds /b are spoilt: reading /b neither sees nor says so."""
+    path, some = tmp_path / "x.mcap", [(0, time, bytes(500)) for time in range(50)]
+    some[25] = (2, 25, b"here")
+    write(path, some, chunk_size=600, compression=CompressionType.NONE).finish()
+    data, at = bytearray(path.read_bytes()), 8
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == 6 and b"here" not in data[at : at + length]:
+            data[at + 300] ^= 1
+        at += 9 + length
+    path.write_bytes(data)
+    with open_log(path) as log:
+        (wanted,) = [topic.id for topic in log.topics if topic.name == "/b"]
+        (batch,) = log.batches([wanted])
+        assert [bytes(payload) for payload in payloads(batch)] == [b"here"]
+        assert log.findings == ()
+        assert sum(len(batch.log_ns) for batch in log.batches()) < 10
+        assert {finding.severity for finding in log.findings} == {"lost"}
+
+
+def test_messages_outside_the_chunks_that_the_summary_lists_are_read_too(tmp_path: Path) -> None:
+    """A log without chunks to which chunks were appended: seeking readers give only the appended messages."""
+    loose, chunked = tmp_path / "loose.mcap", tmp_path / "chunked.mcap"
+    write(loose, [(0, 1, b"first"), (0, 2, b"second")], use_chunking=False).finish()
+    write(chunked, [(0, 3, b"third")], compression=CompressionType.NONE).finish()
+    head = loose.read_bytes()
+    end = _first(head, 15)
+    tail = bytearray(chunked.read_bytes()[_first(chunked.read_bytes(), 6) :])
+    shift = end - _first(chunked.read_bytes(), 6)
+    footer = len(tail) - 37
+    _move(tail, footer + 9, shift)
+    for at in _all(tail, 8):
+        _move(tail, at + 25, shift)
+        entries = struct.unpack_from("<I", tail, at + 41)[0] // 10
+        for entry in range(entries):
+            _move(tail, at + 45 + 10 * entry + 2, shift)
+    struct.pack_into("<I", tail, footer + 25, 0)
+    path = tmp_path / "x.mcap"
+    path.write_bytes(head[:end] + tail)
+    assert set(peers.ours(path)) == {("/a", 1, b"first"), ("/a", 2, b"second"), ("/a", 3, b"third")}
+    assert len(peers.mcap_seeking(path)) == 1
+
+
+def _all(data: bytes | bytearray, opcode: int, at: int = 0) -> list[int]:
+    found = []
+    while at < len(data) - 8:
+        kind, length = struct.unpack_from("<BQ", data, at)
+        found += [at] * (kind == opcode)
+        at += 9 + length
+    return found
+
+
+def _first(data: bytes, opcode: int) -> int:
+    return _all(data, opcode, 8)[0]
+
+
+def _move(data: bytearray, at: int, shift: int) -> None:
+    struct.pack_into("<Q", data, at, struct.unpack_from("<Q", data, at)[0] + shift)
+
+
+def test_payloads_packed_one_by_one_are_unpacked_and_damaged_ones_said(tmp_path: Path) -> None:
+    import zstandard
+
+    packed = [zstandard.ZstdCompressor().compress(b"\x00\x01\x00\x00" + bytes([number]) * 50) for number in range(4)]
+    packed[2] = packed[2][:-4]
+    path = tmp_path / "x.mcap"
+    write(path, [(0, number, payload) for number, payload in enumerate(packed)]).finish()
+    with open_log(path) as log:
+        (batch,) = log.batches()
+        assert batch.log_ns.tolist() == [0, 1, 3]
+        assert [bytes(payload)[-1] for payload in payloads(batch)] == [0, 1, 3]
+        assert [finding.severity for finding in log.findings] == ["lost"]
+
+
+@pytest.mark.parametrize(
+    ("opcode", "body"),
+    [
+        (SCHEMA, struct.pack("<HI", 1, 1 << 31) + b"x"),
+        (CHANNEL, struct.pack("<HHI", 1, 1, 5) + b"topic" + struct.pack("<I", 3) + b"cd"),
+        (CHANNEL, struct.pack("<HHIII", 1, 1, 0, 0, 7) + b"\x01\x00\x00\x00a\xff\xff"),
+        (8, struct.pack("<QQQQI", 0, 0, 0, 0, 11) + bytes(11)),
+    ],
+)
+def test_a_record_whose_fields_pass_its_end_is_refused(opcode: int, body: bytes) -> None:
+    with pytest.raises(FormatError):
+        parse(opcode, memoryview(body))
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", "bz2"])
+def test_a_chunk_that_claims_too_much_takes_no_memory(compression: str) -> None:
+    tracemalloc.start()
+    with pytest.raises(FormatError, match="claim to hold"):
+        Buffer().load(compression, memoryview(bytes(100)), 1 << 40)
+    assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    tracemalloc.stop()
+
+
+def test_a_bomb_is_stopped_at_the_size_it_declares() -> None:
+    import zstandard
+
+    bomb = zstandard.ZstdCompressor().compress(bytes(50 << 20))
+    tracemalloc.start()
+    with pytest.raises(FormatError):
+        Buffer().load("zstd", memoryview(bomb), 1000)
+    assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    tracemalloc.stop()
+
+
+def _peak(path: Path) -> int:
+    tracemalloc.start()
+    with open_log(path) as log:
+        count = sum(len(batch.log_ns) for batch in log.batches())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count
+    return peak
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_memory_does_not_grow_with_the_log(tmp_path: Path, chunked: bool) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, 1 << 20, np.uint8).tobytes()
+    some = [(0, time, noise[time % 1000 : time % 1000 + 2000]) for time in range(60_000)]
+    paths = [tmp_path / "short.mcap", tmp_path / "long.mcap"]
+    for path, count in zip(paths, (6_000, 60_000), strict=True):
+        write(path, some[:count], compression=CompressionType.LZ4, use_chunking=chunked).finish()
+    _peak(paths[0])  # what is imported once is not counted
+    assert _peak(paths[1]) < 1.1 * _peak(paths[0]) + (1 << 18)
+
+
+def test_a_batch_stays_whole_until_the_next_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    some = [(0, time, bytes([time]) * 300) for time in range(30)]
+    write(path, some, chunk_size=1000).finish()
+    with open_log(path) as log:
+        found = []
+        for batch in log.batches():
+            found += [(time, bytes(part)) for time, part in zip(batch.log_ns.tolist(), payloads(batch), strict=True)]
+    assert found == [(time, payload) for _, time, payload in some]
+
+
+def test_the_same_records_come_from_a_stream(tmp_path: Path) -> None:
+    stream = BytesIO()
+    writer = Writer(stream)
+    writer.start()
+    writer.finish()
+    path = tmp_path / "empty.mcap"
+    path.write_bytes(stream.getvalue())
+    with open_log(path, strict=True) as log:
+        assert (log.topics, log.start_ns, log.end_ns, list(log.batches()), log.findings) == ((), 0, 0, [], ())

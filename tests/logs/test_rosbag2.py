@@ -1,0 +1,110 @@
+"""rosbag2 folders: files in order, topics merged, whatever metadata.yaml says."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bodylog.errors import LogError
+from bodylog.logs.containers import open_log
+from fixtures import by_hand
+
+from . import peers
+
+FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
+
+
+@pytest.fixture
+def split(tmp_path: Path) -> Path:
+    shutil.copytree(FOLDER / "split.bag", tmp_path / "x.bag")
+    return tmp_path / "x.bag"
+
+
+def severities(path: Path) -> list[str]:
+    with open_log(path) as log:
+        for _ in log.batches():
+            pass
+        return [finding.severity for finding in log.findings]
+
+
+def test_topics_of_all_files_are_merged(split: Path) -> None:
+    with open_log(split) as log:
+        assert log.format == "rosbag2"
+        assert [(topic.name, topic.messages) for topic in log.topics] == [("/a", 40), ("/b", 20)]
+        (wanted,) = [topic.id for topic in log.topics if topic.name == "/b"]
+        times = [time for batch in log.batches([wanted]) for time in batch.log_ns.tolist()]
+        assert times == sorted(times)
+        assert len(times) == 20
+        assert log.end_ns - log.start_ns == 590_000_000
+
+
+def test_files_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    for number in (2, 10, 1):
+        by_hand.db3(tmp_path / f"x_{number}.db3", [("/a", number, bytes(12))], "std_msgs/msg/Float64", None)
+    with open_log(tmp_path) as log:
+        assert [time for batch in log.batches() for time in batch.log_ns.tolist()] == [1, 2, 10]
+
+
+def test_files_come_in_the_order_metadata_gives(split: Path) -> None:
+    file = split / "metadata.yaml"
+    file.write_text(file.read_text().replace("[split_0.db3, split_1.db3", "[split_1.db3, split_0.db3"))
+    with open_log(split) as log:
+        times = [batch.log_ns[0] for batch in log.batches([0])]
+        assert times[0] > times[1]
+
+
+@pytest.mark.parametrize("text", ["", "[", "rosbag2_bagfile_information: 3", "a: &x [*x, *x]", "\x00\xff", "[]"])
+def test_unreadable_metadata_never_stops_reading(split: Path, text: str) -> None:
+    (split / "metadata.yaml").write_text(text)
+    assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
+    assert severities(split) == ["warning"]
+
+
+def test_missing_metadata_never_stops_reading(split: Path) -> None:
+    (split / "metadata.yaml").unlink()
+    assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
+    assert severities(split) == ["warning"]
+
+
+@pytest.mark.parametrize("version", range(1, 10))
+def test_every_metadata_version_is_read(split: Path, version: int) -> None:
+    """Up to version 3 file names carried the folder's name; the rest is of no consequence to reading."""
+    file = split / "metadata.yaml"
+    text = file.read_text().replace("version: 5", f"version: {version}")
+    file.write_text(text.replace("split_", "x.bag/split_") if version < 4 else text)
+    assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
+    assert severities(split) == []
+
+
+def test_a_renamed_file_is_found(split: Path) -> None:
+    (split / "split_1.db3").rename(split / "renamed.db3")
+    assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
+    assert severities(split) == ["warning"]
+
+
+def test_files_that_metadata_does_not_name_are_left_out_and_said(split: Path) -> None:
+    shutil.copyfile(FOLDER / "iron.db3", split / "stray.db3")
+    assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
+    assert severities(split) == ["info"]
+
+
+def test_a_file_that_cannot_be_read_is_lost_and_the_others_are_read(split: Path) -> None:
+    (split / "split_1.db3").write_bytes(b"nothing")
+    assert len(peers.ours(split)) == 40
+    assert severities(split) == ["lost"]
+    with pytest.raises(LogError):
+        open_log(split, strict=True)
+
+
+def test_a_folder_of_which_nothing_can_be_read_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.db3").write_bytes(b"nothing")
+    with pytest.raises(LogError, match="none of its files can be read") as caught:
+        open_log(tmp_path)
+    assert str(caught.value).startswith(str(tmp_path))
+
+
+def test_packed_files_are_unpacked_and_plain_copies_of_them_not_read_twice(tmp_path: Path) -> None:
+    shutil.copyfile(FOLDER / "packed.db3.zstd", tmp_path / "x.db3.zstd")
+    assert len(peers.ours(tmp_path)) == 60
+    shutil.copyfile(FOLDER / "humble.db3", tmp_path / "x.db3")
+    assert len(peers.ours(tmp_path)) == 60
