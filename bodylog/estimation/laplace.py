@@ -23,7 +23,7 @@ START_STD = 1.0
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""
 SWEEPS = 40
-SETTLED = 1e-8
+SETTLED = 1e-7
 """Standard deviations: how little a stretch's start may still move."""
 RESTING = 1e-8
 """rad: a frame whose point of linearisation is moved less keeps its tangent."""
@@ -78,9 +78,10 @@ def solve(
     fold, line = fold_for(len(problem.timeline.t)), problem.timeline
     readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
     tangents = Tangents(guesses(problem) if warm is None else warm.points, RESTING * rest / SETTLED)
+    trace = None
     for _ in range(SWEEPS):
         tangents.draw(problem, fold, readings)
-        trace = scan(readings, problem.dynamics, z, p)
+        trace = scan(readings, problem.dynamics, z, p, into=trace)
         means = trace.prior if at == "prior" else trace.z
         moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
         next_z, next_p = handed_over(z, p, trace, fold)

@@ -57,16 +57,16 @@ class Trace:
     back: tuple[Array, Array, Array] | None
 
 
-def scan(readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False) -> Trace:
-    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps gains for the smoother."""
+def scan(
+    readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False, into: Trace | None = None
+) -> Trace:
+    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps gains for the smoother.
+
+    `into` is a trace of the same shape to overwrite: fresh memory costs as much as the arithmetic.
+    """
     z, p = z.copy(), p.copy()
-    length, m, c = readings.encoders.shape
-    k, rows = len(z), m + readings.y.shape[1] * readings.y.shape[2]
-    back = (np.empty((length, rows, k, c)), np.empty((length, rows, c)), np.empty((length, rows, c)))
-    trace = Trace(
-        np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
-        np.empty((length, c)), np.empty((length, m, c)), back if remember else None,
-    )  # fmt: skip
+    length, m, _ = readings.encoders.shape
+    trace = _empty(readings, len(z), remember) if into is None else into
     propagate = propagator(p, z, dynamics)
     visual: Array = np.any(np.isfinite(readings.y), axis=(1, 2, 3))
     for i in range(length):
@@ -79,6 +79,16 @@ def scan(readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: b
         update(readings, i, see, z, p, trace.nats[i], trace.encoder_d[i], gains)
         trace.z[i], trace.p[i] = z, p
     return trace
+
+
+def _empty(readings: Readings, k: int, remember: bool) -> Trace:
+    length, m, c = readings.encoders.shape
+    rows = m + readings.y.shape[1] * readings.y.shape[2]
+    back = (np.empty((length, rows, k, c)), np.empty((length, rows, c)), np.empty((length, rows, c)))
+    return Trace(
+        np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
+        np.empty((length, c)), np.empty((length, m, c)), back if remember else None,
+    )  # fmt: skip
 
 
 def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyped-def]
@@ -131,11 +141,11 @@ def _condition(z: Array, p: Array, ph: Array, s: Array, nu: Array, nats: Array, 
     """One scalar reading: innovation nu (C,), its variance s (C,), ph = P Hᵀ (K,C); NaN readings change nothing."""
     heard = np.isfinite(nu)
     weight = heard / s
-    nu = np.where(heard, nu, 0.0)
+    nu[~heard] = 0.0
     gain = ph * weight
     z += gain * nu
     p -= gain[:, None] * ph[None]
-    nats += np.where(heard, 0.5 * (np.log(2.0 * np.pi * s) + nu * nu * weight), 0.0)
+    nats += 0.5 * (heard * np.log(2.0 * np.pi * s) + nu * nu * weight)
     if back is not None:
         back[0][row], back[1][row], back[2][row] = gain, weight, nu
 

@@ -48,10 +48,10 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     fold, line = fold_for(len(problem.timeline.t)), problem.timeline
     readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
     tangents, forth = Tangents(guesses(problem) if warm is None else warm.points), FORTH if warm is None else 0
-    ends = np.zeros_like(z), np.zeros_like(p)
+    ends, trace = (np.zeros_like(z), np.zeros_like(p)), None
     for sweep in range(SWEEPS):
         tangents.draw(problem, fold, readings)
-        trace = scan(readings, problem.dynamics, z, p, remember=sweep >= forth)
+        trace = scan(readings, problem.dynamics, z, p, remember=True, into=trace)
         next_z, next_p = handed_over(z, p, trace, fold)
         rest, means, (z, p) = far(z, p, next_z, next_p), trace.z, (next_z, next_p)
         if sweep >= forth:
