@@ -37,8 +37,9 @@ def learn(
     if not chosen:
         possible = ", ".join(j.name for j in heard)
         raise EvidenceError(f"no joint moved; heard: {possible}; record an exploration, or name them in [body] joints")
-    tracks = _tracks(features, chosen, settings.fit, update)
-    senses = {name: sense.sense(part, chosen, settings.fit) for name, part in tracks}
+    tracks = dict(_tracks(features, chosen, settings.fit, update))
+    rare = [name for name, part in tracks.items() if len(part.x) < _LEAST_SIGHTINGS]
+    senses = {n: sense.sense(part, chosen, settings.fit) for n, part in tracks.items() if n not in rare}
     if not senses:
         raise EvidenceError(
             f"no track has {_LEAST_SIGHTINGS} sightings while joints were heard; type: bodylog doctor LOG"
@@ -47,11 +48,12 @@ def learn(
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
     constants, touched = touch.learned(features, names, gps.get("effector"))
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
+    few = [Finding("warning", f"{name}: only {len(tracks[name].x)} sightings, too few for a model") for name in rare]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
     return Learned(
         BodyModel(names, gps, learned, constants, provenance),
         (*coverage.scores(chosen, gps, learned), *scores),
-        (*coverage.findings(heard, chosen, gps, learned), *left_out, *touched),
+        (*coverage.findings(heard, chosen, gps, learned), *few, *left_out, *touched),
     )
 
 
@@ -63,9 +65,7 @@ def _tracks(
         parts = [pairs(features, name, chosen, fit.every)] if any(name in f.tracks for f in features) else []
         if name in known:
             parts.append(earlier(known[name].samples, known[name].targets, known[name].spread))
-        part = joined(parts)
-        if len(part.x) >= _LEAST_SIGHTINGS:
-            yield name, part
+        yield name, joined(parts)
 
 
 def _same(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:

@@ -91,8 +91,9 @@ def test_every_named_track_gets_its_model_and_the_hand_none(explored) -> None:
     knob = replace(track, values=0.5 * track.values)
     few = replace(track, t=track.t[:5], values=track.values[:5], std=None)
     tracks = {"effector": track, "knob": knob, "hand": track, "rare": few}
-    model = learn([replace(features, tracks=tracks)], Settings(), {}).model
-    assert set(model.senses) == {"effector", "knob"} == set(model.noise.senses)
+    found = learn([replace(features, tracks=tracks)], Settings(), {})
+    assert set(found.model.senses) == {"effector", "knob"} == set(found.model.noise.senses)
+    assert any(f.text == "rare: only 5 sightings, too few for a model" for f in found.findings)
 
 
 def test_thinning_is_said_and_costs_little(explored) -> None:

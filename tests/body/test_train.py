@@ -1,3 +1,6 @@
+import time
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -81,3 +84,21 @@ def test_more_samples_than_are_exact_are_all_used(count: int, camera) -> None:
     many = train(samples(data.x, data.y), ("u", "v"), "px", exact=150)
     error = [np.sqrt(np.mean((gp.predict(q)[0] - camera(q)) ** 2)) for gp in (few, many)]
     assert error[1] < 0.7 * error[0]
+
+
+@pytest.mark.soak
+def test_a_hundred_thousand_samples_fit_in_a_minute_and_little_memory(camera) -> None:
+    _, data = _arm(5, 100_000, 0.0, camera)
+    data = samples(data.x, data.y)
+    tracemalloc.start()
+    started = time.perf_counter()
+    found = fitted(data, ROTATION, True, 0)
+    gp = build(data, found, ("u", "v"), "px")
+    assert time.perf_counter() - started < 60.0
+    assert tracemalloc.get_traced_memory()[1] < 2e9
+    tracemalloc.stop()
+    part = data.rows(np.arange(3000))
+    few = build(part, fitted(part, ROTATION, True, 0), ("u", "v"), "px", 3000)
+    q = np.random.default_rng(9).uniform([-0.8, -0.4, 0.1], [0.8, 0.9, 1.2], (2000, 3))
+    many, exact = (np.sqrt(np.mean((m.means(q)[0] - camera(q)) ** 2)) for m in (gp, few))
+    assert many < 1.05 * exact
