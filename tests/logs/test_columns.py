@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -179,7 +179,7 @@ def check(found: Columns, messages: list[dict[str, Any]], fields: list[str]) -> 
 
 
 @pytest.mark.parametrize("kind", ["little", "big", "ros1"])
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_definition_and_values_decode_as_rosbags_wrote_them(kind: str, data: st.DataObject) -> None:
     types, messages = data.draw(cases(kind == "ros1"))
@@ -190,7 +190,7 @@ def test_any_definition_and_values_decode_as_rosbags_wrote_them(kind: str, data:
     check(found, messages, fields)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_any_one_field_alone_decodes_the_same(data: st.DataObject) -> None:
     types, messages = data.draw(cases(False))
@@ -198,7 +198,7 @@ def test_any_one_field_alone_decodes_the_same(data: st.DataObject) -> None:
     check(columns(Messages(encode(types, messages, "little")), topic(text_of(types)), [field]), messages, [field])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
 def test_damaged_payloads_are_counted_and_never_crash(data: st.DataObject) -> None:
     types, messages = data.draw(cases(False))

@@ -5,7 +5,7 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import FormatError
@@ -101,7 +101,7 @@ def test_stamps_are_found_in_schemas():
     assert stamp_field(topic(b"[1", "json", "x")) is None
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(flips=st.lists(st.tuples(st.integers(0, 300), st.integers(1, 255)), max_size=4), cut=st.integers(0, 200))
 def test_damaged_protobuf_is_counted_and_never_crashes(flips, cut):
     broken = bytearray(state(3)[:cut])
@@ -122,7 +122,7 @@ def test_whole_numbers_past_64_bits_become_floats():
     assert got.column("q").tolist() == [[1, 1e21]]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(payload=st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner),
