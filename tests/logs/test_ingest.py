@@ -1,6 +1,11 @@
+import base64
+import json
+
+import cv2
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from bodylog.errors import LogError, UsageError
@@ -101,8 +106,6 @@ def test_the_log_itself_is_never_written_to(tmp_path, arm):
 
 
 def test_a_video_beside_the_log_becomes_jpegs(tmp_path, arm):
-    import cv2
-
     video = cv2.VideoWriter(str(tmp_path / "side.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
     for level in range(0, 250, 25):
         video.write(np.full((48, 64, 3), level, np.uint8))
@@ -118,27 +121,48 @@ def test_a_video_beside_the_log_becomes_jpegs(tmp_path, arm):
 TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 
 
-def test_json_pictures_become_ros_messages(tmp_path):
-    import base64
-    import json
-
-    import cv2
-    from mcap.writer import Writer
-
-    jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
-    with (tmp_path / "in.mcap").open("wb") as stream:
+def json_log(path, kind, message):
+    """Five JSON pictures, a second apart."""
+    with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start("", "someone else's recorder")
         text = json.dumps({"type": "object", "properties": {"timestamp": TIME, "data": {"type": "string"}}})
-        schema = writer.register_schema("foxglove.CompressedImage", "jsonschema", text.encode())
+        schema = writer.register_schema(kind, "jsonschema", text.encode())
         channel = writer.register_channel("/cam", "json", schema)
         for i in range(5):
-            stamp = {"sec": 1_700_000_000 + i, "nsec": 5}
-            said = {"timestamp": stamp, "frame_id": "eye", "format": "jpeg", "data": base64.b64encode(jpeg).decode()}
+            said = {"timestamp": {"sec": 1_700_000_000 + i, "nsec": 5}, "frame_id": "eye", **message}
             writer.add_message(channel, START + i, json.dumps(said).encode(), START + i)
         writer.finish()
-    ingest(tmp_path / "in.mcap", tmp_path / "out.mcap", Settings())
+    return path
+
+
+def ingested(tmp_path, log):
+    ingest(log, tmp_path / "out.mcap", Settings())
     with AnyReader([tmp_path / "out.mcap"]) as reader:
-        found = [reader.deserialize(raw, c.msgtype) for c, _, raw in reader.messages()]
-    assert [m.header.stamp.sec for m in found] == [1_700_000_000 + i for i in range(5)]
-    assert {(m.header.frame_id, m.format, m.data.tobytes()) for m in found} == {("eye", "jpeg", jpeg)}
+        return [(c.topic, reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages()]
+
+
+def test_compressed_json_pictures_become_ros_messages(tmp_path):
+    jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+    message = {"format": "jpeg", "data": base64.b64encode(jpeg).decode()}
+    found = ingested(tmp_path, json_log(tmp_path / "in.mcap", "foxglove.CompressedImage", message))
+    assert [m.header.stamp.sec for _, m in found] == [1_700_000_000 + i for i in range(5)]
+    kept = {(topic, m.header.frame_id, m.format, m.data.tobytes()) for topic, m in found}
+    assert kept == {("/camera/image/compressed", "eye", "jpeg", jpeg)}
+
+
+def test_raw_json_pictures_become_ros_messages(tmp_path):
+    pixels = bytes(range(24))
+    message = {"width": 4, "height": 2, "encoding": "rgb8", "step": 12, "data": base64.b64encode(pixels).decode()}
+    found = ingested(tmp_path, json_log(tmp_path / "in.mcap", "foxglove.RawImage", message))
+    kept = {(topic, m.width, m.height, m.encoding, m.step, m.is_bigendian, m.data.tobytes()) for topic, m in found}
+    assert kept == {("/camera/image", 4, 2, "rgb8", 12, 0, pixels)} and len(found) == 5
+
+
+def test_a_foreign_protobuf_log_is_ingested(tmp_path, arm):
+    log = arm.parent / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
+    found = ingested(tmp_path, log)
+    assert len(found) == 30
+    before = pictures(read(log, Settings()))
+    after = pictures(read(tmp_path / "out.mcap", Settings()))
+    assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(before, after, strict=True))
