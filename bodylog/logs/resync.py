@@ -27,6 +27,7 @@ _AHEAD = 64 << 20
 _IN_CHUNKED = (CHUNK, MESSAGE_INDEX, CHUNK_INDEX)
 _CHUNK_FIXED = 40
 _LONGEST_END = 64
+_LARGEST = 1 << 40
 _SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
 
 Found = tuple[int, int, int]
@@ -51,7 +52,7 @@ def sound_records(
                 break
             continue
         if chunked is None:
-            chunked = _chunk_like(data, at) or resync(data, at, min(end, at + _AHEAD), _IN_CHUNKED, ()) is not None
+            chunked = _chunked(data, at, min(end, at + _AHEAD))
         low = at if held is None or held[0] == CHUNK else held[1] + 1
         found = resync(data, low, end, *_sought(chunked, channels))
         begin = at
@@ -64,6 +65,18 @@ def sound_records(
         lost(begin, at - begin)
     if held:
         yield held
+
+
+def _chunked(data: memoryview, start: int, end: int) -> bool:
+    """Whether what follows a damage are chunks and their indexes, even if the file is cut inside the first of them."""
+    if _chunk_like(data, start):
+        return True
+    for low in range(start, end, _WINDOW):
+        heads = heads_of(data[low : min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)])
+        likely = (heads["opcode"] == CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
+        if any(_chunk_like(data, low + int(at)) for at in np.flatnonzero(likely)):
+            return True
+    return resync(data, start, end, _IN_CHUNKED, ()) is not None
 
 
 def _chunk_like(data: memoryview, at: int) -> bool:
