@@ -64,7 +64,7 @@ def test_whatever_the_writer_does_all_is_read(
     assert peers.ours(path) == Counter((TOPICS[channel][0], time, payload) for channel, time, payload in some)
     with open_log(path, strict=True) as log:
         assert sum(topic.messages for topic in log.topics) == len(some)
-        for topic in log.topics:
+        for topic in [topic for topic in log.topics if topic.messages]:
             found = [bytes(part) for batch in log.batches([topic.id]) for part in payloads(batch)]
             mine = TOPICS.index((topic.name, SCHEMAS.index(topic.type), topic.encoding))
             assert found == [payload for channel, _, payload in some if channel == mine]
