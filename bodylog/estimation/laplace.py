@@ -140,7 +140,7 @@ def repeats(points: Array) -> Array:
     if not len(points):
         return np.empty(0)
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.fromiter(accumulate(np.exp(-apart / ALIKE), lambda n, kept: 1.0 + kept * n, initial=1.0), float)
+    return np.array(list(accumulate(np.exp(-apart / ALIKE).tolist(), lambda n, kept: 1.0 + kept * n, initial=1.0)))
 
 
 def heard(problem: Problem, fold: Fold) -> Readings:

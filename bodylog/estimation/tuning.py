@@ -21,7 +21,7 @@ ROUGHLY = 1e-3
 """Standard deviations: how still a solution must be for its evidence to be compared."""
 TRUST = 0.5
 """Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""
-ROUNDS = (1.2, 0.8, 0.5, 0.3)
+ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 

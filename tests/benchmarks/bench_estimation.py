@@ -1,0 +1,142 @@
+"""Cost of a step: ours beside filterpy's extended filter with scikit-learn predictions, and beside the model alone."""
+
+import importlib.util
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from bodylog import body
+from bodylog.estimation import Estimator, estimate
+from bodylog.settings import Estimation, Settings
+from bodylog.types import BodyModel, Features
+from tests.benchmarks.timing import side_by_side
+from tests.estimation.conftest import World, draw
+
+MINUTES = 10
+GIVEN = Estimation(precision="model", bias="off")
+
+
+def learned(samples: int) -> BodyModel:
+    """A body learned from an exploration with about so many pictures."""
+    explored = draw(1, duration=samples / 8, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    return body.learn([explored.features], Settings(), {}).model
+
+
+def whole_log(model: BodyModel) -> None:
+    """Ten minutes at 100 Hz with pictures at 30 Hz, features present."""
+    world = draw(2, duration=60.0 * MINUTES, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
+    steps, track = len(world.features.joints.t), world.features.tracks["effector"]
+    sense, where = model.senses["effector"], np.repeat(world.truth.values[:1], len(track.t), axis=0)
+    where = where[:, [("pan", "lift", "elbow").index(name) for name in model.joints]]
+    cases: dict[str, Callable[[], object]] = {
+        "laplace": partial(estimate, world.features, model, Estimation()),
+        "smoother": partial(estimate, world.features, model, Estimation(method="smoother")),
+        "laplace, the body's precisions": partial(estimate, world.features, model, GIVEN),
+        "limit: the model's predictions alone, once": partial(sense.predict, where),
+        "kalman": partial(estimate, world.features, model, Estimation(method="kalman")),
+    }
+    medians = side_by_side(f"{MINUTES} minutes, {steps} steps, {len(track.t)} pictures", cases, repeats=1)
+    for name in ("laplace", "smoother"):
+        print(f"  {name}: {medians[name] / steps * 1e6:.1f} µs per step")
+    print(f"  smoother / laplace: {medians['smoother'] / medians['laplace']:.2f}")
+
+
+def beside_filterpy(model: BodyModel) -> None:
+    """Thirty seconds by both, and by our stream."""
+    world = draw(3, duration=30.0, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
+    order = [world.features.joints.names.index(name) for name in model.joints]
+    events = sorted(
+        [(t, 0, k) for k, t in enumerate(world.features.joints.t)]
+        + [(t, 1, k) for k, t in enumerate(world.features.tracks["effector"].t)]
+    )
+    cases: dict[str, Callable[[], object]] = {
+        "laplace": partial(estimate, world.features, model, GIVEN),
+        "laplace, precisions learned": partial(estimate, world.features, model, Estimation()),
+        "Estimator.step": partial(stream, world, model, events, order),
+    }
+    if importlib.util.find_spec("filterpy") and importlib.util.find_spec("sklearn"):
+        cases["filterpy EKF, scikit-learn predictions"] = partial(filterpy, world, model, events, order)
+    else:
+        print("  filterpy or scikit-learn is not installed: no peer")
+    side_by_side("30 seconds, one and the same log", cases, repeats=1)
+
+
+def stream(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:
+    """Our filter, one instant at a time."""
+    live, joints = Estimator(model), world.features.joints.values[:, order]
+    for t, seen, k in events:
+        if seen:
+            live.step(t, effector=world.features.tracks["effector"].values[k])
+        else:
+            live.step(t, joints=joints[k])
+
+
+def filterpy(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:
+    """The peer: the same states and noise, the Jacobian by differences since scikit-learn has none."""
+    from filterpy.kalman import ExtendedKalmanFilter
+    from sklearn.gaussian_process import GaussianProcessRegressor
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+    sense = model.senses["effector"]
+    kernel = ConstantKernel(float(sense.amplitude[0]), "fixed") * RBF(sense.scales[0], "fixed")
+    noise = float(sense.noise.mean()) + sense.spread.mean(axis=1)
+    gp = GaussianProcessRegressor(kernel, alpha=noise, optimizer=None)
+    gp.fit(sense.samples, sense.targets - sense.mean)
+    steps = 1e-4 * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    ekf = ExtendedKalmanFilter(dim_x=6, dim_z=3)
+    values, last = world.features.joints.values[:, order], 0.0
+    ekf.x[:3] = values[0][:, None]
+    q, encoder = np.diag(model.noise.process), np.diag(model.noise.encoder)
+    pixel, eye = np.diag(model.noise.senses["effector"]), np.eye(6)[:3]
+    for t, seen, k in events:
+        dt, last = t - last, t
+        ekf.F = np.eye(6) + dt * np.eye(6, k=3)
+        ekf.Q = np.block([[q * dt**3 / 3, q * dt**2 / 2], [q * dt**2 / 2, q * dt]])
+        ekf.predict()
+        if not seen:
+            ekf.update(values[k][:, None], lambda x: eye, lambda x: x[:3], R=encoder)
+            continue
+        around = gp.predict(ekf.x[:3, 0] + steps) + sense.mean
+        slope = np.concatenate([(around[1:4] - around[4:]).T / 2e-4, np.zeros((2, 3))], axis=1)
+        z = world.features.tracks["effector"].values[k]
+        ekf.update(z[:, None], lambda x, s=slope: s, lambda x, a=around: a[0][:, None], R=pixel)
+
+
+def growth() -> None:
+    """Cost per step against the samples n of the model and the number N of tracks."""
+    print("\nlaplace, µs per step of a 60 s log (body's precisions)")
+    for samples in (46, 100, 200, 400):
+        print(f"  n = {samples:<4} {per_step(learned(samples), 1):8.1f}")
+    model = learned(100)
+    for tracks in (1, 2, 4, 8):
+        print(f"  N = {tracks:<4} {per_step(model, tracks):8.1f}")
+
+
+def per_step(model: BodyModel, tracks: int) -> float:
+    """Microseconds per step, the best of three."""
+    world = draw(4, duration=60.0, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
+    track, sense = world.features.tracks["effector"], model.senses["effector"]
+    names = [f"mark{k}" for k in range(tracks)]
+    features: Features = replace(world.features, tracks=dict.fromkeys(names, track))
+    several = replace(model, senses=dict.fromkeys(names, sense))
+    times = []
+    for _ in range(3):
+        started = time.perf_counter()
+        found = estimate(features, several, GIVEN)
+        times.append(time.perf_counter() - started)
+    return min(times) / len(found.joints.t) * 1e6
+
+
+def main() -> None:
+    """Run all cases."""
+    model = learned(320)
+    whole_log(model)
+    beside_filterpy(model)
+    growth()
+
+
+if __name__ == "__main__":
+    main()
