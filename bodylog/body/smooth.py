@@ -66,7 +66,9 @@ def chain(t: Array, z: Array) -> Chain:
     t, z = t[sound][order], z[sound][order]
     centre = float(z.mean())
     unit, node = _nodes(t)
-    z = z - centre
+    # a reading sent again is no second reading
+    fresh = np.append(True, (np.diff(node) > 0) | (np.diff(z) != 0))
+    t, z, node = t[fresh], z[fresh] - centre, node[fresh]
     count, total = np.bincount(node).astype(float), np.bincount(node, z)
     times = np.bincount(node, t) / count
     early, rest = t - times[node], z - (total / count)[node]

@@ -93,12 +93,19 @@ def test_readings_out_of_order_repeated_or_missing_do_no_harm() -> None:
     draw = np.random.default_rng(0)
     t = np.repeat(np.arange(0, 10, 0.02), 2)
     z = np.sin(t) + draw.normal(0, 0.01, len(t))
-    z[7] = np.nan
+    t, z = np.append(t, 5.0), np.append(z, np.nan)
     order = draw.permutation(len(t))
     one, other = chain(t, z), chain(t[order], z[order])
     assert isinstance(one, Chain) and len(one.t) == 500
     assert np.allclose(one.total, other.total) and one.count.sum() == len(t) - 1
     assert fit([one], 2).encoder == pytest.approx(1e-4, rel=0.2)
+
+
+def test_a_reading_sent_again_is_no_second_reading() -> None:
+    t = np.arange(0, 10, 0.008)
+    z = np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t))
+    again = chain(np.sort(np.concatenate([t + k * 0.002 for k in range(4)])), np.repeat(z, 4))
+    assert fit([again], 3).encoder == pytest.approx(1e-4, rel=0.15)
 
 
 def test_fast_encoders_share_nodes() -> None:
