@@ -36,8 +36,10 @@ options = st.fixed_dictionaries(
     }
 )
 messages = st.lists(
-    st.tuples(st.integers(0, 3), st.integers(0, 1 << 62), st.binary(max_size=200)), max_size=40
+    st.tuples(st.integers(0, 3), st.integers(0, 1 << 62), st.binary(max_size=200).filter(lambda raw: raw[:1] != b"(")),
+    max_size=40,
 )
+"""No payload begins as zstd does: CDR never begins so, and is taken to be packed when it does."""
 SCHEMAS = ("", "pkg/msg/One", "pkg/msg/Two")
 TOPICS = [("/a", 1, "cdr"), ("/a", 2, "cdr"), ("/b", 1, "ros1"), ("/c", 0, "json")]
 """Topic, schema, encoding of each channel: one name with two schemas, one channel without a schema."""
