@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .report.overlay import Picture
 
 Progress = Callable[[int], None]
+"""Told how many more pictures are done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +40,28 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
 
 
 def info(log: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
-    """What is in a log: topics, rates, roles, clocks (see the command line's `info --json`)."""
+    """What is in a log: topics, rates, roles, clocks; or in a body model (.npz): joints, senses, noise, provenance."""
     from .logs import recording
 
+    if log.suffix == ".npz":
+        return _info_body(log)
     return recording.info(log, settings, strict)
+
+
+def _info_body(path: Path) -> dict[str, Any]:
+    from .body import model
+
+    learned = model.load(path)
+    return {
+        "path": str(path),
+        "format": "body",
+        "joints": list(learned.joints),
+        "senses": {name: list(sense.outputs) for name, sense in learned.senses.items()},
+        "noise": asdict(learned.noise),
+        "touch": asdict(learned.touch),
+        "provenance": dict(learned.provenance),
+        "findings": [],
+    }
 
 
 def observe(log: Path, settings: Settings, progress: Progress | None = None) -> tuple[Recording, Features]:
@@ -71,14 +90,18 @@ def extract(log: Path, out: Path, settings: Settings, progress: Progress | None 
     return Result(out, (), features.health, (*read.findings, *features.findings, *lost), plain(settings))
 
 
-def fit(logs: Sequence[Path], out: Path, settings: Settings, progress: Progress | None = None) -> Result:
-    """Learn a body model from exploration logs and write it as .npz."""
+def fit(
+    logs: Sequence[Path], out: Path, settings: Settings, progress: Progress | None = None, update: Path | None = None
+) -> Result:
+    """Learn a body model from exploration logs and write it as .npz; `update` is one to learn on from."""
     from . import body
     from .body import model
 
+    known = None if update is None else model.load(update)
     observed = [observe(log, settings, progress) for log in logs]
     features = [found for _, found in observed]
-    learned = body.learn(features, settings, _provenance(logs, settings))
+    provenance = _provenance(logs, settings) | ({} if update is None else {"update_sha256": sha256(update)})
+    learned = body.learn(features, settings, provenance, known)
     model.save(learned.model, out)
     findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
     return Result(out, learned.scores, _merged(features), (*findings, *learned.findings), plain(settings))
@@ -161,12 +184,18 @@ def _row(
     return Row(method, senses, judge(found, read), time.perf_counter() - started)
 
 
-def ingest(log: Path, out: Path, settings: Settings, **window: float | None) -> Result:
-    """Write any log as one tidy MCAP with its roles named."""
+def ingest(
+    log: Path, out: Path, settings: Settings, tables: Mapping[str, Path] | None = None, **window: float | None
+) -> Result:
+    """Write any log as one tidy MCAP with its roles named; `tables`: a folder for its signals by form (csv, parquet)."""
+    from .logs import export, recording
     from .logs import ingest as tidy
 
     _distinct(log, out)
-    return Result(out, findings=tuple(tidy.ingest(log, out, settings, **window)))
+    findings = tuple(tidy.ingest(log, out, settings, **window))
+    for form, folder in (tables or {}).items():
+        export.export(recording.read(out, Settings()), folder, form)
+    return Result(out, findings=findings)
 
 
 def doctor(log: Path, repair: Path | None = None) -> Result:

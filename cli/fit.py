@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import common_options, logs_argument, out_option, settings
+from .options import PATH, common_options, logs_argument, out_option, settings
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
@@ -13,6 +13,7 @@ from .options import common_options, logs_argument, out_option, settings
 @click.option("--preset", help="paper: the printed constants and 46 samples.")
 @click.option("--joints", help="Learn over these joints, e.g. pan,lift,elbow; default: those that move.")
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
+@click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
 @common_options
 def fit(
     logs: tuple[Path, ...],
@@ -20,6 +21,7 @@ def fit(
     preset: str | None,
     joints: str | None,
     every: int | None,
+    update: Path | None,
     config_file: Path | None,
     as_json: bool,
 ) -> int:
@@ -31,5 +33,5 @@ def fit(
     named = tuple(joints.split(",")) if joints else None
     chosen = settings(config_file, fit={"preset": preset, "every": every}, body={"joints": named})
     with progress("fit") as tick:
-        result = pipeline.fit(logs, out, chosen, tick)
+        result = pipeline.fit(logs, out, chosen, tick, update)
     return show(result, as_json)

@@ -5,15 +5,15 @@ from typing import Any
 
 import click
 
-from .options import common_options, logs_argument, settings
+from .options import PATH, common_options, settings
 
 
 @click.command(epilog="Example: bodylog info run.bag --json")
-@logs_argument
+@click.argument("logs", metavar="LOG|BODY.npz...", type=PATH, nargs=-1, required=True)
 @click.option("--strict", is_flag=True, help="Refuse a damaged log instead of reading what is sound.")
 @common_options
 def info(logs: tuple[Path, ...], strict: bool, config_file: Path | None, as_json: bool) -> int:
-    """What is in a log: topics, types, counts, rates, clocks, and which topic plays which role."""
+    """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
     from bodylog import pipeline
 
     from .output import data
@@ -29,6 +29,9 @@ def info(logs: tuple[Path, ...], strict: bool, config_file: Path | None, as_json
 
 
 def _print(one: dict[str, Any]) -> None:
+    if one["format"] == "body":
+        _print_body(one)
+        return
     click.echo(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")
     width = max((len(topic["topic"]) for topic in one["topics"]), default=0)
     for topic in one["topics"]:
@@ -40,3 +43,12 @@ def _print(one: dict[str, Any]) -> None:
         click.echo(f"  joint names: {', '.join(one['joints'])}")
     for finding in one["findings"]:
         click.echo(f"  {finding['severity']}: {finding['text']}")
+
+
+def _print_body(one: dict[str, Any]) -> None:
+    click.echo(f"{one['path']}: body model of {', '.join(one['joints'])}")
+    for sense, outputs in one["senses"].items():
+        click.echo(f"  {sense}: {', '.join(outputs)}")
+    for part in ("noise", "touch", "provenance"):
+        for key, value in one[part].items():
+            click.echo(f"  {part} {key}: {value}")

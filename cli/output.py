@@ -74,7 +74,7 @@ def table(scores: "Sequence[Score]") -> None:
 
 @contextmanager
 def progress(what: str) -> "Iterator[Progress | None]":
-    """A counter of frames on a terminal, nothing otherwise."""
+    """A counter of pictures on a terminal, nothing otherwise; what is yielded is told how many more are done."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -82,7 +82,7 @@ def progress(what: str) -> "Iterator[Progress | None]":
     from rich.progress import Progress as Bar
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed:.0f}} frames"), TimeElapsedColumn())
+    columns = (SpinnerColumn(), TextColumn(f"{what}: {{task.completed:.0f}} pictures"), TimeElapsedColumn())
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
-        yield lambda frames: bar.update(task, completed=frames)
+        yield lambda frames: bar.advance(task, frames)

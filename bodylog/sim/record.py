@@ -39,7 +39,7 @@ def record(
     """Write `scenario` to `out`, the same bytes for the same arguments; UsageError when one of them is not possible.
 
     duration (s), noise (encoders, rad), variant and place are the scenario's own when None; size in px; `marker` puts
-    a blue ball on the arm, for a second visual sense; `progress` is told after each picture how many there are.
+    a blue ball on the arm, for a second visual sense; `progress` is told how many more pictures are done.
     """
     plan, length = _plan(scenario, seed, duration, full, arm, variant, place)
     if image not in _IMAGES:
@@ -90,7 +90,6 @@ def _fill(writer: Any, stage: Stage, progress: Callable[[int], None] | None) -> 
     from .messages import store
 
     channels: dict[str, tuple[int, int]] = {}
-    pictures = 0
     streams = (encoder_items, skin_items, camera_items, event_items)
     for item in heapq.merge(*(stream(stage) for stream in streams), key=lambda item: item.log_ns):
         kind = item.message.__msgtype__
@@ -101,8 +100,7 @@ def _fill(writer: Any, stage: Stage, progress: Callable[[int], None] | None) -> 
         payload = bytes(store().serialize_cdr(item.message, kind))
         writer.add_message(channel, item.log_ns, payload, item.stamp_ns, count)
         if progress is not None and item.topic == stage.image_topic:
-            pictures += 1
-            progress(pictures)
+            progress(1)
 
 
 def _channel(writer: Any, topic: str, kind: str) -> int:

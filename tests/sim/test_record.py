@@ -138,7 +138,7 @@ def test_raw_and_jpeg_show_the_same(tmp_path):
 def test_progress_counts_pictures(tmp_path):
     counts = []
     record("reach", tmp_path / "a.mcap", duration=0.5, progress=counts.append, **SMALL)
-    assert counts == list(range(1, 11))
+    assert counts == [1] * 10
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,47 @@
+"""bodylog reproduce."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .options import PATH
+
+if TYPE_CHECKING:
+    from bodylog.experiments import Claim
+
+
+@click.command(epilog="Example: bodylog reproduce E1 E3 -o out --seeds 10 --jobs 2")
+@click.argument("experiments", metavar="[E1 ...]", nargs=-1)
+@click.option("-o", "--output", "out", type=PATH, required=True, help="The folder for the page and all it is made of.")
+@click.option("--seeds", type=click.IntRange(min=1), default=10, show_default=True, help="How often each is run.")
+@click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs at a time.")
+@click.option("--json", "as_json", is_flag=True, help="Print the claims as JSON on standard output.")
+def reproduce(experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, as_json: bool) -> None:
+    """The paper's experiments from simulated logs, its claims judged, on one page (out/index.html).
+
+    E1 to E6, PixelAI and Errata; all when none is named. What a run left in the folder is not run again.
+    """
+    from dataclasses import asdict
+
+    from bodylog.experiments import Reproduction
+    from bodylog.experiments import reproduce as run
+
+    from .output import data
+
+    claims = run(Reproduction(out, experiments, seeds, jobs), _tell)
+    if as_json:
+        data({"claims": [asdict(claim) for claim in claims], "output": str(out / "index.html")})
+    else:
+        _table(claims)
+        click.echo(f"wrote {out / 'index.html'}", err=True)
+
+
+def _tell(what: str, done: int, total: int) -> None:
+    click.echo(f"[{done}/{total}] {what}", err=True)
+
+
+def _table(claims: "tuple[Claim, ...]") -> None:
+    for claim in claims:
+        printed, ours = (claim.spread[side][0] for side in ("printed", "ours"))
+        click.echo(f"{claim.verdict:<9} {claim.experiment:<7} {printed:>9.3g} {ours:>9.3g} {claim.bound:>8}  {claim.text}")
