@@ -10,7 +10,6 @@ from ..types import Features, Finding, Frame, Health, Recording, Topic
 from . import frames as camera
 from . import roles, video
 from .containers import Log, open_log
-from .roles import Role
 from .streams import Stream, health, joints_of, remarks, series, streams
 
 _OURS = "/bodylog/"
@@ -20,10 +19,10 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
     """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come."""
     with open_log(path, strict) as log:
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
-        heard = streams(log, found, settings, str(path))
+        heard, silent = streams(log, found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
-        findings = (*log.findings, *_findings(log, found, heard))
+        findings = (*log.findings, *silent, *_findings(log, heard))
     sidecar = _sidecar(path, settings)
     return Recording(
         name=path.name,
@@ -45,15 +44,15 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
 def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
     """What is in a log, as plain values: topics, rates, roles, joint names, clocks, findings."""
     with open_log(path, strict) as log:
-        problems: list[Finding] = []
-        found: dict[str, Role] = {}
         heard: dict[str, Stream] = {}
+        found: dict[str, roles.Role] = {}
         try:
             found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
-            heard = streams(log, found, settings, str(path))
+            heard, silent = streams(log, found, settings, str(path))
+            found = {role: stream.role for role, stream in heard.items()}
+            remarked = (*silent, *_findings(log, heard))
         except BodylogError as error:
-            problems.append(Finding("warning", str(error).removeprefix(f"{path}: ")))
-        findings = (*log.findings, *problems, *(_findings(log, found, heard) if not problems else ()))
+            remarked = (Finding("warning", str(error).removeprefix(f"{path}: ")),)
         duration_s = (log.end_ns - log.start_ns) / 1e9
         return {
             "path": str(path),
@@ -64,7 +63,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
             "roles": {role: source.path for role, source in found.items()},
             "joints": list(heard["joints"].names) if "joints" in heard else [],
             "clock": {role: _clock(stream) for role, stream in heard.items()},
-            "findings": [{"severity": finding.severity, "text": finding.text} for finding in findings],
+            "findings": [{"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)],
         }
 
 
@@ -126,12 +125,8 @@ def _features(log: Log, start_ns: int) -> Features | None:
     return read_features(log, start_ns)
 
 
-def _findings(log: Log, found: Mapping[str, Role], heard: Mapping[str, Stream]) -> tuple[Finding, ...]:
-    guess = [Finding("info", f"roles, ready for robot.toml: {roles.advice(found)}")] if found else []
+def _findings(log: Log, heard: Mapping[str, Stream]) -> tuple[Finding, ...]:
+    advice = roles.advice({role: stream.role for role, stream in heard.items()})
+    said = [Finding("info", f"roles, ready for robot.toml: {advice}")] if heard else []
     broken = [Finding("warning", f"{text}; not considered for any role") for text in roles.unreadable(log.topics)]
-    empty = [
-        Finding("warning", f"{role.role}: {role.topic} was guessed, but none of its messages can be used")
-        for role in found.values()
-        if role.role not in heard
-    ]
-    return (*guess, *broken, *empty, *(finding for stream in heard.values() for finding in remarks(stream)))
+    return (*said, *broken, *(finding for stream in heard.values() for finding in remarks(stream)))

@@ -29,12 +29,16 @@ _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class Role:
-    """One role's source: the topic (several records when it has several schemas) and the field, "" for the message."""
+    """One role's source: the topic (several records when it has several schemas) and the field, "" for the message.
+
+    `unsure`: guessed from a type that other things share, so that its values must look like the role's.
+    """
 
     role: str
     topic: str
     field: str
     topics: tuple[Topic, ...]
+    unsure: bool = False
 
     @property
     def path(self) -> str:
@@ -110,7 +114,8 @@ def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
     for _, topic in sorted(usable, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
         field = _field(role, topic)
         if field is not None and _problem(topic) is None:
-            return Role(role, topic.name, field, _same(topics, topic))
+            unsure = role == "skin" and not (_TOUCHED.search(topic.name) or "Skin" in topic.type)
+            return Role(role, topic.name, field, _same(topics, topic), unsure)
     return None
 
 

@@ -106,6 +106,15 @@ def array(found: Sequence[Block]) -> Signal:
     return _joined([(r, s) for r, s, _ in good], [v for _, _, v in good], names, rejected)
 
 
+def proximities(signal: Signal) -> Signal:
+    """The signal if all it says lies within 0..1, otherwise none of it."""
+    values = signal.values
+    if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))):
+        return signal
+    reason = {"values beyond 0..1 on a topic whose name speaks of no skin": len(signal.rows)}
+    return Signal(signal.rows[:0], None, values[:0], signal.names, {**signal.rejected, **reason})
+
+
 def texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> Signal:
     """Messages told apart by one text (an image's encoding); those `refused` gives a reason for are rejected."""
     rejected: Counter[str] = Counter()

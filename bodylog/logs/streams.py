@@ -37,10 +37,17 @@ class Stream:
     shifted_s: float = 0.0
 
 
-def streams(log: Log, found: Mapping[str, Role], settings: Settings, name: str) -> dict[str, Stream]:
-    """The roles of a log that hold usable messages; LogError when a role named in robot.toml does not."""
+def streams(
+    log: Log, found: Mapping[str, Role], settings: Settings, name: str
+) -> tuple[dict[str, Stream], tuple[Finding, ...]]:
+    """The roles of a log that hold usable messages, and remarks on guesses that do not.
+
+    LogError when a role named in robot.toml holds none.
+    """
     dated = {role: _stream(*source, settings, name) for role, source in _columns(log, found).items()}
-    return _one_epoch({role: stream for role, stream in dated.items() if _is_usable(stream, settings, name)})
+    usable = {role: stream for role, stream in dated.items() if len(stream.dated.t_ns)}
+    empty = (_empty(stream, settings, name) for role, stream in dated.items() if role not in usable)
+    return _one_epoch(usable), tuple(empty)
 
 
 def joints_of(log: Log) -> Callable[[Topic], int]:
@@ -113,17 +120,16 @@ def _signal(role: Role, found: list[signals.Block], settings: Settings, what: st
         return signals.joints(found, settings.body.joints, what, every=role.role == "joints")
     signal = signals.array(found)
     if role.role == "skin" or not len(signal.rows):
-        return signal
+        return signals.proximities(signal) if role.unsure else signal
     nameless = [(signal.rows, signal.stamp_ns, ((), signal.values))]
     return signals.joints(nameless, settings.body.joints, what)
 
 
-def _is_usable(stream: Stream, settings: Settings, name: str) -> bool:
-    if len(stream.dated.t_ns):
-        return True
-    if getattr(settings.topics, stream.role.role) is not None:
-        raise LogError(f"{name}: no usable message on {stream.role.topic}: {_reasons(stream) or 'it is empty'}")
-    return False
+def _empty(stream: Stream, settings: Settings, name: str) -> Finding:
+    why, role = _reasons(stream) or "it is empty", stream.role
+    if getattr(settings.topics, role.role) is not None:
+        raise LogError(f"{name}: no usable message on {role.topic}: {why}")
+    return Finding("warning", f"{role.role}: {role.topic} was considered, but has no usable message: {why}")
 
 
 def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:

@@ -99,6 +99,7 @@ def test_nameless_joints_need_names_and_as_many_as_there_are(tmp_path):
     assert got is not None and got.names == NAMES
     assert got.values.tolist() == [[1, 2, 3]] * 4
     said = info(log, PLAIN)
+    assert said["roles"] == {"joints": "/j"}
     assert said["joints"] == [] and any("have no names" in f["text"] for f in said["findings"])
 
 
@@ -256,6 +257,19 @@ def test_arrays_of_another_length_are_rejected(tmp_path):
     log = write(tmp_path / "a.mcap", [replace(stream, messages=[*stream.messages, *odd.messages])])
     got = read(log, PLAIN)
     assert dict(got.health["/skin"].rejected) == {"5 values, not 3": 1}
+
+
+def test_arrays_of_no_telling_name_are_skin_only_when_they_look_like_it(tmp_path):
+    near = write(tmp_path / "a.mcap", [arrays("/values", np.linspace(0, 1, 30).reshape(10, 3))])
+    assert read(near, PLAIN).roles == {"skin": "/values.data"}
+    far = write(tmp_path / "b.mcap", [arrays("/values", np.linspace(0, 2, 30).reshape(10, 3))])
+    got = read(far, PLAIN)
+    assert got.skin is None and got.roles == {}
+    assert any("/values was considered, but has no usable message: 10 (values beyond" in f.text for f in got.findings)
+    named = read(far, settings(topics=Topics(skin="/values"))).skin
+    assert named is not None and named.values.max() == 2
+    touching = write(tmp_path / "c.mcap", [arrays("/tactile", np.linspace(0, 2, 30).reshape(10, 3))])
+    assert read(touching, PLAIN).roles == {"skin": "/tactile.data"}
 
 
 def test_a_role_that_is_absent_is_none_and_one_that_is_named_wrongly_an_error(tmp_path):
