@@ -47,13 +47,16 @@ def open_log(path: Path, strict: bool = False) -> Log:
     """The log in a file or folder; LogError when it is none, or when `strict` and something in it is lost."""
     if not path.exists():
         raise LogError(f"{path}: there is no such file or folder; check the name")
-    if path.is_dir():
-        return _rosbag2(path, strict)
-    with path.open("rb") as stream:
-        first = stream.read(32)
-    if first.startswith(ZSTD):
-        return unpack_file(path, lambda inner: _opened(path, strict, inner))
-    return _opened(path, strict, path)
+    try:
+        if path.is_dir():
+            return _rosbag2(path, strict)
+        with path.open("rb") as stream:
+            first = stream.read(32)
+        if first.startswith(ZSTD):
+            return unpack_file(path, lambda inner: _opened(path, strict, inner))
+        return _opened(path, strict, path)
+    except OSError as problem:
+        raise LogError(f"{path}: it cannot be read: {problem.strerror or problem}") from None
 
 
 def _opened(path: Path, strict: bool, source: Path) -> Log:

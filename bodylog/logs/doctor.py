@@ -79,7 +79,7 @@ def _compare(log: Log, seen: dict[int, _Seen], remarks: _Remarks) -> None:
         if one.late:
             text = f"{topic.name}: {one.late} messages have a log time before their predecessor's, by up to"
             remarks.say("order", f"{text} {one.worst_ns / 1e9:.6f} s")
-        if not topic.definition:
+        if not topic.definition and not topic.type.endswith("/Empty"):
             remarks.say("definition", f"{topic.name}: {topic.type or 'its type'} has no definition in the log")
 
 

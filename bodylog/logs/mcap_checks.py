@@ -162,7 +162,7 @@ def _summary(data: memoryview, records: list[Record], tally: _Tally, say: Say) -
         elif record.opcode == SUMMARY_OFFSET:
             _group(data, said, say)
     listed = sum(record.opcode == CHUNK_INDEX for record in records)
-    if records and not tally.lost and listed != tally.records.get(CHUNK, 0):
+    if listed and not tally.lost and listed != tally.records.get(CHUNK, 0):
         say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(CHUNK, 0)}")
 
 

@@ -90,6 +90,8 @@ def believe_counts(records: list[Record], survey: Survey, ledger: Ledger) -> boo
             return False
     survey.counts = dict(counts)
     survey.times = [said["message_start_time"], said["message_end_time"]] if said["message_count"] else []
+    for chunk in chunks:  # rosbag2 takes a message at time zero for none in its statistics, not in its chunks
+        survey.times += [chunk.start_ns, chunk.end_ns] if chunk.end_ns else []
     return True
 
 

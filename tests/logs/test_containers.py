@@ -117,3 +117,21 @@ def test_payloads_are_views_of_the_batch() -> None:
     data = np.frombuffer(b"abcdefgh", np.uint8)
     batch = Batch(0, np.array([1, 2]), data, np.array([5, 1]), np.array([3, 2]))
     assert [bytes(payload) for payload in payloads(batch)] == [b"fgh", b"bc"]
+
+
+@recorded
+def test_a_message_at_time_zero_begins_the_log_even_if_the_statistics_leave_it_out() -> None:
+    path = next(LOGS.glob("ros2__rosbag2/rosbag2_py/**/mcap/**/rewriter_a_0.mcap"))
+    with open_log(path) as log:
+        assert log.start_ns == min(int(batch.log_ns.min()) for batch in log.batches()) == 0
+
+
+def test_a_file_that_may_not_be_read_is_an_error_of_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    path = tmp_path / "x.mcap"
+    path.write_bytes(b"x")
+    monkeypatch.setattr(Path, "open", refused)
+    with pytest.raises(LogError, match="it cannot be read: Permission denied"):
+        open_log(path)
