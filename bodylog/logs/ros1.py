@@ -2,13 +2,12 @@
 
 import re
 import struct
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from ..errors import FormatError
-from ..types import Topic
-
-Convert = Callable[[memoryview], memoryview]
+from ..types import Array, Topic
+from .alike import alike
 
 _HEADER = "std_msgs/msg/Header"
 _MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
@@ -18,22 +17,31 @@ _SMALL_CONSTANT = re.compile(r"^[ \t]*[\w/]+[ \t]+\w*[a-z]\w*[ \t]*=.*\n?", re.M
 _TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError)
 
 
-def converter(topic: Topic) -> tuple[Convert, bytes]:
-    """What turns the topic's ROS 1 payloads into CDR (FormatError when one cannot be), and its ros2msg definition.
+@dataclass(frozen=True, eq=False)
+class Converter:
+    """Turns one topic's ROS 1 payloads into CDR; FormatError when one cannot be."""
 
-    FormatError when the topic's definition is missing or is not one.
-    """
-    from rosbags.serde import SerdeError
+    topic: Topic
+    store: Any
 
-    store = _store(topic, _text(topic))
+    def __call__(self, payload: memoryview) -> memoryview:
+        """One payload as CDR."""
+        from rosbags.serde import SerdeError
 
-    def convert(payload: memoryview) -> memoryview:
         try:
-            return store.ros1_to_cdr(payload, topic.type)  # type: ignore[no-any-return]
+            return self.store.ros1_to_cdr(payload, self.topic.type)  # type: ignore[no-any-return]
         except (SerdeError, *_TROUBLE) as problem:
-            raise FormatError(f"topic {topic.name}: {problem}") from None
+            raise FormatError(f"topic {self.topic.name}: {problem}") from None
 
-    return convert, store.generate_msgdef(topic.type, ros_version=2)[0].encode()
+    def alike(self, rows: Array) -> tuple[Array, Array]:
+        """Which payloads (n,L) uint8 are laid out as the first (n,) bool, and their CDR (m,K)."""
+        return alike(self.store, self.topic.type, rows, self)
+
+
+def converter(topic: Topic) -> tuple[Converter, bytes]:
+    """The converter of a topic and its ros2msg definition; FormatError when the definition is missing or is not one."""
+    store = _store(topic, _text(topic))
+    return Converter(topic, store), store.generate_msgdef(topic.type, ros_version=2)[0].encode()
 
 
 def known_definition(kind: str) -> bytes | None:

@@ -11,11 +11,12 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Batch, Finding, Topic
 from .append import NAME, ROOT, is_mcap
+from .cdr import Payloads, merge
 from .chunks import heads_of
-from .containers import Log, open_log, payloads
+from .containers import Log, open_log
 from .mcap_write import MESSAGE_HEAD, Messages, gather
 from .records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
-from .ros1 import Convert, converter, known_definition
+from .ros1 import Converter, converter, known_definition
 from .toplevel import sound_heads
 from .unpacked import unpack_file
 from .write import CHUNK_BYTES, Contents, Writer
@@ -23,6 +24,7 @@ from .write import CHUNK_BYTES, Contents, Writer
 PROFILE = "ros2"
 LIBRARY = "bodylog"
 _PENDING = 4 * CHUNK_BYTES
+_FEW, _SHORT = 16, 4096
 
 
 @dataclass
@@ -31,7 +33,7 @@ class _Carrier:
 
     topic: Topic
     channel: int
-    convert: Convert | None = None
+    convert: Converter | None = None
     carried: int = 0
     spare: int | None = None
     resisted: int = 0
@@ -136,17 +138,39 @@ def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
 def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) -> tuple[Array, Array, Array]:
     """The payloads as CDR; one that is not what its definition says stays ROS 1, on a channel of its own."""
     assert carrier.convert is not None
-    parts: list[bytes | memoryview] = []
-    for i, payload in enumerate(payloads(batch)):
+    left, parts = _alike(batch, carrier.convert)
+    single: list[bytes | memoryview] = []
+    for i in left.tolist():
+        payload = batch.data[batch.offset[i] : batch.offset[i] + batch.length[i]].data
         try:
-            parts.append(carrier.convert(payload))
+            single.append(carrier.convert(payload))
         except FormatError:
             carrier.spare = carrier.spare or _keep(writer, carrier.topic)
             carrier.resisted += 1
             channel[i] = carrier.spare
-            parts.append(bytes(payload))
-    length = np.array([len(part) for part in parts], np.int64)
-    return np.frombuffer(b"".join(parts), np.uint8), np.cumsum(length) - length, length
+            single.append(bytes(payload))
+    length = np.array([len(part) for part in single], np.int64)
+    parts.append((left, Payloads(np.frombuffer(b"".join(single), np.uint8), np.cumsum(length) - length, length)))
+    merged = merge(parts, len(batch.log_ns))
+    return merged.data, merged.offset, merged.length
+
+
+def _alike(batch: Batch, convert: Converter) -> tuple[Array, list[tuple[Array, Payloads]]]:
+    """Short messages of equal length and layout as CDR, group by group, and the rows that are left."""
+    left, parts = np.ones(len(batch.log_ns), bool), []
+    sizes, counts = np.unique(batch.length, return_counts=True)
+    for size in sizes[(counts >= _FEW) & (sizes <= _SHORT)].tolist():
+        rows = np.flatnonzero(batch.length == size)
+        while len(rows) >= _FEW:
+            try:
+                same, out = convert.alike(batch.data[batch.offset[rows, None] + np.arange(size)])
+            except FormatError:
+                break
+            width = np.full(len(out), out.shape[1])
+            parts.append((rows[same], Payloads(out.reshape(-1), np.arange(len(out)) * out.shape[1], width)))
+            left[rows[same]] = False
+            rows = rows[~same] if same.sum() >= _FEW else rows[:0]
+    return np.flatnonzero(left), parts
 
 
 def _resistance(source: Path, carrier: _Carrier) -> Finding:

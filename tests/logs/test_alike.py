@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+
+from bodylog.errors import FormatError
+from bodylog.logs.ros1 import converter
+from bodylog.types import Topic
+
+from .test_transcode import CUSTOM, KINDS, ros1_store, values
+
+CUSTOM_TOPIC = Topic(0, "/t", KINDS[2], "ros1", CUSTOM.encode(), "ros1msg", 0)
+
+
+def messages(i, count, seed):
+    """ROS 1 payloads of the custom type with the same layout and other values."""
+    store, found = ros1_store(), []
+    for row in range(count):
+        *_, message = values(store, np.random.default_rng(seed + row), i)
+        found.append(bytes(store.serialize_ros1(message, KINDS[2])))
+    return np.array([np.frombuffer(payload, np.uint8) for payload in found])
+
+
+@pytest.mark.parametrize("i", range(8))
+def test_rows_are_what_each_message_becomes_alone(i):
+    convert, _ = converter(CUSTOM_TOPIC)
+    rows = messages(i, 20, 100 * i)
+    same, out = convert.alike(rows)
+    assert same.all() and [row.tobytes() for row in out] == [bytes(convert(memoryview(row.tobytes()))) for row in rows]
+
+
+def test_messages_of_equal_length_and_other_layout_are_left_alone():
+    convert, _ = converter(CUSTOM_TOPIC)
+    rows = messages(6, 20, 0)
+    other = rows.copy()
+    text = rows[0].tobytes().index(b"j0")
+    other[::2, text] = ord("k")
+    same, out = convert.alike(other[1:])
+    assert same.tolist() == [True, False] * 9 + [True] and len(out) == 10
+    assert [row.tobytes() for row in out] == [bytes(convert(memoryview(row.tobytes()))) for row in other[1::2]]
+
+
+def test_sequence_numbers_may_differ():
+    convert, _ = converter(CUSTOM_TOPIC)
+    rows = messages(3, 5, 0)
+    rows[:, :4] = np.arange(20).reshape(5, 4)
+    assert convert.alike(rows)[0].all()
+
+
+@pytest.mark.parametrize("damage", [lambda r: r[:, :-1], lambda r: np.where(np.arange(r.shape[1]) == 13, 255, r)])
+def test_a_first_row_that_contradicts_its_type_is_refused(damage):
+    convert, _ = converter(CUSTOM_TOPIC)
+    with pytest.raises(FormatError):
+        convert.alike(np.ascontiguousarray(damage(messages(2, 3, 0))).astype(np.uint8))
