@@ -19,6 +19,10 @@ MOST_PIXELS = 1 << 27
 COMPRESSED = ("sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage")
 RAW = ("sensor_msgs/msg/Image", "foxglove_msgs/msg/RawImage", "foxglove.RawImage")
 _RAW_FIELDS = ("height", "width", "encoding", "step", "data")
+_FIELDS = {
+    **dict.fromkeys(COMPRESSED, ("format", "data")),
+    "sensor_msgs/msg/Image": (*_RAW_FIELDS, "is_bigendian"),
+}
 
 
 @dataclass(frozen=True)
@@ -62,8 +66,7 @@ def text_field(topic: Topic) -> str:
 
 def decoder(topic: Topic) -> Callable[[bytes, int], Array]:
     """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError says what is wrong."""
-    fields = ("format", "data") if topic.type in COMPRESSED else _RAW_FIELDS
-    read = _reader(topic, fields if topic.type not in RAW or "sensor" not in topic.type else (*fields, "is_bigendian"))
+    read = _reader(topic, _FIELDS.get(topic.type, _RAW_FIELDS))
     unpack = _compressed if topic.type in COMPRESSED else _raw
 
     def decode(payload: bytes, k: int) -> Array:

@@ -188,6 +188,12 @@ def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
         read(only, settings(topics=Topics(camera="/cam")))
 
 
+def test_a_camera_topic_without_pictures_is_refused(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
+    with pytest.raises(ConfigError, match="has no field 'encoding'; it has header, name, position"):
+        read(log, settings(topics=Topics(camera="/j")))
+
+
 def test_one_message_at_time_zero_does_not_stretch_the_log(tmp_path):
     rows = [(0, joint_state(0, NAMES, (0.0, 0.0, 0.0))), *moves(50)]
     got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
