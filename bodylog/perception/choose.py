@@ -14,8 +14,10 @@ _LARGER = 1.6
 _SMALL = 0.4
 _STILL = 3.0
 _MOVING = 12.0
+_EVIDENCE = 5
 _DEFICIT = 0.12
-_CHANGE = 0.03
+_CHANGE = 0.05
+_NEAR = 1.0
 
 HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY = (
     "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
@@ -91,6 +93,8 @@ def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
     beaten: set[int] = set()
     for first in range(len(runs)):
         for second in range(first + 1, len(runs)):
+            if runs[second].frames[0] > runs[first].frames[-1]:
+                break
             shared = np.intersect1d(runs[first].frames, runs[second].frames)
             if not shared.size:
                 continue
@@ -137,7 +141,7 @@ def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Ru
     moving = max(_extent(run) for run in runs) > _MOVING
     kept: list[_Run] = []
     for run in sorted(runs, key=lambda run: -len(run.frames)):
-        still = moving and _extent(run) < _STILL
+        still = moving and len(run.frames) >= _EVIDENCE and _extent(run) < _STILL
         if not still or all(_within(t, run, other, reach, speed) for other in kept):
             kept.append(run)
         else:
@@ -161,13 +165,14 @@ def _fastest(t: Array, run: _Run) -> float:
 
 
 def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None:
-    """Rows where area is missing against the second around them go; a little missing area widens their std."""
+    """Rows where area is missing against the views around them go; a little missing area widens their std."""
     seen = np.flatnonzero(np.isfinite(mass))
     if not seen.size:
         return
     usual, spread = _usual(t[seen], mass[seen])
     missing = 1 - mass[seen] / usual
-    bad = seen[missing > max(_DEFICIT, 5 * spread)]
+    most = max(_DEFICIT, 5 * spread)
+    bad = np.union1d(seen[missing > most], _vanishing(mass, most))
     track[bad] = np.nan
     why[bad] = PARTLY
     # a disc of radius r that lost a share f of its area has its centre off by about f r
@@ -175,8 +180,21 @@ def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None
     track[seen, 2:] = np.hypot(track[seen, 2:], shift[:, None])
 
 
+def _vanishing(mass: Array, most: float) -> Array:
+    """Indices beside unseen frames whose area is a share `most` short of the two seen frames' next to them."""
+    mass, found = mass.copy(), []
+    for _ in range(3):
+        padded = np.pad(mass, 2, constant_values=np.nan)
+        forward, backward = 2 * padded[1:-3] - padded[:-4], 2 * padded[3:-1] - padded[4:]
+        last, first = np.isnan(padded[3:-1]) & (forward > 0), np.isnan(padded[1:-3]) & (backward > 0)
+        short = (last & (mass < (1 - most) * forward)) | (first & (mass < (1 - most) * backward))
+        found.append(np.flatnonzero(short))
+        mass[short] = np.nan
+    return np.concatenate(found)
+
+
 def _usual(t: Array, mass: Array) -> tuple[Array, float]:
-    """The area expected at each time from lines through the whole views within 1 s, and the share it scatters by."""
+    """The area expected at each time from lines through the whole views around it, and the share it scatters by."""
     whole = np.ones(len(t))
     expected, spread = mass, 0.0
     for _ in range(3):
@@ -188,8 +206,8 @@ def _usual(t: Array, mass: Array) -> tuple[Array, float]:
 
 
 def _lines(t: Array, values: Array, weight: Array) -> Array:
-    """At each time, the weighted straight line through the values within 1 s: (N,); the value itself if none count."""
-    low, high = np.searchsorted(t, t - 1.0), np.searchsorted(t, t + 1.0, side="right")
+    """At each time, the weighted line through the values within _NEAR s: (N,); the value itself if none count."""
+    low, high = np.searchsorted(t, t - _NEAR), np.searchsorted(t, t + _NEAR, side="right")
     columns = weight[:, None] * np.column_stack([np.ones_like(t), t, t * t, values, t * values])
     running = np.vstack([np.zeros(5), np.cumsum(columns, axis=0)])
     n, s, ss, v, sv = (running[high] - running[low]).T

@@ -1,0 +1,238 @@
+"""Tracks against drawn discs and against logs with truth."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from threading import active_count
+
+import numpy as np
+import pytest
+
+from bodylog.errors import ConfigError, FormatError
+from bodylog.perception import colour, observe
+from bodylog.settings import Colours, Settings
+from bodylog.types import Array, Frame, Health, Series
+from tests.perception import scenes
+from tests.perception.scenes import Disc
+
+SHARED = Path(__file__).parents[2].parent / "shared" / "logs"
+T = np.arange(60) / 20.0
+PATH = np.column_stack([160.0 + 70.0 * np.sin(1.7 * T), 120.0 + 50.0 * np.cos(1.3 * T)])
+
+
+def _film(discs: Sequence[Sequence[Disc]], seed: int, width: int = 320, height: int = 240) -> list[Array]:
+    rng = np.random.default_rng(seed)
+    wall = scenes.wall(rng, width, height, contrast=4.0)
+    return [scenes.jpeg(scenes.draw(wall, each, rng)) for each in discs]
+
+
+def _track(discs: Sequence[Sequence[Disc]], seed: int, name: str = "green") -> tuple[Series, Health]:
+    pictures = scenes.frames(T[: len(discs)], _film(discs, seed))
+    tracks, health, _ = colour.track(pictures, {"it": name})
+    return tracks["it"], health["it"]
+
+
+def _errors(track: Series, truth: Array) -> Array:
+    return np.hypot(*(track.values - truth[: len(track.t)]).T)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_centre_is_found_to_a_tenth_of_a_pixel(seed: int) -> None:
+    track, health = _track([[Disc(u, v, 5.5)] for u, v in PATH], seed)
+    errors = _errors(track, PATH)
+    assert health.used == len(T)
+    assert np.median(errors) < 0.15
+    assert errors.max() < 0.7
+
+
+@pytest.mark.parametrize(("radius", "colour_name"), [(5.5, "green"), (9.0, "red")])
+def test_stated_deviation_is_the_true_one_within_a_third(radius: float, colour_name: str) -> None:
+    paint = {"green": scenes.GREEN, "red": scenes.RED}[colour_name]
+    true, stated = [], []
+    for seed in range(5):
+        track, _ = _track([[Disc(u, v, radius, paint)] for u, v in PATH], seed, colour_name)
+        true.append(((track.values - PATH) ** 2).mean())
+        stated.append((track.std**2).mean())
+    assert 0.7 < np.sqrt(np.mean(stated) / np.mean(true)) < 1.4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_shading_does_not_pull_the_centre(seed: int) -> None:
+    wide = 2 * PATH
+    discs = [[Disc(u, v, 14.0, scenes.GREEN, shade=0.25)] for u, v in wide]
+    tracks, _, _ = colour.track(scenes.frames(T, _film(discs, seed, 640, 480)), {"it": "green"})
+    assert np.median(_errors(tracks["it"], wide)) < 0.15
+
+
+def test_hidden_is_nothing_and_counted() -> None:
+    discs = [[] if 20 <= i < 35 else [Disc(u, v, 5.5)] for i, (u, v) in enumerate(PATH)]
+    track, health = _track(discs, 0)
+    assert np.isnan(track.values[20:35]).all()
+    assert np.isfinite(track.values[:20]).all() and np.isfinite(track.values[35:]).all()
+    assert health.rejected == {"hidden": 15}
+    assert health.largest_gap_s == pytest.approx(16 / 20)
+
+
+def test_at_the_border_is_nothing() -> None:
+    u = np.linspace(40.0, -8.0, 40)
+    track, health = _track([[Disc(x, 120.0, 8.0)] for x in u], 0)
+    assert np.isfinite(track.values[u > 15, 0]).all()
+    assert np.isnan(track.values[u < 9, 0]).all()
+    assert health.rejected["at the border"] > 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_partly_hidden_is_nothing_or_says_how_far_it_is_off(seed: int) -> None:
+    grey = (110, 110, 110)
+    discs = [[Disc(u, v, 8.0)] for u, v in PATH]
+    for i, way in zip(range(25, 35), np.linspace(26.0, -10.0, 10), strict=True):
+        discs[i].append(Disc(PATH[i, 0] + way, PATH[i, 1], 16.0, grey))
+    track, health = _track(discs, seed)
+    seen = np.isfinite(track.values[:, 0])
+    assert health.rejected["partly hidden"] >= 1
+    assert (_errors(track, PATH)[seen] < 0.7).all()
+
+
+def test_a_smaller_twin_is_left_alone_even_while_the_target_is_hidden() -> None:
+    twin = Disc(60.0, 60.0, 4.0)
+    discs = [[twin] if 20 <= i < 35 else [twin, Disc(u, v, 8.0)] for i, (u, v) in enumerate(PATH)]
+    track, health = _track(discs, 0)
+    assert np.isnan(track.values[20:35]).all()
+    assert health.used == 45
+    assert _errors(track, PATH)[np.isfinite(track.values[:, 0])].max() < 0.7
+
+
+def test_an_equal_twin_that_stands_still_is_left_alone() -> None:
+    twin = Disc(30.0, 30.0, 6.0)
+    track, health = _track([[twin, Disc(u, v, 6.0)] for u, v in PATH], 0)
+    assert health.used == len(T)
+    assert _errors(track, PATH).max() < 0.7
+
+
+def test_two_equal_candidates_that_both_move_are_nothing() -> None:
+    other = np.column_stack([320.0 - PATH[:, 0], 240.0 - PATH[:, 1]])
+    keep = np.hypot(*(other - PATH).T) > 30
+    discs = [[Disc(u, v, 6.0), Disc(x, y, 6.0)] for (u, v), (x, y) in zip(PATH[keep], other[keep], strict=True)]
+    track, health = _track(discs, 0)
+    assert health.used == 0
+    assert health.rejected["two candidates"] == len(discs)
+    assert np.isnan(track.values).all()
+
+
+def test_a_fast_target_is_followed_from_picture_to_picture() -> None:
+    rng = np.random.default_rng(0)
+    places = rng.uniform([30, 30], [290, 210], (30, 2))
+    _, health = _track([[Disc(u, v, 6.0)] for u, v in places], 0)
+    assert health.used == 30
+
+
+def test_every_named_shape_becomes_a_track() -> None:
+    discs = [[Disc(u, v, 6.0), Disc(30.0, 30.0, 7.0, scenes.YELLOW)] for u, v in PATH[:10]]
+    settings = Settings(colours=Colours(shapes={"elbow": "yellow"}))
+    features = observe(scenes.recording(scenes.frames(T[:10], _film(discs, 0))), settings)
+    assert list(features.tracks) == ["effector", "hand", "elbow"]
+    assert np.allclose(features.tracks["elbow"].values, 30.0, atol=0.3)
+    assert features.hand is not None and np.isnan(features.hand.values).all()
+
+
+def test_a_colour_never_seen_is_named_with_what_was_seen_instead() -> None:
+    pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
+    _, _, findings = colour.track(pictures, {"effector": "green"})
+    (finding,) = findings
+    assert finding.severity == "warning"
+    assert "effector: 'green' was never found in 5 pictures; seen: yellow" in finding.text
+
+
+def test_no_camera_and_no_pictures_are_said() -> None:
+    features = observe(scenes.recording(), Settings())
+    assert not features.tracks and "camera: none" in features.findings[0].text
+    empty = observe(scenes.recording(lambda: iter(())), Settings())
+    assert any("no picture" in finding.text for finding in empty.findings)
+    assert empty.effector is not None and empty.effector.values.shape == (0, 2)
+
+
+def test_a_picture_that_cannot_be_decoded_is_a_gap_and_a_loss() -> None:
+    def broken(_: int) -> Array:
+        raise FormatError("log.mcap: /camera: picture 3: not a JPEG")
+
+    whole = list(scenes.frames(T[:9], _film([[Disc(u, v, 6.0)] for u, v in PATH[:9]], 0))())
+    frames = [replace(frame, decode=broken) if i == 3 else frame for i, frame in enumerate(whole)]
+    tracks, health, findings = colour.track(lambda: iter(frames), {"effector": "green"})
+    assert health["effector"].rejected == {"undecodable picture": 1}
+    assert np.isnan(tracks["effector"].values[3]).all()
+    assert [finding.severity for finding in findings] == ["lost"]
+
+
+def test_pictures_are_decoded_a_bounded_number_ahead_and_the_threads_end() -> None:
+    payload = _film([[Disc(100.0, 100.0, 6.0)]], 0)[0]
+    asked, done, furthest = [0], [0], [0]
+
+    def source() -> "list[Frame]":
+        for index in range(200):
+            asked[0] = index + 1
+            furthest[0] = max(furthest[0], asked[0] - done[0])
+            yield scenes.frame(index / 30.0, payload)
+
+    def count(more: int) -> None:
+        done[0] += more
+
+    before = active_count()
+    colour.track(source, {"effector": "green"}, count)
+    assert done[0] == 200
+    assert furthest[0] <= 32
+    assert active_count() == before
+
+
+def test_same_pictures_same_bytes() -> None:
+    film = _film([[Disc(u, v, 6.0)] for u, v in PATH], 0)
+    first, second = (colour.track(scenes.frames(T, film), {"it": "green"})[0]["it"] for _ in range(2))
+    assert first.values.tobytes() == second.values.tobytes()
+    assert first.std is not None and second.std is not None and first.std.tobytes() == second.std.tobytes()
+
+
+def test_an_unknown_colour_names_the_known_ones() -> None:
+    with pytest.raises(ConfigError, match=r"colours\.effector: found 'gren'; possible: red, .*type: effector = \"green\""):
+        colour.track(lambda: iter(()), {"effector": "gren"})
+
+
+@pytest.mark.parametrize("log", ["explore.mcap", "reach.mcap", "touch.mcap", "touch_async.mcap"])
+def test_arm_logs_are_tracked_as_truth_has_it(log: str) -> None:
+    from bodylog.logs.recording import read
+
+    path = SHARED / "arm" / log
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    truth = np.load(f"{path}.truth.npz")
+    features = observe(read(path, Settings()), Settings())
+    for name, key in {"effector": "ee", "hand": "hand"}.items():
+        in_view = truth["seen"] if key == "ee" else np.isfinite(truth[key][:, 0])
+        found = np.isfinite(features.tracks[name].values[:, 0])
+        assert not (found & ~in_view).any()
+        if in_view.any():
+            assert (found & in_view).sum() >= 0.995 * in_view.sum()
+            errors = _errors(features.tracks[name], truth[key])[found]
+            assert np.median(errors) <= 0.15 and np.quantile(errors, 0.99) <= 0.7
+
+
+def test_stated_deviation_holds_on_logs_of_a_moving_arm_and_hand() -> None:
+    from bodylog.logs.recording import read
+
+    if not (SHARED / "arm").exists():
+        pytest.skip(f"{SHARED / 'arm'} is not here")
+    for log, name, key in [("explore.mcap", "effector", "ee"), ("drift.mcap", "effector", "ee"), ("touch.mcap", "hand", "hand")]:
+        truth = np.load(SHARED / "arm" / f"{log}.truth.npz")[key]
+        track = observe(read(SHARED / "arm" / log, Settings()), Settings()).tracks[name]
+        found = np.isfinite(track.values[:, 0])
+        ratio = np.sqrt((track.std[found] ** 2).mean() / ((track.values - truth)[found] ** 2).mean())
+        assert 0.7 < ratio < 1.3
+
+
+def test_the_yellow_disc_is_tracked_in_every_real_picture() -> None:
+    from bodylog.logs.recording import read
+
+    path = SHARED / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    settings = Settings(colours=Colours(effector="yellow"))
+    health = observe(read(path, settings), settings).health["effector"]
+    assert health.used == health.seen == 30

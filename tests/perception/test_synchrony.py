@@ -1,0 +1,95 @@
+"""Pairs of touches and strokes, their delays and weights."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodylog.errors import ConfigError
+from bodylog.perception import observe
+from bodylog.perception.synchrony import judge
+from bodylog.settings import Settings
+from bodylog.types import Stroke, Touch
+
+SHARED = Path(__file__).parents[2].parent / "shared" / "logs"
+
+
+def _touches(seed: int, count: int = 30) -> list[Touch]:
+    rng = np.random.default_rng(seed)
+    onsets = np.cumsum(rng.uniform(1.8, 3.2, count))
+    return [Touch(t, t + rng.uniform(0.7, 1.1), (5,), 0.9, 5, round(t * 1e9)) for t in onsets.tolist()]
+
+
+def _strokes(touches: Sequence[Touch], delays: Sequence[float]) -> list[Stroke]:
+    pairs = zip(touches, delays, strict=True)
+    return [Stroke(touch.onset + late, touch.offset + late, (0.0, 0.0), (9.0, 9.0)) for touch, late in pairs]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_jitter_of_a_tenth_counts_as_synchronous_and_of_a_second_does_not(seed: int) -> None:
+    touches, rng = _touches(seed), np.random.default_rng(seed)
+    for most, low, high in [(0.1, 0.75, 1.0), (1.0, 0.0, 0.25)]:
+        delays = rng.uniform(0.0, most, len(touches))
+        found, _ = judge(touches, _strokes(touches, delays.tolist()))
+        assert [pair.stroke for pair in found] == list(range(len(touches)))
+        assert np.allclose([pair.delay for pair in found], delays)
+        assert low < np.mean([pair.weight for pair in found]) <= high
+
+
+def test_one_frame_late_weighs_most_and_six_tenths_nothing() -> None:
+    touches = _touches(0)
+    for delay, low, high in [(0.0, 1.0, 1.0), (1 / 15, 0.8, 0.9), (0.6, 0.0, 0.1), (-0.6, 0.0, 0.1)]:
+        found, _ = judge(touches, _strokes(touches, [delay] * len(touches)))
+        assert all(low - 1e-9 <= pair.weight <= high + 1e-9 for pair in found)
+
+
+def test_what_has_no_partner_is_alone_and_pairs_keep_their_order() -> None:
+    touches = _touches(1, 6)
+    strokes = _strokes(touches, [0.05] * 6)
+    del strokes[2]
+    found, _ = judge(touches, [*strokes, Stroke(99.0, 99.5, (0.0, 0.0), (5.0, 5.0))])
+    assert [pair.stroke for pair in found] == [0, 1, None, 2, 3, 4]
+    assert np.isnan(found[2].delay) and found[2].weight == 0.0
+    assert judge([], strokes)[0] == () and judge(touches, [])[0][0].stroke is None
+
+
+def test_a_constant_latency_is_taken_off_only_when_asked() -> None:
+    touches = _touches(2)
+    late = _strokes(touches, [0.6] * len(touches))
+    kept, said = judge(touches, late)
+    assert all(pair.weight < 0.1 for pair in kept)
+    assert "0.600 s after the skin feels them" in said[0].text and "--clock-offset auto" in said[0].text
+    for offset in ("auto", 0.6, "0.6"):
+        freed, _ = judge(touches, late, clock_offset=offset)
+        assert all(abs(pair.delay) < 1e-9 and pair.weight > 0.99 for pair in freed)
+
+
+def test_unsteady_delays_are_no_clock_offset() -> None:
+    touches = _touches(3)
+    delays = np.random.default_rng(3).uniform(0.0, 1.0, len(touches))
+    found, said = judge(touches, _strokes(touches, delays.tolist()), clock_offset="auto")
+    assert np.allclose([pair.delay for pair in found], delays)
+    assert said[0].severity == "warning" and "none taken off" in said[0].text
+
+
+def test_an_offset_that_is_no_number_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"synchrony\.clock_offset: found 'soon'; possible: auto, or seconds"):
+        judge([], [], clock_offset="soon")
+
+
+@pytest.mark.parametrize(("log", "delay"), [("touch.mcap", 0.0), ("touch_async.mcap", 0.6)])
+def test_touches_of_the_arm_logs_are_dated_and_judged(log: str, delay: float) -> None:
+    from bodylog.logs.recording import read
+
+    path = SHARED / "arm" / log
+    if not path.exists():
+        pytest.skip(f"{path} is not here")
+    truth = np.load(f"{path}.truth.npz")["touches"]
+    features = observe(read(path, Settings()), Settings())
+    assert features.touches is not None and len(features.touches) == len(features.strokes) == len(truth)
+    for touch, pair, (onset, offset, cell) in zip(features.touches, features.synchrony, truth, strict=True):
+        assert touch.onset == pytest.approx(onset, abs=0.015) and touch.offset == pytest.approx(offset, abs=0.015)
+        assert touch.strongest == cell
+        assert pair.delay == pytest.approx(delay, abs=1 / 15)
+        assert pair.weight > 0.8 if delay == 0 else pair.weight < 0.1
