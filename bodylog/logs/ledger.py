@@ -42,6 +42,11 @@ class Ledger:
         size, before, seconds, why = self._losses[start]
         self._losses[start] = (size, (before or 0) + messages, seconds, why)
 
+    def lasted(self, start: int, seconds: float) -> None:
+        """The loss at byte `start` turns out to have lasted at most so long, if that was not known."""
+        size, messages, before, why = self._losses[start]
+        self._losses[start] = (size, messages, seconds if before is None else before, why)
+
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Remarks in the order made, then losses in file order; beyond eight, their sum."""

@@ -101,8 +101,7 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
         elif opcode == CHUNK:
             run.close(at + HEAD.size + length)
             first, last, *_ = chunk_head(data, at)
-            run.chunk = Chunk(at, HEAD.size + length, first, last)
-            survey.parts.append(run.chunk)
+            run.follow(Chunk(at, HEAD.size + length, first, last))
         elif opcode == MESSAGE_INDEX:
             run.index(at)
     run.close(end)
@@ -145,6 +144,15 @@ class _Run:
         _, listed, log_ns = _MESSAGE.unpack_from(self._data, at + HEAD.size)
         near = chunks[0].start_ns - _LONGEST_NS <= log_ns <= chunks[0].end_ns + _LONGEST_NS
         return bool(near and listed != length - _INDEX_HEAD)
+
+    def follow(self, chunk: Chunk) -> None:
+        """Take in a chunk; what was lost before it lies between it and the chunk before that."""
+        parts = self._survey.parts
+        before = parts[-1].end_ns if parts and isinstance(parts[-1], Chunk) else None
+        if self.loss is not None and before is not None and 0 <= chunk.start_ns - before < _LONGEST_NS:
+            self._ledger.lasted(self.loss, (chunk.start_ns - before) / 1e9)
+        self.chunk, self.loss = chunk, None
+        parts.append(chunk)
 
     def index(self, at: int) -> None:
         """Take in a MessageIndex: it belongs to the chunk before, or counts the messages of a chunk that was lost."""

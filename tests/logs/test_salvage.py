@@ -219,3 +219,8 @@ def test_the_fixtures_are_what_their_maker_makes(tmp_path: Path) -> None:
     assert {file.relative_to(tmp_path / "made") for file in (tmp_path / "made").rglob("*")} == names
     for name in [name for name in EXPECTED if name.startswith(("none", "unchunked", "no_summary", "wrong", "cut."))]:
         assert (tmp_path / "made" / name).read_bytes() == (FOLDER / name).read_bytes()
+
+
+def test_a_hole_lasts_from_the_chunk_before_to_the_chunk_after() -> None:
+    (lost,) = [finding.text for finding in read(FOLDER / "hole.mcap")[1] if finding.severity == "lost"]
+    assert "465 bytes, 12 messages, 0.130 s lost" in lost
