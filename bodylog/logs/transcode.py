@@ -71,7 +71,7 @@ def _carrier(writer: Writer, topic: Topic, container: str, findings: list[Findin
         except FormatError as problem:
             findings.append(Finding("warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"))
             return _Carrier(topic, _keep(writer, topic))
-    if container != "mcap" and not definition:
+    if container != "mcap" and not definition and convert is None:
         known, form = known_definition(kind), "ros2msg"
         definition = known or b""
         if known is None:

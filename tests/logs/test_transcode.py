@@ -214,3 +214,15 @@ def test_the_conformance_logs_keep_every_message(tmp_path, arm, ours):
     for log in sorted((arm.parent / "foxglove__mcap").rglob("*.mcap"))[::6]:
         annotate(shutil.copy(log, tmp_path / "in.mcap"), ours, {}, tmp_path / "out.mcap")
         assert foreign(streamed(tmp_path / "out.mcap")) == streamed(log), log
+
+
+def test_a_type_of_constants_alone_is_no_missing_definition(tmp_path, ours):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg("uint8 A=1\n", "some_msgs/msg/Constants"))
+    with BagWriter(tmp_path / "in.bag") as writer:
+        connection = writer.add_connection("/constants", "some_msgs/msg/Constants", typestore=store)
+        writer.write(connection, START, b"")
+    raw = (tmp_path / "in.bag").read_bytes()
+    (tmp_path / "in.bag").write_bytes(raw.replace(b"uint8 A=1\n", b"uint8 a=1\n"))
+    assert annotate(tmp_path / "in.bag", ours, {}, tmp_path / "out.mcap") == ()
+    assert len(by_rosbags(tmp_path / "out.mcap")) == 1 + amount(ours)
