@@ -4,7 +4,22 @@ import click
 
 from bodylog import __version__
 
-from . import batch, compare, config, doctor, estimate, evaluate, extract, fit, info, ingest, plot, record, report
+from . import (
+    batch,
+    compare,
+    config,
+    doctor,
+    estimate,
+    evaluate,
+    extract,
+    fit,
+    info,
+    ingest,
+    plot,
+    record,
+    report,
+    reproduce,
+)
 
 COMMANDS = (
     record.record,
@@ -19,6 +34,7 @@ COMMANDS = (
     plot.plot,
     report.report,
     batch.batch,
+    reproduce.reproduce,
     config.config,
 )
 

@@ -43,5 +43,5 @@ def _tell(what: str, done: int, total: int) -> None:
 
 def _table(claims: "tuple[Claim, ...]") -> None:
     for claim in claims:
-        printed, ours = (claim.spread[side][0] for side in ("printed", "ours"))
-        click.echo(f"{claim.verdict:<9} {claim.experiment:<7} {printed:>9.3g} {ours:>9.3g} {claim.bound:>8}  {claim.text}")
+        figures = " ".join(f"{claim.spread[side][0]:>9.3g}" for side in ("printed", "ours"))
+        click.echo(f"{claim.verdict:<9} {claim.experiment:<7} {figures} {claim.bound:>8}  {claim.text}")

@@ -1,0 +1,97 @@
+"""A benchmark after PixelAI: four joints, vision only, a still arm, starts wrong at three levels."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..types import Array
+from .lab import JOINTS, Lab, ours, printed
+from .records import Bound, Claim, Experiment, Table, Trial, column, judge
+
+LONGER = 3
+"""Times as long is a body of four joints explored."""
+STARTS = 3
+"""Wrong starts per seed and level."""
+PUBLISHED = {"one": (0.26, 0.94), "all": (0.39, 1.57), "elsewhere": (5.0, 18.0)}
+"""Degrees: mean absolute error per joint, best and worst joint, of PixelAI (simulated Nao) at its three levels."""
+CONVERGED = 2.0
+"""Degrees: a start whose every joint ends this near has converged."""
+_LEAST, _MOST = np.deg2rad([5.0, 10.0])
+_BOX = 0.7 * np.array([0.40, 0.30, 0.32, 0.40])
+
+
+def _one(rng: np.random.Generator) -> Array:
+    return np.asarray(np.where(np.arange(4) == rng.integers(4), _all(rng), 0.0))
+
+
+def _all(rng: np.random.Generator) -> Array:
+    return np.asarray(rng.choice([-1.0, 1.0], 4) * rng.uniform(_LEAST, _MOST, 4))
+
+
+def _elsewhere(rng: np.random.Generator) -> Array:
+    return np.asarray((rng.uniform(-1.0, 1.0, 4) - rng.uniform(-1.0, 1.0, 4)) * _BOX)
+
+
+LEVELS: dict[str, Callable[[np.random.Generator], Array]] = {"one": _one, "all": _all, "elsewhere": _elsewhere}
+
+
+def _run(lab: Lab, seed: int) -> Trial:
+    lab = replace(lab, shapes={"marker": "blue"})
+    heard = lab.heard("wrong-start", seed, duration=2.0, variant="all", marker=True)
+    presets = {"printed": "paper", "ours": "default"}
+    explored: dict[str, Any] = {"variant": "four", "marker": True, "duration": LONGER * lab.exploration}
+    explored["joints"] = (*JOINTS, "wrist_1_joint")
+    own = {side: lab.body(preset, seed, **explored) for side, preset in presets.items()}
+    truth = heard.true(own["ours"].joints, heard.truth.t[:1])[0]
+    rng = np.random.default_rng([seed, 77])
+    errors: dict[tuple[str, str], list[Array]] = {}
+    for level, off in LEVELS.items():
+        for _ in range(STARTS):
+            start = tuple(float(v) for v in truth + off(rng))
+            beliefs = {
+                "printed": printed(heard, own["printed"], ("vision",), start),
+                "ours": ours(heard, own["ours"], ("vision",), start=start, rate=20.0),
+            }
+            for side, belief in beliefs.items():
+                errors.setdefault((side, level), []).append(np.rad2deg(np.abs(belief.error(1.5)).mean(axis=0)))
+    figures: dict[str, float] = {}
+    for (side, level), found in errors.items():
+        figures |= {f"{side} {level} joint {j + 1}": float(v) for j, v in enumerate(np.mean(found, axis=0))}
+        near = [bool((e < CONVERGED).all()) for e in found]
+        figures[f"{side} {level} converged"] = float(np.mean(near))
+    return {"figures": figures, "panels": []}
+
+
+def means(trials: Sequence[Trial], side: str, level: str) -> list[float]:
+    """Mean absolute error (degrees) of each joint over all seeds and starts."""
+    return [float(np.mean(column(trials, f"{side} {level} joint {j}"))) for j in range(1, 5)]
+
+
+def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
+    def claim(level: str, said: str, which: int) -> Claim:
+        limit = PUBLISHED[level][which]
+        text = f"{said}: every joint's mean error is below {limit:g}°, the {('best', 'worst')[which]} joint published"
+        figures = means(trials, "printed", level), means(trials, "ours", level)
+        why = "one figure per joint; share of starts with every joint within 2°: printed {}, ours {}".format(
+            *(f"{np.mean(column(trials, f'{side} {level} converged')):.0%}" for side in ("printed", "ours"))
+        )
+        return judge("PixelAI", text, "mean absolute error by joint", "°", Bound("≤", limit), figures, why)
+
+    levels = {"one": "one joint 5 to 10° off", "all": "all four 5 to 10° off", "elsewhere": "another random pose"}
+    return tuple(claim(level, said, which) for level, said in levels.items() for which in (1, 0))
+
+
+def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
+    rows = []
+    for level, (best, worst) in PUBLISHED.items():
+        for side in ("printed", "ours"):
+            share = f"{np.mean(column(trials, f'{side} {level} converged')):.0%}"
+            found = [f"{v:.2f}" for v in means(trials, side, level)]
+            rows.append((level, side, *found, f"{best:g} to {worst:g}", share))
+    head = ("start", "model", "joint 1", "joint 2", "joint 3", "joint 4", "published", "converged")
+    return (Table("Mean absolute error, degrees", head, tuple(rows)),)
+
+
+EXPERIMENT = Experiment("PixelAI", "Vision only, wrong starts", _run, _claims, _tables)

@@ -1,0 +1,93 @@
+"""Every experiment on every seed, each once: done by processes, kept in a folder, judged, and put on a page."""
+
+import multiprocessing
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import UsageError
+from . import page
+from .lab import Lab, kept
+from .records import Claim, Trial
+from .table import EXPERIMENTS, TIMED
+
+Tell = Callable[[str, int, int], None]
+"""Called with what is done, how many are done and how many there are."""
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """What to reproduce and where: experiments by name, seeds, processes, picture size px, exploration s."""
+
+    out: Path
+    names: tuple[str, ...] = ()
+    seeds: int = 10
+    jobs: int = 2
+    size: tuple[int, int] = (320, 240)
+    exploration: float = 30.0
+
+    @property
+    def lab(self) -> Lab:
+        """Where its logs and bodies are kept."""
+        return Lab(self.out / "work", self.size, self.exploration)
+
+
+def reproduce(wish: Reproduction, tell: Tell | None = None) -> tuple[Claim, ...]:
+    """Run what is not done yet, write index.html, claims.json and cost.json to `out`, give the claims."""
+    names = chosen(wish.names)
+    tasks = [(name, seed) for name in names for seed in range(wish.seeds)]
+    wish.lab.folder.mkdir(parents=True, exist_ok=True)
+    for done, (name, seed) in enumerate(_finished(wish, tasks), 1):
+        if tell:
+            tell(f"{name} seed {seed}", done, len(tasks))
+    trials = {name: [trial(wish.lab, name, seed) for seed in range(wish.seeds)] for name in names}
+    return page.write(wish.out, trials, wish.seeds, f"{wish.size[0]}×{wish.size[1]}")
+
+
+def chosen(names: Sequence[str]) -> tuple[str, ...]:
+    """The experiments named, in the table's order, or all; UsageError for an unknown one."""
+    known = {name.lower(): name for name in EXPERIMENTS}
+    for name in names:
+        if name.lower() not in known:
+            possible = ", ".join(EXPERIMENTS)
+            raise UsageError(f"experiment {name!r}: it must be one of {possible}; type: bodylog reproduce E1 -o out")
+    wanted = {known[name.lower()] for name in names} or set(EXPERIMENTS)
+    return tuple(name for name in EXPERIMENTS if name in wanted)
+
+
+def trial(lab: Lab, name: str, seed: int) -> Trial:
+    """One seed of an experiment, from the folder when it is there."""
+    found: dict[str, Any] = kept(trial_path(lab, name, seed), lambda: EXPERIMENTS[name].run(lab, seed))
+    return found
+
+
+def trial_path(lab: Lab, name: str, seed: int) -> Path:
+    """Where that is kept."""
+    return lab.folder / "trials" / f"{name}-{seed}-{lab.key({})}.json"
+
+
+def _finished(wish: Reproduction, tasks: list[tuple[str, int]]) -> Any:
+    """Tasks as they are done, those in the folder first; what is timed runs alone, at the end."""
+    lab = wish.lab
+    there = [task for task in tasks if trial_path(lab, *task).exists()]
+    yield from there
+    left = [task for task in tasks if task not in there]
+    side_by_side = [task for task in left if task[0] not in TIMED]
+    if wish.jobs > 1 and len(side_by_side) > 1:
+        yield from _pooled(lab, side_by_side, wish.jobs)
+    for task in left if wish.jobs == 1 or len(side_by_side) <= 1 else [t for t in left if t[0] in TIMED]:
+        trial(lab, *task)
+        yield task
+
+
+def _pooled(lab: Lab, tasks: list[tuple[str, int]], jobs: int) -> Any:
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+    try:
+        futures = {pool.submit(trial, lab, *task): task for task in tasks}
+        for future in as_completed(futures):
+            future.result()
+            yield futures[future]
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
