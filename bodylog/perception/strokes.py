@@ -18,7 +18,8 @@ _LEAP = 5.0
 _LONGEST = 6.0
 _FEWEST = 2
 _SLOW = 0.8
-_APPROACH = 5
+_APPROACH = 3
+_REACH = 0.12
 _EVEN = 0.5
 _STEP = 3.0
 _SHORTEST = 0.15
@@ -177,21 +178,21 @@ def _corner(t: Array, place: Array, about: float, until: float) -> tuple[float, 
 
     Least squares of a path that is continuous, of second order before the corner and of first order after it.
     """
-    first = int(np.searchsorted(t, about))
-    near = slice(max(0, first - _APPROACH), first + max(3, int(np.searchsorted(t, min(until, about + _EVEN))) - first))
-    t, place = t[near], place[near]
-    frame = float(np.median(np.diff(t)))
-    times = about + frame * np.linspace(-1.5, 1.5, 61)
-    errors = [_bend(t, place, time)[0] for time in times]
-    best = times[int(np.argmin(errors))]
-    return float(best), _bend(t, place, float(best))[1]
+    reach = max(1.5 * float(np.median(np.diff(t))), _REACH)
+    for width in (reach, reach, reach / 30):
+        first, even = np.searchsorted(t, (about - reach, min(until, about + _EVEN))).tolist()
+        near = slice(max(0, first - _APPROACH), max(int(np.searchsorted(t, about)) + 3, even))
+        times = about + np.linspace(-width, width, 61)
+        errors = [_bend(t[near], place[near], time)[0] for time in times]
+        about = float(times[int(np.argmin(errors))])
+    return about, _bend(t[near], place[near], about)[1]
 
 
 def _bend(t: Array, place: Array, corner: float) -> tuple[float, Array]:
     """Squared error of the best path with its corner then, and the corner's place (2,) px."""
     before, after = np.minimum(t - corner, 0.0), np.maximum(t - corner, 0.0)
     columns = [np.ones_like(t), before, after]
-    if np.count_nonzero(before) > _APPROACH - 2:
+    if np.count_nonzero(before) > _APPROACH:
         columns.append(before**2)
     design = np.column_stack(columns)
     fit = np.linalg.lstsq(design, place, rcond=None)[0]

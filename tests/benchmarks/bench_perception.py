@@ -27,7 +27,7 @@ def main() -> None:
         {
             "cv2.imdecode alone": lambda: _run(payloads, _decode),
             "track": lambda: _track(payloads, _decode),
-            "imdecode, HSV, inRange, connected components": lambda: _run(payloads, lambda p: _plain(_decode(p), wanted)),
+            "imdecode and the plain pipeline": lambda: _run(payloads, lambda p: _plain(_decode(p), wanted)),
         },
     )
     side_by_side(
@@ -35,7 +35,7 @@ def main() -> None:
         {
             "cv2.cvtColor to HSV alone": lambda: _run(pictures, lambda p: cv2.cvtColor(p, cv2.COLOR_BGR2HSV)),
             "track": lambda: _track(pictures, lambda p: p),
-            "HSV, inRange, connected components": lambda: _run(pictures, lambda p: _plain(p, wanted)),
+            "plain pipeline: HSV, inRange, connected components": lambda: _run(pictures, lambda p: _plain(p, wanted)),
         },
     )
     print("\nerror of the centre, px: median, 99th percentile")

@@ -14,7 +14,7 @@ REDUCED = {1: 1, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8
 
 @dataclass(frozen=True)
 class Disc:
-    """A disc of one colour (BGR) with its centre and radius in px; `shade` darkens it by that share from left to right."""
+    """A disc of one colour (BGR), centre and radius in px; `shade` darkens it by that share from left to right."""
 
     u: float
     v: float
@@ -32,13 +32,21 @@ def wall(rng: np.random.Generator, width: int = 320, height: int = 240, contrast
 
 def draw(background: Array, discs: Sequence[Disc], rng: np.random.Generator, noise: float = 2.0) -> Array:
     """The picture (H,W,3) uint8 of discs, later ones in front."""
-    picture = background.copy()
-    v, u = np.mgrid[: picture.shape[0], : picture.shape[1]]
+    picture = background.astype(np.float32)
     for disc in discs:
-        cover = np.clip(disc.radius + 0.5 - np.hypot(u - disc.u, v - disc.v), 0.0, 1.0)[..., None]
-        light = 1.0 - disc.shade * (0.5 + 0.5 * (u - disc.u) / disc.radius)[..., None]
-        picture += cover * (light * np.array(disc.colour) - picture)
-    return np.clip(np.rint(picture + rng.normal(0.0, noise, picture.shape)), 0, 255).astype(np.uint8)
+        _paint(picture, disc)
+    grain = rng.standard_normal(picture.shape, dtype=np.float32)
+    return np.clip(np.rint(picture + np.float32(noise) * grain), 0, 255).astype(np.uint8)
+
+
+def _paint(picture: Array, disc: Disc) -> None:
+    reach = int(disc.radius) + 3
+    top, left = max(0, int(disc.v) - reach), max(0, int(disc.u) - reach)
+    part = picture[top : max(0, int(disc.v) + reach), left : max(0, int(disc.u) + reach)]
+    v, u = np.mgrid[top : top + part.shape[0], left : left + part.shape[1]]
+    cover = np.clip(disc.radius + 0.5 - np.hypot(u - disc.u, v - disc.v), 0.0, 1.0)[..., None]
+    light = 1.0 - disc.shade * (0.5 + 0.5 * (u - disc.u) / disc.radius)[..., None]
+    part += (cover * (light * np.array(disc.colour) - part)).astype(np.float32)
 
 
 def jpeg(picture: Array, quality: int = 90) -> Array:

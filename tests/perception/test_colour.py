@@ -191,7 +191,7 @@ def test_same_pictures_same_bytes() -> None:
 
 
 def test_an_unknown_colour_names_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match=r"colours\.effector: found 'gren'; possible: red, .*type: effector = \"green\""):
+    with pytest.raises(ConfigError, match=r"colours\.effector: found 'gren'; possible: red, .*type: effector = .green"):
         colour.track(lambda: iter(()), {"effector": "gren"})
 
 
@@ -219,7 +219,8 @@ def test_stated_deviation_holds_on_logs_of_a_moving_arm_and_hand() -> None:
 
     if not (SHARED / "arm").exists():
         pytest.skip(f"{SHARED / 'arm'} is not here")
-    for log, name, key in [("explore.mcap", "effector", "ee"), ("drift.mcap", "effector", "ee"), ("touch.mcap", "hand", "hand")]:
+    tried = [("explore.mcap", "effector", "ee"), ("drift.mcap", "effector", "ee"), ("touch.mcap", "hand", "hand")]
+    for log, name, key in tried:
         truth = np.load(SHARED / "arm" / f"{log}.truth.npz")[key]
         track = observe(read(SHARED / "arm" / log, Settings()), Settings()).tracks[name]
         found = np.isfinite(track.values[:, 0])

@@ -28,7 +28,10 @@ def test_every_name_a_setting_may_use_has_a_range_and_its_own_name() -> None:
         assert ranges.nearest((low[0] + high[0]) / 2) == name
 
 
-@pytest.mark.parametrize("bounds", [{"low": (0, 0, 0)}, {"low": (0, 0), "high": (1, 1)}, {"low": (0, 0, 0), "high": (200, 0, 0)}])
+_UNSOUND = [{"low": (0, 0, 0)}, {"low": (0, 0), "high": (1, 1)}, {"low": (0, 0, 0), "high": (200, 0, 0)}]
+
+
+@pytest.mark.parametrize("bounds", _UNSOUND)
 def test_unsound_bounds_are_named(bounds: dict[str, tuple[int, ...]]) -> None:
     with pytest.raises(ConfigError, match=r"colours\.elbow: found"):
         ranges.resolve(bounds, "elbow")  # type: ignore[arg-type]
