@@ -82,16 +82,20 @@ def settled(
 
     `patient`, slower but sure, takes over where the solver's sweeps do not come to rest.
     """
-    try:
-        solved = solver(problem, warm)
-    except Restless:
-        return problem, patient(problem)
+
+    def sure(posed: Problem, begin: Solution | None) -> S:
+        try:
+            return solver(posed, begin)
+        except Restless:
+            return patient(posed)
+
+    solved = sure(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None or not bias.surprised(problem, solved):
         return problem, solved
     chosen = bias.choose(problem, cost)
     if chosen is problem:
         return problem, solved
-    return chosen, solver(chosen, None)
+    return chosen, sure(chosen, None)
 
 
 def cost(problem: Problem) -> float:

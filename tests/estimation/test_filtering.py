@@ -150,3 +150,13 @@ def test_nan_and_backward_times_are_skipped_and_counted(world):
     found = estimate(replace(drawn.features, joints=spoilt), drawn.body, Estimation())
     assert found.used["encoders"].rejected == {"time runs backwards": 10, "not a number": 10}
     assert rmse(found, drawn)["joint_rmse"] < 0.01
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_a_body_that_thinks_its_encoders_far_too_quiet_still_gives_a_belief(world, method):
+    drawn = world(0, duration=6.0, pixel_std=0.07)
+    body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(9e-6,) * 3, process=(0.06,) * 3))
+    found = estimate(drawn.features, body, Estimation(method=method, precision="model"))
+    assert np.isfinite(found.joints.values).all()
+    assert rmse(found, drawn)["joint_rmse"] < 0.05
+    assert np.linalg.eigvalsh(found.cov).min() > 0
