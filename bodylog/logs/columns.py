@@ -196,7 +196,7 @@ class _Decoder:
     def _take(self, batch: Batch, left: Array, known: Template) -> Array:
         """Decode the messages of `left` that are laid out as `known`; gives those that are not."""
         long = left[batch.length[left] >= known.layout.width]
-        rows = gather(batch.data, batch.offset[long], 8 * len(known.mask))
+        rows = gather(batch.data, batch.offset[long], 8 * known.words)
         same = agrees(rows, known)
         if not same.all():
             long, rows = long[same], rows[same]

@@ -9,33 +9,42 @@ from ..types import Array
 from .layouts import Layout
 from .walker import Leaf
 
+_BLOCK = 512
+
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A layout made ready to compare eight bytes at a time: mask (w,) of its constants, their reference (w,)."""
+    """A layout made ready to compare a block of rows, `words` times eight bytes each, with its constants.
+
+    mask, reference (block · words,): which bits are constant, and what they are.
+    """
 
     layout: Layout
+    words: int
     mask: Array
     reference: Array
 
 
 def template(layout: Layout, payload: bytes) -> Template:
     """The template of the message a layout was found in."""
-    width = -(-layout.width // 8) * 8
-    mask, reference = np.zeros((2, width), np.uint8)
+    words = -(-layout.width // 8)
+    mask, reference = np.zeros((2, 8 * words), np.uint8)
     for start, stop in layout.constants:
         mask[start:stop] = 0xFF
         reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
-    return Template(layout, mask.view(np.uint64), reference.view(np.uint64))
+    return Template(layout, words, *(np.tile(row.view(np.uint64), _BLOCK) for row in (mask, reference)))
 
 
 def agrees(rows: Array, known: Template) -> Array:
     """True (n,) for the rows whose constant bytes are the template's."""
-    differs = rows.view(np.uint64) ^ known.reference
-    differs &= known.mask
-    if not differs.max(initial=0):
-        return np.ones(len(rows), bool)
-    return np.logical_not(differs.any(axis=1))
+    words, same = rows.view(np.uint64).reshape(-1), np.ones(len(rows), bool)
+    # Block by block: fresh pages for a temporary as large as the rows cost more than the comparison.
+    for start in range(0, len(rows), _BLOCK):
+        block = words[start * known.words : (start + _BLOCK) * known.words]
+        differs = (block ^ known.reference[: len(block)]) & known.mask[: len(block)]
+        if differs.max(initial=0):
+            same[start : start + _BLOCK] = np.logical_not(differs.reshape(-1, known.words).any(axis=1))
+    return same
 
 
 def gather(data: Array, offset: Array, width: int) -> Array:

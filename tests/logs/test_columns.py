@@ -415,3 +415,11 @@ def test_text_whose_width_is_unknown_is_rejected_and_what_comes_before_it_is_not
     log, wide = Messages([b"\0\1\0\0" + struct.pack("<dI6s", 2.5, 3, b"a\0b\0c\0")]), topic("float64 x\nwstring y")
     assert columns(log, wide, ("x",)).column("x").tolist() == [2.5]
     assert dict(columns(log, wide, ("y",)).rejected) == {"malformed": 1}
+
+
+@pytest.mark.parametrize("odd", [0, 511, 512, 700, 1199])
+def test_one_odd_message_in_a_large_batch_is_found(odd):
+    payloads = [joint_state(T0 + n, ("aa", "bb") if n != odd else ("bb", "aa"), (1.0 * n, 0.5)) for n in range(1200)]
+    found = columns(Messages(payloads, 1200), joint_topic(), JOINT_FIELDS)
+    assert {part.values[1]: len(part.rows) for part in found.parts} == {("aa", "bb"): 1199, ("bb", "aa"): 1}
+    np.testing.assert_array_equal(found.column("position")[:, 0], np.arange(1200))
