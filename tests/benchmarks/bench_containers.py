@@ -17,7 +17,7 @@ from bodylog.logs.mapping import mapped
 from bodylog.logs.records import CHUNK, HEAD, MAGIC
 from tests.benchmarks.timing import side_by_side
 
-MESSAGES = 300_000
+MESSAGES = 100_000
 SMALL_EVERY, IMAGE_BYTES, IMAGES = 400, 921_600, 1_150
 PERIOD_NS, START_NS = 2_000_000, 1_700_000_000_000_000_000
 JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
