@@ -10,6 +10,8 @@ from ..report.canvas import LINES, figure
 from .records import Claim
 
 SIDES = {"printed": "#d1495b", "ours": "#1f77d0"}
+WIDE = 30.0
+"""Figures whose sizes differ by more are drawn on a logarithmic axis."""
 _ACROSS = 2
 
 
@@ -51,5 +53,13 @@ def _strip(axis: Any, claim: Claim, index: int) -> None:
     axis.axvline(limit, color="#20262e", lw=1.0, ls=":")
     axis.set_yticks([0, -1], ["printed", "ours"])
     axis.set_ylim(-1.6, 0.6)
-    axis.set_xscale("symlog", linthresh=max(abs(limit) / 10, 1e-3))
+    _scale(axis, np.concatenate([np.asarray([*claim.printed, *claim.ours], float), [limit]]))
     axis.set_title(f"{index}. {claim.measured} ({claim.unit}), {claim.bound}", fontsize=8)
+
+
+def _scale(axis: Any, values: Any) -> None:
+    """Logarithmic where the figures span more than WIDE, linear around zero; ticks are plain numbers."""
+    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    if len(sizes) and sizes.max() > WIDE * sizes.min():
+        axis.set_xscale("symlog", linthresh=max(float(sizes.min()), 1e-3))
+    axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")

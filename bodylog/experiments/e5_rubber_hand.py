@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..types import Array, BodyModel
-from .lab import Belief, Heard, Lab, ours, printed
+from .lab import Belief, Heard, Lab, ours, printed, typed
 from .records import Bound, Claim, Experiment, Table, Trial, column, judge, panel
 
 DURATION, CALM = 20.0, 5.0
@@ -28,7 +28,7 @@ def _run(lab: Lab, seed: int) -> Trial:
         for side, sign in SIDES.items():
             heard = lab.heard("rubber-hand", seed, duration=DURATION, variant=rhythm, place=side)
             figures[f"{rhythm} {side} weight"] = float(np.mean([pair.weight for pair in heard.features.synchrony]))
-            drifts = {"printed": _literal(heard, _typed(paper)), "ours": _likely(heard, own)}
+            drifts = {"printed": _literal(heard, typed(paper)), "ours": _likely(heard, own)}
             for of, (t, drift) in drifts.items():
                 figures[f"{of} {rhythm} {side}"] = sign * final(t, drift)
                 lines[of][f"{rhythm} {side}"] = np.interp(drifts["printed"][0], t, drift)
@@ -43,11 +43,6 @@ def _literal(heard: Heard, body: BodyModel) -> tuple[Array, Array]:
 
 def _likely(heard: Heard, body: BodyModel) -> tuple[Array, Array]:
     return _drift(ours(heard, body, TOUCHED), ours(heard, body, HIDDEN), body)
-
-
-def _typed(body: BodyModel) -> BodyModel:
-    """The body with the printed a_1 and b_1 (1/px²)."""
-    return replace(body, touch=replace(body.touch, a1=0.001, b1=1.0))
 
 
 def _shaped(body: BodyModel, width: float) -> BodyModel:

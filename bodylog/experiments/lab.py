@@ -124,9 +124,12 @@ def kalman(heard: Heard, body: BodyModel, start: tuple[float, ...] | None = None
 
 def printed(
     heard: Heard, body: BodyModel, senses: tuple[str, ...], start: tuple[float, ...] | None = None,
-    sigma_v: float | None = None,
+    sigma_v: float | None = None, implicit: bool = False,
 ) -> Belief:  # fmt: skip
-    """What Algorithm 1 believes with the printed constants, errata applied; `sigma_v` in place of the printed 5."""
+    """What Algorithm 1 believes with the printed constants, errata applied; `sigma_v` in place of the printed 5.
+
+    `implicit` puts the prediction errors at their equilibrium instead of integrating them.
+    """
     from ..estimation import predictive_coding as algorithm
 
     settings = Estimation(method="predictive-coding", preset="paper", touch="literal", senses=senses, start=start)
@@ -134,8 +137,13 @@ def printed(
     if sigma_v is not None:
         changed = [s if s.name == "encoders" else replace(s, sigma=np.full_like(s.sigma, sigma_v)) for s in plan.senses]
         plan = replace(plan, senses=tuple(changed))
-    x, _, _ = algorithm.explicitly(plan)
+    x, _, _ = (algorithm.implicitly if implicit else algorithm.explicitly)(plan)
     return Belief(plan.t, x, heard.true(body.joints, plan.t))
+
+
+def typed(body: BodyModel) -> BodyModel:
+    """The body with the printed touch constants, a_1 = 0.001 and b_1 = 1 (1/px²)."""
+    return replace(body, touch=replace(body.touch, a1=0.001, b1=1.0))
 
 
 def kept(path: Path, make: Any) -> Any:
