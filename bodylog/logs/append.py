@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -94,7 +95,7 @@ def _keepable(file: TopLevel, root: str | None) -> Base:
 def _parts(heads: Iterable[Head], summary: _Summary) -> list[_Part]:
     """The data section's records, each as the summary describes it; FormatError where the two disagree."""
     chunks = [r.fields for r, _ in summary.get(CHUNK_INDEX, [])]
-    indexed = {said["chunk_start_offset"]: frozenset(said["message_index_offsets"]) for said in chunks}
+    indexed = {said["chunk_start_offset"]: _set(tuple(said["message_index_offsets"])) for said in chunks}
     parts = [_part(head, indexed) for head in heads]
     _agree([p.start for p in parts if p.opcode == CHUNK], list(indexed), "chunks")
     found = [(c, p.start) for p in parts if p.opcode == MESSAGE_INDEX for c in p.channels or ()]
@@ -117,11 +118,17 @@ def _part(head: Head, indexed: Mapping[int, frozenset[int]]) -> _Part:
         return _Part(CHUNK, head.start, channels)
     if head.opcode not in (MESSAGE_INDEX, CHANNEL):
         return _Part(head.opcode, head.start)
-    channel = frozenset([int.from_bytes(head.first[:2], "little")])
+    channel = _set((int.from_bytes(head.first[:2], "little"),))
     size = int.from_bytes(head.first[2:], "little") if head.opcode == MESSAGE_INDEX else 0
     if size > max(head.size - _INDEX_HEAD, 0):
         raise FormatError(f"the message index at byte {head.start} is longer than its record")
     return _Part(head.opcode, head.start, channel, size // _INDEX_ENTRY)
+
+
+@lru_cache
+def _set(channels: tuple[int, ...]) -> frozenset[int]:
+    """One object for all the records that speak of the same channels: a long log has very many."""
+    return frozenset(channels)
 
 
 def _agree(found: list[Any], listed: list[Any], what: str) -> None:

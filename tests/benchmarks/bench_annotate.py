@@ -30,7 +30,7 @@ _WIDTH, _HEIGHT, _RATE, _STEPS = 640, 480, 30, 100
 _IMAGE = "sensor_msgs/msg/Image"
 _JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 _CHILD = """
-import resource, sys
+import re, sys
 from pathlib import Path
 from bodylog.logs.annotate import annotate
 from bodylog.logs.ingest import ingest
@@ -41,7 +41,8 @@ if what == "ingest":
     ingest(log, out, Settings())
 else:
     annotate(log, estimate(10.0), {}, out)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+# Not ru_maxrss: a child inherits that from the process that started it.
+print(int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1]) / 1024)
 """
 
 
