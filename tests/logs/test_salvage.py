@@ -50,6 +50,13 @@ def number_of(path: Path, message: tuple[str, int, bytes]) -> int:
     return number
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _imported() -> None:
+    """What is imported once is not counted against the first damaged log."""
+    for name in READ:
+        read(FOLDER / name)
+
+
 @pytest.mark.parametrize("name", READ)
 def test_what_is_sound_is_read_and_what_is_not_is_said(name: str) -> None:
     found, findings = read(FOLDER / name)
