@@ -17,7 +17,7 @@ _MOVING = 12.0
 _EVIDENCE = 5
 _DEFICIT = 0.12
 _CHANGE = 0.05
-_NEAR = 1.0
+_NEAR = 0.5
 
 HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY = (
     "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
