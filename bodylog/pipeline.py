@@ -85,9 +85,10 @@ def extract(log: Path, out: Path, settings: Settings, progress: Progress | None 
     read, features = observe(log, settings, progress)
     _something_seen(log, features)
     outgoing = _feature_messages(read, features)
-    kept = [read.roles[role].partition(".")[0] for role in ("joints", "truth", "skin") if role in read.roles]
+    kept = [topic for role in ("joints", "truth", "skin") if (topic := _topic(read, role)) is not None]
     lost = annotate.annotate(log, outgoing, _provenance([log], settings), out, only=kept)
-    return Result(out, (), features.health, (*read.findings, *features.findings, *lost), plain(settings))
+    health = {**read.health, **features.health}
+    return Result(out, (), health, (*read.findings, *features.findings, *lost), plain(settings))
 
 
 def fit(
@@ -104,7 +105,7 @@ def fit(
     learned = body.learn(features, settings, provenance, known)
     model.save(learned.model, out)
     findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
-    return Result(out, learned.scores, _merged(features), (*findings, *learned.findings), plain(settings))
+    return Result(out, learned.scores, _merged(observed), (*findings, *learned.findings), plain(settings))
 
 
 def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
@@ -120,7 +121,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)
     lost = annotate.annotate(log, outgoing, provenance, out)
     remarks = (*read.findings, *features.findings, *found.findings, *lost)
-    return Result(out, judge(found, read), {**features.health, **found.used}, remarks, dict(found.settings))
+    return Result(out, judge(found, read), {**read.health, **features.health, **found.used}, remarks, dict(found.settings))
 
 
 def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
@@ -187,7 +188,7 @@ def _row(
 def ingest(
     log: Path, out: Path, settings: Settings, tables: Mapping[str, Path] | None = None, **window: float | None
 ) -> Result:
-    """Write any log as one tidy MCAP with its roles named; `tables`: a folder for its signals by form (csv, parquet)."""
+    """Write any log as one tidy MCAP with its roles named; `tables`: folders for its signals by form (csv, parquet)."""
     from .logs import export, recording
     from .logs import ingest as tidy
 
@@ -221,7 +222,8 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
         return Result(out)
     read, features = observe(source, settings, progress)
     figures.recording_figure(read, features, out)
-    return Result(out, (), features.health, (*read.findings, *features.findings), plain(settings))
+    health = {**read.health, **features.health}
+    return Result(out, (), health, (*read.findings, *features.findings), plain(settings))
 
 
 def report(log: Path, out: Path, settings: Settings, figures: Path | None = None) -> Result:
@@ -282,6 +284,12 @@ def _distinct(log: Path, out: Path) -> None:
         raise UsageError(f"{out}: is the log itself, which is never written to; give another name with -o")
 
 
+def _topic(read: Recording, role: str) -> str | None:
+    """The topic behind a role's message path: the longest of the log's topics that the path begins with."""
+    path = read.roles.get(role, "")
+    return max((t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")), key=len, default=None)
+
+
 def _provenance(logs: Sequence[Path], settings: Settings) -> dict[str, str]:
     inputs = {log.name: sha256(log) for log in logs}
     return {"version": __version__, "settings": _json(plain(settings)), "inputs": _json(inputs)}
@@ -291,5 +299,9 @@ def _json(value: Any) -> str:
     return json.dumps(value, sort_keys=True, default=float)
 
 
-def _merged(features: Sequence[Features]) -> dict[str, Health]:
-    return {topic: health for found in features for topic, health in found.health.items()}
+def _merged(observed: Sequence[tuple[Recording, Features]]) -> dict[str, Health]:
+    """Health by topic or track; of several logs each key begins with its log's name."""
+    of = {read.name: {**read.health, **found.health} for read, found in observed}
+    if len(of) == 1:
+        return next(iter(of.values()))
+    return {f"{name}:{key}": health for name, found in of.items() for key, health in found.items()}
