@@ -84,8 +84,8 @@ def _lag(trials: Sequence[Trial]) -> str:
     names = ("printed p", "equilibrium p", "printed Kalman on p", "ours p")
     found = [float(np.median(column(trials, name))) for name in names]
     return (
-        "errors in rad: Algorithm 1 {:.3f}, with its prediction errors at their equilibrium {:.3f}, Kalman filter {:.3f}, "
-        "ours {:.3f}; the prediction errors' own dynamics (time constant σ_p = 1 s) make the difference"
+        "errors in rad: Algorithm 1 {:.3f}, with its prediction errors at their equilibrium {:.3f}, Kalman filter "
+        "{:.3f}, ours {:.3f}; the prediction errors' own dynamics (time constant σ_p = 1 s) make the difference"
     ).format(*found)
 
 
