@@ -15,7 +15,7 @@ _COARSE_WIDTH = 160
 _FAINT = 0.25
 _SMALLEST = 9
 _MARGIN = 10
-_ROOM = 12.0
+_WHOLE, _ROOM = 0.97, 12.0
 
 Box = tuple[int, int, int, int]
 
@@ -65,7 +65,7 @@ def _measured(image: Array, box: Box, colour: Range) -> tuple[float, ...] | None
     u, v, std_u, std_v, mass, contrast = measure(window, core)
     u, v = left + u, top + v
     inside = min(u, v, image.shape[1] - 1 - u, image.shape[0] - 1 - v)
-    border = inside < max((mass / np.pi) ** 0.5, _ROOM)
+    border = inside < max(_WHOLE * (mass / np.pi) ** 0.5, _ROOM)
     return u, v, std_u, std_v, mass, mass * contrast, float(border)
 
 
