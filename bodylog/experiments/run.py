@@ -4,6 +4,7 @@ import multiprocessing
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ class Reproduction:
 def reproduce(wish: Reproduction, tell: Tell | None = None) -> tuple[Claim, ...]:
     """Run what is not done yet, write index.html, claims.json and cost.json to `out`, give the claims."""
     names = chosen(wish.names)
+    _ready()
     tasks = [(name, seed) for name in names for seed in range(wish.seeds)]
     wish.lab.folder.mkdir(parents=True, exist_ok=True)
     for done, (name, seed) in enumerate(_finished(wish, tasks), 1):
@@ -55,6 +57,13 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
             raise UsageError(f"experiment {name!r}: it must be one of {possible}; type: bodylog reproduce E1 -o out")
     wanted = {known[name.lower()] for name in names} or set(EXPERIMENTS)
     return tuple(name for name in EXPERIMENTS if name in wanted)
+
+
+def _ready() -> None:
+    """UsageError, before minutes are spent, where what is needed at the end is not installed."""
+    for module, extra in (("pybullet", "sim"), ("matplotlib", "report")):
+        if find_spec(module) is None:
+            raise UsageError(f"reproduce: {module} is not installed; type: pip install 'bodylog[{extra}]'")
 
 
 def trial(lab: Lab, name: str, seed: int) -> Trial:

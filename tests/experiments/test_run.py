@@ -54,6 +54,13 @@ def _never(*_):
     raise AssertionError("computed again")
 
 
+def test_what_is_not_installed_is_said_before_anything_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"pybullet is not installed; type: pip install 'bodylog\[sim\]'"):
+        reproduce(run.Reproduction(tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+
+
 def test_another_picture_size_is_another_key(small):
     wish, _, _ = small
     assert wish.lab.key({}) != replace(wish, size=(320, 240)).lab.key({})
