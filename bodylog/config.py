@@ -126,6 +126,8 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
         raise ConfigError(
             f"{where}: {section}.{key} is {value!r}; possible: {', '.join(possible)}; did you mean {near[0]}?"
         )
+    if (section, key) == ("synchrony", "clock_offset") and isinstance(value, str) and value != "auto":
+        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto or a number of seconds")
     if section == "colours":
         for colour in value.values() if key == "shapes" else [value]:
             _colour(colour, f"{where}: {section}.{key}")

@@ -39,13 +39,13 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
     return Result(out)
 
 
-def info(log: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
+def info(log: Path, settings: Settings) -> dict[str, Any]:
     """What is in a log: topics, rates, roles, clocks; or in a body model (.npz): joints, senses, noise, provenance."""
     from .logs import recording
 
     if log.suffix == ".npz":
         return _info_body(log)
-    return recording.info(log, settings, strict)
+    return recording.info(log, settings, settings.input.strict)
 
 
 def _info_body(path: Path) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
     from . import perception
     from .logs import recording
 
-    read = recording.read(log, settings)
+    read = recording.read(log, settings, settings.input.strict)
     if read.features is None:
         return read, perception.observe(read, settings, progress)
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
@@ -121,7 +121,8 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)
     lost = annotate.annotate(log, outgoing, provenance, out)
     remarks = (*read.findings, *features.findings, *found.findings, *lost)
-    return Result(out, judge(found, read), {**read.health, **features.health, **found.used}, remarks, dict(found.settings))
+    health = {**read.health, **features.health, **found.used}
+    return Result(out, judge(found, read), health, remarks, dict(found.settings))
 
 
 def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
@@ -142,7 +143,7 @@ def evaluate(log: Path, settings: Settings) -> Result:
     """Score the estimate an annotated log carries."""
     from .logs import annotated, recording
 
-    read = recording.read(log, settings)
+    read = recording.read(log, settings, settings.input.strict)
     found = annotated.read_estimate(log, read.start_ns)
     if read.truth is None:
         absent = Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth")

@@ -66,6 +66,13 @@ class Time:
 
 
 @dataclass(frozen=True)
+class Input:
+    """[input]: whether a damaged log is refused instead of read as far as it is sound."""
+
+    strict: bool = False
+
+
+@dataclass(frozen=True)
 class Video:
     """[video]: a side-car video as camera: time of its first frame (s since epoch; None: first joint), frames/s."""
 
@@ -103,6 +110,7 @@ class Estimation:
 class Settings:
     """All sections."""
 
+    input: Input = field(default_factory=Input)
     topics: Topics = field(default_factory=Topics)
     body: Body = field(default_factory=Body)
     colours: Colours = field(default_factory=Colours)

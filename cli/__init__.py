@@ -29,7 +29,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
         click.echo(f"bodylog: {' '.join(str(err).split())}", err=True)
         return err.exit_code
     except click.ClickException as err:
-        err.show()
+        context = getattr(err, "ctx", None)
+        path = context.command_path if context else "bodylog"
+        click.echo(f"bodylog: {' '.join(err.format_message().split())}; type: {path} --help", err=True)
         return err.exit_code
     except (click.Abort, KeyboardInterrupt):
         click.echo("bodylog: interrupted; nothing half-written was left", err=True)

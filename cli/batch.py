@@ -26,9 +26,10 @@ if TYPE_CHECKING:
 @click.option("--keep-going", is_flag=True, help="Go on to further logs even after a bug of ours.")
 @click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help="E.g. 'joint_rmse>0.02'; broken: exit 4.")
 @options.estimation_options
+@options.clock_option
 @options.common_options
 def batch(
-    logs: tuple[str, ...], memory: str | None, shard: str, config_file: Path | None, as_json: bool, **typed: Any
+    logs: tuple[str, ...], memory: str | None, shard: str, common: options.Common, as_json: bool, **typed: Any
 ) -> int:
     """Estimate, score and report on many logs: a row each in results.jsonl, junit.xml and summary.html.
 
@@ -41,7 +42,7 @@ def batch(
 
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
-    groups = _groups(logs, options.settings(config_file, estimate=options.estimation(typed)), what)
+    groups = _groups(logs, common.settings(estimate=options.estimation(typed)), what)
     plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), **how)
     rows = run(plan, _tell)
     if as_json:

@@ -16,15 +16,16 @@ COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence")
 @click.command(epilog="Example: bodylog compare run.bag --body body.npz")
 @options.log_argument
 @click.option("--body", type=options.PATH, required=True, help="The body model that fit wrote.")
+@options.clock_option
 @options.common_options
-def compare(log: Path, body: Path, config_file: Path | None, as_json: bool) -> int:
+def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
     """Every method with every subset of senses on one log, in one table."""
     from bodylog import pipeline
 
     from .output import data, lost, progress, talk
 
     with progress("compare") as tick:
-        rows, findings = pipeline.compare(log, body, options.settings(config_file), tick)
+        rows, findings = pipeline.compare(log, body, common.settings(), tick)
     talk(findings)
     if as_json:
         data({"rows": [_plain(row) for row in rows], "output": None})

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import PATH, common_options, logs_argument, settings
+from .options import PATH, Common, common_options, logs_argument
 
 if TYPE_CHECKING:
     from bodylog.pipeline import Result
@@ -22,7 +22,7 @@ def evaluate(
     bounds: tuple[str, ...],
     baseline: Path | None,
     tolerance: str,
-    config_file: Path | None,
+    common: Common,
     as_json: bool,
 ) -> int:
     """Score annotated logs against the truth they carry.
@@ -37,7 +37,7 @@ def evaluate(
 
     wanted, share = [rules.parse(text) for text in bounds], earlier.tolerance(tolerance)
     before = earlier.load(baseline) if baseline else None
-    chosen = settings(config_file)
+    chosen = common.settings()
     results = {str(log): pipeline.evaluate(log, chosen) for log in logs}
     if as_json:
         shown = [{"path": path, **as_data(result)} for path, result in results.items()]

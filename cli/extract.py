@@ -4,19 +4,20 @@ from pathlib import Path
 
 import click
 
-from .options import common_options, log_argument, out_option, settings
+from .options import Common, clock_option, common_options, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog extract run.bag -o features.mcap")
 @log_argument
 @out_option("The features MCAP to write.")
+@clock_option
 @common_options
-def extract(log: Path, out: Path, config_file: Path | None, as_json: bool) -> int:
+def extract(log: Path, out: Path, common: Common, as_json: bool) -> int:
     """Find effector, hand, touches, strokes and synchrony; write them with the signals, without the pictures."""
     from bodylog import pipeline
 
     from .output import progress, show
 
     with progress("extract") as tick:
-        result = pipeline.extract(log, out, settings(config_file), tick)
+        result = pipeline.extract(log, out, common.settings(), tick)
     return show(result, as_json)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, common_options, logs_argument, out_option, settings
+from .options import PATH, Common, clock_option, common_options, logs_argument, out_option
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
@@ -14,6 +14,7 @@ from .options import PATH, common_options, logs_argument, out_option, settings
 @click.option("--joints", help="Learn over these joints, e.g. pan,lift,elbow; default: those that move.")
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
+@clock_option
 @common_options
 def fit(
     logs: tuple[Path, ...],
@@ -22,7 +23,7 @@ def fit(
     joints: str | None,
     every: int | None,
     update: Path | None,
-    config_file: Path | None,
+    common: Common,
     as_json: bool,
 ) -> int:
     """Learn the robot's body from exploration logs: what each sense is expected to read at any joint angles."""
@@ -31,7 +32,7 @@ def fit(
     from .output import progress, show
 
     named = tuple(joints.split(",")) if joints else None
-    chosen = settings(config_file, fit={"preset": preset, "every": every}, body={"joints": named})
+    chosen = common.settings(fit={"preset": preset, "every": every}, body={"joints": named})
     with progress("fit") as tick:
         result = pipeline.fit(logs, out, chosen, tick, update)
     return show(result, as_json)

@@ -5,21 +5,20 @@ from typing import Any
 
 import click
 
-from .options import PATH, common_options, settings
+from .options import PATH, Common, common_options
 
 
 @click.command(epilog="Example: bodylog info run.bag --json")
 @click.argument("logs", metavar="LOG|BODY.npz...", type=PATH, nargs=-1, required=True)
-@click.option("--strict", is_flag=True, help="Refuse a damaged log instead of reading what is sound.")
 @common_options
-def info(logs: tuple[Path, ...], strict: bool, config_file: Path | None, as_json: bool) -> int:
+def info(logs: tuple[Path, ...], common: Common, as_json: bool) -> int:
     """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
     from bodylog import pipeline
 
     from .output import data
 
-    chosen = settings(config_file)
-    found = [pipeline.info(log, chosen, strict) for log in logs]
+    chosen = common.settings()
+    found = [pipeline.info(log, chosen) for log in logs]
     if as_json:
         data(found)
     else:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, common_options, log_argument, out_option, settings
+from .options import PATH, Common, common_options, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog ingest run.bag -o tidy.mcap --start 2 --end 30")
@@ -22,7 +22,7 @@ def ingest(
     end: float | None,
     csv: Path | None,
     parquet: Path | None,
-    config_file: Path | None,
+    common: Common,
     as_json: bool,
 ) -> int:
     """Turn any recorded log into one tidy MCAP with its roles named and its times chosen."""
@@ -31,4 +31,4 @@ def ingest(
     from .output import show
 
     tables = {form: folder for form, folder in (("csv", csv), ("parquet", parquet)) if folder is not None}
-    return show(pipeline.ingest(log, out, settings(config_file), tables, start=start, end=end), as_json)
+    return show(pipeline.ingest(log, out, common.settings(), tables, start=start, end=end), as_json)

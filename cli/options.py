@@ -1,6 +1,8 @@
 """Options that several commands share, and how they become settings."""
 
+import functools
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -28,14 +30,52 @@ def out_option(what: str) -> Callable[[Command], Command]:
     return click.option("-o", "--output", "out", type=PATH, required=True, help=what)
 
 
-def common_options(function: Command) -> Command:
-    """--config, --json."""
+@dataclass(frozen=True)
+class Common:
+    """What was typed that every command understands."""
+
+    config_file: Path | None
+    strict: bool
+    clock_offset: str | None = None
+
+    def settings(self, **sections: dict[str, Any]) -> "Settings":
+        """Settings from robot.toml and what was typed; options not given (None) do not override."""
+        from bodylog.config import load
+
+        offset = _seconds(self.clock_offset)
+        given: dict[str, dict[str, Any]] = {"input": {"strict": self.strict or None}, **sections}
+        given["synchrony"] = {"clock_offset": offset}
+        typed = {name: {k: v for k, v in values.items() if v is not None} for name, values in given.items()}
+        return load(self.config_file, typed)
+
+
+def _seconds(text: str | None) -> float | str | None:
+    try:
+        return text if text in (None, "auto") else float(text)
+    except ValueError:
+        raise click.BadParameter(f"{text!r}; it must be auto or seconds", param_hint="--clock-offset") from None
+
+
+def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--config and --strict as `common`, and --json."""
+
+    @functools.wraps(function)
+    def wrapped(*, config_file: Path | None, strict: bool, clock_offset: str | None = None, **rest: Any) -> Any:
+        return function(common=Common(config_file, strict, clock_offset), **rest)
+
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output."),
+        click.option("--strict", is_flag=True, help="Refuse a damaged log instead of reading what is sound."),
         click.option("--config", "config_file", type=PATH, help="A robot.toml with what cannot be guessed."),
     ):
-        function = option(function)
-    return function
+        wrapped = option(wrapped)
+    return wrapped
+
+
+def clock_option(function: Command) -> Command:
+    """--clock-offset: what to subtract before picture and skin are compared; stands above common_options."""
+    help_ = "Camera behind the skin by S seconds; auto: measure it and take it out. Default 0."
+    return click.option("--clock-offset", metavar="auto|S", help=help_)(function)
 
 
 def estimation_options(function: Command) -> Command:
@@ -56,14 +96,6 @@ ESTIMATION = (
     click.option("--touch", help="likelihood (default) or literal: the paper's two readings of its touch equation."),
     click.option("--step", help="predictive-coding: implicit (default) or explicit Euler."),
 )
-
-
-def settings(config_file: Path | None, **sections: dict[str, Any]) -> "Settings":
-    """Settings from robot.toml and what was typed; options not given (None) do not override."""
-    from bodylog.config import load
-
-    typed = {name: {k: v for k, v in values.items() if v is not None} for name, values in sections.items()}
-    return load(config_file, typed)
 
 
 def estimation(typed: dict[str, Any]) -> dict[str, Any]:

@@ -4,19 +4,20 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, common_options, settings
+from .options import PATH, Common, clock_option, common_options
 
 
 @click.command(epilog="Example: bodylog plot run.bag -o run.png")
 @click.argument("source", metavar="LOG|BODY.npz", type=PATH)
 @click.option("-o", "--output", "out", type=PATH, required=True, help="The picture to write (.png or .svg).")
+@clock_option
 @common_options
-def plot(source: Path, out: Path, config_file: Path | None, as_json: bool) -> int:
+def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
     """Draw a log (joints, pixels, skin, touches, trajectories), or a body model's mean and variance."""
     from bodylog import pipeline
 
     from .output import progress, show
 
     with progress("plot") as tick:
-        result = pipeline.plot(source, out, settings(config_file), tick)
+        result = pipeline.plot(source, out, common.settings(), tick)
     return show(result, as_json)

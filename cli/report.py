@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, common_options, log_argument, out_option, settings
+from .options import PATH, Common, common_options, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog report run.mcap -o report.html")
@@ -12,10 +12,10 @@ from .options import PATH, common_options, log_argument, out_option, settings
 @out_option("The page to write (.html).")
 @click.option("--figures", type=PATH, metavar="DIR", help="Also draw figures (PNG) into this folder.")
 @common_options
-def report(log: Path, out: Path, figures: Path | None, config_file: Path | None, as_json: bool) -> int:
+def report(log: Path, out: Path, figures: Path | None, common: Common, as_json: bool) -> int:
     """One self-contained HTML page on an annotated log."""
     from bodylog import pipeline
 
     from .output import show
 
-    return show(pipeline.report(log, out, settings(config_file), figures), as_json)
+    return show(pipeline.report(log, out, common.settings(), figures), as_json)

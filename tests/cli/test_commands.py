@@ -96,6 +96,8 @@ def _wrong(robot, tmp_path):
         "absent folder": (2, "mkdir", ("record", "babble", "-o", tmp_path / "no" / "out.mcap", "--duration", 1)),
         "no estimate": (65, "bodylog estimate", ("evaluate", reach)),
         "onto itself": (2, "itself", ("estimate", reach, "-o", reach, "--body", body)),
+        "unknown option": (2, "--help", ("estimate", reach, "--bodi", body)),
+        "bad clock offset": (2, "auto or seconds", ("extract", reach, "-o", out, "--clock-offset", "soon")),
         "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "joint_rmse")),
     }
 
@@ -103,7 +105,7 @@ def _wrong(robot, tmp_path):
 NAMES = (
     *("empty log", "not a log", "no such log", "missing topic", "unknown joint", "unknown key", "not a model"),
     *("unknown method", "unknown sense", "unheard sense", "unknown scenario", "absent folder", "no estimate"),
-    *("onto itself", "no bound"),
+    *("onto itself", "no bound", "unknown option", "bad clock offset"),
 )
 
 
@@ -137,6 +139,15 @@ def test_a_truncated_log_is_used_up_to_the_damage_and_ends_with_3(tmp_path, caps
     said = _said(capsys, 3, bodylog, "estimate", cut, "--body", robot / "body.npz", "-o", out)
     assert "lost" in said
     assert out.exists()
+
+
+def test_strict_refuses_a_truncated_log(tmp_path, capsys, bodylog, robot):
+    whole = (robot / "explore.mcap").read_bytes()
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    cut.write_bytes(whole[: len(whole) * 3 // 4])
+    for typed in (("info", cut), ("estimate", cut, "--body", robot / "body.npz", "-o", out), ("fit", cut, "-o", out)):
+        assert "--strict" in _said(capsys, 65, bodylog, *typed, "--strict")
+    assert not out.exists()
 
 
 def test_doctor_names_the_damage_and_repair_leaves_a_sound_log(tmp_path, capsys, bodylog, robot):
