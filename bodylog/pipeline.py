@@ -242,6 +242,27 @@ def report(log: Path, out: Path, settings: Settings, figures: Path | None = None
     return Result(out, judge(found, read), found.used, read.findings)
 
 
+@dataclass(frozen=True, eq=False)
+class Colours:
+    """Colour ranges a log offers, the likeliest effector first, as plain values."""
+
+    proposals: list[dict[str, Any]]
+    findings: tuple[Finding, ...]
+
+
+def colours(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> Colours:
+    """Ranges of the saturated blobs in a log; `out` becomes a contact sheet (PNG) of what they find."""
+    from .logs import recording
+    from .perception import palette
+    from .report import overlay
+
+    read = recording.read(log, settings, settings.input.strict)
+    proposals, sheet = palette.propose(read, effector)
+    if out is not None:
+        overlay.write(sheet, out)
+    return Colours([asdict(one) for one in proposals], read.findings)
+
+
 def _figures(
     folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]"
 ) -> None:

@@ -6,6 +6,7 @@ from bodylog import __version__
 
 from . import (
     batch,
+    colours,
     compare,
     config,
     doctor,
@@ -26,6 +27,7 @@ COMMANDS = (
     ingest.ingest,
     info.info,
     doctor.doctor,
+    colours.colours,
     extract.extract,
     fit.fit,
     estimate.estimate,

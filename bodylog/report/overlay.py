@@ -61,12 +61,8 @@ def pictures(
 
 def overlay_sheet(drawn: Sequence[Picture], out: Path, columns: int = 3, width: int = 320) -> None:
     """Write the pictures side by side, `width` px wide with a caption below, as one PNG; UsageError: none, suffix."""
-    import cv2
-
     if not drawn:
         raise UsageError(f"{out}: no pictures to put on the sheet; type: bodylog info LOG to see its cameras")
-    if out.suffix.lower() != ".png":
-        raise UsageError(f"{out}: suffix '{out.suffix}' is not that of a sheet; type: {out.with_suffix('.png')}")
     tiles = [_tile(picture, width) for picture in drawn]
     height = max(len(tile) for tile in tiles)
     sheet = np.full((-(-len(tiles) // columns) * height, min(columns, len(tiles)) * width, 3), 255, np.uint8)
@@ -74,8 +70,17 @@ def overlay_sheet(drawn: Sequence[Picture], out: Path, columns: int = 3, width: 
         top, left = i // columns * height, i % columns * width
         sheet[top : top + len(tile), left : left + width] = tile
     key = _words("ring: seen | cross and ellipse: predicted, 2 sigma | square: hand", sheet.shape[1])
+    write(np.vstack([sheet, key]), out)
+
+
+def write(image: Array, out: Path) -> None:
+    """Write an image (H,W,3) uint8 BGR as PNG; UsageError for another suffix."""
+    import cv2
+
+    if out.suffix.lower() != ".png":
+        raise UsageError(f"{out}: suffix '{out.suffix}' is not that of a sheet; type: {out.with_suffix('.png')}")
     with replacing(out) as beside:
-        beside.write_bytes(cv2.imencode(".png", np.vstack([sheet, key]))[1].tobytes())
+        beside.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
 
 def scaled(image: Array, width: int) -> Array:

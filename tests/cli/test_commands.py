@@ -166,6 +166,15 @@ def test_plots_are_pictures(tmp_path, bodylog, robot):
         assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_effectors_colour_is_proposed_first(tmp_path, capsys, bodylog, robot):
+    sheet = tmp_path / "colours.png"
+    capsys.readouterr()
+    assert bodylog("colours", robot / "explore.mcap", "-o", sheet, "--json") == 0
+    first = json.loads(capsys.readouterr().out)["proposals"][0]
+    assert first["name"] == "green" and first["joints"] > 0.9
+    assert sheet.read_bytes().startswith(b"\x89PNG")
+
+
 def test_a_log_recorded_twice_has_the_same_bytes(tmp_path, bodylog, robot):
     typed = ("record", "reach", "--duration", 4, "--seed", 2, "--size", "160x120", "-o", tmp_path / "again.mcap")
     assert bodylog(*typed) == 0
