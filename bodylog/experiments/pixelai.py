@@ -10,7 +10,7 @@ from ..types import Array
 from .lab import JOINTS, Lab, ours, printed
 from .records import Bound, Claim, Experiment, Table, Trial, column, judge
 
-LONGER = 2
+LONGER = 3
 """Times as long is a body of four joints explored."""
 STARTS = 3
 """Wrong starts per seed and level."""
