@@ -1,20 +1,16 @@
 """The stages in order, each taking files and leaving files: reads as a table of contents."""
 
 import json
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from . import __version__
 from .errors import LogError, UsageError
 from .files import sha256
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Features, Finding, Health, Outgoing, Recording, Score
-
-if TYPE_CHECKING:
-    from .report.overlay import Picture
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""
@@ -81,11 +77,11 @@ def extract(log: Path, out: Path, settings: Settings, progress: Progress | None 
     """Write the log's signals with tracks, touches and synchrony, without its pictures."""
     from .logs import annotate
 
-    _distinct(log, out)
+    distinct(log, out)
     read, features = observe(log, settings, progress)
     _something_seen(log, features)
     outgoing = _feature_messages(read, features)
-    kept = [topic for role in ("joints", "truth", "skin") if (topic := _topic(read, role)) is not None]
+    kept = [topic for role in ("joints", "truth", "skin") if (topic := topic_of(read, role)) is not None]
     lost = annotate.annotate(log, outgoing, _provenance([log], settings), out, only=kept)
     health = {**read.health, **features.health}
     return Result(out, (), health, (*read.findings, *features.findings, *lost), plain(settings))
@@ -113,7 +109,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     from .body import model
     from .logs import annotate, annotated
 
-    _distinct(log, out)
+    distinct(log, out)
     learned = model.load(body)
     read, features = observe(log, settings, progress)
     found = infer(features, learned, settings)
@@ -151,41 +147,6 @@ def evaluate(log: Path, settings: Settings) -> Result:
     return Result(log, judge(found, read), found.used, read.findings)
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One line of a comparison: what ran on which senses, how good it was, how long it took (s)."""
-
-    method: str
-    senses: tuple[str, ...]
-    scores: tuple[Score, ...]
-    seconds: float
-
-
-def compare(
-    log: Path, body: Path, settings: Settings, progress: Progress | None = None
-) -> tuple[list[Row], tuple[Finding, ...]]:
-    """Every method with every subset of the senses the log has."""
-    from . import estimation
-    from .body import model
-    from .estimation import choices
-
-    learned = model.load(body)
-    read, features = observe(log, settings, progress)
-    subsets = choices.subsets(features, learned)
-    runs = [(m, senses) for m in estimation.METHODS for senses in subsets if choices.usable(m, senses)]
-    rows = [_row(method, senses, features, learned, settings, read) for method, senses in runs]
-    return rows, (*read.findings, *features.findings)
-
-
-def _row(
-    method: str, senses: tuple[str, ...], features: Features, learned: BodyModel, settings: Settings, read: Recording
-) -> Row:
-    started = time.perf_counter()
-    chosen = replace(settings, estimate=replace(settings.estimate, method=method, senses=senses, without=()))
-    found = infer(features, learned, chosen)
-    return Row(method, senses, judge(found, read), time.perf_counter() - started)
-
-
 def ingest(
     log: Path, out: Path, settings: Settings, tables: Mapping[str, Path] | None = None, **window: float | None
 ) -> Result:
@@ -193,7 +154,7 @@ def ingest(
     from .logs import export, recording
     from .logs import ingest as tidy
 
-    _distinct(log, out)
+    distinct(log, out)
     findings = tuple(tidy.ingest(log, out, settings, **window))
     for form, folder in (tables or {}).items():
         export.export(recording.read(out, Settings()), folder, form)
@@ -206,73 +167,9 @@ def doctor(log: Path, repair: Path | None = None) -> Result:
 
     findings = logs_doctor.examine(log)
     if repair is not None:
-        _distinct(log, repair)
+        distinct(log, repair)
         logs_doctor.repair(log, repair)
     return Result(repair, findings=findings)
-
-
-def plot(source: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
-    """Draw a body model (.npz), or any log: joints, pixels, skin, events and trajectories over time."""
-    from .report import figures
-
-    _distinct(source, out)
-    if source.suffix == ".npz":
-        from .body import model
-
-        figures.body_figure(model.load(source), out)
-        return Result(out)
-    read, features = observe(source, settings, progress)
-    figures.recording_figure(read, features, out)
-    health = {**read.health, **features.health}
-    return Result(out, (), health, (*read.findings, *features.findings), plain(settings))
-
-
-def report(log: Path, out: Path, settings: Settings, figures: Path | None = None) -> Result:
-    """One page on an annotated log; with `figures`, the same as pictures in that folder."""
-    from .logs import annotated
-    from .report import html, overlay
-
-    _distinct(log, out)
-    read, features = observe(log, settings)
-    found = annotated.read_estimate(log, read.start_ns)
-    shown = overlay.pictures(read, features, found)
-    html.write(out, found, features, read, judge(found, read), shown, annotated.read_metadata(log))
-    if figures is not None:
-        _figures(figures, read, features, found, shown)
-    return Result(out, judge(found, read), found.used, read.findings)
-
-
-@dataclass(frozen=True, eq=False)
-class Colours:
-    """Colour ranges a log offers, the likeliest effector first, as plain values."""
-
-    proposals: list[dict[str, Any]]
-    findings: tuple[Finding, ...]
-
-
-def colours(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> Colours:
-    """Ranges of the saturated blobs in a log; `out` becomes a contact sheet (PNG) of what they find."""
-    from .logs import recording
-    from .perception import palette
-    from .report import overlay
-
-    read = recording.read(log, settings, settings.input.strict)
-    proposals, sheet = palette.propose(read, effector)
-    if out is not None:
-        overlay.write(sheet, out)
-    return Colours([asdict(one) for one in proposals], read.findings)
-
-
-def _figures(
-    folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]"
-) -> None:
-    from .report import figures, overlay
-
-    folder.mkdir(parents=True, exist_ok=True)
-    figures.recording_figure(read, features, folder / "recording.png")
-    figures.estimate_figure(found, read.truth, read.joints, folder / "estimate.png")
-    if shown:
-        overlay.overlay_sheet(shown, folder / "overlay.png")
 
 
 def count(log: Path) -> int:
@@ -301,19 +198,20 @@ def _something_seen(log: Path, features: Features) -> None:
         raise LogError(f"{log}: neither camera nor skin gave anything to extract; type: bodylog info {log}")
 
 
-def _distinct(log: Path, out: Path) -> None:
+def distinct(log: Path, out: Path) -> None:
+    """UsageError when the file to write is the log itself."""
     if out.exists() and log.exists() and out.resolve() == log.resolve():
         raise UsageError(f"{out}: is the log itself, which is never written to; give another name with -o")
 
 
-def _topic(read: Recording, role: str) -> str | None:
+def topic_of(read: Recording, role: str) -> str | None:
     """The topic behind a role's message path: the longest of the log's topics that the path begins with."""
     path = read.roles.get(role, "")
     return max((t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")), key=len, default=None)
 
 
 def _provenance(logs: Sequence[Path], settings: Settings) -> dict[str, str]:
-    inputs = {log.name: sha256(log) for log in logs}
+    inputs = [[log.name, sha256(log)] for log in logs]
     return {"version": __version__, "settings": _json(plain(settings)), "inputs": _json(inputs)}
 
 

@@ -8,7 +8,7 @@ import click
 from .options import PATH, Common, common_options, log_argument
 
 if TYPE_CHECKING:
-    from bodylog.pipeline import Colours
+    from bodylog.present import Colours
 
 
 @click.command(epilog="Example: bodylog colours run.bag -o colours.png")
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 @common_options
 def colours(log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool) -> int:
     """Propose colour ranges from a log: the saturated blob that moves with the joints is the effector."""
-    from bodylog import pipeline
+    from bodylog import present
 
     from .output import data, lost, talk
 
-    found = pipeline.colours(log, out, common.settings(), _place(effector))
+    found = present.colours(log, out, common.settings(), _place(effector))
     talk(found.findings)
     if as_json:
         data({"proposals": found.proposals, "output": None if out is None else str(out)})

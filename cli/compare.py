@@ -8,7 +8,7 @@ import click
 from . import options
 
 if TYPE_CHECKING:
-    from bodylog.pipeline import Row
+    from bodylog.comparison import Row
 
 COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence")
 
@@ -20,12 +20,12 @@ COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence")
 @options.common_options
 def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
     """Every method with every subset of senses on one log, in one table."""
-    from bodylog import pipeline
+    from bodylog import comparison
 
     from .output import data, lost, progress, talk
 
     with progress("compare") as tick:
-        rows, findings = pipeline.compare(log, body, common.settings(), tick)
+        rows, findings = comparison.compare(log, body, common.settings(), tick)
     talk(findings)
     if as_json:
         data({"rows": [_plain(row) for row in rows], "output": None})

@@ -14,10 +14,10 @@ from .options import PATH, Common, clock_option, common_options
 @common_options
 def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
     """Draw a log (joints, pixels, skin, touches, trajectories), or a body model's mean and variance."""
-    from bodylog import pipeline
+    from bodylog import present
 
     from .output import progress, show
 
     with progress("plot") as tick:
-        result = pipeline.plot(source, out, common.settings(), tick)
+        result = present.plot(source, out, common.settings(), tick)
     return show(result, as_json)

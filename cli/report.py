@@ -14,8 +14,8 @@ from .options import PATH, Common, common_options, log_argument, out_option
 @common_options
 def report(log: Path, out: Path, figures: Path | None, common: Common, as_json: bool) -> int:
     """One self-contained HTML page on an annotated log."""
-    from bodylog import pipeline
+    from bodylog import present
 
     from .output import show
 
-    return show(pipeline.report(log, out, common.settings(), figures), as_json)
+    return show(present.report(log, out, common.settings(), figures), as_json)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from .. import pipeline
+from .. import pipeline, present
 from ..config import toml
 from ..errors import BodylogError, BoundError
 from ..evaluation import bounds
@@ -67,7 +67,7 @@ def _estimate(job: Job) -> dict[str, Any]:
     """Keywords of _row; a broken bound is a row, not a failure."""
     annotated = job.folder / "annotated.mcap"
     result = pipeline.estimate(job.log, job.body, annotated, job.settings)
-    pipeline.report(annotated, job.folder / "report.html", job.settings)
+    present.report(annotated, job.folder / "report.html", job.settings)
     _leave(job.folder / "robot.toml", toml(job.settings))
     lost = any(finding.severity == "lost" for finding in result.findings)
     code, error = (3 if lost else 0), None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bodylog_cli
 
-from bodylog import pipeline
+from bodylog import pipeline, present
 from bodylog.batch import Group, Plan, batch
 from bodylog.settings import Settings
 
@@ -68,7 +68,7 @@ def _estimate(work: Path) -> float:
 
 def _once(work: Path) -> None:
     pipeline.estimate(work / "reach.mcap", work / "body.npz", work / "alone.mcap", Settings())
-    pipeline.report(work / "alone.mcap", work / "alone.html", Settings())
+    present.report(work / "alone.mcap", work / "alone.html", Settings())
 
 
 def _batch(work: Path, logs: Path, workers: int, scheduler: str | None = None) -> float:

@@ -1,0 +1,44 @@
+"""Every method with every subset of the senses on one log."""
+
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from .pipeline import Progress, infer, judge, observe
+from .settings import Settings
+from .types import BodyModel, Features, Finding, Recording, Score
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One line of a comparison: what ran on which senses, how good it was, how long it took (s)."""
+
+    method: str
+    senses: tuple[str, ...]
+    scores: tuple[Score, ...]
+    seconds: float
+
+
+def compare(
+    log: Path, body: Path, settings: Settings, progress: Progress | None = None
+) -> tuple[list[Row], tuple[Finding, ...]]:
+    """Every method with every subset of the senses the log has."""
+    from . import estimation
+    from .body import model
+    from .estimation import choices
+
+    learned = model.load(body)
+    read, features = observe(log, settings, progress)
+    subsets = choices.subsets(features, learned)
+    runs = [(m, senses) for m in estimation.METHODS for senses in subsets if choices.usable(m, senses)]
+    rows = [_row(method, senses, features, learned, settings, read) for method, senses in runs]
+    return rows, (*read.findings, *features.findings)
+
+
+def _row(
+    method: str, senses: tuple[str, ...], features: Features, learned: BodyModel, settings: Settings, read: Recording
+) -> Row:
+    started = time.perf_counter()
+    chosen = replace(settings, estimate=replace(settings.estimate, method=method, senses=senses, without=()))
+    found = infer(features, learned, chosen)
+    return Row(method, senses, judge(found, read), time.perf_counter() - started)

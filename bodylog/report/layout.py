@@ -1,0 +1,67 @@
+"""A layout for Foxglove and Lichtblick: the picture with its overlay, the belief, errors and free energy over time."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ..files import replacing
+from ..types import Estimate
+
+ROOT = "/bodylog"
+
+
+def write(out: Path, camera: str | None, estimate: Estimate | None) -> None:
+    """Write the layout as JSON to `out`, for the camera topic and the joints and senses of `estimate`."""
+    with replacing(out) as beside:
+        beside.write_text(json.dumps(layout(camera, estimate), indent=2) + "\n", encoding="utf-8")
+
+
+def layout(camera: str | None, estimate: Estimate | None) -> dict[str, Any]:
+    """The layout's tree: panels by id, and how they share the window."""
+    joints = estimate.joints.names if estimate else ()
+    senses = {name: errors.names for name, errors in estimate.errors.items()} if estimate else {}
+    panels: dict[str, Any] = {
+        "Plot!belief": _plot([(_item("joint_states.position", k), name) for k, name in enumerate(joints)]),
+        "Plot!errors": _plot(_errors(senses)),
+        "Plot!free_energy": _plot([(f"{ROOT}/free_energy.data", "free energy, nats")]),
+        "Image!camera": _image(camera),
+        "RawMessages!faults": {"topicPath": f"{ROOT}/faults"},
+    }
+    plots = _split("column", "Plot!belief", _split("column", "Plot!errors", "Plot!free_energy", 60), 45)
+    picture = _split("column", "Image!camera", "RawMessages!faults", 75)
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("row", picture, plots, 45),
+    }
+
+
+def _errors(senses: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
+    return [
+        (_item(f"prediction_error/{sense}.data", k), f"{sense} {name}, σ")
+        for sense, names in senses.items()
+        for k, name in enumerate(names)
+    ]
+
+
+def _item(path: str, index: int) -> str:
+    return f"{ROOT}/{path}[{index}]"
+
+
+def _plot(lines: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    paths = [
+        {"value": value, "label": label, "enabled": True, "timestampMethod": "headerStamp"} for value, label in lines
+    ]
+    return {"paths": paths, "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}
+
+
+def _image(camera: str | None) -> dict[str, Any]:
+    shown = {f"{ROOT}/annotations": {"visible": True}}
+    return {"imageMode": {"imageTopic": camera or "", "annotations": shown}}
+
+
+def _split(direction: str, first: Any, second: Any, share: int) -> dict[str, Any]:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": share}

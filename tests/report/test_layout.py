@@ -1,0 +1,30 @@
+import json
+
+from bodylog.report.layout import layout, write
+
+
+def _panels(tree):
+    if isinstance(tree, str):
+        return {tree}
+    return _panels(tree["first"]) | _panels(tree["second"])
+
+
+def test_every_panel_shown_is_configured_and_every_configured_one_shown():
+    made = layout("/cam", None)
+    assert _panels(made["layout"]) == set(made["configById"])
+
+
+def test_lines_are_named_for_joints_and_senses(tmp_path, robot, bodylog):
+    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap") == 0
+    assert bodylog("layout", tmp_path / "out.mcap", "-o", tmp_path / "layout.json") == 0
+    panels = json.loads((tmp_path / "layout.json").read_text())["configById"]
+    belief = {path["label"]: path["value"] for path in panels["Plot!belief"]["paths"]}
+    assert belief["elbow_joint"].startswith("/bodylog/joint_states.position[")
+    assert {path["label"] for path in panels["Plot!errors"]["paths"]} >= {"effector u, σ", "encoders elbow_joint, σ"}
+    assert panels["Image!camera"]["imageMode"]["imageTopic"] == "/camera/image/compressed"
+
+
+def test_same_bytes_twice(tmp_path):
+    for name in ("a", "b"):
+        write(tmp_path / name, None, None)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
