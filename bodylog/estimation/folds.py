@@ -9,6 +9,7 @@ from ..types import Array
 
 SHORTEST = 96
 OVERLAP = 32
+LONG = 128
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,13 @@ class Fold:
             which = (at >= 0) & (at < self.count) & (inside >= 0) & (inside < self.length)
             yield which, inside[which], at[which]
 
+    def sees(self, events: Array) -> Array:
+        """Which stretches (C,) have one of the events among their instants."""
+        seen = np.zeros(self.count, bool)
+        for _, _, stretch in self._copies(events):
+            seen[stretch] = True
+        return seen
+
     @property
     def handover(self) -> int:
         """Instant whose belief is where the next stretch starts."""
@@ -72,8 +80,12 @@ class Fold:
         return np.maximum(np.arange(1, self.count) * self.own - self.over - 1, 0)
 
 
-def fold_for(events: int, over: int = OVERLAP) -> Fold:
-    """About as many stretches as instants in each, so that neither numpy calls nor restarts dominate."""
+def fold_for(events: int, over: int | None = None) -> Fold:
+    """About as many stretches as instants in each, so that neither numpy calls nor restarts dominate.
+
+    A long stretch needs no overlap: what it hands over has long forgotten where it began.
+    """
     own = max(SHORTEST, int(np.ceil(np.sqrt(events))))
+    over = (0 if own >= LONG else OVERLAP) if over is None else over
     count = -(-events // own)
     return Fold(events, own, over if count > 1 else 0, count)

@@ -6,16 +6,15 @@ the points of linearisation nor the starts move: the fixed point is the sequenti
 """
 
 from dataclasses import dataclass
-from itertools import accumulate
 
 import numpy as np
 
 from ..types import Array
 from .folds import Fold, fold_for
-from .instant import ALIKE
 from .precision import Precision
-from .scan import Dynamics, Readings, Trace, scan
+from .scan import Dynamics, Readings, Trace, rescan
 from .senses import Evidence
+from .tangents import RESTING, Tangents
 from .timeline import Timeline
 
 START_STD = 1.0
@@ -25,8 +24,6 @@ OFFSET_STD = 0.01
 SWEEPS = 40
 SETTLED = 1e-7
 """Standard deviations: how little a stretch's start may still move."""
-RESTING = 1e-8
-"""rad: a frame whose point of linearisation is moved less keeps its tangent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,72 +72,27 @@ def solve(
 
     `warm` is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
     """
-    fold, line = fold_for(len(problem.timeline.t)), problem.timeline
+    fold, line, m = fold_for(len(problem.timeline.t)), problem.timeline, len(problem.start)
     readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
     tangents = Tangents(guesses(problem) if warm is None else warm.points, RESTING * rest / SETTLED)
-    trace = None
+    trace, moving, move = None, np.ones(fold.count, bool), np.inf
     for _ in range(SWEEPS):
-        tangents.draw(problem, fold, readings)
-        trace = scan(readings, problem.dynamics, z, p, into=trace)
-        means = trace.prior if at == "prior" else trace.z
-        moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
-        next_z, next_p = handed_over(z, p, trace, fold)
-        move, z, p = far(z, p, next_z, next_p), next_z, next_p
-        if move < rest and not moved:
+        moving |= tangents.draw(problem, fold, readings)
+        if trace is not None and not moving.any():
             return Solution(fold, readings, tangents.points, trace)
+        trace = rescan(readings, problem.dynamics, z, p, moving, trace)
+        means = trace.prior if at == "prior" else trace.z
+        tangents.follow(tuple(fold.pick(means, events)[:, :m] for events in line.sightings))
+        next_z, next_p = handed_over(z, p, trace, fold)
+        moves = far(z, p, next_z, next_p)
+        # a start that rests stays as it was scanned, so that small moves add up until they count
+        moving, move = moves >= rest, float(moves.max())
+        z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
     raise Restless(f"laplace: no rest after {SWEEPS} sweeps, last move {move:.2g}")
 
 
 class Restless(Exception):
     """Sweeps over the log did not come to rest: the caller goes through it one instant after the other."""
-
-
-class Tangents:
-    """Where each sighting's frames are linearised, (F,M) rad each; frames that rest are not predicted anew."""
-
-    def __init__(self, points: tuple[Array, ...], resting: float = RESTING) -> None:
-        """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed."""
-        self._resting = resting
-        self.points = points
-        self._stale = tuple(np.ones(len(x), bool) for x in points)
-        self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
-
-    def draw(self, problem: Problem, fold: Fold, readings: Readings) -> None:
-        """Write every stale frame's tangent into the readings: y = s − g + J x°, var = pixel + n² model variance."""
-        triples = zip(problem.evidence.sightings, problem.timeline.sightings, self.points, self._stale, strict=True)
-        for index, (sighting, events, points, stale) in enumerate(triples):
-            if not stale.any():
-                continue
-            x, events = points[stale], events[stale]
-            mean, jac, self._model_var[index][stale] = sighting.model.predict(x)
-            scale = problem.precision.scale.get(sighting.name, 1.0)
-            seen = np.isfinite(sighting.values).all(axis=1)
-            var = self._model_var[index].copy()
-            var[seen] *= repeats(points[seen])[:, None] ** 2
-            fold.put(readings.y[:, index], events, sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x))
-            fold.put(readings.jac[:, index], events, jac)
-            fold.put(readings.var[:, index], problem.timeline.sightings[index], scale * sighting.var + var)
-
-    def follow(self, wanted: tuple[Array, ...]) -> bool:
-        """Move to the wanted points where they are further away than rest allows; whether any moved."""
-        pairs = list(zip(wanted, self.points, strict=True))
-        self._stale = tuple(np.abs(new - old).max(axis=1) > self._resting for new, old in pairs)
-        self.points = tuple(
-            np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
-        )
-        return any(bool(stale.any()) for stale in self._stale)
-
-
-def repeats(points: Array) -> Array:
-    """How many frames (F,) up to each were taken from nearly the same angles (F,M): there the model errs alike.
-
-    With n² times its variance in the n-th of them, standing still before the camera never teaches more than the model
-    knows: the information adds up to less than 1.65 / variance, not to frames / variance.
-    """
-    if not len(points):
-        return np.empty(0)
-    apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.array(list(accumulate(np.exp(-apart / ALIKE).tolist(), lambda n, kept: 1.0 + kept * n, initial=1.0)))
 
 
 def heard(problem: Problem, fold: Fold) -> Readings:
@@ -195,7 +147,7 @@ def handed_over(z: Array, p: Array, trace: Trace, fold: Fold) -> tuple[Array, Ar
     return z, p
 
 
-def far(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
-    """The most a start moved, in standard deviations."""
+def far(z: Array, p: Array, next_z: Array, next_p: Array) -> Array:
+    """How far each start (C,) moved, in standard deviations."""
     std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
-    return float(max(np.abs((next_z - z) / std).max(), np.abs(before / std - 1.0).max()))
+    return np.asarray(np.maximum(np.abs((next_z - z) / std).max(axis=0), np.abs(before / std - 1.0).max(axis=0)))

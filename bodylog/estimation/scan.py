@@ -3,17 +3,24 @@
 State z (K,C) = joint angles, rates and, where drift is given, encoder offsets; the last axis C is the stretch.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, TypeVar
 
 import numpy as np
 
 from ..types import Array
+
+R = TypeVar("R", "Readings", "Trace")
 
 GATE = 5.0
 """Standard deviations: a rarer innovation d has its noise raised until its pull falls as GATE²/d (redescending)."""
 
 EVEN = 16
 """Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
+
+
+MANY = 0.6
+"""Share of stretches above which all are scanned rather than some copied out and back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,23 +75,47 @@ def scan(
     length, m, _ = readings.encoders.shape
     trace = _empty(readings, len(z), remember) if into is None else into
     propagate = propagator(p, z, dynamics)
-    visual: Array = np.any(np.isfinite(readings.y), axis=(1, 2, 3))
+    seen = [np.flatnonzero(row) for row in np.isfinite(readings.y).any(axis=(1, 2))]
     for i in range(length):
         propagate(readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
         gains = None if trace.back is None else tuple(part[i] for part in trace.back)
-        see = slice(None) if visual[i] or remember else slice(0, 0)
-        update(readings, i, see, z, p, trace.nats[i], trace.encoder_d[i], gains)
+        update(readings, i, seen[i], z, p, trace.nats[i], trace.encoder_d[i], gains)
         trace.z[i], trace.p[i] = z, p
     return trace
+
+
+def rescan(
+    readings: Readings, dynamics: Dynamics, z: Array, p: Array, moving: Array, trace: Trace | None,
+    remember: bool = False,
+) -> Trace:  # fmt: skip
+    """`scan`, but only of the stretches `moving` (C,); the others stay as they are in `trace`, which is overwritten."""
+    if trace is None or moving.mean() > MANY:
+        return scan(readings, dynamics, z, p, remember, into=trace)
+    part = scan(columns(readings, moving), dynamics, z[:, moving], p[:, :, moving], remember)
+    for field in fields(part):
+        if field.name != "back":
+            getattr(trace, field.name)[..., moving] = getattr(part, field.name)
+    for whole, some in zip(trace.back or (), part.back or (), strict=True):
+        whole[..., moving] = some
+    return trace
+
+
+def columns(record: R, some: Array) -> R:
+    """The record (Readings or Trace) of the stretches `some` (C,) alone."""
+
+    def cut(part: Any) -> Any:
+        return part if part is None else part[..., some] if isinstance(part, np.ndarray) else tuple(map(cut, part))
+
+    return type(record)(*(cut(getattr(record, field.name)) for field in fields(record)))
 
 
 def _empty(readings: Readings, k: int, remember: bool) -> Trace:
     length, m, c = readings.encoders.shape
     rows = m + readings.y.shape[1] * readings.y.shape[2]
-    back = (np.empty((length, rows, k, c)), np.empty((length, rows, c)), np.empty((length, rows, c)))
+    back = (np.zeros((length, rows, k, c)), np.zeros((length, rows, c)), np.zeros((length, rows, c)))
     return Trace(
         np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
         np.empty((length, c)), np.empty((length, m, c)), back if remember else None,
@@ -117,27 +148,43 @@ def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyp
     return propagate
 
 
-def update(readings: Readings, i: int, see: slice, z: Array, p: Array, nats: Array, encoder_d: Array, back) -> None:  # type: ignore[no-untyped-def]
-    """Condition z, p in place on all that is heard at instant i; noise is gated by the prior, so order is no matter."""
+def update(readings: Readings, i: int, seen: Array, z: Array, p: Array, nats: Array, encoder_d: Array, back) -> None:  # type: ignore[no-untyped-def]
+    """Condition z, p in place on all that is heard at instant i, tracks in the stretches `seen` alone.
+
+    Noise is gated by the prior, so order is no matter.
+    """
     m = readings.encoders.shape[1]
-    y, jac, lines = readings.y[i, see], readings.jac[i, see], readings.var[i, see]
+    y, jac = readings.y[i][..., seen], readings.jac[i][..., seen]
     joint_var, encoder_d[:] = _gated_encoders(readings.encoders[i], readings.encoder_var[i], z, p, m)
-    line_var = _gated_lines(y, jac, lines, z, p, m)
+    line_var = _gated_lines(y, jac, readings.var[i][..., seen], z[:m, seen], p[:m, :m, seen])
     nats[:] = 0.0
     for j in range(m):
         ph = p[:, j] if len(z) == 2 * m else p[:, j] + p[:, 2 * m + j]
         s = joint_var[j] + (ph[j] if len(z) == 2 * m else ph[j] + ph[2 * m + j])
         nu = readings.encoders[i, j] - (z[j] if len(z) == 2 * m else z[j] + z[2 * m + j])
-        _condition(z, p, ph, s, nu, nats, back, j)
-    for index, (track, row) in enumerate(np.ndindex(y.shape[0], y.shape[1])):
-        h = jac[track, row]
-        ph = np.einsum("jc,kjc->kc", h, p[:, :m])
-        s = line_var[track, row] + np.einsum("jc,jc->c", h, ph[:m])
-        nu = y[track, row] - np.einsum("jc,jc->c", h, z[:m])
-        _condition(z, p, ph, s, nu, nats, back, m + index)
+        gain, weight = _condition(z, p, ph, s, nu, nats)
+        if back is not None:
+            back[0][j], back[1][j], back[2][j] = gain, weight, nu
+    if len(seen):
+        _see(y, jac, line_var, seen, z, p, nats, back)
 
 
-def _condition(z: Array, p: Array, ph: Array, s: Array, nu: Array, nats: Array, back, row: int) -> None:  # type: ignore[no-untyped-def]
+def _see(y: Array, jac: Array, var: Array, seen: Array, z: Array, p: Array, nats: Array, back) -> None:  # type: ignore[no-untyped-def]
+    """Condition the stretches `seen` of z, p in place on their tracks' rows y, var (T,D,C'), jac (T,D,M,C')."""
+    m = jac.shape[2]
+    some_z, some_p, some_nats = z[:, seen], p[:, :, seen], nats[seen]
+    for index, row in enumerate(np.ndindex(y.shape[0], y.shape[1])):
+        h = jac[row]
+        ph = np.einsum("jc,kjc->kc", h, some_p[:, :m])
+        s = var[row] + np.einsum("jc,jc->c", h, ph[:m])
+        nu = y[row] - np.einsum("jc,jc->c", h, some_z[:m])
+        gain, weight = _condition(some_z, some_p, ph, s, nu, some_nats)
+        if back is not None:
+            back[0][m + index][:, seen], back[1][m + index][seen], back[2][m + index][seen] = gain, weight, nu
+    z[:, seen], p[:, :, seen], nats[seen] = some_z, some_p, some_nats
+
+
+def _condition(z: Array, p: Array, ph: Array, s: Array, nu: Array, nats: Array) -> tuple[Array, Array]:
     """One scalar reading: innovation nu (C,), its variance s (C,), ph = P Hᵀ (K,C); NaN readings change nothing."""
     heard = np.isfinite(nu)
     weight = heard / s
@@ -146,8 +193,7 @@ def _condition(z: Array, p: Array, ph: Array, s: Array, nu: Array, nats: Array, 
     z += gain * nu
     p -= gain[:, None] * ph[None]
     nats += 0.5 * (heard * np.log(2.0 * np.pi * s) + nu * nu * weight)
-    if back is not None:
-        back[0][row], back[1][row], back[2][row] = gain, weight, nu
+    return gain, weight
 
 
 def _gated_encoders(y: Array, var: Array, z: Array, p: Array, m: int) -> tuple[Array, Array]:
@@ -161,12 +207,12 @@ def _gated_encoders(y: Array, var: Array, z: Array, p: Array, m: int) -> tuple[A
     return var + s * _excess(d * d), d
 
 
-def _gated_lines(y: Array, jac: Array, var: Array, z: Array, p: Array, m: int) -> Array:
-    """Variances (T,D,C) of the tracks' rows after gating each track as a whole."""
+def _gated_lines(y: Array, jac: Array, var: Array, x: Array, p: Array) -> Array:
+    """Variances (T,D,C) of the tracks' rows after gating each track as a whole; x (M,C), p (M,M,C)."""
     if y.size == 0:
         return var
-    nu = y - np.einsum("tdjc,jc->tdc", jac, z[:m])
-    s = np.einsum("tdkc,tekc->tdec", np.einsum("tdjc,jkc->tdkc", jac, p[:m, :m]), jac)
+    nu = y - np.einsum("tdjc,jc->tdc", jac, x)
+    s = np.einsum("tdkc,tekc->tdec", np.einsum("tdjc,jkc->tdkc", jac, p), jac)
     diagonal = np.einsum("tddc->tdc", s)
     diagonal += var
     if y.shape[1] == 2:

@@ -13,9 +13,10 @@ from ..types import Array, BodyModel, Estimate, Features
 from . import results
 from .filtering import drifts, pose, settled
 from .folds import fold_for
-from .laplace import SETTLED, SWEEPS, Problem, Restless, Solution, Tangents, far, guesses, handed_over, heard, starts
+from .laplace import SETTLED, SWEEPS, Problem, Restless, Solution, far, guesses, handed_over, heard, starts
 from .results import Beliefs
-from .scan import EVEN, Readings, Trace, scan
+from .scan import EVEN, Readings, Trace, columns, rescan
+from .tangents import Tangents
 from .walk import walk
 
 FORTH = 2
@@ -45,37 +46,56 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path; Restless when the rounds do not settle."""
-    fold, line = fold_for(len(problem.timeline.t)), problem.timeline
+    fold, line, m = fold_for(len(problem.timeline.t)), problem.timeline, len(problem.start)
     readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
     tangents, forth = Tangents(guesses(problem) if warm is None else warm.points), FORTH if warm is None else 0
-    ends, trace = (np.zeros_like(z), np.zeros_like(p)), None
+    ends, moving, rest = (np.zeros_like(z), np.zeros_like(p)), np.ones(fold.count, bool), np.inf
+    trace, ways = None, None
     for sweep in range(SWEEPS):
-        tangents.draw(problem, fold, readings)
-        trace = scan(readings, problem.dynamics, z, p, remember=True, into=trace)
-        next_z, next_p = handed_over(z, p, trace, fold)
-        rest, means, (z, p) = far(z, p, next_z, next_p), trace.z, (next_z, next_p)
+        moving |= tangents.draw(problem, fold, readings)
+        if trace is not None and ways is not None and not moving.any():
+            return Smooth(fold, readings, tangents.points, trace, ways[0], ways[1])
+        if sweep <= forth:
+            moving[:] = True
+        trace = rescan(readings, problem.dynamics, z, p, moving, trace, remember=True)
         if sweep >= forth:
-            means, cov, at_start = back(readings, trace, ends, fold.takeover)
-            next_ends = before(at_start)
-            rest, ends = max(rest, _adjoint_moved(ends, next_ends, p)), next_ends
-        moved = tangents.follow(tuple(fold.pick(means, events)[:, : len(problem.start)] for events in line.sightings))
-        if sweep >= forth and rest < SETTLED and not moved:
-            return Smooth(fold, readings, tangents.points, trace, means, cov)
+            ways = _again(readings, trace, ends, moving, fold.takeover, ways)
+        means = trace.z if ways is None else ways[0]
+        tangents.follow(tuple(fold.pick(means, events)[:, :m] for events in line.sightings))
+        next_z, next_p = handed_over(z, p, trace, fold)
+        moves, next_ends = far(z, p, next_z, next_p), ends if ways is None else before((ways[2], ways[3]))
+        moves = np.maximum(moves, _adjoint_moved(ends, next_ends, next_p))
+        moving, rest = moves >= SETTLED, float(moves.max())
+        for now, later in ((z, next_z), (p, next_p), *zip(ends, next_ends, strict=True)):
+            now[..., moving] = later[..., moving]
     raise Restless(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
+
+
+def _again(
+    readings: Readings, trace: Trace, ends: tuple[Array, Array], moving: Array, keep: int,
+    whole: tuple[Array, ...] | None,
+) -> tuple[Array, ...]:  # fmt: skip
+    """`back`, but only over the stretches `moving` (C,); the others stay as they are in `whole`."""
+    if whole is None:
+        return back(readings, trace, ends, keep)
+    some = back(columns(readings, moving), columns(trace, moving), (ends[0][:, moving], ends[1][..., moving]), keep)
+    for kept, part in zip(whole, some, strict=True):
+        kept[..., moving] = part
+    return whole
 
 
 def once(problem: Problem) -> Smooth:
     """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
     solution = walk(problem, remember=True)
     k = problem.dynamics.size
-    means, cov, _ = back(solution.readings, solution.trace, (np.zeros((k, 1)), np.zeros((k, k, 1))), 0)
+    means, cov, *_ = back(solution.readings, solution.trace, (np.zeros((k, 1)), np.zeros((k, k, 1))), 0)
     return Smooth(solution.fold, solution.readings, solution.points, solution.trace, means, cov)
 
 
 def back(
     readings: Readings, trace: Trace, ends: tuple[Array, Array], keep: int
-) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Smoothed state (L,K,C), covariance (L,M,M,C) of the angles, and the adjoint before instant `keep`."""
+) -> tuple[Array, ...]:
+    """Smoothed state (L,K,C), covariance (L,M,M,C) of the angles; adjoint (K,C), (K,K,C) before instant `keep`."""
     adjoint, information = ends[0].copy(), ends[1].copy()
     length, m, c = readings.encoders.shape
     smooth, cov = np.empty_like(trace.z), np.empty((length, m, m, c))
@@ -93,7 +113,7 @@ def back(
             information[:] = 0.5 * (information + information.transpose(1, 0, 2))
         if i == keep:
             kept = adjoint.copy(), information.copy()
-    return smooth, cov, kept
+    return smooth, cov, *kept
 
 
 def _unhear(readings: Readings, trace: Trace, i: int, adjoint: Array, information: Array) -> None:
@@ -130,7 +150,8 @@ def before(at_start: tuple[Array, Array]) -> tuple[Array, Array]:
     return adjoint, information
 
 
-def _adjoint_moved(a: tuple[Array, Array], b: tuple[Array, Array], p: Array) -> float:
-    """The most the future's word moved any stretch's end, in standard deviations; p (K,K,C) sets the scale."""
+def _adjoint_moved(a: tuple[Array, Array], b: tuple[Array, Array], p: Array) -> Array:
+    """How far the future's word moved each stretch's end (C,), in standard deviations; p (K,K,C) sets the scale."""
     std = np.sqrt(np.maximum(np.einsum("iic->ic", p), 0.0))
-    return float(max(np.abs((b[0] - a[0]) * std).max(), np.abs((b[1] - a[1]) * std[:, None] * std[None]).max()))
+    curve = np.abs((b[1] - a[1]) * std[:, None] * std[None]).max(axis=(0, 1))
+    return np.asarray(np.maximum(np.abs((b[0] - a[0]) * std).max(axis=0), curve))

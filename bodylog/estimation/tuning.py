@@ -17,7 +17,7 @@ MOST = 4000
 """Instants used at most, from the middle of the log."""
 FEWEST = 10
 """Sightings without which vision says nothing about its own noise."""
-ROUGHLY = 1e-3
+ROUGHLY = 1e-2
 """Standard deviations: how still a solution must be for its evidence to be compared."""
 TRUST = 0.5
 """Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""

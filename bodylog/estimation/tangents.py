@@ -1,0 +1,100 @@
+"""Where frames are linearised: predicted anew only as far as their points still move."""
+
+from itertools import accumulate
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..types import Array, ForwardModel
+from .folds import Fold
+from .instant import ALIKE
+from .scan import Readings
+from .senses import Sighting
+
+if TYPE_CHECKING:
+    from .laplace import Problem
+
+RESTING = 2e-8
+"""rad: a frame whose point of linearisation is moved less keeps its tangent."""
+ROUGH = (1, 3)
+"""Rounds that leave the model's variance as it was: n times as dear as the mean, and not what moves the points."""
+SAME = 1e-7
+"""Relative change of a frame's variance that does not count."""
+
+
+class Tangents:
+    """Where each sighting's frames are linearised, (F,M) rad each; frames that rest are not predicted anew."""
+
+    def __init__(self, points: tuple[Array, ...], resting: float = RESTING) -> None:
+        """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed."""
+        self._resting, self._round = resting, 0
+        self.points = points
+        self._stale = tuple(np.ones(len(x), bool) for x in points)
+        self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
+        self._old_var = tuple(np.ones(len(x), bool) for x in points)
+
+    def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
+        """Write stale tangents into the readings: y = s − g + J x°, var = pixel + n² model variance.
+
+        Which stretches (C,) now read otherwise.
+        """
+        touched = np.zeros(fold.count, bool)
+        for index, (sighting, events) in enumerate(
+            zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
+        ):
+            stale = self._stale[index]
+            if stale.any():
+                x = self.points[index][stale]
+                mean, jac = self._predict(index, sighting.model, stale)
+                y = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
+                fold.put(readings.y[:, index], events[stale], y)
+                fold.put(readings.jac[:, index], events[stale], jac)
+                touched |= fold.sees(events[stale])
+            scale = problem.precision.scale.get(sighting.name, 1.0)
+            var = scale * sighting.var + self._own(index, sighting)
+            other = (np.abs(var / fold.pick(readings.var[:, index], events) - 1.0) > SAME).any(axis=1)
+            fold.put(readings.var[:, index], events[other], var[other])
+            touched |= fold.sees(events[other])
+        return touched
+
+    def _predict(self, index: int, model: ForwardModel, stale: Array) -> tuple[Array, Array]:
+        """Mean and Jacobian at the stale points; the variance too, in all but rough rounds."""
+        x, means = self.points[index][stale], getattr(model, "means", None)
+        self._old_var[index][stale] = rough = self._round in ROUGH and means is not None
+        if rough:
+            mean, jac = means(x)
+        else:
+            mean, jac, self._model_var[index][stale] = model.predict(x)
+        return mean, jac
+
+    def _own(self, index: int, sighting: Sighting) -> Array:
+        """The model's variance (F,D), n² times in the n-th frame from one place."""
+        old = self._old_var[index]
+        if old.any() and self._round not in ROUGH:
+            self._model_var[index][old] = sighting.model.predict(self.points[index][old])[2]
+            old[:] = False
+        var, seen = self._model_var[index].copy(), np.isfinite(sighting.values).all(axis=1)
+        var[seen] *= repeats(self.points[index][seen])[:, None] ** 2
+        return np.asarray(var)
+
+    def follow(self, wanted: tuple[Array, ...]) -> None:
+        """Move to the wanted points where they are further away than rest allows."""
+        pairs = list(zip(wanted, self.points, strict=True))
+        moves = [np.abs(new - old).max(axis=1) for new, old in pairs]
+        self._stale = tuple(move > self._resting for move in moves)
+        self._round += 1
+        self.points = tuple(
+            np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
+        )
+
+
+def repeats(points: Array) -> Array:
+    """How many frames (F,) up to each were taken from nearly the same angles (F,M): there the model errs alike.
+
+    With n² times its variance in the n-th of them, standing still before the camera never teaches more than the model
+    knows: the information adds up to less than 1.65 / variance, not to frames / variance.
+    """
+    if not len(points):
+        return np.empty(0)
+    apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    return np.array(list(accumulate(np.exp(-apart / ALIKE).tolist(), lambda n, kept: 1.0 + kept * n, initial=1.0)))
