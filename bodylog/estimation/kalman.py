@@ -7,7 +7,7 @@ import numpy as np
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
-from .predictive_coding import RATE, on_grid
+from .plan import RATE, on_grid
 from .results import Beliefs
 from .senses import gather, start
 from .timeline import timeline

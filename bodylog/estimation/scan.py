@@ -75,7 +75,8 @@ def scan(
     length, m, _ = readings.encoders.shape
     trace = _empty(readings, len(z), remember) if into is None else into
     propagate = propagator(p, z, dynamics)
-    seen = [np.flatnonzero(row) for row in np.isfinite(readings.y).any(axis=(1, 2))]
+    visible: Array = np.any(np.isfinite(readings.y), axis=(1, 2))
+    seen = [np.flatnonzero(row) for row in visible]
     for i in range(length):
         propagate(readings.dt[i])
         if i % EVEN == 0:

@@ -60,18 +60,19 @@ class Tangents:
     def _predict(self, index: int, model: ForwardModel, stale: Array) -> tuple[Array, Array]:
         """Mean and Jacobian at the stale points; the variance too, in all but rough rounds."""
         x, means = self.points[index][stale], getattr(model, "means", None)
-        self._old_var[index][stale] = rough = self._round in ROUGH and means is not None
-        if rough:
+        rough = means is not None and self._round in ROUGH
+        self._old_var[index][stale] = rough
+        if means is not None and rough:
             mean, jac = means(x)
         else:
-            mean, jac, self._model_var[index][stale] = model.predict(x)
+            mean, jac, self._model_var[index][stale] = _several(model, x)
         return mean, jac
 
     def _own(self, index: int, sighting: Sighting) -> Array:
         """The model's variance (F,D), n² times in the n-th frame from one place."""
         old = self._old_var[index]
         if old.any() and self._round not in ROUGH:
-            self._model_var[index][old] = sighting.model.predict(self.points[index][old])[2]
+            self._model_var[index][old] = _several(sighting.model, self.points[index][old])[2]
             old[:] = False
         var, seen = self._model_var[index].copy(), np.isfinite(sighting.values).all(axis=1)
         var[seen] *= repeats(self.points[index][seen])[:, None] ** 2
@@ -86,6 +87,13 @@ class Tangents:
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )
+
+
+def _several(model: ForwardModel, x: Array) -> tuple[Array, ...]:
+    """The model's predictions; of a single point as one of two, for alone it goes a way that loads scipy."""
+    if len(x) > 1:
+        return model.predict(x)
+    return tuple(part[:1] for part in model.predict(np.repeat(x, 2, axis=0)))
 
 
 def repeats(points: Array) -> Array:

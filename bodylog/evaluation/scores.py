@@ -8,6 +8,10 @@ SAME = 1e-6
 """s: stamps closer than this are the same but for rounding."""
 
 
+EVIDENT = ("laplace", "ekf", "smoother")
+"""Methods whose free energy is the negative logarithm of a normalised density of all that was heard."""
+
+
 def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
     """joint_rmse, nees, coverage_2sigma (with truth), encoder_rmse (with encoders), evidence and counts per sense."""
     found: list[Score] = []
@@ -51,13 +55,33 @@ def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: lis
 
 
 def own_scores(estimate: Estimate) -> list[Score]:
-    """What needs no truth: free energy per output, standardised errors and observations used per sense."""
+    """What needs no truth: evidence, errors in px and standardised, and observations used per sense.
+
+    log_evidence sums what each reading was foretold with, by those before it: compare it between estimates that heard
+    the same readings.
+    """
     found = [Score("free_energy", float(np.mean(estimate.free_energy)), "nats")] if len(estimate.free_energy) else []
+    if estimate.method in EVIDENT:
+        found.append(Score("log_evidence", -float(np.sum(estimate.free_energy)), "nats"))
+    found += track_scores(estimate)
     for sense, errors in sorted(estimate.errors.items()):
         finite = errors.values[np.isfinite(errors.values)]
         if len(finite):
             found.append(Score(f"error_squared/{sense}", float(np.mean(finite**2)), "1"))
     found += [Score(f"used/{sense}", float(health.used), "messages") for sense, health in sorted(estimate.used.items())]
+    return found
+
+
+def track_scores(estimate: Estimate) -> list[Score]:
+    """RMSE (px) of each track's sightings against the place predicted before them."""
+    found = []
+    for name, predicted in sorted(estimate.predicted.items()):
+        errors = estimate.errors.get(name)
+        if errors is None or predicted.std is None or not len(errors.t) or not len(predicted.t):
+            continue
+        rows = np.minimum(np.searchsorted(predicted.t, errors.t - SAME), len(predicted.t) - 1)
+        pixels = errors.values * predicted.std[rows]
+        found.append(Score(f"{name}_rmse", _rms(pixels[np.isfinite(pixels)]), "px"))
     return found
 
 

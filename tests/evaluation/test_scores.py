@@ -1,5 +1,7 @@
 """Figures of merit on estimates whose error is known exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -79,6 +81,21 @@ def test_encoders_are_scored_beside_and_may_hold_nan():
 
 def test_without_truth_only_what_needs_none():
     found, truth = made(np.zeros(2), 0.1)
-    assert set(named(found, None, truth)) == {"free_energy", "error_squared/effector", "used/effector"}
+    assert set(named(found, None, truth)) == {"free_energy", "log_evidence", "error_squared/effector", "used/effector"}
     stranger = Series(truth.t, truth.values, ("x", "y"), "rad", truth.source_ns)
     assert "joint_rmse" not in named(found, stranger)
+
+
+def test_evidence_is_summed_for_methods_that_have_one():
+    found, _ = made(np.zeros(2), 0.1)
+    assert named(found, None)["log_evidence"].value == pytest.approx(-1.5 * 500)
+    assert "log_evidence" not in named(replace(found, method="predictive-coding"), None)
+
+
+def test_tracks_are_scored_in_pixels_where_they_were_seen():
+    found, _ = made(np.zeros(2), 0.1)
+    t = np.arange(1000) * 0.005
+    std = np.tile([3.0, 4.0], (1000, 1))
+    place = Series(t, np.zeros((1000, 2)), ("u", "v"), "px", (t * 1e9).astype(np.int64), std)
+    score = named(replace(found, predicted={"effector": place}), None)["effector_rmse"]
+    assert (score.value, score.unit) == (pytest.approx(2.0 * np.sqrt(12.5)), "px")

@@ -1,0 +1,72 @@
+"""The way back over a filtered log, in Bryson and Frazier's form: the filter's gains, but no inverse."""
+
+import numpy as np
+
+from ..types import Array
+from .scan import EVEN, Readings, Trace
+
+
+def means(readings: Readings, trace: Trace, end: Array, keep: int) -> tuple[Array, Array]:
+    """Smoothed state (L,K,C) from the adjoint `end` (K,C) after the last instant; adjoint before instant `keep`."""
+    assert trace.back is not None
+    gains, weights, nus = trace.back
+    adjoint, smooth, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
+    jac = readings.jac.reshape(len(smooth), -1, m, end.shape[1])
+    push = nus * weights
+    for i in range(len(smooth) - 1, -1, -1):
+        smooth[i] = trace.z[i] - np.einsum("klc,lc->kc", trace.p[i], adjoint)
+        for row in range(gains.shape[1] - 1, -1, -1):
+            pull = np.einsum("kc,kc->c", gains[i, row], adjoint) + push[i, row]
+            if row < m:
+                adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
+            else:
+                adjoint[:m] -= jac[i, row - m] * pull
+        adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
+        if i == keep:
+            kept = adjoint.copy()
+    return smooth, kept
+
+
+def covariances(readings: Readings, trace: Trace, end: Array, keep: int) -> tuple[Array, Array]:
+    """Smoothed covariance (L,M,M,C) of the angles from the adjoint's information `end` (K,K,C); that before `keep`."""
+    length, m, c = readings.encoders.shape
+    information, cov = end.copy(), np.empty((length, m, m, c))
+    for i in range(length - 1, -1, -1):
+        p, dt = trace.p[i], readings.dt[i]
+        half = np.einsum("jkc,klc->jlc", p[:m], information)
+        cov[i] = p[:m, :m] - np.einsum("jlc,lkc->jkc", half, p[:, :m])
+        _unhear(readings, trace, i, information)
+        information[m : 2 * m] += dt * information[:m]
+        information[:, m : 2 * m] += dt * information[:, :m]
+        if i % EVEN == 0:
+            information[:] = 0.5 * (information + information.transpose(1, 0, 2))
+        if i == keep:
+            kept = information.copy()
+    return cov, kept
+
+
+def _unhear(readings: Readings, trace: Trace, i: int, information: Array) -> None:
+    """Carry the information (K,K,C) back over all readings of instant i, last heard first."""
+    assert trace.back is not None
+    gains, weights, _ = (part[i] for part in trace.back)
+    m = readings.encoders.shape[1]
+    jac = readings.jac[i].reshape(-1, m, information.shape[2])
+    for row in range(len(gains) - 1, -1, -1):
+        b = np.einsum("klc,lc->kc", information, gains[row])
+        curve = np.einsum("kc,kc->c", gains[row], b) + weights[row]
+        if row >= m:
+            h = jac[row - m]
+            information[:m] -= h[:, None] * b[None]
+            information[:, :m] -= b[:, None] * h[None]
+            information[:m, :m] += (h * curve)[:, None] * h[None]
+            continue
+        information[row :: 2 * m] -= b
+        information[:, row :: 2 * m] -= b[:, None]
+        information[row :: 2 * m, row :: 2 * m] += curve
+
+
+def before(at_start: Array) -> Array:
+    """Ends (…,C) for the next round: each stretch ends where its successor began; nothing comes after the last."""
+    ends = np.zeros_like(at_start)
+    ends[..., :-1] = at_start[..., 1:]
+    return ends
