@@ -139,6 +139,7 @@ class Features:
     """What perception found: tracks (name -> Series of u, v in px with std), touches, strokes, synchrony.
 
     `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of those names.
+    `picture_size` is (width, height) in px where it is known.
     """
 
     joints: Series | None
@@ -148,6 +149,7 @@ class Features:
     synchrony: tuple[Synchrony, ...]
     health: Mapping[str, Health]
     findings: tuple[Finding, ...] = ()
+    picture_size: tuple[int, int] | None = None
 
     @property
     def effector(self) -> Series | None:
@@ -192,7 +194,10 @@ class ForwardModel(Protocol):
 
 @dataclass(frozen=True)
 class Noise:
-    """Learned variances: encoders (M,) rad² · senses {name: (D,) unit²} · process (M,) rad²/s³ (white acceleration)."""
+    """Learned variances: encoders (M,) rad² · senses {name: (D,) unit²} · process (M,) rad²/s³ (white acceleration).
+
+    Of each joint one encoder variance is kept, pooled over all the logs learned from, though logs may differ in it.
+    """
 
     encoder: tuple[float, ...]
     senses: Mapping[str, tuple[float, ...]]
@@ -212,13 +217,18 @@ class TouchConstants:
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """A learned body: joint names in the order of x, one ForwardModel per sense, noise, touch constants, provenance."""
+    """A learned body: joint names in the order of x, one ForwardModel per sense, noise, touch constants, provenance.
+
+    cells {skin cell: (u, v, spread) px}: where a touched cell was seen beside the effector, and how far about there;
+    of a cell not in it nothing is known but what `touch` says of all.
+    """
 
     joints: tuple[str, ...]
     senses: Mapping[str, ForwardModel]
     noise: Noise
     touch: TouchConstants
     provenance: Mapping[str, Any]
+    cells: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -46,12 +46,12 @@ def learn(
         )
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
-    constants, touched = touch.learned(features, names, gps.get("effector"))
+    constants, cells, touched = touch.learned(features, names, gps.get("effector"))
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
     few = [Finding("warning", f"{name}: only {len(tracks[name].x)} sightings, too few for a model") for name in rare]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
     return Learned(
-        BodyModel(names, gps, learned, constants, provenance),
+        BodyModel(names, gps, learned, constants, {**_pictures(features), **provenance}, cells),
         (*coverage.scores(chosen, gps, learned), *scores),
         (*coverage.findings(heard, chosen, gps, learned), *few, *left_out, *touched),
     )
@@ -66,6 +66,12 @@ def _tracks(
         if name in known:
             parts.append(earlier(known[name].samples, known[name].targets, known[name].spread))
         yield name, joined(parts)
+
+
+def _pictures(features: Sequence[Features]) -> dict[str, Any]:
+    """The pictures' width, px, where all logs that know theirs agree in it."""
+    widths = {f.picture_size[0] for f in features if f.picture_size is not None}
+    return {"image_width": widths.pop()} if len(widths) == 1 else {}
 
 
 def _same(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:

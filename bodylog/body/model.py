@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import ModelError
 from ..files import replacing
 from ..types import Array, BodyModel, Noise, TouchConstants
+from .encoders import Polynomial
 from .gp import GP
 
 VERSION = 1
@@ -20,7 +21,7 @@ _HEADER = "header.npy"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 # n centres, s samples, d outputs, g kernels, m joints
-_SHAPES: dict[str, str] = {
+_LEARNED = {
     "centres": "nm",
     "scales": "gm",
     "amplitude": "g",
@@ -32,16 +33,30 @@ _SHAPES: dict[str, str] = {
     "targets": "sd",
     "spread": "sd",
 }
+# of a polynomial: d = m encoders, k coefficients each
+_SHAPES: dict[str, dict[str, str]] = {"gp": _LEARNED, "polynomial": {"coefficients": "mk"}}
+_KINDS: dict[type, str] = {GP: "gp", Polynomial: "polynomial"}
+_UNITS = {
+    "joints": "rad",
+    "encoder": "rad^2",
+    "process": "rad^2/s^3",
+    "b1": "1/px^2",
+    "b2": "1/s^2",
+    "cells": "px",
+}
 _POSITIVE = ("scales", "amplitude")
 
 
 def save(model: BodyModel, path: Path) -> None:
-    """Write the model to `path` (.npz, whole or not at all); ModelError for a sense that is not a GP."""
-    arrays = {_HEADER: np.array(json.dumps(_header(model), sort_keys=True))}
-    for name, gp in model.senses.items():
-        if not isinstance(gp, GP):
-            raise ModelError(f"{path}: sense {name!r}: a {type(gp).__name__} cannot be saved; possible: GP")
-        arrays |= {f"{name}/{field}.npy": np.asarray(getattr(gp, field), np.float64) for field in _SHAPES}
+    """Write the model to `path` (.npz, whole or not at all); ModelError for a sense of another kind than known."""
+    arrays: dict[str, Array] = {}
+    for name, sense in model.senses.items():
+        if type(sense) not in _KINDS:
+            possible = ", ".join(kind.__name__ for kind in _KINDS)
+            raise ModelError(f"{path}: sense {name!r}: a {type(sense).__name__} cannot be saved; possible: {possible}")
+        fields = _SHAPES[_KINDS[type(sense)]]
+        arrays |= {f"{name}/{field}.npy": np.asarray(getattr(sense, field), np.float64) for field in fields}
+    arrays[_HEADER] = np.array(json.dumps(_header(model), sort_keys=True))
     with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
             with archive.open(zipfile.ZipInfo(name, _EPOCH), "w", force_zip64=True) as stream:
@@ -60,15 +75,19 @@ def load(path: Path) -> BodyModel:
 
 
 def _header(model: BodyModel) -> dict[str, Any]:
-    senses = {n: {"outputs": g.outputs, "unit": getattr(g, "unit", "")} for n, g in model.senses.items()}
+    senses = {
+        name: {"kind": _KINDS[type(sense)], "outputs": sense.outputs, "unit": getattr(sense, "unit", "")}
+        for name, sense in model.senses.items()
+    }
     return {
         "kind": _KIND,
         "version": VERSION,
         "joints": model.joints,
-        "units": {"joints": "rad", "encoder": "rad^2", "process": "rad^2/s^3", "b1": "1/px^2", "b2": "1/s^2"},
+        "units": _UNITS,
         "senses": senses,
         "noise": asdict(model.noise),
         "touch": asdict(model.touch),
+        "cells": {str(cell): place for cell, place in model.cells.items()},
         "provenance": dict(model.provenance),
     }
 
@@ -78,13 +97,25 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
     try:
         joints = tuple(str(name) for name in header["joints"])
         noise, touch = _noise(header["noise"]), TouchConstants(**header["touch"])
-        senses = {str(n): (tuple(s["outputs"]), str(s["unit"])) for n, s in header["senses"].items()}
+        cells = {int(cell): _floats(place) for cell, place in header.get("cells", {}).items()}
+        senses = {str(n): (_kind(s), tuple(s["outputs"]), str(s["unit"])) for n, s in header["senses"].items()}
         provenance = dict(header["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{path}: field header: {error}; fit the body again") from error
-    _check_noise(path, joints, senses, noise, touch)
-    learned = {name: _gp(path, archive, name, *about, joints) for name, about in senses.items()}
-    return BodyModel(joints, learned, noise, touch, provenance)
+    _check_noise(path, joints, {name: len(about[1]) for name, about in senses.items()}, noise, touch)
+    bad = {cell: place for cell, place in cells.items() if cell < 0 or len(place) != 3 or place[2] <= 0.0}
+    if bad:
+        raise ModelError(f"{path}: field cells: found {bad}, possible: cell from 0 on, u, v and a positive spread, px")
+    learned = {name: _sense(path, archive, name, *about, joints) for name, about in senses.items()}
+    places = {cell: (u, v, spread) for cell, (u, v, spread) in cells.items()}
+    return BodyModel(joints, learned, noise, touch, provenance, places)
+
+
+def _kind(sense: Mapping[str, Any]) -> str:
+    kind = str(sense.get("kind", "gp"))
+    if kind not in _SHAPES:
+        raise ValueError(f"sense of kind {kind!r}, possible: {', '.join(_SHAPES)}")
+    return kind
 
 
 def _parse(path: Path, archive: zipfile.ZipFile) -> Mapping[str, Any]:
@@ -116,13 +147,14 @@ def _floats(values: Any) -> tuple[float, ...]:
 def _check_noise(
     path: Path,
     joints: tuple[str, ...],
-    senses: Mapping[str, tuple[tuple[str, ...], str]],
+    senses: Mapping[str, int],
     noise: Noise,
     touch: TouchConstants,
 ) -> None:
     expected = {"encoder": (noise.encoder, len(joints)), "process": (noise.process, len(joints))}
-    for name, (outputs, _) in senses.items():
-        expected[f"senses.{name}"] = (noise.senses.get(name, ()), len(outputs))
+    for name, count in senses.items():
+        if name != "encoders":
+            expected[f"senses.{name}"] = (noise.senses.get(name, ()), count)
     for field, (values, count) in expected.items():
         if len(values) != count or not all(v > 0.0 for v in values):
             raise ModelError(f"{path}: field noise.{field}: found {values}, possible: {count} positive variances")
@@ -131,22 +163,32 @@ def _check_noise(
         raise ModelError(f"{path}: field touch: found {bad}, possible: numbers of at least 0")
 
 
-def _gp(
-    path: Path, archive: zipfile.ZipFile, name: str, outputs: tuple[str, ...], unit: str, joints: tuple[str, ...]
-) -> GP:
+def _sense(
+    path: Path,
+    archive: zipfile.ZipFile,
+    name: str,
+    kind: str,
+    outputs: tuple[str, ...],
+    unit: str,
+    joints: tuple[str, ...],
+) -> GP | Polynomial:
     sizes = {"d": len(outputs), "m": len(joints)}
     arrays: dict[str, Array] = {}
-    for field, letters in _SHAPES.items():
+    for field, letters in _SHAPES[kind].items():
         value = _array(path, archive, f"{name}/{field}.npy", "f")
         found = dict(zip(letters, value.shape, strict=False))
         expected = tuple(sizes.setdefault(letter, found.get(letter, 0)) for letter in letters)
         if value.shape != expected or 0 in expected:
             raise ModelError(f"{path}: field {name}/{field}: found shape {value.shape}, possible: {expected}")
         if not np.isfinite(value).all() or (field in _POSITIVE and value.min() <= 0.0):
-            kind = "finite positive" if field in _POSITIVE else "finite"
-            raise ModelError(f"{path}: field {name}/{field}: found {_worst(value)}, possible: {kind} numbers")
+            wanted = "finite positive" if field in _POSITIVE else "finite"
+            raise ModelError(f"{path}: field {name}/{field}: found {_worst(value)}, possible: {wanted} numbers")
         arrays[field] = value
-    return GP(outputs, unit, **arrays)
+    if kind == "gp":
+        return GP(outputs, unit, **arrays)
+    if len(outputs) != len(joints):
+        raise ModelError(f"{path}: field senses.{name}.outputs: found {len(outputs)}, possible: one for each joint")
+    return Polynomial(outputs, unit=unit, **arrays)
 
 
 def _worst(value: Array) -> float:

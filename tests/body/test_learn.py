@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from bodylog import perception
-from bodylog.body import Learned, learn
-from bodylog.body.model import save
+from bodylog.body import Learned, Polynomial, learn
+from bodylog.body.model import load, save
 from bodylog.errors import EvidenceError, ModelError
+from bodylog.estimation import estimate
 from bodylog.logs import recording
-from bodylog.settings import Body, Fit, Settings
-from bodylog.types import Features
+from bodylog.settings import Body, Estimation, Fit, Settings
+from bodylog.types import Features, Series
 
 _ARM = Path(__file__).parents[2].parent / "shared" / "logs" / "arm"
 
@@ -185,3 +186,25 @@ def test_recorded_arm_is_predicted_along_paths_it_never_took() -> None:
             seen = truth["seen"] > 0
             error = model.senses["effector"].predict(angles)[0][seen] - truth["ee"][seen]
         assert np.sqrt(np.mean(error**2)) < allowed, log
+
+
+def test_the_pictures_width_is_remembered_where_all_logs_agree(explored) -> None:
+    features = explored(0, 0.003, 15.0).features
+    wide, other = (replace(features, picture_size=(width, 240)) for width in (320, 640))
+    assert learn([wide], Settings(), {"by": "test"}).model.provenance == {"image_width": 320, "by": "test"}
+    assert "image_width" not in learn([wide, other], Settings(), {}).model.provenance
+    assert "image_width" not in learn([features], Settings(), {}).model.provenance
+
+
+def test_encoders_that_read_squares_are_estimated_with_the_model_given(explored, tmp_path: Path) -> None:
+    run = explored(0, 0.003, 20.0)
+    model = learn([run.features], Settings(), {}).model
+    read = Polynomial(model.joints, np.tile([0.0, 0.0, 1.0], (3, 1)))
+    save(replace(model, senses={**model.senses, "encoders": read}), tmp_path / "body.npz")
+    t, at = np.arange(0, 15, 0.02), np.array([0.6, 0.5, 0.7])
+    noise = np.random.default_rng(0).normal(0, 0.01, (len(t), 3))
+    squared = Series(t, at**2 + noise, model.joints, "rad", (t * 1e9).astype(np.int64))
+    features = replace(run.features, joints=squared, tracks={})
+    asked = Estimation(method="predictive-coding", senses=("encoders",), start=(0.4, 0.7, 0.9))
+    found = estimate(features, load(tmp_path / "body.npz"), asked)
+    assert np.abs(found.joints.values[-20:].mean(axis=0) - at).max() < 0.02

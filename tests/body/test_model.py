@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bodylog.body.encoders import Polynomial
 from bodylog.body.model import load, save
 from bodylog.body.train import samples, train
 from bodylog.errors import ModelError, UsageError
@@ -20,21 +21,19 @@ def body() -> BodyModel:
     y = np.column_stack([50 * np.sin(x[:, 0]), 40 * x[:, 1]]) + draw.normal(0, 0.1, (30, 2))
     gps = {name: train(samples(x, y), ("u", "v"), "px") for name in ("effector", "elbow/knob")}
     noise = Noise((1e-6, 2e-6), dict.fromkeys(gps, (0.01, 0.02)), (0.1, 0.2), {"encoder": (1e-7, 1e-7)})
-    return BodyModel(("pan", "lift"), gps, noise, TouchConstants(1.0, 0.003, 1.0, 200.0), {"logs": {"a.mcap": "ff"}})
+    senses = {**gps, "encoders": Polynomial(("pan", "lift"), np.array([[0.0, 0.0, 1.0], [0.1, 2.0, 0.0]]))}
+    touch, cells = TouchConstants(1.0, 0.003, 1.0, 200.0), {7: (0.5, -31.0, 9.0), 90: (1.0, 2.0, 3.0)}
+    return BodyModel(("pan", "lift"), senses, noise, touch, {"logs": {"a.mcap": "ff"}}, cells)
 
 
 def test_what_is_saved_is_what_is_loaded(body: BodyModel, tmp_path: Path) -> None:
     save(body, tmp_path / "body.npz")
     found = load(tmp_path / "body.npz")
-    assert (found.joints, found.noise, found.touch, found.provenance) == (
-        body.joints,
-        body.noise,
-        body.touch,
-        body.provenance,
-    )
+    for field in ("joints", "noise", "touch", "provenance", "cells"):
+        assert getattr(found, field) == getattr(body, field)
     x = np.random.default_rng(1).uniform(-1, 1, (9, 2))
     for name, sense in body.senses.items():
-        assert found.senses[name].outputs == ("u", "v")
+        assert found.senses[name].outputs == sense.outputs and type(found.senses[name]) is type(sense)
         assert all(map(np.array_equal, found.senses[name].predict(x), sense.predict(x)))
 
 
@@ -124,7 +123,8 @@ def test_no_flipped_byte_gets_through(seed: int, body: BodyModel, tmp_path: Path
         return
     # what is read all the same (a date, a padding byte) is the model that was saved
     assert found.joints == body.joints and found.noise == body.noise
-    assert all(np.array_equal(found.senses[n].weights, g.weights) for n, g in body.senses.items())
+    x = np.random.default_rng(1).uniform(-1, 1, (5, 2))
+    assert all(np.array_equal(found.senses[n].predict(x)[0], g.predict(x)[0]) for n, g in body.senses.items())
 
 
 def test_a_missing_file_and_folder_are_named(body: BodyModel, tmp_path: Path) -> None:

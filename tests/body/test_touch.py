@@ -11,26 +11,33 @@ class _Still:
     outputs = ("u", "v")
 
     def predict(self, x):
-        return np.tile([100.0, 80.0], (len(x), 1)), np.zeros((len(x), 2, x.shape[1])), np.zeros((len(x), 2))
+        return *self.means(x), np.zeros((len(x), 2))
+
+    def means(self, x):
+        return np.tile([100.0, 80.0], (len(x), 1)), np.zeros((len(x), 2, x.shape[1]))
 
 
-def _features(seed: int, count: int, late: float, apart: float) -> Features:
+def _features(
+    seed: int, count: int, late: float, apart: float, offsets: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+) -> Features:
+    """Touches 2 s apart of cells 1, 2, … in turn, each seen at its cell's offset from the effector."""
     draw = np.random.default_rng(seed)
     t = np.arange(0.0, 2.0 * count + 2, 0.01)
     onset = 1.0 + 2.0 * np.arange(count)
-    place = np.array([100.0, 80.0]) + draw.normal(0, apart, (count, 2))
+    cell = np.arange(count) % len(offsets)
+    place = np.array([100.0, 80.0]) + np.array(offsets)[cell] + draw.normal(0, apart, (count, 2))
     hand = np.repeat(place, 200, axis=0)
     hand = np.vstack([hand, np.full((len(t) - len(hand), 2), np.nan)])
     series = Series(t, hand, ("u", "v"), "px", np.arange(len(t)))
     joints = Series(t, np.zeros((len(t), 1)), ("pan",), "rad", np.arange(len(t)))
-    touches = tuple(Touch(float(o), float(o) + 0.5, (1,), 1.0, 1, 0) for o in onset)
+    touches = tuple(Touch(float(o), float(o) + 0.5, (c,), 1.0, c, 0) for o, c in zip(onset, cell + 1, strict=True))
     synchrony = tuple(Synchrony(k, k, float(d), 1.0) for k, d in enumerate(draw.normal(0, late, count)))
     return Features(joints, {"hand": series}, touches, (), synchrony, {})
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_many_touches_give_back_their_own_spread(seed: int) -> None:
-    constants, said = learned([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
+    constants, _, said = learned([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
     assert constants.a1 == constants.a2 == 1.0
     assert np.sqrt(1 / (2 * constants.b2)) == pytest.approx(0.03, rel=0.15)
     assert np.sqrt(1 / (2 * constants.b1)) == pytest.approx(6.0, rel=0.15)
@@ -38,19 +45,53 @@ def test_many_touches_give_back_their_own_spread(seed: int) -> None:
 
 
 def test_few_touches_move_the_assumption_only_a_little() -> None:
-    constants, _ = learned([_features(0, 3, 1e-4, 1e-3)], ("pan",), _Still())
+    constants, _, _ = learned([_features(0, 3, 1e-4, 1e-3)], ("pan",), _Still())
     assert 0.03 < np.sqrt(1 / (2 * constants.b2)) < 0.05
     assert 8.0 < np.sqrt(1 / (2 * constants.b1)) < 12.0
 
 
 def test_without_touches_the_illusion_fades_beyond_a_tenth_of_a_second() -> None:
     features = replace(_features(0, 1, 0.0, 0.0), touches=None, synchrony=())
-    constants, said = learned([features], ("pan",), _Still())
+    constants, _, said = learned([features], ("pan",), _Still())
     assert said == () and np.exp(-constants.b2 * 0.1**2) < 0.2 < np.exp(-constants.b2 * 0.05**2)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cells_have_each_their_place_beside_the_effector(seed: int) -> None:
+    offsets = ((0.0, -15.0), (2.0, -40.0), (-8.0, 10.0))
+    _, cells, said = learned([_features(seed, 90, 0.0, 3.0, offsets)], ("pan",), _Still())
+    assert set(cells) == {1, 2, 3} and "place of 3 cells" in said[0].text
+    for cell, offset in enumerate(offsets, 1):
+        u, v, spread = cells[cell]
+        # thirty touches: a mean's own error is 3/√30 px, and one touch's weight draws it to the common place
+        assert np.hypot(u - offset[0], v - offset[1]) < 3.0
+        assert 2.0 < spread < 5.5
+
+
+def test_a_hand_that_strokes_along_the_limb_is_held_for_as_far_off_as_it_goes() -> None:
+    features = _features(0, 40, 0.0, 0.0)
+    along = np.where(features.hand.t[:, None] % 2.0 > 0.99, 1.0, 0.0) * ((features.hand.t % 1.0) * 60.0)[:, None]
+    hand = replace(features.hand, values=features.hand.values + along * [0.0, 1.0])
+    seen = replace(features, tracks={"hand": hand})
+    constants, cells, _ = learned([seen], ("pan",), _Still())
+    # from 0 to 30 px in one coordinate: 300 px² mean square there, 150 over both; five touches of 144 px² are assumed
+    assert 1 / (2 * constants.b1) == pytest.approx(150.0, rel=0.1)
+    assert cells[1][:2] == pytest.approx((0.0, 15.0), abs=0.5) and cells[1][2] == pytest.approx(np.sqrt(37.5), rel=0.1)
+
+
+def test_strokes_seen_late_or_far_away_say_nothing_of_the_limb() -> None:
+    features = _features(0, 30, 0.0, 5.0)
+    late = tuple(replace(s, delay=0.6) for s in features.synchrony)
+    constants, cells, _ = learned([replace(features, synchrony=late)], ("pan",), _Still())
+    assert cells == {} and 1 / (2 * constants.b1) == pytest.approx(144.0)
+    stray = features.hand.values + np.where(features.hand.t < 2.0, 150.0, 0.0)[:, None]
+    seen = replace(features, tracks={"hand": replace(features.hand, values=stray)})
+    constants, cells, _ = learned([seen], ("pan",), _Still())
+    assert np.sqrt(1 / (2 * constants.b1)) < 8.0 and np.hypot(*cells[1][:2]) < 3.0
 
 
 def test_pairs_half_a_second_apart_are_no_pairs() -> None:
     features = _features(0, 50, 0.02, 5.0)
     far = tuple(replace(s, delay=0.6) for s in features.synchrony)
-    constants, _ = learned([replace(features, synchrony=far)], ("pan",), _Still())
+    constants, _, _ = learned([replace(features, synchrony=far)], ("pan",), _Still())
     assert np.sqrt(1 / (2 * constants.b2)) == pytest.approx(0.05)
