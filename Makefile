@@ -17,15 +17,14 @@ demo: $(VENV)/installed
 	$(BIN)/bodylog record reach -o demo/reach.mcap --seed 2
 	$(BIN)/bodylog fit demo/explore.mcap -o demo/body.npz
 	$(BIN)/bodylog estimate demo/reach.mcap --body demo/body.npz -o demo/estimate.mcap
-	$(BIN)/bodylog plot demo/estimate.mcap -o demo/estimate.png
-	$(BIN)/bodylog report demo/estimate.mcap -o demo/report.html
+	$(BIN)/bodylog report demo/estimate.mcap -o demo/report.html --figures demo/figures
 	@echo
 	@echo "How good it is (rad; raw encoders beside it):"
 	@$(BIN)/bodylog evaluate demo/estimate.mcap
 	@echo
 	@echo "The annotated log, for any MCAP viewer:  $(CURDIR)/demo/estimate.mcap"
 	@echo "The report, for a browser:               $(CURDIR)/demo/report.html"
-	@echo "The picture:                             $(CURDIR)/demo/estimate.png"
+	@echo "Figures:                                 $(CURDIR)/demo/figures"
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .

@@ -58,6 +58,6 @@ def _print(results: "dict[str, Result]") -> None:
     from .output import table, talk
 
     for path, result in results.items():
-        talk(result.findings)
+        talk(result.findings, quiet=True)
         click.echo(path)
         table(result.scores)

@@ -17,4 +17,4 @@ def layout(log: Path, out: Path, common: Common, as_json: bool) -> int:
 
     from .output import show
 
-    return show(present.layout(log, out, common.settings()), as_json)
+    return show(present.layout(log, out, common.settings()), as_json, quiet=True)

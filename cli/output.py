@@ -14,13 +14,13 @@ if TYPE_CHECKING:
     from bodylog.types import Finding, Score
 
 
-def show(result: "Result", as_json: bool) -> int:
-    """Print a result and return the exit code: 3 when part of the input was lost, else 0."""
-    talk(result.findings)
+def show(result: "Result", as_json: bool, quiet: bool = False) -> int:
+    """Print a result and return the exit code: 3 when part of the input was lost, else 0; `quiet` is for talk."""
+    talk(result.findings, quiet)
     if as_json:
         data(as_data(result))
     else:
-        table(result.scores)
+        table(() if quiet else result.scores)
         if result.output is not None:
             click.echo(f"wrote {result.output}", err=True)
     return lost(result.findings)
@@ -54,10 +54,11 @@ def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
-def talk(findings: "Sequence[Finding]") -> None:
-    """One line per finding, each once, on standard error."""
+def talk(findings: "Sequence[Finding]", quiet: bool = False) -> None:
+    """One line per finding, each once, on standard error; `quiet`: no mere information."""
     for finding in dict.fromkeys(findings):
-        click.echo(f"{finding.severity}: {finding.text}", err=True)
+        if not (quiet and finding.severity == "info"):
+            click.echo(f"{finding.severity}: {finding.text}", err=True)
 
 
 def lost(findings: "Sequence[Finding]") -> int:

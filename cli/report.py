@@ -18,4 +18,4 @@ def report(log: Path, out: Path, figures: Path | None, common: Common, as_json: 
 
     from .output import show
 
-    return show(present.report(log, out, common.settings(), figures), as_json)
+    return show(present.report(log, out, common.settings(), figures), as_json, quiet=True)
