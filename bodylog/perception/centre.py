@@ -13,11 +13,8 @@ from ..types import Array
 _SOFT, _GUARD = 3, 2
 _DEADBAND, _FULL = 0.15, 0.97
 _CORRELATED = 9.0
-_FEWEST, _MANY = 12, 3000
+_FEWEST = 12
 _QUIETEST = 0.005
-# Shares of the surround's and of the blob's own noise that reach the centre: the blob covers half of its edge's
-# surround, and compression errs more at an edge than inside. Both calibrated on drawn and recorded pictures.
-_AROUND, _WITHIN = 0.6, 1.5
 _DOUBT = 1 / 7
 _ERODE = np.ones((5, 5), dtype=np.uint8)
 _GROW = np.ones((2 * _SOFT + 1, 2 * _SOFT + 1), dtype=np.uint8)
@@ -38,21 +35,15 @@ def measure(window: Array, core: Array) -> tuple[float, float, float, float, flo
     x, y = _powers(window.shape[1]), _powers(window.shape[0])
     mixing, contrast = _mixing(window, inner, outer)
     mean, shade = _shade(mixing, inner.astype(np.float32), x, y)
-    lit = mixing / (mean if shade is None else shade)
-    weight = _weight(lit, grown)
+    weight = _weight(mixing / (mean if shade is None else shade), grown)
     mass, u, v = _centroid(weight, x, y)
     doubt_u = doubt_v = 0.0
     if shade is not None:
         _, flat_u, flat_v = _centroid(_weight(mixing / mean, grown), x, y)
         # shading is not a plane: a part of what the plane corrects stays in doubt
         doubt_u, doubt_v = _DOUBT * (u - flat_u), _DOUBT * (v - flat_v)
-    count, square_u, square_v = _edge(weight, inner, x, y, u, v)
-    around = _noise(mixing, outer, count / (2 * (np.pi * mass) ** 0.5))
-    within = _deviation(lit[inner.view(bool)])
-    noise = float(np.hypot(_AROUND * around, _WITHIN * within)) / (_FULL - _DEADBAND) / mass
-    std_u = (_QUIETEST**2 + noise**2 * square_u + doubt_u**2) ** 0.5
-    std_v = (_QUIETEST**2 + noise**2 * square_v + doubt_v**2) ** 0.5
-    return u, v, std_u, std_v, mass, contrast
+    noise = _QUIETEST**2 + _ripple(weight, mass, u, v)
+    return u, v, (noise + doubt_u**2) ** 0.5, (noise + doubt_v**2) ** 0.5, mass, contrast
 
 
 @lru_cache(maxsize=512)
@@ -63,14 +54,27 @@ def _powers(size: int) -> Array:
 
 
 def _mixing(window: Array, inner: Array, outer: Array) -> tuple[Array, float]:
-    """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (H,W); how far apart they are."""
-    import cv2
+    """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (H,W); how far apart they are.
 
-    blob = np.array(cv2.mean(window, inner)[:3], dtype=np.float32)
-    ground = np.array(cv2.mean(window, outer)[:3], dtype=np.float32)
-    apart = max(float((blob - ground) @ (blob - ground)), 1.0)
-    axis = (blob - ground) / np.float32(apart)
-    return window.astype(np.float32) @ axis - ground @ axis, apart**0.5
+    Fisher's discriminant: the direction in colour that tells the two apart best given how each of them scatters, so
+    that what else stands in the surround weighs little.
+    """
+    blob, ground = window[inner.view(bool)].astype(np.float32), window[::2][outer[::2].view(bool)].astype(np.float32)
+    ground = ground if len(ground) else np.zeros((1, 3), dtype=np.float32)
+    middle = ground.mean(axis=0)
+    step = blob.mean(axis=0) - middle
+    scatter = _covariance(blob) + _covariance(ground)
+    # as much again of white noise keeps the direction sane where the colours hardly scatter
+    axis = np.linalg.solve(scatter + max(float(np.trace(scatter)) / 3, 1e-3) * np.eye(3, dtype=np.float32), step)
+    axis /= max(float(axis @ step), 1e-6)
+    flat = window.reshape(-1, 3).astype(np.float32) @ axis - middle @ axis
+    return flat.reshape(window.shape[:2]), max(float(step @ step), 1.0) ** 0.5
+
+
+def _covariance(colours: Array) -> Array:
+    """Of colours (n,3): (3,3)."""
+    away = colours - colours.mean(axis=0)
+    return np.asarray(away.T @ away / len(away))
 
 
 def _shade(mixing: Array, inner: Array, x: Array, y: Array) -> tuple[float, Array | None]:
@@ -109,31 +113,18 @@ def _centroid(weight: Array, x: Array, y: Array) -> tuple[float, float, float]:
     return mass, u / mass, v / mass
 
 
-def _edge(weight: Array, inner: Array, x: Array, y: Array, u: float, v: float) -> tuple[float, float, float]:
-    """How many pixels the blob's soft edge has, and the sums of their squared distances from u and from v."""
-    edge = ((weight > 0) & (weight < 1) & (inner == 0)).astype(np.float32)
-    (n, sx, sxx), (sy, _, _), (syy, _, _) = (y @ edge @ x.T).tolist()
-    return n, max(sxx - 2 * u * sx + u * u * n, 0.0), max(syy - 2 * v * sy + v * v * n, 0.0)
+def _ripple(weight: Array, mass: float, u: float, v: float) -> float:
+    """Variance (px²) of one coordinate of the centre, from the waves of orders 3 and 5 round the blob's outline.
 
-
-def _noise(mixing: Array, outer: Array, band: float) -> float:
-    """Standard deviation of the mixing summed along a blob's edge `band` px wide, per square root of px.
-
-    Neighbouring pixels err together over about 4 px along the edge, and over as many across as the edge is wide.
+    A wave of order 1 is a shift of the centre. An outline that is its own mirror image through the centre has no waves
+    of odd order, so those are what noise, compression and the pixels' grid make; order 1 gets as much as they do.
     """
-    import cv2
-
-    some = slice(None, None, 2 if outer.size < _MANY else 4)
-    where = outer[some, some].view(bool)
-    single = _deviation(mixing[some, some][where])
-    square = 4.0 * _deviation(cv2.boxFilter(mixing, -1, (4, 4))[some, some][where])
-    across = min(max((band - 1) / 3, 0.0), 1.0)
-    return float(square ** (0.5 + 0.5 * across) * single ** (0.5 - 0.5 * across))
-
-
-def _deviation(values: Array) -> float:
-    """Standard deviation from the quartiles, which keeps out of it what else stands in the surround."""
-    if len(values) < _FEWEST:
-        return 1.0
-    ordered = np.sort(values)
-    return float(ordered[3 * len(ordered) // 4] - ordered[len(ordered) // 4]) / 1.349
+    rows, columns = weight.nonzero()
+    away = ((columns - u) + 1j * (rows - v)).astype(np.complex64)
+    radius = np.abs(away) + np.float32(1e-6)
+    turn = away / radius
+    twice = turn * turn
+    arm = weight[rows, columns] * radius
+    third = turn * twice
+    waves = complex(third @ arm), complex((third * twice) @ arm)
+    return sum(abs(wave) ** 2 for wave in waves) / (2 * len(waves)) / mass**2
