@@ -11,6 +11,7 @@ from ..settings import Estimation
 from ..types import BodyModel, Estimate, Fault, Features
 from . import bias, results
 from .faults import screen
+from .habit import habit
 from .laplace import Problem, Restless, Solution, solve
 from .precision import resolve
 from .results import Beliefs
@@ -54,7 +55,9 @@ def pose(
         sound, faults = screen(evidence.encoders, body.joints)
         evidence = replace(evidence, encoders=sound)
     first = start(evidence, settings, len(body.joints))
-    problem = Problem(evidence, timeline(evidence, settings.rate), first, resolve(evidence, body, settings))
+    precision = resolve(evidence, body, settings)
+    usual = habit(evidence, precision.process)
+    problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
     allowed = bias.allowed(settings.bias, body.joints, faults)
     problem = problem if allowed is None else bias.with_drift(problem, allowed)
     return *tuned(led(problem), settings), faults

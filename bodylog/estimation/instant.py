@@ -8,8 +8,8 @@ import numpy as np
 from ..types import Array, ForwardModel
 from .scan import Dynamics, Readings, Trace, scan
 
-ITERATIONS = 50
-RESTING = 1e-11
+ITERATIONS = 20
+RESTING = 1e-10
 """rad: how little the point of linearisation may still move."""
 ALIKE = 0.01
 """rad: angles closer than this share the model's error."""

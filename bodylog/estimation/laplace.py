@@ -11,6 +11,7 @@ import numpy as np
 
 from ..types import Array
 from .folds import Fold, fold_for
+from .habit import Habit
 from .precision import Precision
 from .scan import Dynamics, Readings, Trace, rescan
 from .senses import Evidence
@@ -22,6 +23,10 @@ START_STD = 1.0
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""
 SWEEPS = 40
+PATIENCE = 8
+"""Sweeps without a new least move after which rest is given up."""
+STUCK = 1e-3
+"""Standard deviations: smaller moves are left to die out."""
 SETTLED = 1e-7
 """Standard deviations: how little a stretch's start may still move."""
 
@@ -30,7 +35,8 @@ SETTLED = 1e-7
 class Problem:
     """One log to be filtered: evidence, its instants, where the belief starts, the precisions.
 
-    path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say.
+    path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say · habit: where
+    joints without an encoder are wont to be.
     """
 
     evidence: Evidence
@@ -38,11 +44,13 @@ class Problem:
     start: Array
     precision: Precision
     path: tuple[Array, Array] | None = None
+    habit: Habit | None = None
 
     @property
     def dynamics(self) -> Dynamics:
         """How the state moves."""
-        return Dynamics(self.precision.process, self.precision.drift)
+        recalled = None if self.habit is None else self.habit.joints
+        return Dynamics(self.precision.process, self.precision.drift, recalled)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +83,7 @@ def solve(
     fold, line, m = fold_for(len(problem.timeline.t)), problem.timeline, len(problem.start)
     readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
     tangents = Tangents(guesses(problem) if warm is None else warm.points, RESTING * rest / SETTLED)
-    trace, moving, move = None, np.ones(fold.count, bool), np.inf
+    trace, moving, move, progress = None, np.ones(fold.count, bool), np.inf, Progress()
     for _ in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
         if trace is not None and not moving.any():
@@ -87,6 +95,7 @@ def solve(
         moves = far(z, p, next_z, next_p)
         # a start that rests stays as it was scanned, so that small moves add up until they count
         moving, move = moves >= rest, float(moves.max())
+        progress.note(move)
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
     raise Restless(f"laplace: no rest after {SWEEPS} sweeps, last move {move:.2g}")
 
@@ -98,16 +107,38 @@ class Restless(Exception):
 def heard(problem: Problem, fold: Fold) -> Readings:
     """Everything but the frames' linearisation, folded."""
     line, m = problem.timeline, len(problem.start)
-    encoders = np.full((len(line.t), m), np.nan)
-    if problem.evidence.encoders is not None:
-        encoders[line.encoders] = problem.evidence.encoders.values
-    var = np.broadcast_to(problem.precision.encoder, encoders.shape)
+    encoders, var = encoder_rows(problem)
     tracks, d = len(problem.evidence.sightings), 2
     shape = (fold.length, tracks, d)
     y, lines = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
     jac = np.zeros((*shape, m, fold.count))
     dt = np.diff(line.t, prepend=line.t[0])
     return Readings(fold.fold(dt, 0.0), fold.fold(encoders, np.nan), fold.fold(var, 1.0), y, jac, lines)
+
+
+class Progress:
+    """Whether sweeps still come closer to rest; Restless once they have not for PATIENCE sweeps."""
+
+    def __init__(self) -> None:
+        """Nothing moved yet."""
+        self._least, self._stuck = np.inf, 0
+
+    def note(self, move: float) -> None:
+        """One more sweep, and how far starts moved in it, in standard deviations."""
+        self._stuck = self._stuck + 1 if move > 0.9 * self._least and move > STUCK else 0
+        self._least = min(self._least, move)
+        if self._stuck > PATIENCE:
+            raise Restless(f"no rest: {PATIENCE} sweeps have not come closer than {self._least:.2g}")
+
+
+def encoder_rows(problem: Problem) -> tuple[Array, Array]:
+    """Readings (E,M) rad, NaN where silent, and their variances (E,M); of joints without an encoder, their habit."""
+    line = problem.timeline
+    encoders = np.full((len(line.t), len(problem.start)), np.nan)
+    if problem.evidence.encoders is not None:
+        encoders[line.encoders] = problem.evidence.encoders.values
+    var = np.tile(problem.precision.encoder, (len(line.t), 1))
+    return (encoders, var) if problem.habit is None else problem.habit.fill(line.t, encoders, var)
 
 
 def guesses(problem: Problem) -> tuple[Array, ...]:

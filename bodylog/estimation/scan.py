@@ -25,10 +25,14 @@ MANY = 0.6
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """White acceleration (M,) rad²/s³ of the rates · random walk (M,) rad²/s of encoder offsets or None; or (M,C)."""
+    """White acceleration (M,) rad²/s³ of the rates · random walk (M,) rad²/s of encoder offsets or None; or (M,C).
+
+    recalled (M,) bool: joints whose readings are no encoder's but where the arm is wont to be; they are not counted.
+    """
 
     process: Array
     drift: Array | None = None
+    recalled: Array | None = None
 
     @property
     def size(self) -> int:
@@ -83,7 +87,7 @@ def scan(
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
         gains = None if trace.back is None else tuple(part[i] for part in trace.back)
-        update(readings, i, seen[i], z, p, trace.nats[i], trace.encoder_d[i], gains)
+        update(readings, i, seen[i], dynamics.recalled, z, p, trace.nats[i], trace.encoder_d[i], gains)
         trace.z[i], trace.p[i] = z, p
     return trace
 
@@ -149,7 +153,10 @@ def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyp
     return propagate
 
 
-def update(readings: Readings, i: int, seen: Array, z: Array, p: Array, nats: Array, encoder_d: Array, back) -> None:  # type: ignore[no-untyped-def]
+def update(  # type: ignore[no-untyped-def]
+    readings: Readings, i: int, seen: Array, recalled: Array | None, z: Array, p: Array, nats: Array, encoder_d: Array,
+    back,
+) -> None:  # fmt: skip
     """Condition z, p in place on all that is heard at instant i, tracks in the stretches `seen` alone.
 
     Noise is gated by the prior, so order is no matter.
@@ -158,12 +165,14 @@ def update(readings: Readings, i: int, seen: Array, z: Array, p: Array, nats: Ar
     y, jac = readings.y[i][..., seen], readings.jac[i][..., seen]
     joint_var, encoder_d[:] = _gated_encoders(readings.encoders[i], readings.encoder_var[i], z, p, m)
     line_var = _gated_lines(y, jac, readings.var[i][..., seen], z[:m, seen], p[:m, :m, seen])
-    nats[:] = 0.0
+    nats[:], aside = 0.0, np.zeros_like(nats)
+    if recalled is not None:
+        joint_var[recalled], encoder_d[recalled] = readings.encoder_var[i][recalled], np.nan
     for j in range(m):
         ph = p[:, j] if len(z) == 2 * m else p[:, j] + p[:, 2 * m + j]
         s = joint_var[j] + (ph[j] if len(z) == 2 * m else ph[j] + ph[2 * m + j])
         nu = readings.encoders[i, j] - (z[j] if len(z) == 2 * m else z[j] + z[2 * m + j])
-        gain, weight = _condition(z, p, ph, s, nu, nats)
+        gain, weight = _condition(z, p, ph, s, nu, nats if recalled is None or not recalled[j] else aside)
         if back is not None:
             back[0][j], back[1][j], back[2][j] = gain, weight, nu
     if len(seen):

@@ -13,7 +13,7 @@ from ..types import Array, BodyModel, Estimate, Features
 from . import adjoint, results
 from .filtering import drifts, pose, settled
 from .folds import Fold, fold_for
-from .laplace import SWEEPS, Problem, Restless, Solution, far, guesses, handed_over, heard, starts
+from .laplace import SWEEPS, Problem, Progress, Restless, Solution, far, guesses, handed_over, heard, starts
 from .results import Beliefs
 from .scan import Readings, Trace, rescan
 from .tangents import Tangents
@@ -56,7 +56,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
     tangents, forth = Tangents(guesses(problem) if warm is None else warm.points, STILL), FORTH if warm is None else 0
     ends, smooth, moving, rest = np.zeros_like(z), None, np.ones(fold.count, bool), np.inf
-    trace = None
+    trace, progress = None, Progress()
     for sweep in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
         if trace is not None and smooth is not None and rest < LASTING and not moving.any():
@@ -65,6 +65,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
         next_z, next_p = handed_over(z, p, trace, fold)
         moves = far(z, p, next_z, next_p)
         moving, rest = moves >= LASTING, float(moves.max())
+        progress.note(rest)
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
         if sweep >= forth:
             smooth, at_start = adjoint.means(readings, trace, ends, fold.takeover)

@@ -88,7 +88,7 @@ def costs(part: Problem, solution: Solution, candidates: Array, names: list[str]
     dt, encoders, encoder_var = (_tile(a, g) for a in (readings.dt, readings.encoders, readings.encoder_var))
     lines = _tile(readings.y, g), _tile(readings.jac, g), var.reshape(*var.shape[:-2], -1)
     tiled = Readings(dt, encoders, encoder_var, *lines)
-    dynamics = Dynamics(np.tile(candidates[:, :m].T, fold.count), part.precision.drift)
+    dynamics = Dynamics(np.tile(candidates[:, :m].T, fold.count), part.precision.drift, part.dynamics.recalled)
     trace = scan(tiled, dynamics, _tile(z, g), _tile(p, g))
     mine = trace.nats[fold.over : fold.over + fold.own].reshape(fold.own, fold.count, g)
     return np.asarray(mine.sum(axis=(0, 1)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from .folds import Fold
 from .instant import Memory, Sight, hear
-from .laplace import Problem, Solution, prior
+from .laplace import Problem, Solution, encoder_rows, prior
 from .scan import Readings, Trace
 
 GAP = 1.0
@@ -35,9 +35,7 @@ def led(problem: Problem) -> Problem:
 def walk(problem: Problem, remember: bool = False) -> Solution:
     """The filter's solution as one single stretch, each instant linearised until it rests."""
     line, m = problem.timeline, len(problem.start)
-    encoders = np.full((len(line.t), m), np.nan)
-    if problem.evidence.encoders is not None:
-        encoders[line.encoders] = problem.evidence.encoders.values
+    encoders, var = encoder_rows(problem)
     rows = [np.full(len(line.t), -1) for _ in line.sightings]
     for row, events in zip(rows, line.sightings, strict=True):
         row[events] = np.arange(len(events))
@@ -45,7 +43,7 @@ def walk(problem: Problem, remember: bool = False) -> Solution:
     z, p = prior(problem)
     for k, dt in enumerate(np.diff(line.t, prepend=line.t[0])):
         sights = _sights(problem, [int(row[k]) for row in rows], memory)
-        steps.append(hear(problem.dynamics, z, p, dt, encoders[k], problem.precision.encoder, sights, remember))
+        steps.append(hear(problem.dynamics, z, p, dt, encoders[k], var[k], sights, remember))
         z, p = steps[-1][1].z[0, :, 0], steps[-1][1].p[0, :, :, 0]
         memory = [sight.seen_at(z[:m]) for sight in sights]
     readings, trace = _joined([r for r, _ in steps]), _joined_traces([t for _, t in steps])

@@ -1,0 +1,47 @@
+"""Where the arm is wont to be: a weak prior for joints no encoder speaks of, so that pictures alone do not lose them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from .senses import Evidence
+
+WIDER = 2.0
+"""How many times the spread of the explored angles a joint may be from their mean, in one standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Habit:
+    """joints (M,) bool without an encoder · their mean (M,) rad · variance density (M,) rad²·s of a steady reminder."""
+
+    joints: Array
+    mean: Array
+    density: Array
+
+    def fill(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
+        """Encoder rows (E,M) and variances with a reminder at each instant, as weak as the time since the last."""
+        dt = np.diff(t, prepend=t[0])
+        encoders, var = encoders.copy(), var.copy()
+        encoders[1:, self.joints] = self.mean[self.joints]
+        var[1:, self.joints] = self.density[self.joints] / dt[1:, None]
+        return encoders, var
+
+
+def habit(evidence: Evidence, process: Array) -> Habit | None:
+    """The habit by what the models were learned from; None when all encoders speak or no model tells.
+
+    A reminder of density R under white acceleration q alone holds a joint to the variance √2 q^¼ R^¾: R is such that
+    this is the explored angles' own, widened.
+    """
+    silent = np.ones(len(process), bool)
+    if evidence.encoders is not None:
+        silent = ~np.isfinite(evidence.encoders.values).any(axis=0)
+    known = [s.model.samples for s in evidence.sightings if hasattr(s.model, "samples") and len(s.model.samples) > 1]
+    if not silent.any() or not known:
+        return None
+    explored = np.concatenate(known)
+    var = np.square(WIDER * explored.std(axis=0))
+    density = (var / (np.sqrt(2.0) * process**0.25)) ** (4.0 / 3.0)
+    silent &= density > 0
+    return Habit(silent, explored.mean(axis=0), density) if silent.any() else None
