@@ -49,10 +49,11 @@ def grown(heard: Heard, as_printed: bool) -> float:
 def _stable_steps(heard: Heard, body: BodyModel) -> dict[str, float]:
     """Largest stable Euler step (s) with the printed variances, tracks in pixels or in image widths."""
     from ..estimation import predictive_coding as algorithm
+    from ..estimation.plan import plan_for
     from ..settings import Estimation
 
     settings = Estimation(method="predictive-coding", preset="paper", senses=("encoders", "vision"))
-    plan, _, _ = algorithm.plan_for(heard.features, body, settings)
+    plan, _, _ = plan_for(heard.features, body, settings)
     pixels = tuple(replace(s, s=s.s * s.unit, unit=1.0) for s in plan.senses)
     return {"widths": algorithm.stable_step(plan), "pixels": algorithm.stable_step(replace(plan, senses=pixels))}
 

@@ -131,9 +131,10 @@ def printed(
     `implicit` puts the prediction errors at their equilibrium instead of integrating them.
     """
     from ..estimation import predictive_coding as algorithm
+    from ..estimation.plan import plan_for
 
     settings = Estimation(method="predictive-coding", preset="paper", touch="literal", senses=senses, start=start)
-    plan, _, _ = algorithm.plan_for(heard.features, body, settings)
+    plan, _, _ = plan_for(heard.features, body, settings)
     if sigma_v is not None:
         changed = [s if s.name == "encoders" else replace(s, sigma=np.full_like(s.sigma, sigma_v)) for s in plan.senses]
         plan = replace(plan, senses=tuple(changed))
