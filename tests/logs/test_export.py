@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.logs.export import export
+from bodylog.logs.export import export, export_features
 from bodylog.logs.ingest import signals
 from bodylog.logs.recording import read
 from bodylog.settings import Settings
-from bodylog.types import Recording, Series
+from bodylog.types import Features, Recording, Series, Stroke, Synchrony, Touch
 
 from .written import START
 
@@ -76,3 +76,30 @@ def test_only_the_window_is_exported_of_every_role(tmp_path, arm):
         series = signals(read_back)[path.stem]
         times = [float(row[1]) for row in table(path)[1]]
         assert times == [t for t in series.t.tolist() if 1.0 <= t <= 2.0] and len(times) > 10
+
+
+def features(touches):
+    track = Series(np.arange(3) / 10, np.array([[1.5, 2.0], [np.nan] * 2, [3.0, 4.25]]), ("u", "v"), "px",
+                   START + np.arange(3), np.array([[0.1, 0.2], [np.nan] * 2, [0.3, 0.4]]))  # fmt: skip
+    strokes = (Stroke(1.05, 1.9, (3.0, 4.0), (5.0, 6.0)),)
+    pairs = (Synchrony(0, 0, 0.05, 0.9), Synchrony(1, None, np.nan, 0.0)) if touches else ()
+    return Features(None, {"effector": track, "../el bow": track}, touches, strokes, pairs, {})
+
+
+def test_features_as_tables_read_back_exactly(tmp_path):
+    touches = (Touch(1.0, 1.85, (4, 5), 0.93, 5, START), Touch(3.0, 3.25, (9,), 0.8, 9, START))
+    paths = export_features(features(touches), tmp_path / "new")
+    names = ["tracks_effector.csv", "tracks_..%2Fel%20bow.csv", "strokes.csv", "touches.csv", "synchrony.csv"]
+    assert [path.name for path in paths] == names and {path.parent for path in paths} == {tmp_path / "new"}
+    head, rows = table(paths[0])
+    assert head == ["t", "u", "v", "std_u", "std_v"]
+    assert rows == [["0.0", "1.5", "2.0", "0.1", "0.2"], ["0.1", "", "", "", ""], ["0.2", "3.0", "4.25", "0.3", "0.4"]]
+    assert table(paths[2])[1] == [["1.05", "1.9", "3.0", "4.0", "5.0", "6.0"]]
+    assert table(paths[3]) == (["onset", "offset", "peak", "strongest", "cells"],
+                               [["1.0", "1.85", "0.93", "5", "4 5"], ["3.0", "3.25", "0.8", "9", "9"]])  # fmt: skip
+    assert table(paths[4])[1] == [["0", "0", "0.05", "0.9"], ["1", "", "", "0.0"]]
+
+
+def test_features_without_skin_say_nothing_of_touch(tmp_path):
+    names = [path.name for path in export_features(features(None), tmp_path)]
+    assert "strokes.csv" in names and "touches.csv" not in names and "synchrony.csv" not in names
