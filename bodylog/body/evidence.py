@@ -7,8 +7,12 @@ from typing import Any
 import numpy as np
 
 from ..types import Array
+from .descend import descend
+from .select import spaced
 
 _JITTER = 1e-10
+_INFORMANTS = 100
+_LEAST_INFORMATION = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,80 +86,115 @@ ROTATION = Prior(np.ones(()), 0.35)
 
 def condition(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior:
     """Posterior of outputs y (n,G) that share `kernel`, with known noise `spread`."""
-    return _condition(_gram(kernel.amplitude, (x - x.mean(axis=0)) / kernel.scales), kernel, y, spread)
+    return _condition(_gram(kernel.theta[0], (x - x.mean(axis=0)) / kernel.scales), kernel.noise, y, spread)
 
 
 def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
     """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
-    kernel, (count, group) = hyper(theta), y.shape
-    z = np.ones((count, x.shape[1] + 1))
-    z[:, 1:] = (x - x.mean(axis=0)) / kernel.scales
-    gram = _gram(kernel.amplitude, z[:, 1:])
-    found = _condition(gram, kernel, y, spread)
-    inverse = _lapack().dpotri(found.chol, lower=1, overwrite_c=1)[0]
-    diagonal = inverse.ravel(order="F")[:: count + 1].copy()
-    trace = np.vdot(found.alpha, found.alpha) - group * diagonal.sum()
-    fits = gram @ (found.alpha[:, :, None] * z[:, None, :]).reshape(count, -1)
-    pull = (found.alpha[:, :, None] * fits.reshape(count, group, -1)).sum(axis=1)
+    return _evidence(theta, x - x.mean(axis=0), y, spread)
+
+
+def _evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
+    """The same for inputs that are centred."""
+    (count, group), inputs, kernel = y.shape, x.shape[1], np.exp(theta)
+    z = np.empty((count, inputs + 1))
+    z[:, 0] = 1.0
+    np.divide(x, kernel[1:-1], out=z[:, 1:])
+    gram = _gram(theta[0], z[:, 1:])
+    found = _condition(gram, kernel[-1], y, spread)
+    inverse, _ = _lapack().dpotri(found.chol, lower=1, overwrite_c=1)
+    diagonal = inverse.diagonal().copy()
     # the factor leaves zeros above the diagonal: the lower triangle and its transpose, less the diagonal once
     inverse *= gram.T
-    rows = pull - group * (inverse @ z + inverse.T @ z - (kernel.amplitude * diagonal)[:, None] * z)
+    rows = inverse @ z
+    rows += inverse.T @ z
+    rows -= (kernel[0] * diagonal)[:, None] * z
+    rows *= -group
+    for alpha in found.alpha.T:
+        rows += alpha[:, None] * (gram @ (alpha[:, None] * z))
     # Σ P (zᵢ − zⱼ)² = 2 zᵢ² Σⱼ P − 2 zᵢ P zⱼ for symmetric P
-    turned = (z * (z * rows[:, :1] - rows)).sum(axis=0)
-    gradient = np.concatenate([[0.5 * rows[:, 0].sum()], turned[1:], [0.5 * kernel.noise * trace]])
+    gradient = np.empty(inputs + 2)
+    gradient[:-1] = (z * (z * rows[:, :1] - rows)).sum(axis=0)
+    gradient[0] = 0.5 * rows[:, 0].sum()
+    gradient[-1] = 0.5 * kernel[-1] * (np.vdot(found.alpha, found.alpha) - group * diagonal.sum())
     return found.evidence, gradient
 
 
 def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: list[Hyper]) -> Hyper:
     """The kernel of greatest evidence under the prior; x and y of order one.
 
-    L-BFGS-B takes five steps from each start, and from the best of where they lead goes on until it settles.
+    One descent from the start of greatest evidence, its curvature that expected of the evidence there.
     """
-    thetas = [start.theta for start in starts]
-    if len(thetas) > 1:
-        thetas = [min((_descend(t, x, y, spread, prior, 5) for t in thetas), key=lambda found: found.fun).x]
-    return hyper(_descend(thetas[0], x, y, spread, prior, 200).x)
-
-
-def _descend(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior, steps: int) -> Any:
-    from scipy.optimize import minimize
-
-    bounds = [(-10.0, 16.0)] + [(-5.0, 10.0)] * x.shape[1] + [(-23.0, 3.0)]
-    first, options = np.clip(theta, *np.transpose(bounds)), {"maxiter": steps, "ftol": 1e-9}
-    return minimize(_loss, first, (x, y, spread, prior), "L-BFGS-B", True, bounds=bounds, options=options)
+    x = x - x.mean(axis=0)
+    low = np.array([-10.0, *[-5.0] * x.shape[1], -23.0])
+    high = np.array([16.0, *[10.0] * x.shape[1], 3.0])
+    thetas = [np.clip(start.theta, low, high) for start in starts]
+    first = thetas[0] if len(thetas) == 1 else min(thetas, key=lambda theta: _value(theta, x, y, spread, prior))
+    curvature = _information(first, x, y.shape[1], spread, prior)
+    return hyper(descend(lambda theta: _loss(theta, x, y, spread, prior), first, low, high, curvature))
 
 
 def starts(x: Array, seed: int, count: int) -> list[Hyper]:
-    """A typical first guess for x, y of order one, then seeded ones around it."""
+    """A typical first guess for x, y of order one, then seeded ones: as rough or smoother, as noisy or quieter."""
     draw = np.random.default_rng(seed)
     first = Hyper(np.full(x.shape[1], 2.0), 1.0, 1e-2)
-    jumps = draw.normal(0.0, 1.0, (count - 1, x.shape[1] + 2))
+    jumps = draw.normal(0.0, 0.4, (count - 1, x.shape[1] + 2))
+    jumps[:, 0] += draw.normal(0.5, 1.0, count - 1)
+    jumps[:, 1:-1] += draw.normal(0.0, 0.4, (count - 1, 1))
+    jumps[:, -1] = draw.uniform(-8.0, 0.0, count - 1)
     return [first, *(hyper(first.theta + jump) for jump in jumps)]
 
 
 def _loss(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior) -> tuple[float, Array]:
-    value, gradient = evidence(theta, x, y, spread)
-    away = (theta[1:-1] - np.log(prior.scales)) / prior.width
+    value, gradient = _evidence(theta, x, y, spread)
+    away = _away(theta, prior)
     gradient[1:-1] -= away / prior.width
     return 0.5 * float(away @ away) - value, -gradient
 
 
-def _gram(amplitude: float, z: Array) -> Array:
-    half = 0.5 * (np.log(amplitude) - np.einsum("nm,nm->n", z, z))
+def _value(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior) -> float:
+    """The loss alone."""
+    away, kernel = _away(theta, prior), np.exp(theta)
+    found = _condition(_gram(theta[0], x / kernel[1:-1]), kernel[-1], y, spread)
+    return 0.5 * float(away @ away) - found.evidence
+
+
+def _information(theta: Array, x: Array, group: int, spread: Spread, prior: Prior) -> Array:
+    """Fisher information ½ tr(K⁻¹∂K K⁻¹∂K) of the G outputs and the prior (p,p), from at most 100 of the samples."""
+    rows = spaced(len(x), _INFORMANTS)
+    kernel, z = np.exp(theta), x[rows] / np.exp(theta[1:-1])
+    gram = _gram(theta[0], z)
+    inverse = inverse_lower(cholesky(gram, independent(spread.diagonal[rows]), kernel[-1]))
+    slopes = [gram, *(gram * np.square(c[:, None] - c) for c in z.T), kernel[-1] * np.eye(len(rows))]
+    whitened = np.array([inverse @ slope @ inverse.T for slope in slopes]).reshape(len(theta), -1)
+    found = 0.5 * group * len(x) / len(rows) * whitened @ whitened.T
+    found[np.diag_indices(len(theta))] += _LEAST_INFORMATION
+    found[range(1, len(theta) - 1), range(1, len(theta) - 1)] += prior.width**-2.0
+    return np.asarray(found)
+
+
+def _away(theta: Array, prior: Prior) -> Array:
+    """How many widths each length scale is away from the prior's."""
+    return np.asarray((theta[1:-1] - np.log(prior.scales)) / prior.width)
+
+
+def _gram(log_amplitude: float, z: Array) -> Array:
+    half = 0.5 * (log_amplitude - np.einsum("nm,nm->n", z, z))
     gram = z @ z.T
     gram += half[:, None]
     gram += half
     return np.asarray(np.exp(gram, out=gram))
 
 
-def _condition(gram: Array, kernel: Hyper, y: Array, spread: Spread) -> Posterior:
-    chol = cholesky(gram, spread, kernel.noise)
+def _condition(gram: Array, noise: float, y: Array, spread: Spread) -> Posterior:
+    chol = cholesky(gram, spread, noise)
     sides = np.ones((len(y), y.shape[1] + 1), order="F")
     sides[:, 1:] = y
-    solved = _lapack().dpotrs(chol, sides, lower=1, overwrite_b=1)[0]
-    mean = solved[:, 1:].sum(axis=0) / solved[:, 0].sum()
+    solved, _ = _lapack().dpotrs(chol, sides, lower=1, overwrite_b=1)
+    total = solved.sum(axis=0)
+    mean = total[1:] / total[0]
     alpha = solved[:, 1:] - solved[:, :1] * mean
-    fit = np.vdot(y - mean, alpha)
+    fit = ((y - mean) * alpha).sum()
     entropy = y.shape[1] * (np.log(chol.diagonal()).sum() + 0.5 * len(y) * np.log(2.0 * np.pi))
     return Posterior(alpha, mean, chol, float(-0.5 * fit - entropy))
 
@@ -164,10 +203,10 @@ def cholesky(gram: Array, spread: Spread, noise: float) -> Array:
     """Lower factor (n,n) of gram + spread + noise I, zeros above; jitter grows tenfold until it exists."""
     count, dpotrf = len(gram), _lapack().dpotrf
     diagonal = spread.diagonal + noise
-    jitter = _JITTER * float(gram.trace() or diagonal.sum()) / count
+    jitter = _JITTER * float(gram[0, 0] or diagonal[0])
     for _ in range(9):
         matrix = gram.copy()
-        matrix.ravel()[:: count + 1] += diagonal + jitter
+        matrix.reshape(-1)[:: count + 1] += diagonal + jitter
         if len(spread.i):
             matrix[spread.j, spread.i] += spread.value
         # its transpose is in LAPACK's order, and as it is symmetric, the same

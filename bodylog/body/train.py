@@ -14,8 +14,8 @@ from .sparse import Basis, basis, inducing, posterior, sums
 EXACT = 500
 """Up to so many samples the posterior is exact: one prediction costs O(n²)."""
 
-RESTARTS = 4
-"""How many first guesses the search for a kernel starts from."""
+CANDIDATES = 12
+"""How many first guesses are weighed before the search for a kernel starts from the best."""
 
 _SCOUTS = 200
 _ROUNDS = 8
@@ -105,11 +105,11 @@ def fit(data: Samples, prior: Prior, shared: bool, seed: int) -> Fitted:
 
 
 def search(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper:
-    """Kernel of greatest evidence for outputs y (n,G) that share it: restarts on few samples, then all of them."""
+    """Kernel of greatest evidence for outputs y (n,G) that share it: on few samples from the best guess, then on all."""
     scouts = spaced(len(x), _SCOUTS)
     sx, sy = _deviation(x), float(np.mean(_deviation(y)))
     few = x[scouts] / sx, y[scouts] / sy, independent(spread.diagonal[scouts] / sy**2)
-    found = maximise(*few, prior.scaled(1.0 / sx), starts(few[0], seed, RESTARTS))
+    found = maximise(*few, prior.scaled(1.0 / sx), starts(few[0], seed, CANDIDATES))
     best = Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
     return polish(best, x, y, spread, prior) if len(scouts) < len(x) else best
 

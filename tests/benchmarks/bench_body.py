@@ -10,7 +10,7 @@ import numpy as np
 
 from bodylog.body.evidence import FLAT, ROTATION, evidence, independent
 from bodylog.body.gp import GP
-from bodylog.body.train import RESTARTS, Samples, build, fitted, samples
+from bodylog.body.train import CANDIDATES, Samples, build, fitted, samples
 from bodylog.types import Array
 
 from .timing import side_by_side
@@ -87,11 +87,11 @@ def agree(count: int) -> None:
 def fits(count: int) -> None:
     """One fit of each, and how good a kernel each found."""
     data = drawn(count)
-    cases: dict[str, Callable[[], object]] = {f"fit n={count}: bodylog, {RESTARTS} starts": lambda: exact(data)}
+    cases: dict[str, Callable[[], object]] = {f"fit n={count}: bodylog, {CANDIDATES} starts": lambda: exact(data)}
     if peer(drawn(10)) is not None:
         cases[f"fit n={count}: scikit-learn, 1 start"] = lambda: peer(data)
         if count < 1000:
-            cases[f"fit n={count}: scikit-learn, {RESTARTS} starts"] = lambda: peer(data, restarts=RESTARTS - 1)
+            cases[f"fit n={count}: scikit-learn, {CANDIDATES} starts"] = lambda: peer(data, restarts=RESTARTS - 1)
     if count < 1000:
         side_by_side(f"Fit, n = {count}, 2 outputs", cases, 3)
         return
