@@ -14,7 +14,7 @@ _SOFT, _GUARD = 3, 2
 _DEADBAND, _FULL = 0.15, 0.97
 _CORRELATED = 9.0
 _FEWEST = 12
-_QUIETEST = 0.005
+_QUIETEST = 0.001
 _DOUBT = 1 / 7
 _ERODE = np.ones((5, 5), dtype=np.uint8)
 _GROW = np.ones((2 * _SOFT + 1, 2 * _SOFT + 1), dtype=np.uint8)

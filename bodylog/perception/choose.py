@@ -6,7 +6,7 @@ import numpy as np
 
 from ..types import Array
 from .blobs import BORDER, MASS, STD_U, STD_V, STRENGTH, U, V
-from .spread import calibrated
+from .spread import steady
 
 _PATIENCE = 0.5
 _REACH = 0.08
@@ -54,7 +54,7 @@ def best(t: Array, found: Array, width: float) -> tuple[Array, Array]:
         why[index[rows[:, BORDER] == 1]] = EDGE
         track[index[clear]] = rows[clear][:, [U, V, STD_U, STD_V]]
         mass[index[clear]] = rows[clear][:, MASS]
-    track[:, 2:] = calibrated(t, track[:, :2], track[:, 2:])
+    track[:, 2:] = steady(t, track[:, 2:])
     _drop_partly_hidden(t, track, mass, why)
     return track, why
 

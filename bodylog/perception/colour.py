@@ -1,7 +1,7 @@
 """Pictures to colour tracks: decoding and looking on a pool of threads, in order, a bounded number ahead."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 
@@ -11,10 +11,11 @@ from ..errors import InputError
 from ..settings import Colour
 from ..types import Array, Finding, Frame, Health, Series
 from . import blobs, choose
-from .ranges import Range, nearest, resolve
+from .ranges import Range, covered, nearest, resolve
 
 _THREADS = 2
 _BATCH, _AHEAD = 4, 4
+_NOTABLE = 1e-4
 
 Seen = tuple[Array | None, int]
 """What one picture shows (None: undecodable), and its width in px."""
@@ -44,7 +45,8 @@ def track(
         findings.append(Finding("warning", "camera: no picture in this log; no tracks, no strokes"))
     elif unseen:
         instead = _saturated(frames(), t.size)
-        findings += [_unseen(name, colours[name], t.size, instead) for name in unseen]
+        taken = {other for each in ranges for other in covered(each)}
+        findings += [_unseen(name, colours[name], t.size, instead, taken) for name in unseen]
     if broken.any():
         findings.append(Finding("lost", f"{int(broken.sum())} of {t.size} pictures could not be decoded"))
     return tracks, health, tuple(findings)
@@ -133,9 +135,12 @@ def _saturated(frames: Iterator[Frame], count: int) -> dict[str, float]:
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 
-def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float]) -> Finding:
+def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float], taken: Collection[str]) -> Finding:
+    """What was seen instead; of it the first colour that no feature is set to is proposed."""
     wanted = f"'{colour}'" if isinstance(colour, str) else str(dict(colour))
-    others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in instead.items() if share >= 1e-4)
-    hint = f"; type: [colours] {name} = \"{next(iter(instead))}\"" if others else ""
+    shares = {other: share for other, share in instead.items() if share >= _NOTABLE}
+    others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in shares.items())
+    free = next((other for other in shares if other not in taken), None)
+    hint = f"; type: [colours] {name} = \"{free}\"" if free else ""
     severity = "info" if name == "hand" else "warning"
     return Finding(severity, f"{name}: {wanted} was never found in {count} pictures; seen: {others or 'none'}{hint}")

@@ -74,6 +74,13 @@ def nearest(hue: float) -> str:
     return min(_NAMED, key=lambda name: abs((hue - _middle(*_NAMED[name]) + 90) % 180 - 90))
 
 
+def covered(colour: Range) -> set[str]:
+    """The names of the hues in a range: those whose middle lies in it, and the one nearest its own middle."""
+    low, high = colour.parts[0][0][0], colour.parts[-1][1][0]
+    span = (high - low) % 180
+    return {nearest(_middle(low, high))} | {name for name in _NAMED if (_middle(*_NAMED[name]) - low) % 180 <= span}
+
+
 def _middle(low: int, high: int) -> float:
     return (low + ((high - low) % 180) / 2) % 180
 
