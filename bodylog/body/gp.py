@@ -51,12 +51,9 @@ class GP:
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         kernel, value, slope = self._at(x)
-        spread = np.empty(len(value))
-        spread[:] = self.amplitude
-        for group, row in enumerate(kernel):
-            seen = _times(self.factor[group], row)
-            spread[group if len(kernel) > 1 else slice(None)] -= seen @ seen
-        return value, slope, np.maximum(spread, 0.0, out=spread)
+        seen = [_times(upper, row) for upper, row in zip(self._uppers, kernel, strict=True)]
+        left = [max(amplitude - float(part @ part), 0.0) for amplitude, part in zip(self._amplitudes, seen, strict=True)]
+        return value, slope, np.array(left * len(value) if len(left) == 1 else left)
 
     def mean_one(self, x: Array) -> tuple[Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad; the short way."""
@@ -133,6 +130,14 @@ class GP:
         return np.asarray(self.weights[:, :, None] * lifted)
 
     @cached_property
+    def _uppers(self) -> list[Array]:
+        return [lower.T for lower in self.factor]
+
+    @cached_property
+    def _amplitudes(self) -> list[float]:
+        return [float(a) for a in self.amplitude]
+
+    @cached_property
     def _lifted(self) -> Array:
         return np.asarray(np.vstack([-self.centres.T, np.ones(len(self.centres))]))
 
@@ -145,11 +150,11 @@ class GP:
         return np.asarray(-1.0 / self.scales**2)
 
 
-def _times(lower: Array, vector: Array) -> Array:
-    """lower (n,n) · vector (n,), reading only the triangle once it no longer fits the nearest cache."""
+def _times(upper: Array, vector: Array) -> Array:
+    """upperᵀ (n,n) · vector (n,), reading only the triangle once it no longer fits the nearest cache."""
     if len(vector) <= _STRIP:
-        return np.asarray(lower @ vector)
-    return np.asarray(_dtrmv()(lower.T, vector, lower=0, trans=1))
+        return np.asarray(vector @ upper)
+    return np.asarray(_dtrmv()(upper, vector, trans=1))
 
 
 @cache
