@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,6 +17,7 @@ from .transcode import LIBRARY, PROFILE, carry
 from .write import Contents, Writer
 
 _BLOCK = 1 << 20
+_PIECE = 64 << 20
 
 
 def annotate(
@@ -78,8 +79,8 @@ def _append(
 ) -> int:
     """Copy what can be kept and, meanwhile, write the rest behind it; returns how many messages were kept."""
     kept = sum(base.contents.counts.values())
-    with source.open("rb") as original, ThreadPoolExecutor(1) as pool:
-        copying = pool.submit(_copy, original.fileno(), stream.fileno(), base.end)
+    with source.open("rb") as original, ThreadPoolExecutor(2) as pool:
+        copying = pool.submit(_copy, original.fileno(), stream.fileno(), base.end, pool)
         stream.seek(base.end)
         _finish(Writer(stream, base.contents, base.end, base.crc), outgoing, metadata)
         copying.result()
@@ -92,22 +93,34 @@ def _finish(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str,
     writer.finish()
 
 
-def _copy(source: int, target: int, size: int) -> None:
-    """The first `size` bytes, by the kernel where it can."""
+def _copy(source: int, target: int, size: int, pool: ThreadPoolExecutor) -> None:
+    """The first `size` bytes, by the kernel where it can; what is copied goes to the disk while the rest follows."""
     done = 0
-    try:
-        while done < size:
-            count = os.copy_file_range(source, target, size - done, done, done)
-            if not count:
-                break
-            done += count
-    except (OSError, AttributeError):
-        pass  # another file system, or one that cannot: the plain copy below takes over where this stopped
+    flushes: list[Future[None]] = []
+    move = _by_kernel if hasattr(os, "copy_file_range") else _by_hand
     while done < size:
-        block = os.pread(source, min(_BLOCK, size - done), done)
-        if not block:
+        count = move(source, target, min(_PIECE, size - done), done)
+        if not count and move is _by_hand:
             raise LogError(f"the log ended at byte {done} of {size} while it was copied; was it still being recorded?")
-        done += os.pwrite(target, block, done)
+        move = move if count else _by_hand  # which takes over where the kernel stopped
+        done += count
+        if done // _PIECE > len(flushes):
+            flushes.append(pool.submit(os.fsync, target))
+    for flush in flushes:
+        flush.result()
+
+
+def _by_kernel(source: int, target: int, size: int, at: int) -> int:
+    """How many bytes were copied; none on another file system, or one that cannot."""
+    try:
+        return os.copy_file_range(source, target, size, at, at)
+    except OSError:
+        return 0
+
+
+def _by_hand(source: int, target: int, size: int, at: int) -> int:
+    block = os.pread(source, min(_BLOCK, size), at)
+    return os.pwrite(target, block, at)
 
 
 def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:

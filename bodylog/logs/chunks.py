@@ -26,7 +26,7 @@ _U64 = struct.Struct("<Q")
 _INDEX_HEAD = struct.Struct("<BQHI")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Chunk:
     """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known.
 
@@ -71,20 +71,30 @@ def chunk_head(data: memoryview, start: int) -> tuple[int, int, int, int, str, m
     return first, last, size, crc, compression, data[at + 8 : at + 8 + packed]
 
 
+def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
+    """The chunk's records (bytes,) uint8; FormatError when they cannot be unpacked or their CRC disagrees."""
+    _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
+    content = buffer.load(compression, packed, size)
+    found = zlib.crc32(content.data) if crc else 0
+    if found != crc:
+        raise FormatError(f"the chunk's CRC is {found:08x} where {crc:08x} is declared")
+    return content
+
+
 def load(data: memoryview, chunk: Chunk, buffer: Buffer, ledger: Ledger) -> Array | None:
     """The chunk's records (bytes,) uint8 once its CRC agrees, else None and the loss is in the ledger."""
     try:
-        _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
-        content = buffer.load(compression, packed, size)
-        found = zlib.crc32(content.data) if crc else 0
-        if found != crc:
-            raise FormatError(f"the chunk's CRC is {found:08x} where {crc:08x} is declared")
-        return content
+        return unpack(data, chunk, buffer)
     except FormatError as problem:
-        count = sum(len(index_of(data, at)) for at in chunk.indexes.values()) if chunk.indexes else None
-        seconds = max(0, chunk.end_ns - chunk.start_ns) / 1e9
-        ledger.lost(chunk.start, chunk.length, count, seconds, str(problem))
+        lose(data, chunk, problem, ledger)
         return None
+
+
+def lose(data: memoryview, chunk: Chunk, problem: FormatError, ledger: Ledger) -> None:
+    """Tell the ledger what was in a chunk that cannot be used."""
+    count = sum(len(index_of(data, at)) for at in chunk.indexes.values()) if chunk.indexes else None
+    seconds = max(0, chunk.end_ns - chunk.start_ns) / 1e9
+    ledger.lost(chunk.start, chunk.length, count, seconds, str(problem))
 
 
 def index_of(data: memoryview, at: int) -> Array:

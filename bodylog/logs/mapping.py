@@ -5,6 +5,8 @@ from pathlib import Path
 
 _ADVICE = hasattr(mmap, "MADV_DONTNEED")
 _PAGE = mmap.PAGESIZE
+_AROUND = 2 << 20
+"""A page that is touched can bring its neighbours along, those before it too: a folio of the page cache at most."""
 
 
 def mapped(path: Path) -> memoryview:
@@ -24,7 +26,7 @@ def fetch(data: memoryview, start: int, end: int) -> None:
 
 
 def forget(data: memoryview, start: int, end: int) -> None:
-    """Let go of the whole pages between two bytes of a mapped file; touching them again reads them again."""
-    low, high = -(-start // _PAGE) * _PAGE, end // _PAGE * _PAGE
+    """Let go of the pages between two bytes of a mapped file and of those before; touching them reads them again."""
+    low, high = max(0, start - _AROUND) // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
         data.obj.madvise(mmap.MADV_DONTNEED, low, high - low)

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import FormatError
 from ..types import Array, Batch, Finding, Topic
-from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, load, loose_messages, messages
-from .compression import Buffer
+from .ahead import unpacked_parts
+from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, messages
 from .ledger import Ledger
 from .mapping import fetch, forget, mapped
 from .records import HEAD, MAGIC, SCHEMA, Record, parse
@@ -77,20 +78,22 @@ class McapLog:
 
     def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, Messages]]:
         """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
-        buffer = Buffer()
-        for part in self.survey.parts:
+        parts = [part for part in self.survey.parts if _holds(part, wanted)]
+        done = 0
+        for part, content in unpacked_parts(self._data, parts):
             if isinstance(part, Loose):
                 fetch(self._data, part.start, part.end)
                 whole = np.frombuffer(self._data, np.uint8)
                 for found in loose_messages(self._data, part):
                     yield whole, found
                     forget(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
-            elif wanted is None or not part.listed or not part.indexes or wanted[list(part.indexes)].any():
-                fetch(self._data, part.start, part.start + part.length)
-                content = load(self._data, part, buffer, self._ledger)
-                if content is not None:
-                    yield content, messages(content, self._data, part, self._ledger)
-                forget(self._data, part.start, part.start + part.length)
+                continue
+            if isinstance(content, FormatError):
+                lose(self._data, part, content, self._ledger)
+            elif content is not None:
+                yield content, messages(content, self._data, part, self._ledger)
+            forget(self._data, done, part.start + part.length)  # and what was touched since the chunk before
+            done = part.start + part.length
 
     def records(self, opcode: int) -> Iterator[Record]:
         """The sound records of that opcode that are not in chunks."""
@@ -111,6 +114,13 @@ class McapLog:
     def __exit__(self, *_: object) -> None:
         """Close."""
         self.close()
+
+
+def _holds(part: Chunk | Loose, wanted: Array | None) -> bool:
+    """Whether there may be messages of the channels `wanted` in it."""
+    if wanted is None or isinstance(part, Loose) or not part.listed or not part.indexes:
+        return True
+    return bool(wanted[list(part.indexes)].any())
 
 
 def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:

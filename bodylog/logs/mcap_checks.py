@@ -1,7 +1,8 @@
 """What an MCAP says about itself against what it holds: statistics, indexes, CRCs, times, offsets."""
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,7 +36,7 @@ from .records import (
     walk,
 )
 from .resync import sound_records
-from .summary import summary_of
+from .summary import records_of, section
 
 Say = Callable[[str, str], None]
 """Takes the kind of a remark and its text."""
@@ -87,11 +88,9 @@ def check(data: memoryview, path: Path, say: Say) -> None:
         elif opcode == DATA_END:
             _data_end(data, at, body, say)
             break
-    try:
-        records = summary_of(data) or []
-    except FormatError:
-        return  # the reader says so itself
-    _summary(data, records, tally, say)
+    with suppress(FormatError):  # the reader says so itself
+        place = section(data)
+        _summary(data, records_of(data, *place) if place else (), tally, say)
 
 
 def _chunk(
@@ -149,9 +148,11 @@ def _data_end(data: memoryview, at: int, body: memoryview, say: Say) -> None:
         say("data", f"the data section has CRC {found:08x} where {declared:08x} is declared")
 
 
-def _summary(data: memoryview, records: list[Record], tally: _Tally, say: Say) -> None:
+def _summary(data: memoryview, records: Iterable[Record], tally: _Tally, say: Say) -> None:
+    listed = 0
     for record in records:
         said = record.fields
+        listed += record.opcode == CHUNK_INDEX
         if record.opcode == STATISTICS and not tally.lost:
             _statistics(said, tally, say)
         elif record.opcode == CHUNK_INDEX:
@@ -161,7 +162,6 @@ def _summary(data: memoryview, records: list[Record], tally: _Tally, say: Say) -
             _points(data, said["offset"], said["length"], opcode, f"the {name} index", say)
         elif record.opcode == SUMMARY_OFFSET:
             _group(data, said, say)
-    listed = sum(record.opcode == CHUNK_INDEX for record in records)
     if listed and not tally.lost and listed != tally.records.get(CHUNK, 0):
         say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(CHUNK, 0)}")
 

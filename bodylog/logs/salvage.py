@@ -21,12 +21,11 @@ from .records import (
     MESSAGE,
     MESSAGE_INDEX,
     SCHEMA,
-    Record,
     parse,
     walk,
 )
 from .resync import sound_records
-from .summary import believe_counts, chunks_of, summary_of
+from .summary import Summary, believe_counts, summary_of
 
 _BLOCK = 4096
 _BLOCK_BYTES = 16 << 20
@@ -41,9 +40,9 @@ def survey_of(data: memoryview, ledger: Ledger) -> Survey:
     """What the file holds; damage and doubts go to the ledger."""
     survey = None
     try:
-        records = summary_of(data)
-        if records:
-            survey = _summarised(data, records, ledger)
+        summary = summary_of(data)
+        if summary:
+            survey = _summarised(data, summary, ledger)
     except FormatError as problem:
         ledger.warn(f"the summary is not used: {problem}")
     if survey is None:
@@ -59,17 +58,17 @@ def survey_of(data: memoryview, ledger: Ledger) -> Survey:
     return survey
 
 
-def _summarised(data: memoryview, records: list[Record], ledger: Ledger) -> Survey:
+def _summarised(data: memoryview, summary: Summary, ledger: Ledger) -> Survey:
     survey, at = Survey(), len(MAGIC)
-    for record in records:
+    for record in summary.records:
         if record.opcode in (SCHEMA, CHANNEL):
             survey.declare(record)
-    for chunk, end in chunks_of(data, records):
+    for chunk, end in summary.chunks:
         _scan(data, at, chunk.start, survey, ledger)
         survey.parts.append(chunk)
         at = end
-    _scan(data, at, records[0].start, survey, ledger)
-    if not believe_counts(records, survey, ledger):
+    _scan(data, at, summary.start, survey, ledger)
+    if not believe_counts(summary, survey, ledger):
         _learn(data, survey, ledger)
     return survey
 

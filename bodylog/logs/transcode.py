@@ -12,7 +12,7 @@ from ..errors import FormatError
 from ..types import Array, Batch, Finding, Topic
 from .append import NAME, ROOT, is_mcap
 from .cdr import Payloads, merge
-from .chunks import heads_of
+from .chunks import heads_at
 from .containers import Log, open_log
 from .mcap_write import MESSAGE_HEAD, Messages, gather
 from .records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
@@ -129,7 +129,7 @@ def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
     """Sequence numbers and publish times: in an MCAP's batch a payload follows its record's head; others have none."""
     start = batch.offset - MESSAGE_HEAD
     if len(start) and start.min() >= 0:
-        heads = heads_of(batch.data)[start]
+        heads = heads_at(batch.data, start)
         if (heads["opcode"] == MESSAGE).all() and (heads["log"] == batch.log_ns).all():
             return heads["sequence"], heads["publish"]
     return carrier.carried + np.arange(len(batch.log_ns)), batch.log_ns

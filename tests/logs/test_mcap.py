@@ -1,5 +1,6 @@
 """MCAP: whatever a writer may do, what was written is read; only the chunks asked for are opened; lies are refused."""
 
+import re
 import struct
 import tracemalloc
 from collections import Counter
@@ -253,3 +254,26 @@ def test_the_same_records_come_from_a_stream(tmp_path: Path) -> None:
     path.write_bytes(stream.getvalue())
     with open_log(path, strict=True) as log:
         assert (log.topics, log.start_ns, log.end_ns, list(log.batches()), log.findings) == ((), 0, 0, [], ())
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel does not say what is resident")
+def test_pages_read_do_not_stay(tmp_path: Path) -> None:
+    path = tmp_path / "long.mcap"
+    payload = np.random.default_rng(0).integers(0, 256, 100_000, np.uint8).tobytes()
+    writer = Writer(str(path), compression=CompressionType.NONE, chunk_size=90_000)
+    writer.start()
+    channel = writer.register_channel("/a", "cdr", writer.register_schema("std_msgs/msg/UInt8", "ros2msg", b"uint8 x"))
+    for time in range(400):
+        writer.add_message(channel, time, payload, time)
+    writer.finish()
+    with open_log(path) as log:
+        resident = [_resident_file() for batch in log.batches() if batch.data.any()]
+    assert len(resident) == 400
+    assert max(resident) - resident[0] < 4e6
+
+
+def _resident_file() -> int:
+    """Bytes of mapped files in memory."""
+    found = re.search(r"RssFile:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert found is not None
+    return 1024 * int(found[1])

@@ -1,0 +1,56 @@
+"""Chunks unpacked one after another, the next one already while the one before is used."""
+
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+
+from ..errors import FormatError
+from ..types import Array
+from .chunks import Chunk, Loose, unpack
+from .compression import Buffer
+from .mapping import fetch
+
+_SHORT, _LONG = 1 << 14, 8 << 20
+"""Packed bytes: shorter chunks are unpacked sooner than handed over, of longer ones memory shall not hold two."""
+
+Unpacked = Array | FormatError | None
+"""A chunk's records, or why there are none; None for messages outside chunks."""
+
+
+def unpacked_parts(data: memoryview, parts: Sequence[Chunk | Loose]) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
+    """Each part with what it unpacks to, which is valid until the next is asked for."""
+    if len(parts) < 3 or _processors() < 2:
+        buffer = Buffer()
+        yield from ((part, _unpacked(data, part, buffer)) for part in parts)
+        return
+    with ThreadPoolExecutor(1) as pool:
+        yield from _overlapped(data, parts, pool)
+
+
+def _overlapped(
+    data: memoryview, parts: Sequence[Chunk | Loose], pool: ThreadPoolExecutor
+) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
+    """Two buffers in turn; the first part comes alone, since who looks at a log's beginning wants no more."""
+    here, there = Buffer(), Buffer()
+    waiting: Future[Unpacked] | None = None
+    for number, part in enumerate(parts):
+        found = waiting.result() if waiting else _unpacked(data, part, here)
+        following = parts[number + 1] if 0 < number < len(parts) - 1 else None
+        pays = isinstance(following, Chunk) and _SHORT <= following.length <= _LONG
+        waiting = pool.submit(_unpacked, data, following, there) if following and pays else None
+        yield part, found
+        here, there = there, here
+
+
+def _unpacked(data: memoryview, part: Chunk | Loose, buffer: Buffer) -> Unpacked:
+    if isinstance(part, Loose):
+        return None
+    fetch(data, part.start, part.start + part.length)
+    try:
+        return unpack(data, part, buffer)
+    except FormatError as problem:
+        return problem
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
