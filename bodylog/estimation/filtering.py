@@ -56,7 +56,7 @@ def pose(
         evidence = replace(evidence, encoders=sound)
     first = start(evidence, settings, len(body.joints))
     precision = resolve(evidence, body, settings)
-    usual = habit(evidence, precision.process)
+    usual = habit(evidence, precision.process, first)
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
     allowed = bias.allowed(settings.bias, body.joints, faults)
     problem = problem if allowed is None else bias.with_drift(problem, allowed)

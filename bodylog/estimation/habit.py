@@ -28,11 +28,12 @@ class Habit:
         return encoders, var
 
 
-def habit(evidence: Evidence, process: Array) -> Habit | None:
-    """The habit by what the models were learned from; None when all encoders speak or no model tells.
+def habit(evidence: Evidence, process: Array, start: Array) -> Habit | None:
+    """The habit by what the tracks' models were learned from; None when all encoders speak or no model tells.
 
     A reminder of density R under white acceleration q alone holds a joint to the variance √2 q^¼ R^¾: R is such that
-    this is the explored angles' own, widened.
+    this is the explored angles' own, widened. Seen joints are wont to be where they were explored; those only felt,
+    now and then, stay where they started.
     """
     silent = np.ones(len(process), bool)
     if evidence.encoders is not None:
@@ -40,8 +41,8 @@ def habit(evidence: Evidence, process: Array) -> Habit | None:
     known = [s.model.samples for s in evidence.sightings if hasattr(s.model, "samples") and len(s.model.samples) > 1]
     if not silent.any() or not known:
         return None
-    explored = np.concatenate(known)
+    explored, seen = np.concatenate(known), any(s.name != "touch" for s in evidence.sightings)
     var = np.square(WIDER * explored.std(axis=0))
     density = (var / (np.sqrt(2.0) * process**0.25)) ** (4.0 / 3.0)
     silent &= density > 0
-    return Habit(silent, explored.mean(axis=0), density) if silent.any() else None
+    return Habit(silent, explored.mean(axis=0) if seen else start, density) if silent.any() else None

@@ -8,7 +8,9 @@ import numpy as np
 from ..types import Array, ForwardModel
 from .scan import Dynamics, Readings, Trace, scan
 
-ITERATIONS = 20
+ITERATIONS = 30
+HASTY = 8
+"""Full Gauss–Newton steps before half ones: where the tangents overshoot, these close in."""
 RESTING = 1e-10
 """rad: how little the point of linearisation may still move."""
 ALIKE = 0.01
@@ -50,11 +52,12 @@ def hear(
     """Move z (K,), p (K,K) by dt and hear encoders (M,), NaN where silent, and sights; what came of it."""
     m = len(encoders)
     x = z[:m] + dt * z[m : 2 * m]
-    for _ in range(ITERATIONS):
+    for iteration in range(ITERATIONS):
         readings = _readings(dt, encoders, encoder_var, sights, x)
         trace = scan(readings, dynamics, z[:, None], p[:, :, None], remember)
-        before, x = x, trace.z[0, :m, 0]
-        if not any(np.isfinite(s.value).all() for s in sights) or np.abs(x - before).max() < RESTING:
+        move = trace.z[0, :m, 0] - x
+        x = x + (move if iteration < HASTY else 0.5 * move)
+        if not any(np.isfinite(s.value).all() for s in sights) or np.abs(move).max() < RESTING:
             break
     return readings, trace
 

@@ -50,7 +50,8 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     first = _first(features.joints, body.joints)
     sightings = [_sighting(track, features.tracks[track], body, used) for track in wanted if track in features.tracks]
     if "touch" in wanted and "effector" in body.senses:
-        sightings.append(_touch(features, body, used))
+        # descent integrates a pull over time; a filter would take the frames of one touch for independent
+        sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
     findings = _check(used, settings.senses or (), features)
     heard = tuple(s for s in sightings if used[s.name].used)
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
@@ -142,11 +143,13 @@ def _pixel_variance(track: Series, fallback: Array) -> Array:
     return np.array(var, float)
 
 
-def _touch(features: Features, body: BodyModel, used: dict[str, Health]) -> Sighting:
-    t, values, var, source_ns = touch.sightings(features, body.touch)
+def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: bool) -> Sighting:
+    t, values, var, source_ns, count = touch.sightings(features, body, whole)
     seen = 0 if features.touches is None else len(features.touches)
-    used["touch"] = Health(seen, len(t), {"no stroke seen in time": seen} if seen and not len(t) else {})
-    return Sighting("touch", body.senses["effector"], t, values, var, source_ns)
+    left = {"no stroke seen in time": seen - count} if seen > count else {}
+    used["touch"] = Health(seen, count, left)
+    rising = _rising(t)
+    return Sighting("touch", body.senses["effector"], t[rising], values[rising], var[rising], source_ns[rising])
 
 
 def _check(used: Mapping[str, Health], named: tuple[str, ...], features: Features) -> tuple[Finding, ...]:

@@ -2,19 +2,48 @@
 
 import numpy as np
 
-from ..types import Array, Features, TouchConstants
+from ..types import Array, BodyModel, Features
 
 
-def sightings(features: Features, constants: TouchConstants) -> tuple[Array, Array, Array, Array]:
-    """Where touch says the effector is: t (K,) s · values (K,2) px · variance (K,2) px² · source_ns (K,)."""
+LEAST = 1e-9
+"""A touch of smaller weight says nothing at all."""
+
+
+def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Array, Array, Array, Array, int]:
+    """Where touch says the effector is: t (K,) s · values (K,2) px · variance (K,2) px² · source_ns (K,); touches used.
+
+    ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or, of a cell whose place
+    beside the effector the body knows, about that place. A hand strokes along the limb, so the frames of one touch err
+    together: `whole` makes all of them count as one sighting.
+    """
+    nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64), 0
     hand = features.hand
     if hand is None or not features.touches:
-        return np.empty(0), np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64)
-    weight = weights(features, hand.t)
-    keep = (weight > 0) & np.isfinite(hand.values).all(axis=1)
-    # ln g_t = -b1 w |g_v - o_v|^2 + const: a Gaussian of variance 1 / (2 b1 w)
-    var = 1.0 / (2.0 * constants.b1 * weight[keep])
-    return hand.t[keep], hand.values[keep], np.stack([var, var], axis=1), hand.source_ns[keep]
+        return nothing
+    seen, strongest = np.isfinite(hand.values).all(axis=1), weights(features, hand.t)
+    parts, taken = [], np.zeros(len(hand.t), bool)
+    for pair in features.synchrony:
+        touch = features.touches[pair.touch]
+        during = seen & ~taken & (hand.t >= touch.onset) & (hand.t <= touch.offset) & (strongest == pair.weight)
+        taken |= during
+        if pair.weight > LEAST and during.any():
+            u, v, var = _place(body, touch.strongest)
+            var = var / pair.weight * (during.sum() if whole else 1)
+            parts.append((hand.t[during], hand.values[during] - (u, v), var, hand.source_ns[during]))
+    if not parts:
+        return nothing
+    parts.sort(key=lambda part: float(part[0][0]))
+    var = np.concatenate([np.full((len(t), 2), var) for t, _, var, _ in parts])
+    t, values, _, source_ns = zip(*parts, strict=True)
+    return np.concatenate(t), np.concatenate(values), var, np.concatenate(source_ns), len(parts)
+
+
+def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
+    """Where a cell is seen beside the effector (u, v) px, and the variance px² about there."""
+    if cell not in body.cells:
+        return 0.0, 0.0, 1.0 / (2.0 * body.touch.b1)
+    u, v, spread = body.cells[cell]
+    return u, v, spread**2
 
 
 def weights(features: Features, t: Array) -> Array:

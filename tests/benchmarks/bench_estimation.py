@@ -25,8 +25,8 @@ def learned(samples: int) -> BodyModel:
     return body.learn([explored.features], Settings(), {}).model
 
 
-def whole_log(model: BodyModel) -> None:
-    """Ten minutes at 100 Hz with pictures at 30 Hz, features present."""
+def whole_log(model: BodyModel) -> dict[str, float]:
+    """Ten minutes at 100 Hz with pictures at 30 Hz, features present; seconds per step of each case."""
     world = draw(2, duration=60.0 * MINUTES, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
     steps, track = len(world.features.joints.t), world.features.tracks["effector"]
     sense, where = model.senses["effector"], np.repeat(world.truth.values[:1], len(track.t), axis=0)
@@ -42,10 +42,11 @@ def whole_log(model: BodyModel) -> None:
     for name in ("laplace", "smoother"):
         print(f"  {name}: {medians[name] / steps * 1e6:.1f} µs per step")
     print(f"  smoother / laplace: {medians['smoother'] / medians['laplace']:.2f}")
+    return {name: seconds / steps for name, seconds in medians.items()}
 
 
-def beside_filterpy(model: BodyModel) -> None:
-    """Thirty seconds by both, and by our stream."""
+def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
+    """Thirty seconds by both, and by our stream; the peer's step beside ours of the long log."""
     world = draw(3, duration=30.0, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
     order = [world.features.joints.names.index(name) for name in model.joints]
     events = sorted(
@@ -61,7 +62,12 @@ def beside_filterpy(model: BodyModel) -> None:
         cases["filterpy EKF, scikit-learn predictions"] = partial(filterpy, world, model, events, order)
     else:
         print("  filterpy or scikit-learn is not installed: no peer")
-    side_by_side("30 seconds, one and the same log", cases, repeats=1)
+    medians = side_by_side("30 seconds, one and the same log", cases, repeats=1)
+    peer = medians.get("filterpy EKF, scikit-learn predictions")
+    if peer is not None:
+        for name in ("laplace", "laplace, the body's precisions"):
+            step = peer / len(world.features.joints.t)
+            print(f"  filterpy's step / {name}'s of {MINUTES} minutes: {step / ours[name]:.1f}")
 
 
 def stream(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:
@@ -133,8 +139,7 @@ def per_step(model: BodyModel, tracks: int) -> float:
 def main() -> None:
     """Run all cases."""
     model = learned(320)
-    whole_log(model)
-    beside_filterpy(model)
+    beside_filterpy(model, whole_log(model))
     growth()
 
 

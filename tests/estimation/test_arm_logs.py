@@ -79,3 +79,41 @@ def test_the_papers_preset_runs_to_the_end(seen, learned, name):
     _, features = seen(name)
     found = estimate(features, learned, Estimation(method="predictive-coding", preset="paper"))
     assert np.abs(found.joints.values).max() < 3.0
+
+
+def displaced(found, truth, model, touches):
+    """Distance (px RMS) of the believed effector from the true one, while touched."""
+    during = np.any([(found.joints.t > t.onset + 0.2) & (found.joints.t < t.offset) for t in touches], axis=0)
+    columns = [truth.values[:, NAMES.index(joint)] for joint in found.joints.names]
+    true = np.stack([np.interp(found.joints.t, truth.t, column) for column in columns], axis=1)
+    apart = [model.senses["effector"].predict(x[during])[0] for x in (found.joints.values, true)]
+    return np.sqrt(np.mean((apart[0] - apart[1]) ** 2))
+
+
+def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(seen):
+    model = body.learn([seen(name)[1] for name in ("explore.mcap", "touch.mcap")], Settings(), {}).model
+    for shift in (-0.1, 0.1):
+        error = {}
+        for name in ("touch.mcap", "touch_async.mcap"):
+            recording, features = seen(name)
+            truth = truth_of(name, recording)
+            start = truth.values[0, [NAMES.index(joint) for joint in model.joints]] + shift
+            settings = Estimation(without=("encoders", "vision"), start=tuple(start))
+            found = estimate(features, model, settings)
+            joints = {s.name: s.value for s in scores(found, truth, None)}["joint_rmse"]
+            error[name] = np.array([displaced(found, truth, model, features.touches), joints])
+        apart = model.senses["effector"].predict(np.stack([start, start - shift]))[0]
+        wrong = np.array([np.sqrt(np.mean((apart[0] - apart[1]) ** 2)), 0.1])
+        gain = wrong - error["touch.mcap"]
+        assert gain[0] > 0.5 * wrong[0]
+        assert gain[1] > 0.0
+        assert np.all(np.abs(wrong - error["touch_async.mcap"]) < 0.1 * gain)
+
+
+def test_pictures_alone_keep_the_arm_where_it_was_explored(seen, learned):
+    recording, features = seen("reach.mcap")
+    found = estimate(features, learned, Estimation(senses=("vision",)))
+    error = {s.name: s.value for s in scores(found, truth_of("reach.mcap", recording), None)}
+    assert np.abs(found.joints.values).max() < 2.0
+    assert error["joint_rmse"] < 0.5
+    assert error["effector_rmse"] < 10.0

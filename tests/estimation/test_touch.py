@@ -21,8 +21,8 @@ def biased(drawn, stroked, weight):
 
 
 def test_variance_and_times_are_the_likelihoods(world, stroked):
-    features = stroked(world(0), 0.5)
-    t, places, var, source_ns = touch.sightings(features, world(0).body.touch)
+    features, body = stroked(world(0), 0.5), world(0).body
+    t, places, var, source_ns, count = touch.sightings(features, body, whole=False)
     during = np.zeros(len(features.hand.t), bool)
     for felt in features.touches:
         during |= (features.hand.t >= felt.onset) & (features.hand.t <= felt.offset)
@@ -30,6 +30,24 @@ def test_variance_and_times_are_the_likelihoods(world, stroked):
     np.testing.assert_array_equal(places, features.hand.values[during])
     np.testing.assert_allclose(var, 1.0 / (2.0 * 0.005 * 0.5))
     assert len(source_ns) == len(t)
+    assert count == len(features.touches)
+
+
+def test_all_frames_of_one_touch_count_as_one_sighting(world, stroked):
+    features, body = stroked(world(0), 1.0), world(0).body
+    t, _, var, _, count = touch.sightings(features, body)
+    information = (1.0 / var).sum(axis=0)
+    np.testing.assert_allclose(information, count * 2.0 * 0.005)
+    assert len(t) > count
+
+
+def test_a_cell_whose_place_is_known_is_looked_for_there(world, stroked):
+    features, body = stroked(world(0), 1.0, (30.0, -8.0)), world(0).body
+    body = replace(body, cells={1: (30.0, -8.0, 3.0)})
+    t, places, var, *_ = touch.sightings(features, body, whole=False)
+    effector = features.tracks["effector"]
+    np.testing.assert_allclose(places, effector.values[np.isin(effector.t, t)])
+    np.testing.assert_allclose(var, 9.0)
 
 
 def test_synchronous_touch_corrects_and_asynchronous_does_not(world, stroked):
@@ -43,7 +61,7 @@ def test_synchronous_touch_corrects_and_asynchronous_does_not(world, stroked):
             late = found.joints.t > 10.0
             errors.append(np.sqrt(np.mean((found.joints.values - drawn.truth.values)[late, 0] ** 2)))
         gain[weight] = errors[0] - errors[1]
-    assert gain[1.0] > 0.003
+    assert gain[1.0] > 0.0015
     assert abs(gain[1e-6]) < 0.1 * gain[1.0]
 
 
