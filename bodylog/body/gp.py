@@ -52,7 +52,7 @@ class GP:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         kernel, value, slope = self._at(x)
         seen = [_times(upper, row) for upper, row in zip(self._uppers, kernel, strict=True)]
-        left = [max(amplitude - float(part @ part), 0.0) for amplitude, part in zip(self._amplitudes, seen, strict=True)]
+        left = [max(a - float(part @ part), 0.0) for a, part in zip(self._amplitudes, seen, strict=True)]
         return value, slope, np.array(left * len(value) if len(left) == 1 else left)
 
     def mean_one(self, x: Array) -> tuple[Array, Array]:

@@ -105,7 +105,7 @@ def fit(data: Samples, prior: Prior, shared: bool, seed: int) -> Fitted:
 
 
 def search(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper:
-    """Kernel of greatest evidence for outputs y (n,G) that share it: on few samples from the best guess, then on all."""
+    """Kernel of greatest evidence for outputs y (n,G) that share it: from guesses on few samples, then on all."""
     scouts = spaced(len(x), _SCOUTS)
     sx, sy = _deviation(x), float(np.mean(_deviation(y)))
     few = x[scouts] / sx, y[scouts] / sy, independent(spread.diagonal[scouts] / sy**2)

@@ -7,6 +7,7 @@ from bodylog.body.evidence import (
     FLAT,
     ROTATION,
     Hyper,
+    Prior,
     Spread,
     cholesky,
     evidence,
@@ -79,3 +80,20 @@ def test_jitter_saves_a_singular_matrix_and_zeros_stay_above_the_diagonal() -> N
     assert np.array_equal(chol, np.tril(chol))
     with pytest.raises(np.linalg.LinAlgError, match="not positive definite"):
         cholesky(np.diag([1.0, -5.0]), independent(np.zeros(2)), 0.0)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("count", [15, 46, 150])
+@pytest.mark.parametrize("prior", [FLAT, ROTATION])
+def test_one_descent_finds_what_many_find(seed: int, count: int, prior: Prior, camera) -> None:
+    draw = np.random.default_rng(seed)
+    x = draw.uniform([-0.8, -0.4, 0.1], [0.8, 0.9, 1.2], (count, 3))
+    y = (camera(x) + draw.normal(0, 0.3, (count, 2))) / 40.0
+    nothing, guesses = independent(np.zeros(count)), starts(x, 0, 12)
+
+    def loss(kernel: Hyper) -> float:
+        away = (np.log(kernel.scales) - np.log(prior.scales)) / prior.width
+        return 0.5 * float(away @ away) - evidence(kernel.theta, x, y, nothing)[0]
+
+    best = min(loss(maximise(x, y, nothing, prior, [guess])) for guess in guesses[:6])
+    assert loss(maximise(x, y, nothing, prior, guesses)) < best + 0.01

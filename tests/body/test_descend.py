@@ -1,0 +1,56 @@
+import numpy as np
+import pytest
+
+from bodylog.body.descend import descend
+from bodylog.types import Array
+
+
+def _bowl(seed: int, count: int) -> tuple[Array, Array]:
+    draw = np.random.default_rng(seed)
+    root = draw.normal(size=(count, count))
+    return root @ root.T + 0.1 * np.eye(count), draw.normal(size=count)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_bowl_is_descended_in_one_step_with_its_own_curvature(seed: int) -> None:
+    curvature, centre = _bowl(seed, 4)
+    calls = []
+
+    def loss(x: Array) -> tuple[float, Array]:
+        calls.append(x)
+        return 0.5 * float((x - centre) @ curvature @ (x - centre)), curvature @ (x - centre)
+
+    wide = np.full(4, 50.0)
+    assert np.allclose(descend(loss, np.zeros(4), -wide, wide, curvature), centre, atol=1e-4)
+    assert len(calls) <= 3
+    assert np.allclose(descend(loss, np.zeros(4), -wide, wide, np.eye(4)), centre, atol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_bounds_hold_and_what_they_leave_is_least(seed: int) -> None:
+    curvature, centre = _bowl(seed, 3)
+
+    def loss(x: Array) -> tuple[float, Array]:
+        return 0.5 * float((x - centre) @ curvature @ (x - centre)), curvature @ (x - centre)
+
+    low, high = np.array([centre[0] + 0.5, -9.0, -9.0]), np.full(3, 9.0)
+    found = descend(loss, high.copy(), low, high, np.eye(3))
+    assert found[0] == low[0]
+    rest = centre[1:] - np.linalg.solve(curvature[1:, 1:], curvature[1:, 0]) * 0.5
+    assert np.allclose(found[1:], rest, atol=2e-3)
+
+
+def test_a_bent_valley_is_followed_to_its_end() -> None:
+    def rosenbrock(x: Array) -> tuple[float, Array]:
+        a, b = 1 - x[0], x[1] - x[0] ** 2
+        return float(a * a + 100 * b * b), np.array([-2 * a - 400 * x[0] * b, 200 * b])
+
+    wide = np.full(2, 5.0)
+    assert np.allclose(descend(rosenbrock, np.array([-1.2, 1.0]), -wide, wide, np.eye(2)), 1.0, atol=1e-3)
+
+
+def test_it_stops_where_nothing_can_be_gained() -> None:
+    wide = np.ones(2)
+    assert np.array_equal(descend(lambda x: (0.0, np.zeros(2)), np.zeros(2), -wide, wide, np.eye(2)), np.zeros(2))
+    # a slope that lies: no step finds a lower value
+    assert np.array_equal(descend(lambda x: (0.0, np.ones(2)), np.zeros(2), -wide, wide, np.eye(2)), np.zeros(2))
