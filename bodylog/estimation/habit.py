@@ -1,4 +1,4 @@
-"""Where the arm is wont to be: a weak prior for joints no encoder speaks of, so that pictures alone do not lose them."""
+"""Where the arm is wont to be: a weak prior for joints no encoder speaks of, lest pictures alone lose them."""
 
 from dataclasses import dataclass
 
@@ -35,9 +35,9 @@ def habit(evidence: Evidence, process: Array, start: Array) -> Habit | None:
     this is the explored angles' own, widened. Seen joints are wont to be where they were explored; those only felt,
     now and then, stay where they started.
     """
-    silent = np.ones(len(process), bool)
+    silent: Array = np.ones(len(process), bool)
     if evidence.encoders is not None:
-        silent = ~np.isfinite(evidence.encoders.values).any(axis=0)
+        silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
     known = [s.model.samples for s in evidence.sightings if hasattr(s.model, "samples") and len(s.model.samples) > 1]
     if not silent.any() or not known:
         return None

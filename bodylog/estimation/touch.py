@@ -4,7 +4,6 @@ import numpy as np
 
 from ..types import Array, BodyModel, Features
 
-
 LEAST = 1e-9
 """A touch of smaller weight says nothing at all."""
 
@@ -33,9 +32,9 @@ def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[
     if not parts:
         return nothing
     parts.sort(key=lambda part: float(part[0][0]))
-    var = np.concatenate([np.full((len(t), 2), var) for t, _, var, _ in parts])
-    t, values, _, source_ns = zip(*parts, strict=True)
-    return np.concatenate(t), np.concatenate(values), var, np.concatenate(source_ns), len(parts)
+    t, values, variances, source_ns = zip(*parts, strict=True)
+    spread = np.concatenate([np.full_like(places, one) for places, one in zip(values, variances, strict=True)])
+    return np.concatenate(t), np.concatenate(values), spread, np.concatenate(source_ns), len(parts)
 
 
 def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
