@@ -2,6 +2,7 @@
 
 import shutil
 import sqlite3
+from array import array
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +21,7 @@ _DAMAGE = (sqlite3.Error, UnicodeError)
 _ENDS = ("min", "max")
 _ROWS = 512
 _FIRST_ROWS = 16
+_FEW_TOPICS = 8
 _BYTES = 16 << 20
 _LARGEST = 1 << 30
 _LOWEST = -(1 << 63)
@@ -50,7 +52,7 @@ class Db3Log:
         self._store = _connect(path, source or path)
         try:
             named = _topics(self._store)
-            counts, self.start_ns, self.end_ns = self._survey()
+            counts, self.start_ns, self.end_ns = self._survey(list(named))
         except _DAMAGE as problem:
             self._store.close()
             raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; type: bodylog doctor") from None
@@ -87,10 +89,10 @@ class Db3Log:
         """Close."""
         self.close()
 
-    def _survey(self) -> tuple[dict[int, int], int, int]:
+    def _survey(self, numbers: list[int]) -> tuple[dict[int, int], int, int]:
         """Messages by topic id in the file, first and last log time (ns)."""
         try:
-            counts = dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
+            counts = self._counts(numbers)
             if self._store.execute("PRAGMA index_list(messages)").fetchall():  # two look-ups instead of a scan
                 times = [self._store.execute(f"SELECT {end}(timestamp) FROM messages").fetchone()[0] for end in _ENDS]
             else:
@@ -105,6 +107,15 @@ class Db3Log:
                 counts[topic] = counts.get(topic, 0) + 1
             ends += [int(block.log_ns.min()), int(block.log_ns.max())]
         return counts, min(ends, default=0), max(ends, default=0)
+
+    def _counts(self, numbers: list[int]) -> dict[int, int]:
+        """Messages by topic id in the file; of few topics they are added up, which is twice as fast as grouping."""
+        if 0 < len(numbers) <= _FEW_TOPICS:
+            sums = ", ".join(f"sum(topic_id = {number})" for number in numbers)
+            whole, *each = self._store.execute(f"SELECT count(*), {sums} FROM messages").fetchone()
+            if whole == sum(count or 0 for count in each):
+                return {number: count for number, count in zip(numbers, each, strict=True) if count}
+        return dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
 
     def _blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
         """The rows of these topics in the order stored; what cannot be read is skipped and said."""
@@ -243,11 +254,12 @@ def _standard(kind: str) -> tuple[bytes, str]:
 def _block(rows: list[tuple[int, int, bytes]]) -> Block | None:
     """The rows as arrays, or None when a value is not of the type its column must have."""
     numbers, times, payloads = zip(*rows, strict=True)
-    topic, log_ns = np.array(numbers), np.array(times)
-    if topic.dtype != np.int64 or log_ns.dtype != np.int64 or set(map(type, payloads)) != {bytes}:
+    try:
+        topic, log_ns = (np.frombuffer(array("q", values), np.int64) for values in (numbers, times))
+        data = np.frombuffer(b"".join(payloads), np.uint8)
+    except TypeError:
         return None
-    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
-    return Block(topic, log_ns, np.frombuffer(b"".join(payloads), np.uint8), length)
+    return Block(topic, log_ns, data, np.fromiter(map(len, payloads), np.int64, len(payloads)))
 
 
 def _batches(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
