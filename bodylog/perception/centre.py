@@ -59,22 +59,23 @@ def _mixing(window: Array, inner: Array, outer: Array) -> tuple[Array, float]:
     Fisher's discriminant: the direction in colour that tells the two apart best given how each of them scatters, so
     that what else stands in the surround weighs little.
     """
-    blob, ground = window[inner.view(bool)].astype(np.float32), window[::2][outer[::2].view(bool)].astype(np.float32)
-    ground = ground if len(ground) else np.zeros((1, 3), dtype=np.float32)
-    middle = ground.mean(axis=0)
-    step = blob.mean(axis=0) - middle
-    scatter = _covariance(blob) + _covariance(ground)
+    blob, blob_scatter = _moments(window[inner.view(bool)])
+    ground, ground_scatter = _moments(window[::2, ::2][outer[::2, ::2].view(bool)])
+    step, scatter = blob - ground, blob_scatter + ground_scatter
     # as much again of white noise keeps the direction sane where the colours hardly scatter
-    axis = np.linalg.solve(scatter + max(float(np.trace(scatter)) / 3, 1e-3) * np.eye(3, dtype=np.float32), step)
+    scatter += max(float(scatter.trace()) / 3, 1e-3) * np.eye(3, dtype=np.float32)
+    axis = np.linalg.solve(scatter, step)
     axis /= max(float(axis @ step), 1e-6)
-    flat = window.reshape(-1, 3).astype(np.float32) @ axis - middle @ axis
-    return flat.reshape(window.shape[:2]), max(float(step @ step), 1.0) ** 0.5
+    flat = window.reshape(-1, 3).astype(np.float32) @ axis - ground @ axis
+    return flat.reshape(inner.shape), max(float(step @ step), 1.0) ** 0.5
 
 
-def _covariance(colours: Array) -> Array:
-    """Of colours (n,3): (3,3)."""
-    away = colours - colours.mean(axis=0)
-    return np.asarray(away.T @ away / len(away))
+def _moments(colours: Array) -> tuple[Array, Array]:
+    """Mean (3,) and covariance (3,3) of colours (n,3); zeros of none."""
+    shared = np.float32(1 / max(len(colours), 1))
+    mean = np.full(len(colours), shared) @ colours.astype(np.float32)
+    away = colours - mean
+    return mean, away.T @ away * shared
 
 
 def _shade(mixing: Array, inner: Array, x: Array, y: Array) -> tuple[float, Array | None]:
@@ -124,7 +125,7 @@ def _ripple(weight: Array, mass: float, u: float, v: float) -> float:
     radius = np.abs(away) + np.float32(1e-6)
     turn = away / radius
     twice = turn * turn
-    arm = weight[rows, columns] * radius
     third = turn * twice
+    arm = weight[rows, columns] * radius
     waves = complex(third @ arm), complex((third * twice) @ arm)
     return sum(abs(wave) ** 2 for wave in waves) / (2 * len(waves)) / mass**2
