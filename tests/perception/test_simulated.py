@@ -68,7 +68,9 @@ def _compare(found: _Found, features: Features, name: str, start_ns: int, truth:
     in_view, seen = np.isfinite(true[:, 0]), np.isfinite(track.values[:, 0])
     found.in_view += int(in_view.sum())
     found.found += int((in_view & seen).sum())
-    found.ghosts += int((seen & ~in_view).sum())
+    # next to a frame in view little more than 1 % of the outline may be hidden, which is not yet hidden
+    brink = np.convolve(in_view, np.ones(3), "same") > 0
+    found.ghosts += int((seen & ~brink).sum())
     assert track.std is not None
     found.errors.append((track.values - true)[in_view & seen])
     found.variances.append(track.std[in_view & seen] ** 2)
