@@ -31,6 +31,9 @@ class Log(Protocol):
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
 
+    def spans(self) -> Mapping[int, tuple[int, int]]:
+        """First and last log time (ns) by topic id, of the topics for which the file says so without being read."""
+
     def close(self) -> None:
         """Let go of the file."""
 

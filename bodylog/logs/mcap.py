@@ -13,6 +13,7 @@ from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, 
 from .ledger import Ledger
 from .mapping import fetch, forget, mapped
 from .records import HEAD, MAGIC, SCHEMA, Record, parse
+from .spans import spans_of
 from .topics import Topics, split
 from .unpacked import unpacked
 
@@ -94,6 +95,10 @@ class McapLog:
                 yield content, messages(content, self._data, part, self._ledger)
             forget(self._data, done, part.start + part.length)  # and what was touched since the chunk before
             done = part.start + part.length
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """First and last log time (ns) by topic id, where every message is in a message index."""
+        return spans_of(self._data, self.survey.parts, self._topic_of)
 
     def records(self, opcode: int) -> Iterator[Record]:
         """The sound records of that opcode that are not in chunks."""

@@ -53,13 +53,13 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
             remarked = (*silent, *_findings(log, heard))
         except BodylogError as error:
             remarked = (Finding("warning", str(error).removeprefix(f"{path}: ")),)
-        duration_s = (log.end_ns - log.start_ns) / 1e9
+        spans = _spans(log, heard)
         return {
             "path": str(path),
             "format": log.format,
             "start_ns": log.start_ns,
-            "duration_s": duration_s,
-            "topics": [_topic(topic, duration_s) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
+            "duration_s": (log.end_ns - log.start_ns) / 1e9,
+            "topics": [_topic(topic, spans) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
             "roles": {role: source.path for role, source in found.items()},
             "joints": list(heard["joints"].names) if "joints" in heard else [],
             "clock": {role: _clock(stream) for role, stream in heard.items()},
@@ -67,8 +67,16 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
         }
 
 
-def _topic(topic: Topic, duration_s: float) -> dict[str, Any]:
-    rate = (topic.messages - 1) / duration_s if topic.messages > 1 and duration_s > 0 else None
+def _spans(log: Log, heard: Mapping[str, Stream]) -> dict[int, tuple[int, int]]:
+    """First and last log time (ns) by topic id: its own where that is known, else the log's."""
+    whole = dict.fromkeys((topic.id for topic in log.topics), (log.start_ns, log.end_ns))
+    alone = {stream.role.topics[0].id: stream.log_ns for stream in heard.values() if len(stream.role.topics) == 1}
+    return whole | {id_: (int(ns.min()), int(ns.max())) for id_, ns in alone.items()} | dict(log.spans())
+
+
+def _topic(topic: Topic, spans: Mapping[int, tuple[int, int]]) -> dict[str, Any]:
+    first, last = spans[topic.id]
+    rate = (topic.messages - 1) / (last - first) * 1e9 if topic.messages > 1 and last > first else None
     return {"topic": topic.name, "type": topic.type, "messages": topic.messages, "rate_hz": rate}
 
 

@@ -74,6 +74,10 @@ class BagLog:
                     yield from _split(content, messages(content, self._data, part.start, indexes, self._ledger), wanted)
                     forget(self._data, part.start, part.start + len(content))
 
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """None: a bag's indexes say so of chunks, not of topics."""
+        return {}
+
     def close(self) -> None:
         """Let go of the file; batches still held keep their bytes."""
         self._data = memoryview(b"")

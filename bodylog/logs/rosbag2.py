@@ -9,6 +9,7 @@ from typing import Any
 from ..errors import InputError, LogError
 from ..types import Batch, Finding, Topic
 from .ledger import Ledger
+from .spans import widen
 from .topics import Topics
 
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")
@@ -29,6 +30,8 @@ class Rosbag2Log:
         self._ledger = Ledger(path, strict)
         self._members: list[tuple[Path, dict[int, int]]] = []
         self._findings: dict[Finding, None] = {}
+        self._spans: dict[int, tuple[int, int]] = {}
+        self._unsaid: set[int] = set()
         topics, times = Topics(), []
         for member in members(path, self._ledger):
             times += self._survey(member, topics)
@@ -54,6 +57,10 @@ class Rosbag2Log:
                         yield replace(batch, topic_id=topic_of[batch.topic_id])
                     self._findings.update(dict.fromkeys(log.findings))
 
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """First and last log time (ns) by topic id, where every file that holds the topic says so."""
+        return {topic: span for topic, span in self._spans.items() if topic not in self._unsaid}
+
     def close(self) -> None:
         """Nothing stays open between batches."""
 
@@ -75,10 +82,14 @@ class Rosbag2Log:
             self._ledger.lost(len(self._members), member.stat().st_size, None, None, str(problem))
             return []
         with log:
-            topic_of = {}
+            topic_of, spans = {}, log.spans()
             for topic in log.topics:
                 said = (topic.name, topic.type, topic.encoding, topic.definition, topic.definition_encoding)
                 topic_of[topic.id] = topics.add(*said, topic.messages, topic.metadata)
+                if topic.id in spans:
+                    widen(self._spans, topic_of[topic.id], spans[topic.id])
+                elif topic.messages:
+                    self._unsaid.add(topic_of[topic.id])
             self._members.append((member, topic_of))
             self._findings.update(dict.fromkeys(log.findings))
             return [log.start_ns, log.end_ns] if any(topic.messages for topic in log.topics) else []

@@ -336,6 +336,20 @@ def test_info_is_plain_and_complete(tmp_path):
     assert any('topics = { joints = "/j" }' in finding["text"] for finding in said["findings"])
 
 
+@pytest.mark.parametrize("folder", [False, True])
+def test_rates_are_those_of_the_time_a_topic_lasted(tmp_path, folder):
+    brief, long = arrays("/brief", np.ones((21, 1)), every=50 * MS), arrays("/long", np.ones((401, 1)), every=25 * MS)
+    if folder:
+        cut = [(long.messages[:200], "a_0.mcap"), (long.messages[200:], "a_1.mcap")]
+        for messages, name in cut:
+            write(tmp_path / name, [replace(long, messages=messages), *([brief] if name == "a_0.mcap" else [])])
+    else:
+        write(tmp_path / "a.mcap", [brief, long], chunk=1000)
+    said = info(tmp_path if folder else tmp_path / "a.mcap", PLAIN)
+    rates = {topic["topic"]: topic["rate_hz"] for topic in said["topics"]}
+    assert rates == {"/brief": pytest.approx(20), "/long": pytest.approx(40)}
+
+
 def test_reading_twice_gives_the_same(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(9)), arrays("/skin", np.ones((9, 2)))])
     one, two = read(log, PLAIN), read(Path(str(log)), PLAIN)
