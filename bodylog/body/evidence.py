@@ -128,7 +128,7 @@ def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: list[Hype
     x = x - x.mean(axis=0)
     low = np.array([-10.0, *[-5.0] * x.shape[1], -23.0])
     high = np.array([16.0, *[10.0] * x.shape[1], 3.0])
-    thetas = [np.clip(start.theta, low, high) for start in starts]
+    thetas = np.clip([start.theta for start in starts], low, high)
     first = thetas[0] if len(thetas) == 1 else min(thetas, key=lambda theta: _value(theta, x, y, spread, prior))
     curvature = _information(first, x, y.shape[1], spread, prior)
     return hyper(descend(lambda theta: _loss(theta, x, y, spread, prior), first, low, high, curvature))
