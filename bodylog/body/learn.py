@@ -6,7 +6,7 @@ from typing import Any
 
 from ..errors import EvidenceError, ModelError
 from ..settings import Fit, Settings
-from ..types import BodyModel, Features, Finding, Score
+from ..types import BodyModel, Features, Finding, ForwardModel, Score
 from . import coverage, noise, sense, touch
 from .gp import GP
 from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs
@@ -28,8 +28,9 @@ def learn(
 ) -> Learned:
     """A body model from the features of one or many exploration logs, with what it says of itself.
 
-    A body to update keeps its joints, and what it was learned from counts as one more log. LogError without joints,
-    ConfigError for an unknown joint, ModelError for another robot's body, EvidenceError when nothing was seen or moved.
+    A body to update keeps its joints, the senses it was given, and touch where no log tells of it; what it was learned
+    from counts as one more log. LogError without joints, ConfigError for an unknown joint, ModelError for another
+    robot's body, EvidenceError when nothing was seen or moved.
     """
     wanted = settings.body.joints if update is None else _same(features, update)
     heard = joints(features, wanted)
@@ -47,11 +48,15 @@ def learn(
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
     constants, cells, touched = touch.learned(features, names, gps.get("effector"))
+    given: Mapping[str, ForwardModel] = {}
+    if update is not None:
+        given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
+        constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
     few = [Finding("warning", f"{name}: only {len(tracks[name].x)} sightings, too few for a model") for name in rare]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
     return Learned(
-        BodyModel(names, gps, learned, constants, {**_pictures(features), **provenance}, cells),
+        BodyModel(names, {**given, **gps}, learned, constants, {**_pictures(features), **provenance}, cells),
         (*coverage.scores(chosen, gps, learned), *scores),
         (*coverage.findings(heard, chosen, gps, learned), *few, *left_out, *touched),
     )
@@ -60,12 +65,17 @@ def learn(
 def _tracks(
     features: Sequence[Features], chosen: Sequence[Joint], fit: Fit, update: BodyModel | None
 ) -> Iterator[tuple[str, Pairs]]:
-    known = {} if update is None else {n: g for n, g in update.senses.items() if isinstance(g, GP)}
+    known = {} if update is None else _seen(update)
     for name in sorted({name for f in features for name in f.tracks if name != "hand"} | set(known)):
         parts = [pairs(features, name, chosen, fit.every)] if any(name in f.tracks for f in features) else []
         if name in known:
             parts.append(earlier(known[name].samples, known[name].targets, known[name].spread))
         yield name, joined(parts)
+
+
+def _seen(body: BodyModel) -> dict[str, GP]:
+    """The senses learned from tracks."""
+    return {n: g for n, g in body.senses.items() if isinstance(g, GP) and n != "encoders"}
 
 
 def _pictures(features: Sequence[Features]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from bodylog.errors import EvidenceError, ModelError
 from bodylog.estimation import estimate
 from bodylog.logs import recording
 from bodylog.settings import Body, Estimation, Fit, Settings
-from bodylog.types import Features, Series
+from bodylog.types import Features, Series, TouchConstants
 
 _ARM = Path(__file__).parents[2].parent / "shared" / "logs" / "arm"
 
@@ -208,3 +208,14 @@ def test_encoders_that_read_squares_are_estimated_with_the_model_given(explored,
     asked = Estimation(method="predictive-coding", senses=("encoders",), start=(0.4, 0.7, 0.9))
     found = estimate(features, load(tmp_path / "body.npz"), asked)
     assert np.abs(found.joints.values[-20:].mean(axis=0) - at).max() < 0.02
+
+
+def test_learning_on_keeps_what_was_given_and_felt(explored) -> None:
+    features = explored(0, 0.003, 15.0).features
+    once = learn([features], Settings(), {}).model
+    read = Polynomial(once.joints, np.tile([0.0, 1.0], (3, 1)))
+    felt = TouchConstants(1.0, 0.001, 1.0, 400.0)
+    known = replace(once, senses={**once.senses, "encoders": read}, touch=felt, cells={7: (0.0, -30.0, 9.0)})
+    again = learn([features], Settings(), {}, known).model
+    assert again.senses["encoders"] is read and set(again.senses) == {"effector", "encoders"}
+    assert (again.touch, again.cells) == (felt, known.cells)
