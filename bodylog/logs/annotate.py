@@ -13,6 +13,7 @@ from ..files import replacing
 from ..types import Finding, Outgoing
 from .append import NAME, Base, is_mcap, keepable, messages
 from .mcap_write import Messages
+from .rivals import apart
 from .transcode import LIBRARY, PROFILE, carry
 from .write import Contents, Writer
 
@@ -39,12 +40,11 @@ def annotate(
     with replacing(out) as beside:
         base = _base(source) if only is None else None
         with beside.open("wb") as stream:
-            findings: tuple[Finding, ...] = ()
             if base is not None:
-                kept = _append(source, base, outgoing, metadata, stream)
+                kept, findings = _append(source, base, outgoing, metadata, stream)
             else:
                 writer, kept, findings = carry(source, stream, only)
-                _finish(writer, outgoing, metadata)
+                findings += _finish(writer, outgoing, metadata)
         verify(beside, kept + sum(len(o.log_ns) for o in outgoing), out)
     return findings
 
@@ -76,21 +76,23 @@ def _base(source: Path) -> Base | None:
 
 def _append(
     source: Path, base: Base, outgoing: Sequence[Outgoing], metadata: Mapping[str, str], stream: BinaryIO
-) -> int:
-    """Copy what can be kept and, meanwhile, write the rest behind it; returns how many messages were kept."""
+) -> tuple[int, tuple[Finding, ...]]:
+    """Copy what can be kept and, meanwhile, write the rest behind it; how many messages were kept, and remarks."""
     kept = sum(base.contents.counts.values())
     with source.open("rb") as original, ThreadPoolExecutor(2) as pool:
         copying = pool.submit(_copy, original.fileno(), stream.fileno(), base.end, pool)
         stream.seek(base.end)
-        _finish(Writer(stream, base.contents, base.end, base.crc), outgoing, metadata)
+        findings = _finish(Writer(stream, base.contents, base.end, base.crc), outgoing, metadata)
         copying.result()
-    return kept
+    return kept, findings
 
 
-def _finish(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str, str]) -> None:
-    add(writer, outgoing)
+def _finish(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str, str]) -> tuple[Finding, ...]:
+    readable, findings = apart(outgoing, writer.contents.schemas.values())
+    add(writer, readable)
     writer.about(NAME, metadata)
     writer.finish()
+    return findings
 
 
 def _copy(source: int, target: int, size: int, pool: ThreadPoolExecutor) -> None:

@@ -3,6 +3,7 @@ import shutil
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 
 from bodylog.errors import FormatError, InputError, LogError, UsageError
 from bodylog.logs import annotate as module
@@ -301,3 +302,24 @@ def test_damage_anywhere_gives_a_sound_file_or_one_line(tmp_path, seed):
             assert make_reader(stream).get_summary().statistics.message_count >= amount(messages)
         kept += 1
     assert kept > 20
+
+
+@pytest.mark.parametrize("text", [b"uint8 count\n", None])
+def test_a_log_with_its_own_definition_of_our_type_stays_readable(tmp_path, messages, text):
+    kind, ours = "foxglove_msgs/msg/ImageAnnotations", next(o for o in messages if o.topic == "/bodylog/annotations")
+    with (tmp_path / "in.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "test")
+        schema = writer.register_schema(kind, "ros2msg", text or ours.definition)
+        payload = b"\0\1\0\0\7" if text else bytes(ours.data[ours.offset[0] : ours.offset[0] + ours.length[0]])
+        writer.add_message(writer.register_channel("/boxes", "cdr", schema), START, payload, START)
+        writer.finish()
+    findings = annotate(tmp_path / "in.mcap", messages, SAID, tmp_path / "out.mcap")
+    assert len(by_rosbags(tmp_path / "out.mcap")) == 1 + amount(messages)
+    with open_log(tmp_path / "out.mcap") as log:
+        kinds = {topic.name: topic.type for topic in log.topics}
+    if text:
+        assert kinds["/bodylog/annotations"] == "bodylog_msgs/msg/ImageAnnotations"
+        assert [f"/bodylog/annotations: the log has another {kind};" in f.text for f in findings] == [True]
+    else:
+        assert (kinds["/bodylog/annotations"], findings) == (kind, ())
