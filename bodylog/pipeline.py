@@ -73,9 +73,11 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
     return read, found
 
 
-def extract(log: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
-    """Write the log's signals with tracks, touches and synchrony, without its pictures."""
-    from .logs import annotate
+def extract(
+    log: Path, out: Path, settings: Settings, progress: Progress | None = None, tables: Path | None = None
+) -> Result:
+    """Write the log's signals with tracks, touches and synchrony, without its pictures; `tables`: a folder for CSV."""
+    from .logs import annotate, export
 
     distinct(log, out)
     read, features = observe(log, settings, progress)
@@ -83,6 +85,8 @@ def extract(log: Path, out: Path, settings: Settings, progress: Progress | None 
     outgoing = _feature_messages(read, features)
     kept = [topic for role in ("joints", "truth", "skin") if (topic := topic_of(read, role)) is not None]
     lost = annotate.annotate(log, outgoing, _provenance([log], settings), out, only=kept)
+    if tables is not None:
+        export.export_features(features, tables)
     health = {**read.health, **features.health}
     return Result(out, (), health, (*read.findings, *features.findings, *lost), plain(settings))
 

@@ -4,20 +4,21 @@ from pathlib import Path
 
 import click
 
-from .options import Common, clock_option, common_options, log_argument, out_option
+from .options import PATH, Common, clock_option, common_options, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog extract run.bag -o features.mcap")
 @log_argument
 @out_option("The features MCAP to write.")
+@click.option("--csv", type=PATH, metavar="DIR", help="Also write tracks, touches, strokes and synchrony there as CSV.")
 @clock_option
 @common_options
-def extract(log: Path, out: Path, common: Common, as_json: bool) -> int:
+def extract(log: Path, out: Path, csv: Path | None, common: Common, as_json: bool) -> int:
     """Find effector, hand, touches, strokes and synchrony; write them with the signals, without the pictures."""
     from bodylog import pipeline
 
     from .output import progress, show
 
     with progress("extract") as tick:
-        result = pipeline.extract(log, out, common.settings(), tick)
+        result = pipeline.extract(log, out, common.settings(), tick, csv)
     return show(result, as_json)

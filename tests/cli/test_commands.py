@@ -185,3 +185,9 @@ def test_a_log_in_a_folder_that_cannot_be_read_is_said(tmp_path, capsys, bodylog
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     (tmp_path / "reach.mcap").unlink()
     assert "reach.mcap" in _said(capsys, 65, bodylog, "info", tmp_path / "reach.mcap")
+
+
+def test_what_was_found_is_exported_as_tables(tmp_path, bodylog, robot):
+    typed = ("extract", robot / "reach.mcap", "-o", tmp_path / "features.mcap", "--csv", tmp_path / "tables")
+    assert bodylog(*typed) == 0
+    assert (tmp_path / "tables" / "tracks_effector.csv").read_text().startswith("t,u,v,std_u,std_v\n")
