@@ -15,7 +15,9 @@ _COARSE_WIDTH = 160
 _FAINT = 0.25
 _SMALLEST = 9
 _MARGIN = 10
-_WHOLE, _ROOM, _SMALL = 0.97, 12.0, 8.0
+_ROOM, _SMALL = 12.0, 8.0
+# a straight edge this many radii from a disc's centre cuts a hundredth of its area off
+_WHOLE = 0.935
 
 Box = tuple[int, int, int, int]
 
@@ -76,7 +78,7 @@ def _measured(image: Array, box: Box, colour: Range) -> tuple[float, ...] | None
     u, v = left + u, top + v
     radius = (mass / np.pi) ** 0.5
     inside_u, inside_v = min(u, image.shape[1] - 1 - u), min(v, image.shape[0] - 1 - v)
-    border = min(inside_u, inside_v) < max(_WHOLE * radius, _ROOM if radius < _SMALL else 0.0)
+    border = min(inside_u, inside_v) < max(_WHOLE * radius - 0.5, _ROOM if radius < _SMALL else 0.0)
     std_u, std_v = float(np.hypot(std_u, _cut(radius, inside_u))), float(np.hypot(std_v, _cut(radius, inside_v)))
     return u, v, std_u, std_v, mass, mass * contrast, float(border)
 
@@ -86,7 +88,7 @@ def _cut(radius: float, inside: float) -> float:
 
     A disc of radius r has the share (4√2/3π) (h/r)^1.5 in a low segment of height h, at r from its centre.
     """
-    return 0.6 * float(max(radius + 0.5 - inside, 0.0) ** 1.5 / radius**0.5)
+    return 0.6 * float(max(radius - 0.5 - inside, 0.0) ** 1.5 / radius**0.5)
 
 
 def _largest(seen: Array) -> Array:

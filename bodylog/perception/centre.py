@@ -13,7 +13,7 @@ from ..types import Array
 _SOFT, _GUARD = 3, 2
 _DEADBAND, _FULL = 0.15, 0.97
 _CORRELATED = 9.0
-_FEWEST = 12
+_FEWEST, _MANY = 12, 2000
 _QUIETEST = 0.001
 _DOUBT = 1 / 7
 _ERODE = np.ones((5, 5), dtype=np.uint8)
@@ -59,7 +59,8 @@ def _mixing(window: Array, inner: Array, outer: Array) -> tuple[Array, float]:
     Fisher's discriminant: the direction in colour that tells the two apart best given how each of them scatters, so
     that what else stands in the surround weighs little.
     """
-    blob, blob_scatter = _moments(window[inner.view(bool)])
+    some = slice(None, None, 2 if inner.size > _MANY else 1)
+    blob, blob_scatter = _moments(window[some, some][inner[some, some].view(bool)])
     ground, ground_scatter = _moments(window[::2, ::2][outer[::2, ::2].view(bool)])
     step, scatter = blob - ground, blob_scatter + ground_scatter
     # as much again of white noise keeps the direction sane where the colours hardly scatter
@@ -121,7 +122,8 @@ def _ripple(weight: Array, mass: float, u: float, v: float) -> float:
     of odd order, so those are what noise, compression and the pixels' grid make; order 1 gets as much as they do.
     """
     rows, columns = weight.nonzero()
-    away = ((columns - u) + 1j * (rows - v)).astype(np.complex64)
+    away = np.empty(len(rows), dtype=np.complex64)
+    away.real, away.imag = columns - u, rows - v
     radius = np.abs(away) + np.float32(1e-6)
     turn = away / radius
     twice = turn * turn

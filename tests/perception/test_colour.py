@@ -86,11 +86,12 @@ def test_hidden_is_nothing_and_counted() -> None:
     assert health.largest_gap_s == pytest.approx(16 / 20)
 
 
-def test_at_the_border_is_nothing() -> None:
+@pytest.mark.parametrize(("radius", "whole", "cut"), [(5.5, 13.0, 11.0), (10.0, 11.0, 7.5)])
+def test_at_the_border_is_nothing(radius: float, whole: float, cut: float) -> None:
     u = np.linspace(40.0, -8.0, 40)
-    track, health = _track([[Disc(x, 120.0, 8.0)] for x in u], 0)
-    assert np.isfinite(track.values[u > 15, 0]).all()
-    assert np.isnan(track.values[u < 9, 0]).all()
+    track, health = _track([[Disc(x, 120.0, radius)] for x in u], 0)
+    assert np.isfinite(track.values[u > whole, 0]).all()
+    assert np.isnan(track.values[u < cut, 0]).all()
     assert health.rejected["at the border"] > 0
 
 
