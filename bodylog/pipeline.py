@@ -10,7 +10,7 @@ from . import __version__
 from .errors import LogError, UsageError
 from .files import sha256
 from .settings import Settings, plain
-from .types import BodyModel, Estimate, Features, Finding, Health, Outgoing, Recording, Score
+from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""
@@ -18,13 +18,14 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What a command did: the file it left, figures of merit, health per topic, remarks."""
+    """What a command did: the file it left, figures of merit, health per topic, remarks, faults named."""
 
     output: Path | None
     scores: tuple[Score, ...] = ()
     health: Mapping[str, Health] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    faults: tuple[Fault, ...] = ()
 
 
 def record(scenario: str, out: Path, **options: Any) -> Result:
@@ -120,9 +121,15 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     outgoing = _estimate_messages(read, features, found)
     provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)
     lost = annotate.annotate(log, outgoing, provenance, out)
-    remarks = (*read.findings, *features.findings, *found.findings, *lost)
+    remarks = (*read.findings, *features.findings, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
-    return Result(out, judge(found, read), health, remarks, dict(found.settings))
+    return Result(out, judge(found, read), health, remarks, dict(found.settings), found.faults)
+
+
+def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
+    """Which sensor lied, as remarks."""
+    said = (f"{f.sense} {f.name}: {f.kind} since {f.since:.3f} s, {f.size:.4g} {f.unit}" for f in faults)
+    return tuple(Finding("warning", text) for text in said)
 
 
 def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
@@ -145,10 +152,9 @@ def evaluate(log: Path, settings: Settings) -> Result:
 
     read = recording.read(log, settings, settings.input.strict)
     found = annotated.read_estimate(log, read.start_ns)
-    if read.truth is None:
-        absent = Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth")
-        return Result(log, judge(found, read), found.used, (*read.findings, absent))
-    return Result(log, judge(found, read), found.used, read.findings)
+    absent = Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth")
+    remarks = (*read.findings, *named(found.faults), *(() if read.truth is not None else (absent,)))
+    return Result(log, judge(found, read), found.used, remarks, faults=found.faults)
 
 
 def ingest(

@@ -33,6 +33,7 @@ def as_data(result: "Result") -> dict[str, Any]:
         "scores": [asdict(score) for score in result.scores],
         "health": {topic: asdict(health) for topic, health in result.health.items()},
         "findings": [asdict(finding) for finding in result.findings],
+        "faults": [asdict(fault) for fault in result.faults],
         "settings": result.settings,
     }
 

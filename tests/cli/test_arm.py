@@ -73,3 +73,13 @@ def test_features_are_taken_over_instead_of_the_pictures(tmp_path, capsys, bodyl
         out = tmp_path / f"{log.stem}.out.mcap"
         scores.append(_scores(_json(capsys, bodylog, "estimate", log, "--body", arm_body, "-o", out)))
     assert scores[1]["joint_rmse"] == pytest.approx(scores[0]["joint_rmse"], rel=1e-4)
+
+
+def test_the_drifting_encoder_is_named_and_no_other(tmp_path, capsys, bodylog, arm, arm_body):
+    out = tmp_path / "out.mcap"
+    found = _json(capsys, bodylog, "estimate", arm / "drift.mcap", "--body", arm_body, "-o", out)["faults"]
+    assert [(fault["name"], fault["kind"]) for fault in found] == [("shoulder_pan_joint", "drifting")]
+    assert 8 <= found[0]["since"] <= 11.6 and abs(found[0]["size"]) == pytest.approx(0.3, abs=0.02)
+    assert _json(capsys, bodylog, "evaluate", out)["faults"] == found
+    for log in ATTAINABLE:
+        assert not _json(capsys, bodylog, "estimate", arm / log, "--body", arm_body, "-o", out)["faults"]
