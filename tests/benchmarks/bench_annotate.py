@@ -34,11 +34,15 @@ import re, sys
 from pathlib import Path
 from bodylog.logs.annotate import annotate
 from bodylog.logs.ingest import ingest
+from bodylog.logs.recording import read
 from bodylog.settings import Settings
 from tests.benchmarks.bench_annotate import estimate
 what, log, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
 if what == "ingest":
     ingest(log, out, Settings())
+elif what == "read":
+    frames = read(log, Settings()).frames
+    assert sum(frame.source_ns > 0 for frame in frames())
 else:
     annotate(log, estimate(10.0), {}, out)
 # Not ru_maxrss: a child inherits that from the process that started it.
@@ -63,11 +67,11 @@ def main(megabytes: int = 300) -> None:
         # Each removes what it wrote, so that the next finds memory of this machine's own to put its pages in.
         cases = {name: partial(_and_remove, case, out) for name, case in cases.items()}
         plain, synced, ours, mcap = side_by_side("annotating", cases, repeats=3).values()
-        print(f"  against a copy that is synced too {ours / synced:.2f} (bound 1.5), not synced {ours / plain:.2f}")
+        print(f"  against a plain copy {ours / plain:.2f} (bound 1.5), one that is synced too {ours / synced:.2f}")
         print(f"  mcap's reader piped to its writer takes {mcap / ours:.1f} x as long (bound 4)")
         log.unlink()
         worst = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (30, 300))
-    if ours > 1.5 * synced or mcap < 4 * ours or worst > 1.1:
+    if ours > 1.5 * plain or mcap < 4 * ours or worst > 1.1:
         sys.exit("a bound is broken")
 
 
@@ -155,10 +159,11 @@ def _by_mcap(log: Path, out: Path) -> None:
 
 
 def _memory(folder: Path, sizes: tuple[int, int]) -> float:
-    """Print the largest resident memory of three jobs at both sizes; returns the worst ratio of the two."""
+    """Print the largest resident memory of four jobs at both sizes; returns the worst ratio of the two."""
     print(f"\npeak memory, logs of {sizes[0]} and {sizes[1]} MB (10 s of messages are added to each)")
     worst = 0.0
-    for job, chunked in {"annotate by copying": True, "annotate by rewriting": False, "ingest": True}.items():
+    jobs = {"read": True, "annotate by copying": True, "annotate by rewriting": False, "ingest": True}
+    for job, chunked in jobs.items():
         peaks = []
         for size in sizes:
             record(folder / "log.mcap", size, chunked)
