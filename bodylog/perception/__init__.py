@@ -1,8 +1,10 @@
 """From a recording's signals and pictures to what they show: tracks, touches, strokes and their synchrony."""
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 
+from ..errors import FormatError
 from ..settings import Colour, Colours, Settings
 from ..types import Features, Finding, Health, Recording, Series, Stroke
 from . import colour, skin, strokes, synchrony
@@ -24,7 +26,16 @@ def observe(recording: Recording, settings: Settings, progress: Callable[[int], 
         findings += felt
     seen: tuple[Stroke, ...] = strokes.strokes(tracks["hand"]) if "hand" in tracks else ()
     pairs, remarks = synchrony.judge(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
-    return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks)
+    size = _size(recording)
+    return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks, size)
+
+
+def _size(recording: Recording) -> tuple[int, int] | None:
+    """Width and height (px) of the first picture; None where there is none that can be read."""
+    first = next(recording.frames(), None) if recording.frames is not None else None
+    with suppress(FormatError):
+        return None if first is None else (int(first.image.shape[1]), int(first.image.shape[0]))
+    return None
 
 
 def _tracks(
