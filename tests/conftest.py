@@ -4,7 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bodylog_cli
+import hypothesis
 import pytest
+
+# The same examples every time: a red run can be repeated, a green one means the same everywhere.
+hypothesis.settings.register_profile("same", derandomize=True, deadline=None)
+hypothesis.settings.load_profile("same")
 
 SHARED = Path(__file__).parents[2] / "shared" / "logs"
 

@@ -172,18 +172,26 @@ class _Run:
 
 def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
     """Count the messages of every chunk: by its indexes where all their channels are known, else by opening it."""
-    buffer = Buffer()
+    buffer, unopened = Buffer(), []
     for chunk in [part for part in survey.parts if isinstance(part, Chunk)]:
         if chunk.indexes and survey.knows(chunk.indexes):
             for channel, at in chunk.indexes.items():
                 times = index_of(data, at)[:, 0]
                 survey.count(np.full(len(times), channel), times)
+            unopened.append(chunk)
             continue
         content = load(data, chunk, buffer, ledger)
         if content is not None:
             _declare(content.data, survey)
             heads = messages(content, data, chunk, ledger).heads
             survey.count(heads["channel"], heads["log"])
+        forget(data, chunk.start, chunk.start + chunk.length)
+    for chunk in unopened:  # a schema may stand in a chunk that holds no message of it
+        if survey.knows(survey.counts):
+            return
+        content = load(data, chunk, buffer, ledger)
+        if content is not None:
+            _declare(content.data, survey)
         forget(data, chunk.start, chunk.start + chunk.length)
 
 

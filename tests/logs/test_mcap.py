@@ -75,6 +75,15 @@ def test_whatever_the_writer_does_all_is_read(
         assert log.findings == ()
 
 
+def test_a_schema_in_a_chunk_without_its_messages_is_found(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    options = {"chunk_size": 1, "repeat_schemas": False, "use_statistics": False}
+    write(path, [(3, 0, b"{}"), (0, 0, b"x")], **options).finish()
+    with open_log(path, strict=True) as log:
+        assert {topic.type for topic in log.topics if topic.messages} == {"", "pkg/msg/One"}
+        assert log.findings == ()
+
+
 def test_one_name_with_two_schemas_is_two_topics_and_types_are_normalised(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     write(path, [(channel, 1, b"x") for channel in range(4)]).finish()
