@@ -52,10 +52,12 @@ def test_a_killed_workers_log_is_done_by_another(tmp_path, logs, robot, bodylog)
         while not (tmp_path / "out" / "a.mcap" / ".lock").exists():
             time.sleep(0.01)
         os.kill(workers[0].pid, signal.SIGKILL)
-        assert process.wait(timeout=120) == 0, process.stderr.read()
+        _, said = process.communicate(timeout=120)
+        assert process.returncode == 0, said
     finally:
         for started in [*workers, scheduler]:
             started.kill()
+            started.wait()
     assert bodylog("batch", logs, "-o", tmp_path / "pool", "--body", robot / "body.npz") == 0
     assert _results(tmp_path / "out") == _results(tmp_path / "pool")
 
