@@ -29,7 +29,7 @@ def _client(scheduler: str, workers: int) -> "Client":
     except ImportError as err:
         raise UsageError("--scheduler needs Dask; type: pip install 'bodylog[dask]'") from err
     if scheduler == "local":
-        return Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None, silence_logs="error"))
+        return Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None))
     try:
         return Client(scheduler, timeout="5s")
     except (OSError, ValueError, TimeoutError) as err:
