@@ -10,12 +10,18 @@ Colour = str | Mapping[str, tuple[int, int, int]]
 
 @dataclass(frozen=True)
 class Topics:
-    """[topics]: which topic plays which role, with a message path where a field must be named; None is guessed."""
+    """[topics]: which topic plays which role, with a message path where a field must be named; None is guessed.
+
+    `camera` may be a video file beside the log: then `start` is the time of its first frame (s since epoch; None: the
+    first joint) and `rate` its frames per second (None: as the file says).
+    """
 
     joints: str | None = None
     camera: str | None = None
     skin: str | None = None
     truth: str | None = None
+    start: float | None = None
+    rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -73,14 +79,6 @@ class Input:
 
 
 @dataclass(frozen=True)
-class Video:
-    """[video]: a side-car video as camera: time of its first frame (s since epoch; None: first joint), frames/s."""
-
-    start: float | None = None
-    rate: float | None = None
-
-
-@dataclass(frozen=True)
 class Fit:
     """[fit]: preset default or paper · most samples kept · use every n-th frame · seed of restarts."""
 
@@ -116,7 +114,6 @@ class Settings:
     colours: Colours = field(default_factory=Colours)
     skin: Skin = field(default_factory=Skin)
     time: Time = field(default_factory=Time)
-    video: Video = field(default_factory=Video)
     fit: Fit = field(default_factory=Fit)
     estimate: Estimation = field(default_factory=Estimation)
     synchrony: Clocks = field(default_factory=Clocks)

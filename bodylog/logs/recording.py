@@ -101,7 +101,7 @@ def _duration(heard: Mapping[str, Stream], log: Log) -> float:
 
 def _sidecar(path: Path, settings: Settings) -> video.Sidecar | None:
     said = settings.topics.camera
-    return video.find(str(said), path, settings.video) if roles.is_video("camera", said) else None
+    return video.find(str(said), path, settings.topics) if roles.is_video("camera", said) else None
 
 
 def _said(sidecar: video.Sidecar | None, settings: Settings) -> dict[str, str]:
@@ -116,7 +116,7 @@ def _frames(
     path: Path, strict: bool, stream: Stream | None, sidecar: video.Sidecar | None, settings: Settings, start_ns: int
 ) -> Callable[[], Iterator[Frame]] | None:
     if sidecar is not None:
-        start = settings.video.start
+        start = settings.topics.start
         first_s = 0.0 if start is None else (round(start * 1e9) - start_ns) / 1e9
         return video.frames(sidecar, first_s, start_ns)
     if stream is None:

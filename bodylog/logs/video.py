@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import LogError
-from ..settings import Video
+from ..settings import Topics
 from ..types import Array, Frame
 
 
@@ -22,7 +22,7 @@ class Sidecar:
     frames: int
 
 
-def find(name: str, log: Path, settings: Video) -> Sidecar:
+def find(name: str, log: Path, settings: Topics) -> Sidecar:
     """The video `name`, looked for as it is and beside the log; LogError when there is none or it has no rate."""
     path = next((p for p in (Path(name), log.parent / name) if p.is_file()), None)
     if path is None:
@@ -31,7 +31,7 @@ def find(name: str, log: Path, settings: Video) -> Sidecar:
     rate, length = settings.rate or capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
     capture.release()
     if not 0 < rate < 1e6:
-        raise LogError(f"{path}: the video says {rate} frames per second; say in robot.toml: [video] rate = 30")
+        raise LogError(f"{path}: the video says {rate} frames per second; say in robot.toml: [topics] rate = 30")
     return Sidecar(path, rate, max(length, 0))
 
 

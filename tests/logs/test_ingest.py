@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from bodylog.errors import LogError, UsageError
 from bodylog.logs.ingest import cut, ingest, signals
 from bodylog.logs.recording import read
-from bodylog.settings import Settings, Time, Topics, Video
+from bodylog.settings import Settings, Time, Topics
 
 from .written import START, by_pybag, by_rosbags, source
 
@@ -110,7 +110,7 @@ def test_a_video_beside_the_log_becomes_jpegs(tmp_path, arm):
     for level in range(0, 250, 25):
         video.write(np.full((48, 64, 3), level, np.uint8))
     video.release()
-    settings = Settings(topics=Topics(camera=str(tmp_path / "side.avi")), video=Video(start=START / 1e9))
+    settings = Settings(topics=Topics(camera=str(tmp_path / "side.avi"), start=START / 1e9))
     first_s = START / 1e9 - read(arm / "reach.mcap", Settings()).start_ns / 1e9
     ingest(arm / "reach.mcap", tmp_path / "out.mcap", settings)
     frames = pictures(read(tmp_path / "out.mcap", Settings()))

@@ -13,7 +13,7 @@ import pytest
 
 from bodylog.errors import BodylogError, ConfigError, FormatError, LogError
 from bodylog.logs.recording import info, read
-from bodylog.settings import Body, Settings, Time, Topics, Video
+from bodylog.settings import Body, Settings, Time, Topics
 
 from .writing import T0, Stream, camera, cdr, compressed, define, header, joint_state, joints, register, write
 
@@ -310,7 +310,7 @@ def test_a_video_beside_the_log_is_a_camera(tmp_path):
     np.testing.assert_allclose([f.t for f in frames], np.arange(10) / 10)
     assert np.abs([float(f.image.mean()) for f in frames] - np.array(shades)).max() < 4
     assert frames[0].decode(4).shape == (6, 8, 3)
-    later = settings(topics=Topics(camera="cam.avi"), video=Video(start=T0 / 1e9 + 2.5, rate=20.0))
+    later = settings(topics=Topics(camera="cam.avi", start=T0 / 1e9 + 2.5, rate=20.0))
     shifted = read(log, later).frames
     assert shifted is not None
     np.testing.assert_allclose([f.t for f in shifted()], 2.5 + np.arange(10) / 20)
