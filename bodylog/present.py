@@ -1,11 +1,16 @@
 """What a person looks at: figures, the page on a log, a viewer's layout, the colours a log offers."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .pipeline import Progress, Result, distinct, judge, observe, topic_of
+import numpy as np
+
+from .errors import FormatError, LogError
+from .pipeline import Progress, Result, distinct, doctor, ingest, judge, observe, topic_of
 from .settings import Settings, plain
 from .types import Estimate, Features, Finding, Recording
 
@@ -53,6 +58,68 @@ def layout(log: Path, out: Path, settings: Settings) -> Result:
     read = recording.read(log, settings, settings.input.strict)
     viewer.write(out, topic_of(read, "camera"), annotated.read_estimate(log, read.start_ns))
     return Result(out)
+
+
+def view(log: Path, out: Path | None, settings: Settings) -> Result:
+    """A log as a Rerun recording, what was seen and believed drawn over its pictures; without `out` in a window."""
+    from tempfile import TemporaryDirectory
+
+    from .logs import recording
+    from .report import viewer
+
+    viewer.ready()
+    with TemporaryDirectory() as folder:
+        source, lost = _as_mcap(log, Path(folder) / "log.mcap", settings)
+        read = recording.read(source, settings, settings.input.strict)
+        found, remarks = _estimate(log, source, read)
+        recorded = Path(folder) / "log.rrd" if out is None else out
+        viewer.recording(source, recorded, f"{log.name} {read.start_ns}", _companion(source, read, found))
+        if out is None:
+            viewer.show(recorded)
+    return Result(out, () if found is None else judge(found, read), findings=(*lost, *read.findings, *remarks))
+
+
+def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
+    """A log that Rerun reads whole: the log itself, else `out`: what is sound of it, or what ingest makes of it."""
+    from .logs.containers import open_log
+
+    with open_log(log, settings.input.strict) as opened:
+        kind, findings = opened.format, opened.findings
+    if kind != "mcap":
+        return out, ingest(log, out, settings).findings
+    if not any(finding.severity == "lost" for finding in findings):
+        return log, ()
+    return out, doctor(log, out).findings
+
+
+def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None, tuple[Finding, ...]]:
+    """The estimate a log carries, or None and a remark on how to get one."""
+    from .logs import annotated
+
+    if any(topic.name == "/bodylog/joint_covariance" for topic in read.topics):
+        return annotated.read_estimate(source, read.start_ns), ()
+    return None, (Finding("info", f"no estimate in it; type: bodylog estimate {log} --body body.npz -o out.mcap"),)
+
+
+def _companion(log: Path, read: Recording, found: Estimate | None) -> Callable[[Path, str], None]:
+    from .report import companion
+
+    topic = topic_of(read, "camera")
+    camera = None if topic is None else companion.Camera(topic, _frame_id(log, topic))
+    return partial(companion.write, camera=camera, features=read.features, estimate=found, truth=read.truth)
+
+
+def _frame_id(log: Path, topic: str) -> str:
+    """The frame_id of a topic's first message, in its header or, as protobuf has it, beside it; "" without one."""
+    from .logs.columns import columns
+    from .logs.containers import open_log
+
+    with open_log(log) as opened:
+        (of,) = (one for one in opened.topics if one.name == topic)
+        for field in ("header.frame_id", "frame_id"):
+            with suppress(FormatError, LogError):
+                return str(np.ravel(columns(opened, of, (field,)).column(field))[0])
+    return ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from . import (
     record,
     report,
     reproduce,
+    view,
 )
 
 COMMANDS = (
@@ -37,6 +38,7 @@ COMMANDS = (
     plot.plot,
     report.report,
     layout.layout,
+    view.view,
     batch.batch,
     reproduce.reproduce,
     config.config,

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..estimation.touch import LEAST
 from ..types import Array, BodyModel
 from .lab import Belief, Heard, Lab, ours, printed, typed
 from .records import Bound, Claim, Experiment, Table, Trial, column, judge, panel
@@ -38,11 +39,16 @@ def _run(lab: Lab, seed: int) -> Trial:
 
 
 def _literal(heard: Heard, body: BodyModel) -> tuple[Array, Array]:
-    return _drift(printed(heard, body, TOUCHED), printed(heard, body, HIDDEN), body)
+    return _drift(printed(heard, body, _senses(heard)), printed(heard, body, HIDDEN), body)
 
 
 def _likely(heard: Heard, body: BodyModel) -> tuple[Array, Array]:
-    return _drift(ours(heard, body, TOUCHED), ours(heard, body, HIDDEN), body)
+    return _drift(ours(heard, body, _senses(heard)), ours(heard, body, HIDDEN), body)
+
+
+def _senses(heard: Heard) -> tuple[str, ...]:
+    """With touch, unless no touch counts: the estimate refuses to be asked for a sense that has nothing to say."""
+    return TOUCHED if any(pair.weight > LEAST for pair in heard.features.synchrony) else HIDDEN
 
 
 def _shaped(body: BodyModel, width: float) -> BodyModel:

@@ -8,19 +8,15 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .. import __version__, files
+from ..report.document import document, plots
+from ..report.packing import plain
+from ..report.traces import Panel, Trace
 from . import draw
 from .records import Claim, Table, Trial
 from .table import EXPERIMENTS, TIMED
-
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #20262e; max-width: 68rem; margin: 2rem auto; padding: 0 1rem; }
-table { border-collapse: collapse; width: 100%; margin: 1rem 0; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; vertical-align: top; padding: .35rem .6rem; border-bottom: 1px solid #e0e3e7; }
-th { font-size: .85em; color: #59636e; } caption { text-align: left; font-weight: 600; }
-.soft { color: #59636e; font-size: .9em; } img { max-width: 100%; }
-.confirmed { color: #1a7f47; } .corrected { color: #a86400; } .refuted { color: #b3261e; }
-"""
 
 
 def write(out: Path, trials: Mapping[str, Sequence[Trial]], seeds: int, size: str) -> tuple[Claim, ...]:
@@ -43,7 +39,7 @@ def withheld(claim: Claim) -> Claim:
 def html(
     trials: Mapping[str, Sequence[Trial]], claims: Mapping[str, Sequence[Claim]], seeds: int, size: str, out: Path
 ) -> str:
-    """The page as text; figures are drawn beside it and taken in."""
+    """The page as text; figures are drawn beside it, those over all seeds taken in."""
     command = f"bodylog reproduce {' '.join(trials)} -o DIR --seeds {seeds}"
     parts = [
         "<h1>The paper's experiments, reproduced</h1>",
@@ -55,15 +51,20 @@ def html(
         _summary(claims),
     ]
     parts += [_section(name, trials[name], claims[name], out) for name in trials]
-    title = "The paper's experiments, reproduced"
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; "
-        "style-src 'unsafe-inline'\">\n"
-        f"<title>{title}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        + "\n".join(parts)
-        + "\n</body>\n</html>\n"
-    )
+    groups = [plain(_panels(found[0]["panels"]), (), 0.0) for found in trials.values() if found[0]["panels"]]
+    return document("The paper's experiments, reproduced", "\n".join(parts), groups)
+
+
+def _panels(shown: Sequence[Mapping[str, Any]]) -> list[Panel]:
+    """The panels of one seed (see `records.panel`) for the page, two across."""
+    return [Panel(f"{one['title']}, {one['unit']}", _traces(one), half=True) for one in shown]
+
+
+def _traces(shown: Mapping[str, Any]) -> tuple[Trace, ...]:
+    t = np.asarray(shown["t"], float)
+    lines = {name: np.array([np.nan if v is None else v for v in line]) for name, line in shown["lines"].items()}
+    kinds = {name: "dashes" if "true" in name else "line" for name in lines}
+    return tuple(Trace(name, f"c{k % 8}", t, y, kinds[name]) for k, (name, y) in enumerate(lines.items()))
 
 
 def _summary(claims: Mapping[str, Sequence[Claim]]) -> str:
@@ -81,9 +82,13 @@ def _section(name: str, trials: Sequence[Trial], claims: Sequence[Claim], out: P
         return "\n".join(parts)
     parts += [_table(table) for table in experiment.tables(trials)]
     if trials[0]["panels"]:
-        parts.append(_drawn(out, f"{name}, first seed", lambda path: draw.traces(trials[0]["panels"], path)))
-    parts.append(_drawn(out, f"{name}, all seeds", lambda path: draw.spreads(claims, path)))
-    return "\n".join(parts)
+        path = _figure(out, f"{name}, first seed")
+        draw.traces(trials[0]["panels"], path)
+        parts.append(plots((f"First seed; also drawn in figures/{path.name}.",)))
+    title = f"{name}, all seeds"
+    path = _figure(out, title)
+    draw.spreads(claims, path)
+    return "\n".join([*parts, _drawn(path, title)])
 
 
 def claim_table(claims: Sequence[Claim]) -> str:
@@ -118,13 +123,15 @@ def _table(table: Table) -> str:
     return f"<table><caption>{escape(table.caption)}</caption>{row('th', table.head)}{body}</table>"
 
 
-def _drawn(out: Path, title: str, make: Any) -> str:
-    folder = out / "figures"
-    folder.mkdir(exist_ok=True)
-    path = folder / f"{title.replace(', ', '-').replace(' ', '-')}.png"
-    make(path)
+def _drawn(path: Path, title: str) -> str:
     data = base64.b64encode(path.read_bytes()).decode()
     return f'<p><img alt="{escape(title)}" src="data:image/png;base64,{data}"></p>'
+
+
+def _figure(out: Path, title: str) -> Path:
+    folder = out / "figures"
+    folder.mkdir(exist_ok=True)
+    return folder / f"{title.replace(', ', '-').replace(' ', '-')}.png"
 
 
 def _json(value: Any) -> str:

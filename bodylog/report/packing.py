@@ -39,7 +39,7 @@ def marks(features: Features | None, estimate: Estimate | None) -> list[dict[str
     return [{"from": round(a, 4), "to": round(b, 4), "ink": ink} for a, b, ink in finite]
 
 
-def embedded(values: dict[str, Any]) -> str:
+def embedded(values: Any) -> str:
     """JSON that no parser of HTML mistakes for a tag, an entity or the end of a line; the same for the same values."""
     text = json.dumps(values, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":"))
     return "".join(_DANGEROUS.get(c, c) for c in text)

@@ -26,7 +26,8 @@ def report(path, **changes):
 
 def plotted(page):
     """The data of the page as its script gets them."""
-    return json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)[1])
+    (group,) = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)[1])
+    return group
 
 
 def titles(page):

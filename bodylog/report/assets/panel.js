@@ -1,15 +1,11 @@
 "use strict";
-// One panel: a canvas that draws its traces over the part of the time axis all panels share.
-const data = JSON.parse(document.getElementById("data").textContent);
-const [begin, end] = data.span;
-const view = { from: begin, to: end, hover: null };
-let grip = null; // where the pointer went down, while it is down
+// One panel: a canvas that draws its traces over the part of the time axis it shares with its neighbours (see view.js).
 const box = { left: 58, right: 16, top: 6, bottom: 20 };
 const sheet = getComputedStyle(document.documentElement);
 const ink = (name) => sheet.getPropertyValue("--" + name);
 
 const bytes = (text) => Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer;
-const times = (text) => Float64Array.from(new Uint32Array(bytes(text)), (k) => begin + ((end - begin) * k) / 4294967295);
+const times = (text, [begin, end]) => Float64Array.from(new Uint32Array(bytes(text)), (k) => begin + ((end - begin) * k) / 4294967295);
 const values = (text) => new Float32Array(bytes(text));
 
 /** Index of the first sample at or after t. */
@@ -37,10 +33,11 @@ function short(x) {
 }
 
 class Panel {
-  constructor(spec, place) {
+  constructor(spec, axis, place) {
     Object.assign(this, spec);
+    this.axis = axis;
     for (const trace of this.traces) {
-      trace.t = times(trace.t);
+      trace.t = times(trace.t, axis.span);
       trace.y = values(trace.y);
       if (trace.high) trace.high = values(trace.high);
     }
@@ -70,12 +67,12 @@ class Panel {
     return { item, text };
   }
 
-  x(t) { return box.left + ((t - view.from) / (view.to - view.from)) * this.width; }
+  x(t) { return box.left + ((t - this.axis.from) / (this.axis.to - this.axis.from)) * this.width; }
   y(v) { return box.top + (1 - (v - this.low) / (this.high - this.low)) * this.height; }
-  time(px) { return view.from + ((px - box.left) / this.width) * (view.to - view.from); }
+  time(px) { return this.axis.from + ((px - box.left) / this.width) * (this.axis.to - this.axis.from); }
 
   /** First and last sample to draw: what is in view and one neighbour on either side. */
-  visible(trace) { return [Math.max(0, search(trace.t, view.from) - 1), Math.min(trace.t.length, search(trace.t, view.to) + 1)]; }
+  visible(trace) { return [Math.max(0, search(trace.t, this.axis.from) - 1), Math.min(trace.t.length, search(trace.t, this.axis.to) + 1)]; }
 
   scale() {
     if (this.limits) return ([this.low, this.high] = this.limits);
@@ -94,12 +91,12 @@ class Panel {
     this.canvas.width = Math.round(wide * dense);
     this.canvas.height = Math.round(tall * dense);
     [this.width, this.height] = [wide - box.left - box.right, tall - box.top - box.bottom];
-    this.canvas.dataset.from = view.from;
-    this.canvas.dataset.to = view.to;
+    this.canvas.dataset.from = this.axis.from;
+    this.canvas.dataset.to = this.axis.to;
     this.pen.setTransform(dense, 0, 0, dense, 0, 0);
     this.pen.font = "11px system-ui, sans-serif";
     this.scale();
-    this.axes();
+    this.grid();
     this.pen.save();
     this.pen.beginPath();
     this.pen.rect(box.left, box.top, this.width, this.height);
@@ -112,7 +109,7 @@ class Panel {
     this.readout();
   }
 
-  axes() {
+  grid() {
     const pen = this.pen, rows = this.rows.map((row, i) => [i + 0.5, row.name]);
     if (this.shade) this.fill(box.left, this.y(this.shade[1]), this.width, this.y(this.shade[0]) - this.y(this.shade[1]), "shade", 1);
     pen.fillStyle = ink("soft");
@@ -128,7 +125,7 @@ class Panel {
     }
     pen.textAlign = "center";
     pen.textBaseline = "top";
-    for (const [t, text] of ticks(view.from, view.to, this.width / 90)) {
+    for (const [t, text] of ticks(this.axis.from, this.axis.to, this.width / 90)) {
       const x = Math.round(this.x(t)) + 0.5;
       pen.fillText(text, x, box.top + this.height + 5);
       pen.moveTo(x, box.top);
@@ -145,7 +142,7 @@ class Panel {
   }
 
   marks() {
-    for (const mark of data.marks) {
+    for (const mark of this.axis.marks) {
       const x = this.x(mark.from), width = Math.max(1, this.x(mark.to) - x);
       this.fill(x, box.top, width, this.height, mark.ink, mark.ink === "fault" ? 0.9 : 0.07);
     }
@@ -208,7 +205,8 @@ class Panel {
   }
 
   cursor() {
-    if (view.hover !== null) this.fill(this.x(view.hover) - 0.5, box.top, 1, this.height, "soft", 0.8);
+    const { hover, grip } = this.axis;
+    if (hover !== null) this.fill(this.x(hover) - 0.5, box.top, 1, this.height, "soft", 0.8);
     if (!grip || grip.pan) return;
     const [a, b] = [this.x(grip.t), this.x(grip.now)];
     this.fill(Math.min(a, b), box.top, Math.abs(b - a), this.height, "c0", 0.18);
@@ -216,12 +214,13 @@ class Panel {
 
   /** The value nearest the cursor beside each name. */
   readout() {
-    for (const { item, text } of this.labels) text.textContent = item.name + (view.hover === null || !item.t ? "" : " " + this.at(item));
+    for (const { item, text } of this.labels) text.textContent = item.name + (this.axis.hover === null || !item.t ? "" : " " + this.at(item));
   }
 
   at(trace) {
-    let i = Math.min(search(trace.t, view.hover), trace.t.length - 1);
-    if (i > 0 && view.hover - trace.t[i - 1] < trace.t[i] - view.hover) i -= 1;
+    const now = this.axis.hover;
+    let i = Math.min(search(trace.t, now), trace.t.length - 1);
+    if (i > 0 && now - trace.t[i - 1] < trace.t[i] - now) i -= 1;
     return trace.high ? `${short(trace.y[i])} … ${short(trace.high[i])}` : short(trace.y[i]);
   }
 }

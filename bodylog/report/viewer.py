@@ -1,0 +1,75 @@
+"""Rerun as a program: an MCAP as a recording (.rrd), recordings put together, a window opened."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from ..errors import LogError, UsageError
+from ..files import replacing
+
+APPLICATION = "bodylog"
+SECONDS = 600.0
+"""How long Rerun may take over one file; damaged ones have kept it busy for ever."""
+
+
+def ready() -> None:
+    """UsageError, before anything is read, where Rerun is not installed."""
+    if find_spec("rerun") is None or find_spec("rerun_cli") is None:
+        raise UsageError("view: rerun-sdk is not installed; type: pip install 'bodylog[view]'")
+
+
+def recording(source: Path, out: Path, identity: str, companion: Callable[[Path, str], None]) -> None:
+    """Write an MCAP and what `companion` writes to a file as one recording (.rrd) of that identity.
+
+    LogError: Rerun refuses the log.
+    """
+    with TemporaryDirectory() as folder, replacing(out) as beside:
+        converted, drawn = Path(folder) / "log.rrd", Path(folder) / "companion.rrd"
+        named = ["--application-id", APPLICATION, "--recording-id", identity]
+        _run(["mcap", "convert", str(source.resolve()), *named, "-o", str(converted)], Path(folder), source)
+        companion(drawn, identity)
+        _run(["rrd", "merge", str(converted), str(drawn), "-o", str(beside)], Path(folder), source)
+
+
+def show(recorded: Path) -> None:
+    """Open a window on a recording and wait until it is closed; UsageError where there is no display."""
+    done = subprocess.run([sys.executable, "-m", "rerun_cli", str(recorded)], capture_output=True, text=True)
+    if done.returncode:
+        said = _last(done.stderr)
+        raise UsageError(f"view: Rerun could not open a window ({said}); type: bodylog view LOG -o out.rrd")
+
+
+def hushed(home: Path) -> None:
+    """Tell a Rerun whose home this is to count nobody's files."""
+    settings = home / ".config" / "rerun" / "analytics.json"
+    settings.parent.mkdir(parents=True, exist_ok=True)
+    settings.write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}), encoding="utf-8")
+
+
+def _run(arguments: Sequence[str], home: Path, source: Path) -> None:
+    """One command of Rerun in a home of its own."""
+    hushed(home)
+    command = [sys.executable, "-m", "rerun_cli", *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env={"HOME": str(home)})
+    except subprocess.TimeoutExpired:
+        raise LogError(f"{source}: Rerun did not end in {SECONDS:g} s; type: bodylog doctor {source}") from None
+    if done.returncode or " ERROR " in _plain(done.stderr):  # it ends with 0 when it could read nothing
+        repair = f"bodylog doctor {source} --repair whole.mcap"
+        raise LogError(f"{source}: Rerun cannot read it ({_last(done.stderr)}); type: {repair}")
+
+
+def _last(said: str) -> str:
+    """The last error, or else the last line, Rerun spoke of."""
+    lines = [line.strip() for line in _plain(said).splitlines() if line.strip()]
+    return ([line for line in lines if " ERROR " in line] or lines or ["it said nothing"])[-1]
+
+
+def _plain(said: str) -> str:
+    """Without colours."""
+    return re.sub(r"\x1b\[[0-9;]*m", "", said)

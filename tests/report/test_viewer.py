@@ -1,0 +1,153 @@
+"""A log in Rerun, as Rerun's own program and reader find it."""
+
+import subprocess
+import sys
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+
+from bodylog.errors import LogError, UsageError
+from bodylog.report import viewer
+from bodylog.report.companion import ellipses
+
+there = pytest.mark.skipif(find_spec("rerun_cli") is None, reason="needs rerun-sdk (pip install 'bodylog[view]')")
+
+
+@pytest.fixture(scope="module")
+def annotated(bodylog, robot):
+    """The small robot's reaching with its estimate."""
+    out = robot / "viewed.mcap"
+    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def seen(bodylog, annotated):
+    """The same as a recording."""
+    out = annotated.with_suffix(".rrd")
+    assert bodylog("view", annotated, "-o", out) == 0
+    return out
+
+
+def rerun(home, *arguments):
+    """What Rerun's program says, in a home of its own where it counts nothing."""
+    viewer.hushed(home)
+    command = [sys.executable, "-m", "rerun_cli", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, env={"HOME": str(home)})
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+def values(recording, entity, component):
+    """Log times (n,) ns and the component's lists of one entity over the messages' time."""
+    from rerun.chunk import RrdReader
+
+    ns, found = [], []
+    for chunk in RrdReader(recording).stream():
+        batch = chunk.to_record_batch()
+        if chunk.entity_path == entity and component in batch.schema.names and not chunk.is_static:
+            ns.append(batch.column("message_log_time").cast("int64").to_numpy())
+            found += batch.column(component).to_pylist()
+    return np.concatenate(ns), found
+
+
+@there
+def test_rerun_verifies_it_and_finds_estimate_pictures_and_annotations(seen, tmp_path):
+    assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", seen)
+    said = rerun(tmp_path, "rrd", "print", "-v", seen)
+    joints = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint")
+    for entity, component in (
+        ("/camera/image/compressed", "EncodedImage:blob"),
+        (r"/camera/image/compressed/effector\ seen", "Points2D:positions"),
+        (r"/camera/image/compressed/effector\ predicted", "Points2D:positions"),
+        (r"/camera/image/compressed/effector\ predicted\,\ 2\ sigma", "LineStrips2D:strips"),
+        (r"/camera/image/compressed/effector\ seen", "CoordinateFrame:frame"),
+        ("/bodylog/annotations", "foxglove_msgs.msg.ImageAnnotations:message"),
+        ("/bodylog/joint_states/position", "Scalars:scalars"),
+        *((f"/bodylog/belief/{joint}", "Scalars:scalars") for joint in joints),
+        *((f"/bodylog/belief/{joint}/truth", "Scalars:scalars") for joint in joints),
+        ("/bodylog/errors/effector", "Scalars:scalars"),
+        ("/bodylog/energy", "Scalars:scalars"),
+    ):
+        assert f"{entity}@{component}" in said.replace("\n", " "), (entity, component)
+
+
+@there
+def test_points_lie_where_and_when_the_log_says(seen, annotated):
+    from bodylog.logs import annotated as log
+    from bodylog.logs import recording
+    from bodylog.settings import Settings
+
+    estimate, track = log.read_estimate(annotated), recording.read(annotated, Settings()).features.effector
+    for name, series in (("seen", track), ("predicted", estimate.predicted["effector"])):
+        ns, points = values(seen, rf"/camera/image/compressed/effector\ {name}", "Points2D:positions")
+        order = np.argsort(ns, kind="stable")
+        assert ns[order].tolist() == series.source_ns.tolist()
+        for row, place in zip(order.tolist(), series.values, strict=True):
+            drawn = points[row] or []
+            assert len(drawn) == int(np.isfinite(place).all()), "a point where nothing was seen, or none where it was"
+            assert not drawn or np.allclose(drawn[0], place + 0.5, atol=1e-3)
+    unseen = ~np.isfinite(track.values).all(axis=1)
+    assert unseen.any() and not unseen.all()
+
+
+@there
+def test_the_overlay_lies_in_the_pictures_plane(seen):
+    from rerun.chunk import RrdReader
+
+    frames = {}
+    for chunk in RrdReader(seen).stream():
+        batch = chunk.to_record_batch()
+        if "CoordinateFrame:frame" in batch.schema.names:
+            frames.setdefault(chunk.entity_path, batch.column("CoordinateFrame:frame").to_pylist()[0][0])
+    picture = frames["/camera/image/compressed"]
+    assert frames[r"/camera/image/compressed/effector\ seen"] == frames[r"/camera/image/compressed/effector\ predicted"]
+    assert picture == frames[r"/camera/image/compressed/effector\ seen"] == "camera_optical_frame_image_plane"
+
+
+@there
+def test_a_log_without_an_estimate_is_shown_as_it_is(bodylog, robot, tmp_path, capsys):
+    capsys.readouterr()
+    assert bodylog("view", robot / "reach.mcap", "-o", tmp_path / "r.rrd") == 0
+    said = rerun(tmp_path, "rrd", "stats", tmp_path / "r.rrd")
+    assert "/camera/image/compressed" in said and "/joint_states/position" in said and "/bodylog" not in said
+
+
+@there
+def test_a_bag_is_shown_by_way_of_a_tidy_log(bodylog, arm, tmp_path):
+    assert bodylog("view", arm / "reach.bag", "-o", tmp_path / "b.rrd") == 0
+    said = rerun(tmp_path, "rrd", "stats", tmp_path / "b.rrd")
+    assert "/joint_states/position" in said and "image" in said
+
+
+@there
+def test_of_a_log_cut_short_what_is_sound_is_shown(bodylog, annotated, tmp_path):
+    whole = annotated.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    assert bodylog("view", tmp_path / "cut.mcap", "-o", tmp_path / "c.rrd") == 3
+    assert len(values(tmp_path / "c.rrd", "/camera/image/compressed", "EncodedImage:blob")[0]) > 10
+
+
+@there
+def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
+    (tmp_path / "a.mcap").write_bytes(b"no log at all" * 100)
+    with pytest.raises(LogError, match=r"a\.mcap: Rerun cannot read it \(.+\); type: bodylog doctor") as refused:
+        viewer.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity: None)
+    assert "\n" not in str(refused.value) and sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
+
+
+def test_without_rerun_the_error_says_what_to_type(monkeypatch):
+    monkeypatch.setattr(viewer, "find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"pip install 'bodylog\[view\]'"):
+        viewer.ready()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_every_point_of_an_ellipse_is_two_standard_deviations_off(seed):
+    rng = np.random.default_rng(seed)
+    root = rng.normal(size=(20, 2, 2))
+    cov, centre = root @ root.transpose(0, 2, 1), rng.normal(size=(20, 2)) * 100
+    off = ellipses(centre, cov) - centre[:, None]
+    assert np.allclose(np.einsum("kpi,kij,kpj->kp", off, np.linalg.inv(cov), off), 4.0)
+    assert np.allclose(off[:, 0], off[:, -1]) and off.shape == (20, 33, 2)
