@@ -38,7 +38,7 @@ def learned(
     Both forms share the constants: a = 1, so that g_t is 1 at its peak, and b = 1/(2 variance) of delay or distance.
     The variance starts from 0.05 s (gone beyond 0.1 s, as the illusion is) and 12 px, which count as five touches.
     """
-    delays = np.array([s.delay for f in features for s in f.synchrony if s.stroke is not None])
+    delays = np.array([s.delay for f in features for s in f.synchrony if np.isfinite(s.delay)])
     delays = delays[np.abs(delays) < _NEAR_S]
     felt = [] if effector is None else [one for f in features for one in _felt(f, joints, effector)]
     late = _blended(_LATE_S, len(delays), float(1.4826 * np.median(np.abs(delays))) if len(delays) else 0.0)
@@ -78,7 +78,7 @@ def _felt(features: Features, joints: tuple[str, ...], effector: GP) -> list[Fel
     angles = np.column_stack([np.interp(t, heard.t, heard.values[:, heard.names.index(name)]) for name in joints])
     inside = (t >= heard.t[0]) & (t <= heard.t[-1]) & np.isfinite(angles).all(axis=1)
     t, apart = t[inside], (hand.values[rows] - effector.means(angles)[0])[inside]
-    timely = {s.touch for s in features.synchrony if s.stroke is not None and abs(s.delay) < _NEAR_S}
+    timely = {s.touch for s in features.synchrony if abs(s.delay) < _NEAR_S}
     touches = [features.touches[index] for index in sorted(timely)]
     found = [Felt(touch.strongest, apart[(t >= touch.onset) & (t <= touch.offset)]) for touch in touches]
     return [one for one in found if len(one.apart)]

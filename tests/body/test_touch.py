@@ -44,6 +44,12 @@ def test_many_touches_give_back_their_own_spread(seed: int) -> None:
     assert "300 delays" in said[0].text
 
 
+def test_a_log_that_keeps_delays_but_no_strokes_teaches_the_same() -> None:
+    features = _features(0, 40, 0.03, 6.0)
+    kept = replace(features, synchrony=tuple(replace(pair, stroke=None) for pair in features.synchrony))
+    assert learned([kept], ("pan",), _Still()) == learned([features], ("pan",), _Still())
+
+
 def test_few_touches_move_the_assumption_only_a_little() -> None:
     constants, _, _ = learned([_features(0, 3, 1e-4, 1e-3)], ("pan",), _Still())
     assert 0.03 < np.sqrt(1 / (2 * constants.b2)) < 0.05
