@@ -12,6 +12,8 @@ from .records import Claim
 SIDES = {"printed": "#d1495b", "ours": "#1f77d0"}
 WIDE = 30.0
 """Figures whose sizes differ by more are drawn on a logarithmic axis."""
+REAL = ("true ", "truth")
+"""How the lines of what really was begin; they are drawn in dashes."""
 _ACROSS = 2
 
 
@@ -29,7 +31,8 @@ def traces(panels: Sequence[Mapping[str, Any]], out: Path) -> None:
 def _trace(axis: Any, shown: Mapping[str, Any]) -> None:
     for index, (name, line) in enumerate(shown["lines"].items()):
         values = [np.nan if v is None else v for v in line]
-        axis.plot(shown["t"], values, color=LINES[index % len(LINES)], label=name, ls="--" if "true" in name else "-")
+        style = "--" if name.startswith(REAL) else "-"
+        axis.plot(shown["t"], values, color=LINES[index % len(LINES)], label=name, ls=style)
     axis.set_title(shown["title"])
     axis.set_xlabel("s")
     axis.set_ylabel(shown["unit"])

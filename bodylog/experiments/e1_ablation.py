@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .lab import Belief, Heard, Lab, kalman, ours, printed
+from .lab import ELSEWHERE, Belief, Heard, Lab, kalman, ours, printed
 from .records import Bound, Claim, Experiment, Table, Trial, column, judge, panel
 
 SENSES = {
@@ -14,12 +14,11 @@ SENSES = {
     "p+v": ("encoders", "vision"),
     "p": ("encoders",),
 }
+NAMES = ("shoulder 1", "shoulder 2", "elbow")
 OFF = 0.15
 """rad: how far every joint's belief starts from the truth."""
 SETTLED = 4.0
 """s: errors count from here."""
-ELSEWHERE = 1000
-"""Added to the seed for the log on which the body is tested."""
 SWEEP = (5.0, 1.0, 0.3, 0.1, 0.03, 0.01)
 """σ_v tried in place of the printed 5, in squared image widths."""
 
@@ -35,7 +34,8 @@ def _run(lab: Lab, seed: int) -> Trial:
     figures |= {f"{side} elbow": _elbow(beliefs[side, "v"]) for side in ("printed", "ours")}
     figures["equilibrium p"] = printed(heard, paper, SENSES["p"], start, implicit=True).rmse(SETTLED)
     figures |= _sweep(heard, own, start)
-    return {"figures": figures, "panels": [_panel(side, beliefs) for side in ("printed", "ours")]}
+    errors = [_panel(side, beliefs) for side in ("printed", "ours")]
+    return {"figures": figures, "panels": [*errors, *(_angle(beliefs, i, name) for i, name in enumerate(NAMES))]}
 
 
 def _elbow(belief: Belief) -> float:
@@ -53,6 +53,14 @@ def _panel(side: str, beliefs: dict[tuple[str, str], Belief]) -> dict[str, Any]:
     chosen = {name: belief for (of, name), belief in beliefs.items() if of == side}
     lines = {name: np.interp(t, b.t, np.abs(b.x - b.true).mean(axis=1)) for name, b in chosen.items()}
     return panel(f"{side}: mean absolute error", "rad", t, lines)
+
+
+def _angle(beliefs: dict[tuple[str, str], Belief], i: int, name: str) -> dict[str, Any]:
+    """One joint as in the paper: what is believed from everything and from vision alone, and the truth."""
+    shown = {f"{side} {of}": beliefs[side, of] for side in ("printed", "ours") for of in ("p+v", "v")}
+    reference = beliefs["printed", "p+v"]
+    lines = {name: np.interp(reference.t, b.t, b.x[:, i]) for name, b in shown.items()}
+    return panel(name, "rad", reference.t, lines | {"truth": reference.true[:, i]})
 
 
 def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..types import Array, BodyModel
-from .e1_ablation import ELSEWHERE
-from .lab import JOINTS, Heard, Lab, ours, printed
+from .lab import ELSEWHERE, JOINTS, Heard, Lab, ours, printed
 from .records import Bound, Claim, Experiment, Trial, column, judge
 
 LASTING = 60.0

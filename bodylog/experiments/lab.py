@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,8 @@ JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 """The paper's shoulder 1, shoulder 2 and elbow, the order of x."""
 EXPLORATION_S = 30.0
 """How long a body is explored for."""
+ELSEWHERE = 1000
+"""Added to the seed for another log of the same kind."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,22 +56,23 @@ class Lab:
         """The recording's signals and tracks, without its pictures."""
         path = self._path(f"{scenario}-{seed}", "mcap", options)
         if not path.exists():
-            whole = path.with_suffix(".whole.mcap")
-            pipeline.record(scenario, whole, seed=seed, size=self.size, **options)
-            pipeline.extract(whole, path, self._settings())
-            whole.unlink()
+            with TemporaryDirectory() as folder:  # another process may be recording the same
+                whole = Path(folder) / path.name
+                pipeline.record(scenario, whole, seed=seed, size=self.size, **options)
+                pipeline.extract(whole, path, self._settings())
         return path
 
     def body(self, preset: str, seed: int, scenario: str = "babble", joints: tuple[str, ...] = JOINTS,
-             **options: Any) -> BodyModel:  # fmt: skip
-        """The body learned by fit preset `preset` from an exploration."""
+             touched: bool = False, **options: Any) -> BodyModel:  # fmt: skip
+        """The body learned by fit preset `preset` from an exploration, and from a log of touches when `touched`."""
         from ..body import model
 
         options = {"duration": self.exploration, **options}
-        path = self._path(f"body-{scenario}-{preset}-{seed}", "npz", {**options, "joints": joints})
+        path = self._path(f"body-{scenario}-{preset}-{seed}", "npz", {**options, "joints": joints, "touched": touched})
         if not path.exists():
             settings = replace(self._settings(), fit=Fit(preset=preset), body=Body(joints=joints))
-            pipeline.fit([self.log(scenario, seed, **options)], path, settings)
+            strokes = [self.log("touch", seed + ELSEWHERE)] if touched else []
+            pipeline.fit([self.log(scenario, seed, **options), *strokes], path, settings)
         return model.load(path)
 
     def key(self, options: Mapping[str, Any]) -> str:
@@ -142,9 +146,22 @@ def printed(
     return Belief(plan.t, x, heard.true(body.joints, plan.t))
 
 
+def noisier(heard: Heard, std: float, seed: int) -> Heard:
+    """The same log with more noise (rad) on its encoders."""
+    joints = heard.features.joints
+    assert joints is not None
+    noise = std * np.random.default_rng([seed, 11]).standard_normal(joints.values.shape)
+    return replace(heard, features=replace(heard.features, joints=replace(joints, values=joints.values + noise)))
+
+
 def typed(body: BodyModel) -> BodyModel:
     """The body with the printed touch constants, a_1 = 0.001 and b_1 = 1 (1/px²)."""
     return replace(body, touch=replace(body.touch, a1=0.001, b1=1.0))
+
+
+def shaped(body: BodyModel, width: float) -> BodyModel:
+    """The body with a_1 = 1 and f_s of another width 1/√(2 b_1) (px)."""
+    return replace(body, touch=replace(body.touch, a1=1.0, b1=1.0 / (2.0 * width**2)))
 
 
 def kept(path: Path, make: Any) -> Any:

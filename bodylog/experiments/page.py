@@ -14,7 +14,9 @@ from .. import __version__, files
 from ..report.document import document, plots
 from ..report.packing import plain
 from ..report.traces import Panel, Trace
+from ..types import Array
 from . import draw
+from .draw import REAL
 from .records import Claim, Table, Trial
 from .table import EXPERIMENTS, TIMED
 
@@ -63,8 +65,12 @@ def _panels(shown: Sequence[Mapping[str, Any]]) -> list[Panel]:
 def _traces(shown: Mapping[str, Any]) -> tuple[Trace, ...]:
     t = np.asarray(shown["t"], float)
     lines = {name: np.array([np.nan if v is None else v for v in line]) for name, line in shown["lines"].items()}
-    kinds = {name: "dashes" if "true" in name else "line" for name in lines}
-    return tuple(Trace(name, f"c{k % 8}", t, y, kinds[name]) for k, (name, y) in enumerate(lines.items()))
+    return tuple(_trace(name, t, y, k) for k, (name, y) in enumerate(lines.items()))
+
+
+def _trace(name: str, t: Array, y: Array, k: int) -> Trace:
+    real = name.startswith(REAL)
+    return Trace(name, "truth" if name == "truth" else f"c{k % 8}", t, y, "dashes" if real else "line")
 
 
 def _summary(claims: Mapping[str, Sequence[Claim]]) -> str:
