@@ -1,4 +1,4 @@
-"""Coloured blobs of one picture: a coarse search of every few pixels, then a full-resolution window per blob."""
+"""Coloured blobs measured at full resolution: windows of like size one below the other on a sheet."""
 
 from collections.abc import Sequence
 
@@ -7,105 +7,125 @@ import numpy as np
 from ..types import Array
 from .centre import measure
 from .ranges import Range, mask
+from .search import CANDIDATES, Window, windows
 
-CANDIDATES = 4
 U, V, STD_U, STD_V, MASS, STRENGTH, BORDER = range(7)
 FIELDS = 7
-_COARSE_WIDTH = 160
-_FAINT = 0.25
 _SMALLEST = 9
-_MARGIN = 10
 _ROOM, _SMALL = 12.0, 8.0
 # a straight edge this many radii from a disc's centre cuts a hundredth of its area off
 _WHOLE = 0.935
+# what is done to a mask reaches 5 px: so many empty ones keep a window's neighbours out of it
+_GUARD = 5
+_ALIKE = 1.3
+_PIXELS = 1 << 19
 
-Box = tuple[int, int, int, int]
+
+def look(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
+    """Blobs of each colour in images (H,W,3) BGR: (N,colours,CANDIDATES,FIELDS) px, as `table` gives them."""
+    found = windows(images, ranges)
+    tables = [
+        table([window for window in found if window.colour == index], len(images), colour)
+        for index, colour in enumerate(ranges)
+    ]
+    return np.stack(tables, axis=1)
 
 
-def look(image: Array, ranges: Sequence[Range]) -> Array:
-    """Blobs of each colour in image (H,W,3) BGR, strongest first: (colours, CANDIDATES, FIELDS) px, NaN where none.
+def table(found: Sequence[Window], count: int, colour: Range) -> Array:
+    """One colour's blobs in the windows of `count` pictures, strongest first: (count,CANDIDATES,FIELDS) px, else NaN.
 
     MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where
     the blob, or a small blob's surround, leaves the picture.
     """
-    import cv2
-
-    step = max(1, round(image.shape[1] / _COARSE_WIDTH))
-    width, height = image.shape[1] // step, image.shape[0] // step
-    coarse = cv2.cvtColor(_sampled(image, step, width, height), cv2.COLOR_BGR2HSV)
-    found = np.full((len(ranges), CANDIDATES, FIELDS), np.nan)
-    for index, colour in enumerate(ranges):
-        rows = [row for box in _boxes(mask(coarse, colour), step) if (row := _measured(image, box, colour))]
-        for rank, row in enumerate(_distinct(rows)):
-            found[index, rank] = row
-    return found
-
-
-def _sampled(image: Array, step: int, width: int, height: int) -> Array:
-    """Every step-th pixel of every step-th row: (height,width,4) BGR and a byte of the next pixel, or image itself."""
-    if step == 1:
-        return image
-    whole = np.ascontiguousarray(image)
-    # four bytes at a time is a third of the work; the last pixel taken has another after it, as step is above 1
-    strides = (step * whole.strides[0], step * whole.strides[1])
-    taken = np.ndarray((height, width), np.uint32, whole.data, 0, strides).copy()
-    return taken.view(np.uint8).reshape(height, width, 4)
+    blobs = np.full((count, CANDIDATES, FIELDS), np.nan)
+    rows: dict[int, list[Array]] = {}
+    for some in _alike(found):
+        for window, row in zip(some, _rows(some, colour), strict=True):
+            if np.isfinite(row[U]):
+                rows.setdefault(window.picture, []).append(row)
+    for picture, several in rows.items():
+        for rank, row in enumerate(_distinct(several)):
+            blobs[picture, rank] = row
+    return blobs
 
 
-def _boxes(seen: Array, step: int) -> list[Box]:
-    """x0, y0, x1, y1 (full-resolution px) about the components of a coarse mask that come near the largest in size."""
-    import cv2
-
-    outlines = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    if not outlines:
-        return []
-    largest = sorted(outlines, key=len, reverse=True)[:CANDIDATES]
-    boxes = [cv2.boundingRect(outline) for outline in largest if len(outline) >= _FAINT * len(largest[0])]
-    return [((x - 1) * step, (y - 1) * step, (x + w) * step, (y + h) * step) for x, y, w, h in boxes]
-
-
-def _measured(image: Array, box: Box, colour: Range) -> tuple[float, ...] | None:
-    """The FIELDS of the blob in box, or None where full resolution finds too little of the colour."""
-    import cv2
-
-    x0, y0, x1, y1 = box
-    left, top = max(0, x0 - _MARGIN), max(0, y0 - _MARGIN)
-    window = np.ascontiguousarray(image[top : y1 + _MARGIN, left : x1 + _MARGIN])
-    core = _largest(mask(cv2.cvtColor(window, cv2.COLOR_BGR2HSV), colour))
-    if cv2.countNonZero(core) < _SMALLEST:
-        return None
-    u, v, std_u, std_v, mass, contrast = measure(window, core)
-    u, v = left + u, top + v
-    radius = (mass / np.pi) ** 0.5
-    inside_u, inside_v = min(u, image.shape[1] - 1 - u), min(v, image.shape[0] - 1 - v)
-    border = min(inside_u, inside_v) < max(_WHOLE * radius - 0.5, _ROOM if radius < _SMALL else 0.0)
-    std_u, std_v = float(np.hypot(std_u, _cut(radius, inside_u))), float(np.hypot(std_v, _cut(radius, inside_v)))
-    return u, v, std_u, std_v, mass, mass * contrast, float(border)
+def _alike(found: Sequence[Window]) -> list[list[Window]]:
+    """Windows of like size together, no more than a sheet's worth."""
+    sheets: list[list[Window]] = []
+    for window in sorted(found, key=_side):
+        side = _side(window)
+        if not sheets or side > _ALIKE * _side(sheets[-1][0]) or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
+            sheets.append([])
+        sheets[-1].append(window)
+    return sheets
 
 
-def _cut(radius: float, inside: float) -> float:
+def _side(window: Window) -> int:
+    """The side (px) of the square that holds a window and its guard, a multiple of 8."""
+    return -(-(max(window.pixels.shape[:2], default=0) + _GUARD) // 8) * 8
+
+
+def _rows(some: Sequence[Window], colour: Range) -> Array:
+    """FIELDS of the blob in each window: (K,FIELDS); NaN where full resolution finds too little of the colour."""
+    sheet, valid = _sheet(some)
+    core = _largest(sheet, valid, colour)
+    rows = np.full((len(some), FIELDS), np.nan)
+    enough = np.flatnonzero(np.count_nonzero(core, axis=(1, 2)) >= _SMALLEST)
+    if not enough.size:
+        return rows
+    if enough.size < len(some):
+        sheet, core, valid = sheet[enough], core[enough], valid[enough]
+    u, v, std_u, std_v, mass, contrast = measure(sheet, core, valid)
+    corner = np.array([(some[k].left, some[k].top) for k in enough.tolist()])
+    last = np.array([some[k].size for k in enough.tolist()]) - 1
+    centre, std = np.stack([u, v], axis=1) + corner, np.stack([std_u, std_v], axis=1)
+    radius, inside = np.sqrt(mass / np.pi), np.minimum(centre, last - centre)
+    border = inside.min(axis=1) < np.maximum(_WHOLE * radius - 0.5, np.where(radius < _SMALL, _ROOM, 0.0))
+    std = np.hypot(std, _cut(radius[:, None], inside))
+    rows[enough] = np.column_stack([centre, std, mass, mass * contrast, border])
+    return rows
+
+
+def _sheet(some: Sequence[Window]) -> tuple[Array, Array]:
+    """The windows (K,S,S,3), each in the upper left corner of its square, and 1 where they are: (K,S,S) uint8."""
+    side = max(map(_side, some))
+    sheet, valid = np.zeros((len(some), side, side, 3), np.uint8), np.zeros((len(some), side, side), np.uint8)
+    for k, window in enumerate(some):
+        height, width = window.pixels.shape[:2]
+        sheet[k, :height, :width] = window.pixels
+        valid[k, :height, :width] = 1
+    return sheet, valid
+
+
+def _cut(radius: Array, inside: Array) -> Array:
     """How far (px) the picture's edge, `inside` px away plus half a pixel, pushes a disc's centre that it may cut.
 
     A disc of radius r has the share (4√2/3π) (h/r)^1.5 in a low segment of height h, at r from its centre.
     """
-    return 0.6 * float(max(radius - 0.5 - inside, 0.0) ** 1.5 / radius**0.5)
+    return 0.6 * np.maximum(radius - 0.5 - inside, 0.0) ** 1.5 / np.sqrt(radius)
 
 
-def _largest(seen: Array) -> Array:
-    """1 on the largest component of a mask and on its holes, else 0."""
+def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
+    """1 on the largest component of the colour in each square of a sheet, and on its holes: (K,S,S) uint8."""
     import cv2
 
-    outlines = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    side = sheet.shape[1]
+    seen = mask(cv2.cvtColor(sheet.reshape(-1, side, 3), cv2.COLOR_BGR2HSV), colour)
+    seen &= valid.reshape(-1, side)
+    largest: dict[int, Array] = {}
+    for outline in cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        k = int(outline[0, 0, 1]) // side
+        if k not in largest or len(outline) > len(largest[k]):
+            largest[k] = outline
     core = np.zeros_like(seen)
-    if outlines:
-        cv2.drawContours(core, [max(outlines, key=len)], 0, 1, cv2.FILLED)
-    return core
+    cv2.drawContours(core, list(largest.values()), -1, 1, cv2.FILLED)
+    return core.reshape(valid.shape)
 
 
-def _distinct(rows: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+def _distinct(rows: list[Array]) -> list[Array]:
     """Strongest first, each blob once: two coarse pieces of one blob measure the same centre."""
-    kept: list[tuple[float, ...]] = []
-    for row in sorted(rows, key=lambda row: -row[STRENGTH]):
+    kept: list[Array] = []
+    for row in sorted(rows, key=lambda row: -float(row[STRENGTH])):
         if all(abs(row[U] - other[U]) + abs(row[V] - other[V]) > 2 for other in kept):
             kept.append(row)
     return kept

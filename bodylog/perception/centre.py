@@ -1,7 +1,8 @@
-"""The centre of one blob to a fraction of a pixel, and how far it may be off.
+"""The centres of blobs to a fraction of a pixel, and how far they may be off.
 
 The centre is that of the blob's mixing weight: how far each pixel lies from the surround's colour towards the blob's
-own, which an anti-aliased or blurred edge crosses linearly and a mask does not.
+own, which an anti-aliased or blurred edge crosses linearly and a mask does not. K blobs are measured at once, each in
+a square of S×S px of one sheet.
 """
 
 from functools import lru_cache
@@ -13,121 +14,156 @@ from ..types import Array
 _SOFT, _GUARD = 3, 2
 _DEADBAND, _FULL = 0.15, 0.97
 _CORRELATED = 9.0
-_FEWEST, _MANY = 12, 2000
+_FEWEST, _MANY = 12, 2500
 _QUIETEST = 0.001
 _DOUBT = 1 / 7
 _ERODE = np.ones((5, 5), dtype=np.uint8)
 _GROW = np.ones((2 * _SOFT + 1, 2 * _SOFT + 1), dtype=np.uint8)
-_CLEAR = np.ones((2 * (_SOFT + _GUARD) + 1, 2 * (_SOFT + _GUARD) + 1), dtype=np.uint8)
+_CLEAR = np.ones((2 * _GUARD + 1, 2 * _GUARD + 1), dtype=np.uint8)
 
 
-def measure(window: Array, core: Array) -> tuple[float, float, float, float, float, float]:
-    """u, v, std_u, std_v (px, in window (H,W,3) BGR), area (px²) and contrast (grey levels) of the blob around core.
+def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """u, v, std_u, std_v (px, in each square), area (px²) and contrast (grey levels) of K blobs: (K,) each.
 
-    `core` (H,W) uint8 is 1 where the pixel surely is the blob's.
+    `sheet` is (K,S,S,3) BGR, `core` (K,S,S) uint8 is 1 where the pixel surely is the blob's, `valid` where there is a
+    pixel at all. NaN where no weight is left.
     """
+    inner, grown, outer = _zones(core, valid)
+    x = _powers(sheet.shape[1])
+    mixing, contrast = _mixing(sheet, inner, outer)
+    mean, plane, graded = _shade(mixing, inner, x)
+    weight = _weight(mixing / plane, grown)
+    mass, u, v = _centroid(weight, x)
+    variance = _QUIETEST**2 + _ripple(weight, mass, u, v)
+    doubt = np.zeros((2, len(u)))
+    if graded.any():
+        flat = _weight(mixing[graded] / mean[graded, None, None], grown[graded])
+        # shading is not a plane: a part of what the plane corrects stays in doubt
+        doubt[:, graded] = _DOUBT * (np.stack([u, v])[:, graded] - _centroid(flat, x)[1:])
+    std_u, std_v = np.sqrt(variance + doubt**2)
+    return u, v, std_u, std_v, mass, contrast
+
+
+def _zones(core: Array, valid: Array) -> tuple[Array, Array, Array]:
+    """Surely inside, perhaps inside, and surely outside each blob: (K,S,S) uint8 each."""
     import cv2
 
-    inner = cv2.erode(core, _ERODE)
-    inner = inner if cv2.countNonZero(inner) >= _FEWEST else core
-    grown = cv2.dilate(core, _GROW)
-    outer = 1 - cv2.dilate(core, _CLEAR)
-    x, y = _powers(window.shape[1]), _powers(window.shape[0])
-    mixing, contrast = _mixing(window, inner, outer)
-    mean, shade = _shade(mixing, inner.astype(np.float32), x, y)
-    weight = _weight(mixing / (mean if shade is None else shade), grown)
-    mass, u, v = _centroid(weight, x, y)
-    doubt_u = doubt_v = 0.0
-    if shade is not None:
-        _, flat_u, flat_v = _centroid(_weight(mixing / mean, grown), x, y)
-        # shading is not a plane: a part of what the plane corrects stays in doubt
-        doubt_u, doubt_v = _DOUBT * (u - flat_u), _DOUBT * (v - flat_v)
-    noise = _QUIETEST**2 + _ripple(weight, mass, u, v)
-    return u, v, (noise + doubt_u**2) ** 0.5, (noise + doubt_v**2) ** 0.5, mass, contrast
+    flat = core.reshape(-1, core.shape[2])
+    inner = cv2.erode(flat | (1 - valid).reshape(flat.shape), _ERODE).reshape(core.shape) & core
+    few = np.count_nonzero(inner, axis=(1, 2)) < _FEWEST
+    inner[few] = core[few]
+    grown = cv2.dilate(flat, _GROW)
+    outer = valid & (1 - cv2.dilate(grown, _CLEAR).reshape(core.shape))
+    return inner, grown.reshape(core.shape) & valid, outer
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=64)
 def _powers(size: int) -> Array:
     """1, x, x² of the pixels of a row or column: (3,size)."""
     x = np.arange(size, dtype=np.float32)
     return np.stack([np.ones_like(x), x, x * x])
 
 
-def _mixing(window: Array, inner: Array, outer: Array) -> tuple[Array, float]:
-    """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (H,W); how far apart they are.
+def _mixing(sheet: Array, inner: Array, outer: Array) -> tuple[Array, Array]:
+    """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (K,S,S); how far apart they are (K,).
 
     Fisher's discriminant: the direction in colour that tells the two apart best given how each of them scatters, so
     that what else stands in the surround weighs little.
     """
-    some = slice(None, None, 2 if inner.size > _MANY else 1)
-    blob, blob_scatter = _moments(window[some, some][inner[some, some].view(bool)])
-    ground, ground_scatter = _moments(window[::2, ::2][outer[::2, ::2].view(bool)])
+    every = 2 if inner[0].size > _MANY else 1
+    blob, blob_scatter = _moments(sheet[:, ::every, ::every], inner[:, ::every, ::every])
+    ground, ground_scatter = _moments(sheet[:, ::2, ::2], outer[:, ::2, ::2])
     step, scatter = blob - ground, blob_scatter + ground_scatter
     # as much again of white noise keeps the direction sane where the colours hardly scatter
-    scatter += max(float(scatter.trace()) / 3, 1e-3) * np.eye(3, dtype=np.float32)
-    axis = np.linalg.solve(scatter, step)
-    axis /= max(float(axis @ step), 1e-6)
-    flat = window.reshape(-1, 3).astype(np.float32) @ axis - ground @ axis
-    return flat.reshape(inner.shape), max(float(step @ step), 1.0) ** 0.5
+    white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
+    axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
+    axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
+    # eight lines at a time: too little for a linear algebra library to start threads of its own among ours
+    lines = sheet.reshape(len(sheet), -1, 8 * sheet.shape[1], 3).astype(np.float32)
+    flat = lines @ axis[:, None, :, None].astype(np.float32)
+    flat -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None, None]
+    return flat.reshape(inner.shape), np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))
 
 
-def _moments(colours: Array) -> tuple[Array, Array]:
-    """Mean (3,) and covariance (3,3) of colours (n,3); zeros of none."""
-    shared = np.float32(1 / max(len(colours), 1))
-    mean = np.full(len(colours), shared) @ colours.astype(np.float32)
-    away = colours - mean
-    return mean, away.T @ away * shared
+def _moments(colours: Array, where: Array) -> tuple[Array, Array]:
+    """Mean (K,3) and covariance (K,3,3) of colours (K,s,s,3) where 1; zeros of none."""
+    chosen = where.reshape(len(where), 1, -1).astype(np.float32)
+    share = 1 / np.maximum(chosen.sum(axis=2), 1)
+    # channel by channel: the sums run along what lies together
+    away = np.ascontiguousarray(np.moveaxis(colours, 3, 1)).reshape(len(colours), 3, -1).astype(np.float32)
+    mean = (away @ chosen.transpose(0, 2, 1))[:, :, 0] * share
+    away -= mean[:, :, None]
+    scatter = (away * chosen) @ away.transpose(0, 2, 1) * share[:, :, None]
+    return mean.astype(np.float64), scatter.astype(np.float64)
 
 
-def _shade(mixing: Array, inner: Array, x: Array, y: Array) -> tuple[float, Array | None]:
-    """The mean mixing of the blob, and where light grades it beyond chance, the plane (H,W) of that; else None."""
-    (n, sx, sxx), (sy, sxy, _), (syy, _, _) = (y @ inner @ x.T).tolist()
+def _shade(mixing: Array, inner: Array, x: Array) -> tuple[Array, Array, Array]:
+    """The mean mixing of each blob (K,), the plane of it (K,S,S), and whether light grades it beyond chance (K,)."""
     inside = mixing * inner
-    (z, zx, _), (zy, _, _), _ = (y @ inside @ x.T).tolist()
+    own, graded = _sums(inner.astype(np.float32), x), _sums(inside, x)
+    n, sx, sxx, sy, sxy, syy = own[:, 0, 0], own[:, 0, 1], own[:, 0, 2], own[:, 1, 0], own[:, 1, 1], own[:, 2, 0]
+    z, zx, zy = graded[:, 0, 0], graded[:, 0, 1], graded[:, 1, 0]
     mean, mid_x, mid_y = z / n, sx / n, sy / n
     xx, yy, xy = sxx - sx * mid_x, syy - sy * mid_y, sxy - sx * mid_y
     xz, yz = zx - z * mid_x, zy - z * mid_y
-    determinant = max(xx * yy - xy * xy, 1e-9)
+    determinant = np.maximum(xx * yy - xy * xy, 1e-9)
     slope_x, slope_y = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
     explained = slope_x * xz + slope_y * yz
-    rest = float(np.vdot(inside, inside)) - z * mean - explained
+    rest = np.einsum("kij,kij->k", inside, inside) - z * mean - explained
     freedom = n / _CORRELATED - 3
-    trust = 1 - 6 * rest / max(freedom * explained, 1e-12)
-    if freedom <= 0 or trust <= 0:
-        return mean, None
-    plane = mean + trust * slope_x * (x[1] - mid_x) + trust * slope_y * (y[1] - mid_y)[:, None]
-    return mean, np.clip(plane, 0.4, 2.0)
+    trust = np.where(freedom > 0, np.maximum(1 - 6 * rest / np.maximum(freedom * explained, 1e-12), 0), 0)
+    tilt_x, tilt_y = (trust * slope_x)[:, None], (trust * slope_y)[:, None]
+    along, down = tilt_x * (x[1] - mid_x[:, None]), tilt_y * (x[1] - mid_y[:, None]) + mean[:, None]
+    plane = along.astype(np.float32)[:, None, :] + down.astype(np.float32)[:, :, None]
+    return mean.astype(np.float32), np.clip(plane, 0.4, 2.0, out=plane), trust > 0
+
+
+def _sums(field: Array, x: Array) -> Array:
+    """Sums of y^i x^j field over each square, for the powers in x: (K,n,n) float64."""
+    return np.asarray(x @ (field @ x.T), dtype=np.float64)
 
 
 def _weight(mixing: Array, grown: Array) -> Array:
-    """Covered share of each pixel, with what is little set to none: (H,W) 0..1."""
-    weight = mixing - np.float32(_DEADBAND)
-    weight *= np.float32(1 / (_FULL - _DEADBAND))
-    np.minimum(weight, 1, out=weight)
-    np.maximum(weight, 0, out=weight)
-    weight *= grown
-    return weight
+    """Covered share of each pixel, with what is little set to none: (K,S,S) 0..1."""
+    mixing -= np.float32(_DEADBAND)
+    mixing *= np.float32(1 / (_FULL - _DEADBAND))
+    np.clip(mixing, 0, 1, out=mixing)
+    mixing *= grown
+    return mixing
 
 
-def _centroid(weight: Array, x: Array, y: Array) -> tuple[float, float, float]:
-    """Sum of the weights and their centre u, v."""
-    (mass, u), (v, _) = (y[:2] @ weight @ x[:2].T).tolist()
-    return mass, u / mass, v / mass
+def _centroid(weight: Array, x: Array) -> Array:
+    """Sum of the weights of each square and their centre u, v: (3,K); NaN where there is none."""
+    sums = _sums(weight, x[:2])
+    mass = np.where(sums[:, 0, 0] > 0, sums[:, 0, 0], np.nan)
+    return np.stack([mass, sums[:, 0, 1] / mass, sums[:, 1, 0] / mass])
 
 
-def _ripple(weight: Array, mass: float, u: float, v: float) -> float:
-    """Variance (px²) of one coordinate of the centre, from the waves of orders 3 and 5 round the blob's outline.
+def _ripple(weight: Array, mass: Array, u: Array, v: Array) -> Array:
+    """Variance (px², K) of one coordinate of each centre, from the waves of orders 3 and 5 round the blob's outline.
 
     A wave of order 1 is a shift of the centre. An outline that is its own mirror image through the centre has no waves
     of odd order, so those are what noise, compression and the pixels' grid make; order 1 gets as much as they do.
     """
-    rows, columns = weight.nonzero()
-    away = np.empty(len(rows), dtype=np.complex64)
-    away.real, away.imag = columns - u, rows - v
-    radius = np.abs(away) + np.float32(1e-6)
-    turn = away / radius
-    twice = turn * turn
-    third = turn * twice
-    arm = weight[rows, columns] * radius
-    waves = complex(third @ arm), complex((third * twice) @ arm)
-    return sum(abs(wave) ** 2 for wave in waves) / (2 * len(waves)) / mass**2
+    x, y = (np.arange(weight.shape[1]) - np.stack([u, v])[:, :, None]).astype(np.float32)
+    square = (y * y)[:, :, None] + (x * x)[:, None, :] + np.float32(1e-6)
+    across, down = _six(x), _six(y)
+    # a wave of order n is the sum of weight r (e^iφ)^n, with r e^iφ = x + iy
+    weight = weight / square
+    third = down[:, :4] @ (weight @ across[:, :4].transpose(0, 2, 1))
+    weight /= square
+    fifth = down @ (weight @ across.transpose(0, 2, 1))
+    waves = [
+        third[:, 0, 3] - 3 * third[:, 2, 1], 3 * third[:, 1, 2] - third[:, 3, 0],
+        fifth[:, 0, 5] - 10 * fifth[:, 2, 3] + 5 * fifth[:, 4, 1],
+        5 * fifth[:, 1, 4] - 10 * fifth[:, 3, 2] + fifth[:, 5, 0],
+    ]  # fmt: skip
+    return np.asarray(np.square(waves, dtype=np.float64).sum(axis=0) / 4 / mass**2)
+
+
+def _six(x: Array) -> Array:
+    """1, x … x⁵ of (K,S): (K,6,S)."""
+    powers = np.ones((len(x), 6, x.shape[1]), np.float32)
+    for order in range(1, 6):
+        np.multiply(powers[:, order - 1], x, out=powers[:, order])
+    return powers

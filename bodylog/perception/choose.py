@@ -1,6 +1,8 @@
 """Which blob is the target: blobs linked to runs through time, runs judged by size and motion."""
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from math import hypot
 
 import numpy as np
 
@@ -30,9 +32,9 @@ class _Run:
     """One blob followed through time: frame indices and its rows of fields."""
 
     frames: list[int] = field(default_factory=list)
-    rows: list[Array] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
 
-    @property
+    @cached_property
     def table(self) -> Array:
         return np.array(self.rows)
 
@@ -63,12 +65,12 @@ def _link(t: Array, found: Array, reach: float) -> list[_Run]:
     """Blobs joined to the nearest open run that is close enough and of like size; others open a run."""
     open_runs: list[_Run] = []
     closed: list[_Run] = []
-    for index in np.flatnonzero(np.isfinite(found[:, 0, U])).tolist():
-        still_open = [run for run in open_runs if t[index] - t[run.frames[-1]] <= _PATIENCE]
-        closed += [run for run in open_runs if t[index] - t[run.frames[-1]] > _PATIENCE]
-        open_runs = still_open
+    times, seen = t.tolist(), np.isfinite(found[:, :, U])
+    for index in np.flatnonzero(seen[:, 0]).tolist():
+        closed += [run for run in open_runs if times[index] - times[run.frames[-1]] > _PATIENCE]
+        open_runs = [run for run in open_runs if times[index] - times[run.frames[-1]] <= _PATIENCE]
         taken: set[int] = set()
-        for row in found[index][np.isfinite(found[index, :, U])]:
+        for row in found[index, seen[index]].tolist():
             run = _nearest(open_runs, taken, row, reach)
             if run is None:
                 run = _Run()
@@ -79,13 +81,13 @@ def _link(t: Array, found: Array, reach: float) -> list[_Run]:
     return sorted(closed + open_runs, key=lambda run: run.frames[0])
 
 
-def _nearest(runs: list[_Run], taken: set[int], row: Array, reach: float) -> _Run | None:
+def _nearest(runs: list[_Run], taken: set[int], row: list[float], reach: float) -> _Run | None:
     best_run, best_distance = None, reach
     for run in runs:
         last = run.rows[-1]
-        distance = float(np.hypot(row[U] - last[U], row[V] - last[V]))
+        distance = hypot(row[U] - last[U], row[V] - last[V])
         alike = row[BORDER] or last[BORDER] or 1 / _RESIZED < row[MASS] / last[MASS] < _RESIZED
-        if id(run) not in taken and alike and distance <= best_distance:
+        if distance <= best_distance and alike and id(run) not in taken:
             best_run, best_distance = run, distance
     return best_run
 
@@ -154,8 +156,8 @@ def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Ru
 def _within(t: Array, run: _Run, other: _Run, reach: float, speed: float) -> bool:
     early, late = (run, other) if run.frames[0] < other.frames[0] else (other, run)
     gap = float(t[late.frames[0]] - t[early.frames[-1]])
-    step = late.rows[0] - early.rows[-1]
-    return gap < 0 or float(np.hypot(step[U], step[V])) <= reach + speed * gap
+    step = late.table[0] - early.table[-1]
+    return gap < 0 or hypot(step[U], step[V]) <= reach + speed * gap
 
 
 def _fastest(t: Array, run: _Run) -> float:

@@ -1,24 +1,29 @@
 """Pictures to colour tracks: decoding and looking on a pool of threads, in order, a bounded number ahead."""
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from itertools import islice
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import suppress
+from itertools import chain, islice
 
 import numpy as np
 
 from ..errors import InputError
 from ..settings import Colour
 from ..types import Array, Finding, Frame, Health, Series
-from . import blobs, choose
+from . import blobs, choose, search
 from .ranges import Range, covered, nearest, resolve
+from .search import CANDIDATES, Window
 
 _THREADS = 2
-_BATCH, _AHEAD = 4, 4
+# pictures looked at by one task, tasks ahead of the reader, pictures whose finds are measured together
+_BATCH, _AHEAD, _SHEET = 4, 4, 64
 _NOTABLE = 1e-4
 
-Seen = tuple[Array | None, int]
-"""What one picture shows (None: undecodable), and its width in px."""
+Seen = tuple[list[Window], list[int]]
+"""What a batch of pictures shows, and the width of each in px (0: undecodable)."""
+
+Looked = tuple[list[Frame], Seen]
 
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
@@ -52,52 +57,72 @@ def track(
     return tracks, health, tuple(findings)
 
 
-def in_order(frames: Iterable[Frame], task: Callable[[Frame], Seen]) -> Iterator[tuple[Frame, Seen]]:
-    """Each frame with task(frame), in order, on a pool of threads a few frames ahead of the reader and no more."""
-    waiting: deque[tuple[list[Frame], Future[list[Seen]]]] = deque()
-    source = iter(frames)
-    with ThreadPoolExecutor(_THREADS) as pool:
-        try:
-            while batch := list(islice(source, _BATCH)):
-                waiting.append((batch, pool.submit(lambda some: [task(frame) for frame in some], batch)))
-                if len(waiting) > _AHEAD:
-                    yield from _first(waiting)
-            while waiting:
-                yield from _first(waiting)
-        finally:
-            for _, future in waiting:
-                future.cancel()
-
-
-def _first(waiting: "deque[tuple[list[Frame], Future[list[Seen]]]]") -> Iterator[tuple[Frame, Seen]]:
-    batch, future = waiting.popleft()
-    return zip(batch, future.result(), strict=True)
-
-
 def _look_at_all(
     frames: Iterator[Frame], ranges: Sequence[Range], progress: Callable[[int], None] | None
 ) -> tuple[Array, Array, Array, Array, float]:
     """t (N,) · source_ns (N,) · blobs (N,colours,…) · undecodable (N,) bool · width of the widest picture in px."""
-    none = np.full((len(ranges), blobs.CANDIDATES, blobs.FIELDS), np.nan)
-    t, source_ns, found, broken, width = [], [], [], [], 0
+    t: list[float] = []
+    source_ns: list[int] = []
+    widths: list[int] = []
+    tables: list[list[Future[Array]]] = [[] for _ in ranges]
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for some in _by_sheets(_in_order(pool, frames, ranges)):
+            found: list[Window] = []
+            before = len(widths)
+            for batch, (windows, wide) in some:
+                found += [window._replace(picture=window.picture + len(widths) - before) for window in windows]
+                t += [frame.t for frame in batch]
+                source_ns += [frame.source_ns for frame in batch]
+                widths += wide
+                if progress:
+                    progress(len(batch))
+            for index, colour in enumerate(ranges):
+                of_colour = [window for window in found if window.colour == index]
+                tables[index].append(pool.submit(blobs.table, of_colour, len(widths) - before, colour))
+        none = np.zeros((0, CANDIDATES, blobs.FIELDS))
+        stacked = np.stack([np.concatenate([none, *(each.result() for each in some)]) for some in tables], axis=1)
+    wide_px = np.array(widths, dtype=np.int64)
+    return np.array(t), np.array(source_ns, dtype=np.int64), stacked, wide_px == 0, float(wide_px.max(initial=0))
 
-    def task(frame: Frame) -> Seen:
-        try:
-            image = frame.decode(1)
-        except InputError:
-            return None, 0
-        return blobs.look(image, ranges), image.shape[1]
 
-    for frame, (seen, wide) in in_order(frames, task):
-        t.append(frame.t)
-        source_ns.append(frame.source_ns)
-        found.append(none if seen is None else seen)
-        broken.append(seen is None)
-        width = max(width, wide)
-        if progress:
-            progress(1)
-    stacked = np.stack(found) if found else none[None][:0]
-    return np.array(t), np.array(source_ns, dtype=np.int64), stacked, np.array(broken, dtype=bool), float(width)
+def _in_order(pool: Executor, frames: Iterator[Frame], ranges: Sequence[Range]) -> Iterator[Looked]:
+    """Batches of frames and what a look at them gave, in order, a bounded number ahead of the reader."""
+    waiting: deque[tuple[list[Frame], Future[Seen]]] = deque()
+    try:
+        while batch := list(islice(frames, _BATCH)):
+            waiting.append((batch, pool.submit(_look, batch, ranges)))
+            if len(waiting) > _AHEAD:
+                yield _first(waiting)
+        while waiting:
+            yield _first(waiting)
+    finally:
+        for _, future in waiting:
+            future.cancel()
+
+
+def _first(waiting: deque[tuple[list[Frame], Future[Seen]]]) -> Looked:
+    batch, future = waiting.popleft()
+    return batch, future.result()
+
+
+def _by_sheets(looks: Iterator[Looked]) -> Iterator[Iterator[Looked]]:
+    """The looks in groups whose windows are measured together."""
+    for first in looks:
+        yield chain([first], islice(looks, _SHEET // _BATCH - 1))
+
+
+def _look(batch: Sequence[Frame], ranges: Sequence[Range]) -> Seen:
+    images = [_decoded(frame) for frame in batch]
+    sound = [k for k, image in enumerate(images) if image is not None]
+    found = search.windows([image for image in images if image is not None], ranges)
+    widths = [0 if image is None else image.shape[1] for image in images]
+    return [window._replace(picture=sound[window.picture]) for window in found], widths
+
+
+def _decoded(frame: Frame) -> Array | None:
+    with suppress(InputError):
+        return frame.decode(1)
+    return None
 
 
 def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:

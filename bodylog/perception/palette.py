@@ -47,7 +47,7 @@ def propose(
     shown = set(np.linspace(0, count - 1, min(_SHEET, count)).astype(int).tolist())
     t, found, kept, width = np.zeros(count), [], {}, 0
     for index, (t[index], image) in enumerate(picked()):
-        found.append(blobs.look(image, ranges))
+        found.append(blobs.look([image], ranges)[0])
         width = max(width, image.shape[1])
         if index in shown:
             kept[index] = image.copy()

@@ -91,7 +91,7 @@ def _plain(picture: Array, wanted: Sequence[ranges.Range]) -> list[Array]:
 
 
 def _centres(picture: Array, wanted: Sequence[ranges.Range]) -> Array:
-    return blobs.look(picture, wanted)[:, 0, :2]
+    return blobs.look([picture], wanted)[0, :, 0, :2]
 
 
 if __name__ == "__main__":

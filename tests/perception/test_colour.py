@@ -245,7 +245,7 @@ def test_what_else_stands_in_the_surround_does_not_pull_the_centre() -> None:
         wall = scenes.wall(rng, contrast=4.0)
         wall[: round(v), round(u) - 8 : round(u) + 9] = 150.0
         image = scenes.draw(wall, [Disc(u, v, 9.0, scenes.RED)], rng)
-        errors.append(blobs.look(image, [ranges.resolve("red", "it")])[0, 0, :2] - (u, v))
+        errors.append(blobs.look([image], [ranges.resolve("red", "it")])[0, 0, 0, :2] - (u, v))
     assert np.abs(np.mean(errors, axis=0)).max() < 0.02
 
 
