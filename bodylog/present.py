@@ -149,7 +149,8 @@ def _figures(
     from .report import figures, overlay
 
     folder.mkdir(parents=True, exist_ok=True)
-    figures.recording_figure(read, features, folder / "recording.png")
-    figures.estimate_figure(found, read.truth, read.joints, folder / "estimate.png")
+    for suffix in (".png", ".svg"):
+        figures.recording_figure(read, features, folder / f"recording{suffix}")
+        figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")
     if shown:
         overlay.overlay_sheet(shown, folder / "overlay.png")

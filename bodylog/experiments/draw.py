@@ -57,7 +57,8 @@ def _strip(axis: Any, claim: Claim, index: int) -> None:
     axis.set_yticks([0, -1], ["printed", "ours"])
     axis.set_ylim(-1.6, 0.6)
     _scale(axis, np.concatenate([np.asarray([*claim.printed, *claim.ours], float), [limit]]))
-    axis.set_title(f"{index}. {claim.measured} ({claim.unit}), {claim.bound}", fontsize=8)
+    unit = "" if claim.unit == "1" else f" {claim.unit}"
+    axis.set_title(f"{index}. {claim.measured}: {claim.bound}{unit}", fontsize=8)
 
 
 def _scale(axis: Any, values: Any) -> None:

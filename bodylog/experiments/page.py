@@ -2,8 +2,9 @@
 
 import base64
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -88,13 +89,10 @@ def _section(name: str, trials: Sequence[Trial], claims: Sequence[Claim], out: P
         return "\n".join(parts)
     parts += [_table(table) for table in experiment.tables(trials)]
     if trials[0]["panels"]:
-        path = _figure(out, f"{name}, first seed")
-        draw.traces(trials[0]["panels"], path)
+        path = _figure(out, f"{name}, first seed", partial(draw.traces, trials[0]["panels"]))
         parts.append(plots((f"First seed; also drawn in figures/{path.name}.",)))
     title = f"{name}, all seeds"
-    path = _figure(out, title)
-    draw.spreads(claims, path)
-    return "\n".join([*parts, _drawn(path, title)])
+    return "\n".join([*parts, _drawn(_figure(out, title, partial(draw.spreads, claims)), title)])
 
 
 def claim_table(claims: Sequence[Claim]) -> str:
@@ -106,8 +104,9 @@ def claim_table(claims: Sequence[Claim]) -> str:
 
 def _claim(index: int, claim: Claim) -> str:
     said = f'<br><span class="soft">{escape(claim.explanation)}</span>' if claim.explanation else ""
+    measured = claim.measured if claim.unit == "1" else f"{claim.measured}, {claim.unit}"
     cells = (
-        str(index), escape(claim.text) + said, f"{escape(claim.measured)} ({escape(claim.unit)})", escape(claim.bound),
+        str(index), escape(claim.text) + said, escape(measured), escape(claim.bound),
         _figures(claim, "printed"), _figures(claim, "ours"),
         f'<b class="{escape(claim.verdict)}">{escape(claim.verdict)}</b>',
     )  # fmt: skip
@@ -134,10 +133,14 @@ def _drawn(path: Path, title: str) -> str:
     return f'<p><img alt="{escape(title)}" src="data:image/png;base64,{data}"></p>'
 
 
-def _figure(out: Path, title: str) -> Path:
+def _figure(out: Path, title: str, make: Callable[[Path], None]) -> Path:
+    """The figure as PNG, and beside it as SVG."""
     folder = out / "figures"
     folder.mkdir(exist_ok=True)
-    return folder / f"{title.replace(', ', '-').replace(' ', '-')}.png"
+    path = folder / f"{title.replace(', ', '-').replace(' ', '-')}.png"
+    for suffix in (".svg", ".png"):
+        make(path.with_suffix(suffix))
+    return path
 
 
 def _json(value: Any) -> str:

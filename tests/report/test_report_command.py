@@ -1,0 +1,30 @@
+"""bodylog report on an annotated log of touches: the page within its size, figures beside it."""
+
+import pytest
+
+from .test_html import LIMIT, plotted, titles
+
+
+@pytest.fixture(scope="module")
+def touched(bodylog, robot):
+    out = robot / "touched.mcap"
+    typed = ("--size", "160x120", "--duration", 8, "--seed", 4)
+    assert bodylog("record", "touch", "-o", robot / "touch.mcap", *typed) == 0
+    assert bodylog("estimate", robot / "touch.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    return out
+
+
+def test_page_and_figures(bodylog, touched, tmp_path):
+    assert bodylog("report", touched, "-o", tmp_path / "r.html", "--figures", tmp_path / "figures") == 0
+    kinds = {"recording.png", "recording.svg", "estimate.png", "estimate.svg", "overlay.png"}
+    assert {path.name for path in (tmp_path / "figures").iterdir()} == kinds
+    page = (tmp_path / "r.html").read_text()
+    assert len(page.encode()) < LIMIT
+    shown = set(titles(page))
+    assert {"elbow_joint, rad", "elbow_joint minus truth, rad", "free energy, nats", "effector u, px"} <= shown
+    assert {"touches felt, strokes seen", "synchrony, 0..1", "seen minus felt, s", "skin, 0..1"} <= shown
+    assert {f"{sense}: prediction error, standard deviations" for sense in ("encoders", "effector", "touch")} <= shown
+    assert {mark["ink"] for mark in plotted(page)["marks"]} >= {"felt"}
+    for said in ("Health of the log, per topic", "Settings", "Provenance", "body_sha256", "joint_rmse"):
+        assert said in page
+    assert page.count("data:image/jpeg;base64,") == 6
