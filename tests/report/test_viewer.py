@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from bodylog.errors import LogError, UsageError
-from bodylog.report import viewer
+from bodylog.report import companion, viewer
 from bodylog.report.companion import ellipses
+
+from .records import estimate, features
+from .test_html import HOSTILE, hostile_parts
 
 there = pytest.mark.skipif(find_spec("rerun_cli") is None, reason="needs rerun-sdk (pip install 'bodylog[view]')")
 
@@ -127,6 +130,27 @@ def test_of_a_log_cut_short_what_is_sound_is_shown(bodylog, annotated, tmp_path)
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
     assert bodylog("view", tmp_path / "cut.mcap", "-o", tmp_path / "c.rrd") == 3
     assert len(values(tmp_path / "c.rrd", "/camera/image/compressed", "EncodedImage:blob")[0]) > 10
+
+
+@there
+@pytest.mark.parametrize("camera", [None, companion.Camera(f"/{HOSTILE}/image", ""), companion.Camera("/cam", HOSTILE)])
+def test_names_are_names_whatever_signs_they_hold(tmp_path, camera):
+    log = hostile_parts()
+    found = log["features"]
+    companion.write(tmp_path / "h.rrd", HOSTILE, camera, found, log["estimate"], log["recording"].truth)
+    assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", tmp_path / "h.rrd")
+    said = rerun(tmp_path, "rrd", "print", tmp_path / "h.rrd")
+    assert said.count("/bodylog/belief/") >= 6 and "/bodylog/events" in said
+    assert ("/cam/" in said) == (camera is not None and camera.topic == "/cam")
+
+
+@there
+def test_events_are_told_in_order_with_their_synchrony():
+    told = companion.events(features(), estimate())
+    assert [ns for ns, *_ in told] == sorted(ns for ns, *_ in told) and len(told) == 6
+    assert told[0][2] == "touch of cells 11, 12, 13, seen +0.050 s later, synchrony 0.93"
+    assert [text for _, level, text in told if level == "WARN"] == ["encoders shoulder_pan_joint: drift, 0.3 rad"]
+    assert companion.events(None, None) == []
 
 
 @there
