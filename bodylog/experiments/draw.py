@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..report.canvas import LINES, figure
-from .records import Claim
+from .records import Claim, Trial, column
 
 SIDES = {"printed": "#d1495b", "ours": "#1f77d0"}
 WIDE = 30.0
@@ -37,6 +37,25 @@ def _trace(axis: Any, shown: Mapping[str, Any]) -> None:
     axis.set_xlabel("s")
     axis.set_ylabel(shown["unit"])
     axis.legend(fontsize=7)
+
+
+def curves(trials: Sequence[Trial], out: Path) -> None:
+    """Measured costs by size, a line for each thing that grows, with its exponent: medians over the seeds."""
+    found: dict[str, dict[int, float]] = {}
+    for name in trials[0]["figures"]:
+        what, _, size = name.rpartition(" ")
+        if size.isdigit():
+            found.setdefault(what, {})[int(size)] = float(np.median(column(trials, name)))
+    with figure(out, 7.0, 4.0) as drawing:
+        axis = drawing.subplots()
+        for index, (what, costs) in enumerate(sorted(found.items())):
+            power = float(np.median(column(trials, f"{what} exponent")))
+            sizes = sorted(costs)
+            label = f"{what}: exponent {power:.2f}"
+            axis.loglog(sizes, [1e6 * costs[n] for n in sizes], "o-", color=LINES[index % len(LINES)], label=label)
+        axis.set_xlabel("samples, senses or joints")
+        axis.set_ylabel("µs")
+        axis.legend(fontsize=7)
 
 
 def spreads(claims: Sequence[Claim], out: Path) -> None:

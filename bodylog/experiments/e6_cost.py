@@ -11,7 +11,7 @@ from .lab import Lab
 from .records import Bound, Claim, Experiment, Table, Trial, column, judge
 
 SAMPLES = (400, 800, 1600)
-PREDICTED = (4000, 8000, 16000)
+PREDICTED = (2000, 4000, 8000)
 SENSES, JOINTS = (4, 8, 16), (3, 6, 12)
 REPEATS = 9
 STEPS = 20

@@ -85,7 +85,9 @@ def _section(name: str, trials: Sequence[Trial], claims: Sequence[Claim], out: P
     experiment = EXPERIMENTS[name]
     parts = [f'<h2 id="{escape(name)}">{escape(name)}: {escape(experiment.title)}</h2>', claim_table(claims)]
     if name in TIMED:
-        parts.append('<p class="soft">Times differ from run to run and are kept in cost.json, beside this page.</p>')
+        path = _figure(out, f"{name}, measured", partial(draw.curves, trials))
+        kept = f"cost.json and drawn in figures/{path.name}, beside this page"
+        parts.append(f'<p class="soft">Times differ from run to run and are kept in {kept}.</p>')
         return "\n".join(parts)
     parts += [_table(table) for table in experiment.tables(trials)]
     if trials[0]["panels"]:
