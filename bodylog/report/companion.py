@@ -18,7 +18,7 @@ TIME = "message_log_time"
 SIGMAS, CORNERS = 2.0, 33
 CORNER = 0.5
 """px: Rerun counts from the first pixel's corner, tracks from its centre."""
-SEEN, PREDICTED, HAND, TRUTH = (80, 230, 110), (60, 150, 240), (250, 70, 60), (60, 60, 60)
+SEEN, PREDICTED, HAND, TRUTH = (80, 230, 110), (60, 150, 240), (250, 70, 60), (150, 150, 150)
 
 
 @dataclass(frozen=True)
