@@ -1,6 +1,7 @@
 """bodylog reproduce."""
 
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING
 
 import click
@@ -8,6 +9,8 @@ import click
 from .options import PATH
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from bodylog.experiments import Claim
 
 
@@ -29,7 +32,7 @@ def reproduce(experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, as
 
     from .output import data
 
-    claims = run(Reproduction(out, experiments, seeds, jobs), _tell)
+    claims = run(Reproduction(out, experiments, seeds, jobs), _teller())
     if as_json:
         data({"claims": [asdict(claim) for claim in claims], "output": str(out / "index.html")})
     else:
@@ -37,8 +40,14 @@ def reproduce(experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, as
         click.echo(f"wrote {out / 'index.html'}", err=True)
 
 
-def _tell(what: str, done: int, total: int) -> None:
-    click.echo(f"[{done}/{total}] {what}", err=True)
+def _teller() -> "Callable[[str, int, int], None]":
+    """A line for each run that is done, with the minutes since the first began."""
+    begun = monotonic()
+
+    def tell(what: str, done: int, total: int) -> None:
+        click.echo(f"[{done}/{total}] {what}, {(monotonic() - begun) / 60:.1f} min", err=True)
+
+    return tell
 
 
 def _table(claims: "tuple[Claim, ...]") -> None:
