@@ -51,16 +51,28 @@ def annotated(bodylog, robot, tmp_path_factory):
     return folder / "out.mcap"
 
 
-def test_every_message_is_read_and_decoded_both_ways(read, annotated):
+def _whole(read, path):
+    """The topics that have messages, after every message has been read, by index and as a stream, and decoded."""
     from bodylog.logs.containers import open_log
 
-    with open_log(annotated) as log:
+    with open_log(path) as log:
         expected = {topic.name: topic.messages for topic in log.topics if topic.messages}
-    found = read(annotated)
+    found = read(path)
     assert {name: topic["count"] for name, topic in found["topics"].items()} == expected
     assert found["streamed"] == found["declared"] == sum(expected.values()) and found["done"]
     assert "bodylog" in found["metadata"]
-    assert {"/bodylog/touch", "/bodylog/synchrony", "/bodylog/annotations"} <= set(expected)
+    return set(expected)
+
+
+def test_every_message_is_read_and_decoded_both_ways(read, annotated):
+    assert {"/bodylog/touch", "/bodylog/synchrony", "/bodylog/annotations"} <= _whole(read, annotated)
+
+
+def test_so_is_what_became_of_a_bag_and_of_an_extract(read, bodylog, arm, arm_body, tmp_path):
+    assert bodylog("estimate", arm / "reach.bag", "--body", arm_body, "-o", tmp_path / "bag.mcap") == 0
+    assert bodylog("extract", arm / "touch.mcap", "-o", tmp_path / "features.mcap") == 0
+    assert {"/tomm/truth", "/bodylog/joint_states"} <= _whole(read, tmp_path / "bag.mcap")
+    assert {"/bodylog/track/effector", "/bodylog/touch"} <= _whole(read, tmp_path / "features.mcap")
 
 
 def test_it_decodes_the_values_we_wrote(read, annotated):
