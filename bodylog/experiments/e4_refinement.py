@@ -76,10 +76,12 @@ def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
         measured = f"error of {more} over error of {less}"
         return judge("E4", f"{what}, the prior being wrong", measured, "1", Bound("≤", WORTH), figures, said)
 
+    beside = "ours: vision places the effector to tenths of a px, touch to some px: it adds where vision is silent"
+    seen = f"{_widths(trials, 'p+v+t', 'p+v')}; {beside}"
     poor = f"touch adds accuracy to encoders with {POOR:g} rad of noise"
     return (
         claim("vision adds accuracy to encoders", "p+v", "p", ""),
-        claim("touch adds accuracy to encoders and vision", "p+v+t", "p+v", _widths(trials, "p+v+t", "p+v")),
+        claim("touch adds accuracy to encoders and vision", "p+v+t", "p+v", seen),
         claim("touch adds accuracy to encoders alone", "p+t", "p", f"{_widths(trials, 'p+t', 'p')}; {_noises(trials)}"),
         claim(poor, f"p+t {POOR:g}", f"p {POOR:g}", _noises(trials)),
     )

@@ -13,6 +13,8 @@ from ..errors import LogError, UsageError
 from ..files import replacing
 
 APPLICATION = "bodylog"
+PROGRAM = (sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())")
+"""Rerun with its exit code, which `python -m rerun_cli` drops."""
 SECONDS = 600.0
 """How long Rerun may take over one file; damaged ones have kept it busy for ever."""
 
@@ -38,7 +40,7 @@ def recording(source: Path, out: Path, identity: str, companion: Callable[[Path,
 
 def show(recorded: Path) -> None:
     """Open a window on a recording and wait until it is closed; UsageError where there is no display."""
-    done = subprocess.run([sys.executable, "-m", "rerun_cli", str(recorded)], capture_output=True, text=True)
+    done = subprocess.run([*PROGRAM, str(recorded)], capture_output=True, text=True)
     if done.returncode:
         said = _last(done.stderr)
         raise UsageError(f"view: Rerun could not open a window ({said}); type: bodylog view LOG -o out.rrd")
@@ -54,9 +56,9 @@ def hushed(home: Path) -> None:
 def _run(arguments: Sequence[str], home: Path, source: Path) -> None:
     """One command of Rerun in a home of its own."""
     hushed(home)
-    command = [sys.executable, "-m", "rerun_cli", *arguments]
+    command, alone = [*PROGRAM, *arguments], {"HOME": str(home)}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env={"HOME": str(home)})
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=alone)
     except subprocess.TimeoutExpired:
         raise LogError(f"{source}: Rerun did not end in {SECONDS:g} s; type: bodylog doctor {source}") from None
     if done.returncode or " ERROR " in _plain(done.stderr):  # it ends with 0 when it could read nothing

@@ -1,7 +1,6 @@
 """A log in Rerun, as Rerun's own program and reader find it."""
 
 import subprocess
-import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -36,7 +35,7 @@ def seen(bodylog, annotated):
 def rerun(home, *arguments):
     """What Rerun's program says, in a home of its own where it counts nothing."""
     viewer.hushed(home)
-    command = [sys.executable, "-m", "rerun_cli", *map(str, arguments)]
+    command = [*viewer.PROGRAM, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, env={"HOME": str(home)})
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr
@@ -159,6 +158,16 @@ def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
     with pytest.raises(LogError, match=r"a\.mcap: Rerun cannot read it \(.+\); type: bodylog doctor") as refused:
         viewer.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity: None)
     assert "\n" not in str(refused.value) and sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
+
+
+@there
+def test_without_a_screen_the_error_says_what_to_type(annotated, bodylog, monkeypatch, capsys):
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    capsys.readouterr()
+    assert bodylog("view", annotated) == 2
+    said = capsys.readouterr().err
+    assert "could not open a window (" in said and "type: bodylog view LOG -o out.rrd" in said and said.count("\n") == 1
 
 
 def test_without_rerun_the_error_says_what_to_type(monkeypatch):
