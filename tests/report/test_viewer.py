@@ -161,7 +161,9 @@ def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
 
 
 @there
-def test_without_a_screen_the_error_says_what_to_type(annotated, bodylog, monkeypatch, capsys):
+def test_without_a_screen_the_error_says_what_to_type(annotated, bodylog, monkeypatch, capsys, tmp_path):
+    viewer.hushed(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
     capsys.readouterr()
