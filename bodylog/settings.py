@@ -34,11 +34,15 @@ class Body:
 
 @dataclass(frozen=True)
 class Colours:
-    """[colours]: what to look for in the pictures; `shapes` names further features on the arm."""
+    """[colours]: what to look for in the pictures; `shapes` names further features on the arm.
+
+    `fast` looks at JPEG pictures at half scale: less exact, in less time.
+    """
 
     effector: Colour = "green"
     hand: Colour = "red"
     shapes: Mapping[str, Colour] = field(default_factory=dict)
+    fast: bool = False
 
 
 @dataclass(frozen=True)

@@ -90,11 +90,15 @@ class Outgoing:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe."""
+    """One picture, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
+
+    `shrinks`: decode(2) may cost less than decode(1), and gives their means, 2 by 2.
+    """
 
     t: float
     source_ns: int
     decode: Callable[[int], Array]
+    shrinks: bool = False
 
     @property
     def image(self) -> Array:

@@ -4,21 +4,22 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, clock_option, common_options, log_argument, out_option
+from .options import PATH, Common, clock_option, common_options, fast_option, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog extract run.bag -o features.mcap")
 @log_argument
 @out_option("The features MCAP to write.")
 @click.option("--csv", type=PATH, metavar="DIR", help="Also write tracks, touches, strokes and synchrony there as CSV.")
+@fast_option
 @clock_option
 @common_options
-def extract(log: Path, out: Path, csv: Path | None, common: Common, as_json: bool) -> int:
+def extract(log: Path, out: Path, csv: Path | None, fast: bool | None, common: Common, as_json: bool) -> int:
     """Find effector, hand, touches, strokes and synchrony; write them with the signals, without the pictures."""
     from bodylog import pipeline
 
     from .output import progress, show
 
     with progress("extract") as tick:
-        result = pipeline.extract(log, out, common.settings(), tick, csv)
+        result = pipeline.extract(log, out, common.settings(colours={"fast": fast}), tick, csv)
     return show(result, as_json)

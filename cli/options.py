@@ -4,6 +4,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import gettempdir
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -15,14 +16,37 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 PATH = click.Path(path_type=Path)
 
 
+class Log(click.Path):
+    """A log: a path, or a URL whose file is fetched for the time of the command, or by the command itself if `late`."""
+
+    def __init__(self, late: bool = False) -> None:
+        """Fetch now, or leave URLs as they are."""
+        super().__init__(path_type=Path)
+        self._late = late
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Path, or the URL as it is."""
+        from bodylog import stores
+
+        if not isinstance(value, str) or not stores.is_url(value):
+            return Path(value)
+        if self._late or ctx is None:
+            return value
+        return ctx.with_resource(stores.local(value, Path(gettempdir())))
+
+
+LOG = Log()
+ANYWHERE = Log(late=True)
+
+
 def log_argument(function: Command) -> Command:
     """LOG: any log, .bag, rosbag2 folder, .db3 or .mcap."""
-    return click.argument("log", type=PATH)(function)
+    return click.argument("log", type=LOG)(function)
 
 
 def logs_argument(function: Command) -> Command:
     """LOG...: one or many logs."""
-    return click.argument("logs", metavar="LOG...", type=PATH, nargs=-1, required=True)(function)
+    return click.argument("logs", metavar="LOG...", type=LOG, nargs=-1, required=True)(function)
 
 
 def out_option(what: str) -> Callable[[Command], Command]:
@@ -76,6 +100,12 @@ def clock_option(function: Command) -> Command:
     """--clock-offset: what to subtract before picture and skin are compared; stands above common_options."""
     help_ = "Camera behind the skin by S seconds; auto: measure it and take it out. Default 0."
     return click.option("--clock-offset", metavar="auto|S", help=help_)(function)
+
+
+def fast_option(function: Command) -> Command:
+    """--fast: the pictures at half scale."""
+    help_ = "Look at JPEG pictures at half scale: in less time, less exact."
+    return click.option("--fast", is_flag=True, default=None, help=help_)(function)
 
 
 def estimation_options(function: Command) -> Command:

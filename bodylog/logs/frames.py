@@ -32,12 +32,13 @@ def frames(
     starts = np.concatenate([[0], np.cumsum(counts)])[:-1]
     places = {topic.id: rank[start : start + n] for topic, start, n in zip(topics, starts, counts, strict=True)}
     decoders = {topic.id: images.decoder(topic) for topic in topics}
+    shrink = {topic.id: topic.type in images.COMPRESSED for topic in topics}
     t = seconds(t_ns, start_ns)
 
     def read() -> Iterator[Frame]:
         waiting: list[tuple[int, Frame]] = []
         due = 0
-        for number, frame in _frames(path, strict, places, decoders, t):
+        for number, frame in _frames(path, strict, places, decoders, shrink, t):
             heapq.heappush(waiting, (number, frame))
             while waiting and waiting[0][0] == due:
                 yield heapq.heappop(waiting)[1]
@@ -51,6 +52,7 @@ def _frames(
     strict: bool,
     places: dict[int, Array],
     decoders: dict[int, Callable[[bytes, int], Array]],
+    shrink: dict[int, bool],
     t: Array,
 ) -> Iterator[tuple[int, Frame]]:
     seen = dict.fromkeys(places, 0)
@@ -61,4 +63,5 @@ def _frames(
             seen[id_] += len(batch.log_ns)
             for number, log_ns, payload in zip(numbers, batch.log_ns.tolist(), payloads(batch), strict=True):
                 if number >= 0:
-                    yield number, Frame(float(t[number]), log_ns, partial(decoders[id_], bytes(payload)))
+                    decode = partial(decoders[id_], bytes(payload))
+                    yield number, Frame(float(t[number]), log_ns, decode, shrink[id_])

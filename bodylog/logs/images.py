@@ -121,7 +121,15 @@ def _compressed(message: Mapping[str, Any], k: int) -> Array:
         raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes: {error.err}") from None
     if image is None:
         raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes cannot be decoded")
-    return image if jpeg else np.ascontiguousarray(image[::k, ::k])
+    return image if jpeg or k == 1 else _shrunk(image, k)
+
+
+def _shrunk(image: Array, k: int) -> Array:
+    """The means of k by k pixels (H/k, W/k, 3), as JPEG gives them; what is left over at the right and below goes."""
+    import cv2
+
+    height, width = max(1, image.shape[0] // k), max(1, image.shape[1] // k)
+    return np.asarray(cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA))
 
 
 def _size(head: bytes, form: str) -> tuple[int, int, bool]:

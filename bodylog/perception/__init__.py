@@ -43,7 +43,7 @@ def _tracks(
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]:
     if recording.frames is None:
         return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),)
-    return colour.track(recording.frames, _wanted(settings.colours), progress)
+    return colour.track(recording.frames, _wanted(settings.colours), progress, settings.colours.fast)
 
 
 def _wanted(colours: Colours) -> Mapping[str, Colour]:

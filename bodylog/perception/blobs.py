@@ -12,7 +12,6 @@ from .search import CANDIDATES, Window, windows
 U, V, STD_U, STD_V, MASS, STRENGTH, BORDER = range(7)
 FIELDS = 7
 _SMALLEST = 9
-_ROOM, _SMALL = 12.0, 8.0
 # a straight edge this many radii from a disc's centre cuts a hundredth of its area off
 _WHOLE = 0.935
 # what is done to a mask reaches 5 px: so many empty ones keep a window's neighbours out of it
@@ -35,7 +34,7 @@ def table(found: Sequence[Window], count: int, colour: Range) -> Array:
     """One colour's blobs in the windows of `count` pictures, strongest first: (count,CANDIDATES,FIELDS) px, else NaN.
 
     MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where
-    the blob, or a small blob's surround, leaves the picture.
+    more of the blob than a hundredth leaves the picture.
     """
     blobs = np.full((count, CANDIDATES, FIELDS), np.nan)
     rows: dict[int, list[Array]] = {}
@@ -47,6 +46,17 @@ def table(found: Sequence[Window], count: int, colour: Range) -> Array:
         for rank, row in enumerate(_distinct(several)):
             blobs[picture, rank] = row
     return blobs
+
+
+def enlarged(blobs: Array, scale: Array) -> Array:
+    """Blobs (N,…,FIELDS) of pictures shrunk so many times (N,) as they are in the whole pictures."""
+    by = scale.reshape(-1, *[1] * (blobs.ndim - 2)).astype(np.float64)
+    whole = blobs.copy()
+    # pixel k of a shrunk picture is the mean of those from scale k to scale (k + 1) - 1
+    whole[..., U], whole[..., V] = by * blobs[..., U] + (by - 1) / 2, by * blobs[..., V] + (by - 1) / 2
+    whole[..., STD_U], whole[..., STD_V] = by * blobs[..., STD_U], by * blobs[..., STD_V]
+    whole[..., MASS], whole[..., STRENGTH] = by**2 * blobs[..., MASS], by**2 * blobs[..., STRENGTH]
+    return whole
 
 
 def _alike(found: Sequence[Window]) -> list[list[Window]]:
@@ -80,7 +90,7 @@ def _rows(some: Sequence[Window], colour: Range) -> Array:
     last = np.array([some[k].size for k in enough.tolist()]) - 1
     centre, std = np.stack([u, v], axis=1) + corner, np.stack([std_u, std_v], axis=1)
     radius, inside = np.sqrt(mass / np.pi), np.minimum(centre, last - centre)
-    border = inside.min(axis=1) < np.maximum(_WHOLE * radius - 0.5, np.where(radius < _SMALL, _ROOM, 0.0))
+    border = inside.min(axis=1) < _WHOLE * radius - 0.5
     std = np.hypot(std, _cut(radius[:, None], inside))
     rows[enough] = np.column_stack([centre, std, mass, mass * contrast, border])
     return rows

@@ -20,8 +20,8 @@ _THREADS = 2
 _BATCH, _AHEAD, _SHEET = 4, 4, 64
 _NOTABLE = 1e-4
 
-Seen = tuple[list[Window], list[int]]
-"""What a batch of pictures shows, and the width of each in px (0: undecodable)."""
+Seen = tuple[list[Window], list[tuple[int, int]]]
+"""What a batch of pictures shows; of each its width in px as looked at (0: undecodable) and how often it is shrunk."""
 
 Looked = tuple[list[Frame], Seen]
 
@@ -32,14 +32,15 @@ def track(
     frames: Callable[[], Iterator[Frame]],
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None = None,
+    fast: bool = False,
 ) -> Tracks:
     """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
 
-    `progress` is told how many more pictures are done. Raises ConfigError for a colour that means nothing.
-    OpenCV's own threads are left as they are: the pictures' threads are the pool's.
+    `progress` is told how many more pictures are done; `fast` looks at compressed ones at half scale. Raises
+    ConfigError for a colour that means nothing. OpenCV's own threads stay as they are: the pictures' are the pool's.
     """
     ranges = [resolve(colour, name) for name, colour in colours.items()]
-    t, source_ns, found, broken, size = _look_at_all(frames(), ranges, progress)
+    t, source_ns, found, broken, size = _look_at_all(frames(), ranges, progress, fast)
     tracks, health, findings = {}, {}, []
     for index, name in enumerate(colours):
         track, reasons = choose.best(t, found[:, index], size)
@@ -58,39 +59,40 @@ def track(
 
 
 def _look_at_all(
-    frames: Iterator[Frame], ranges: Sequence[Range], progress: Callable[[int], None] | None
+    frames: Iterator[Frame], ranges: Sequence[Range], progress: Callable[[int], None] | None, fast: bool
 ) -> tuple[Array, Array, Array, Array, float]:
     """t (N,) · source_ns (N,) · blobs (N,colours,…) · undecodable (N,) bool · width of the widest picture in px."""
     t: list[float] = []
     source_ns: list[int] = []
-    widths: list[int] = []
+    sizes: list[tuple[int, int]] = []
     tables: list[list[Future[Array]]] = [[] for _ in ranges]
     with ThreadPoolExecutor(_THREADS) as pool:
-        for some in _by_sheets(_in_order(pool, frames, ranges)):
+        for some in _by_sheets(_in_order(pool, frames, ranges, fast)):
             found: list[Window] = []
-            before = len(widths)
-            for batch, (windows, wide) in some:
-                found += [window._replace(picture=window.picture + len(widths) - before) for window in windows]
+            before = len(sizes)
+            for batch, (windows, measured) in some:
+                found += [window._replace(picture=window.picture + len(sizes) - before) for window in windows]
                 t += [frame.t for frame in batch]
                 source_ns += [frame.source_ns for frame in batch]
-                widths += wide
+                sizes += measured
                 if progress:
                     progress(len(batch))
             for index, colour in enumerate(ranges):
                 of_colour = [window for window in found if window.colour == index]
-                tables[index].append(pool.submit(blobs.table, of_colour, len(widths) - before, colour))
+                tables[index].append(pool.submit(blobs.table, of_colour, len(sizes) - before, colour))
         none = np.zeros((0, CANDIDATES, blobs.FIELDS))
         stacked = np.stack([np.concatenate([none, *(each.result() for each in some)]) for some in tables], axis=1)
-    wide_px = np.array(widths, dtype=np.int64)
-    return np.array(t), np.array(source_ns, dtype=np.int64), stacked, wide_px == 0, float(wide_px.max(initial=0))
+    wide, scale = np.array(sizes, dtype=np.int64).reshape(-1, 2).T
+    widest = float((wide * scale).max(initial=0))
+    return np.array(t), np.array(source_ns, dtype=np.int64), blobs.enlarged(stacked, scale), wide == 0, widest
 
 
-def _in_order(pool: Executor, frames: Iterator[Frame], ranges: Sequence[Range]) -> Iterator[Looked]:
+def _in_order(pool: Executor, frames: Iterator[Frame], ranges: Sequence[Range], fast: bool) -> Iterator[Looked]:
     """Batches of frames and what a look at them gave, in order, a bounded number ahead of the reader."""
     waiting: deque[tuple[list[Frame], Future[Seen]]] = deque()
     try:
         while batch := list(islice(frames, _BATCH)):
-            waiting.append((batch, pool.submit(_look, batch, ranges)))
+            waiting.append((batch, pool.submit(_look, batch, ranges, fast)))
             if len(waiting) > _AHEAD:
                 yield _first(waiting)
         while waiting:
@@ -111,17 +113,19 @@ def _by_sheets(looks: Iterator[Looked]) -> Iterator[Iterator[Looked]]:
         yield chain([first], islice(looks, _SHEET // _BATCH - 1))
 
 
-def _look(batch: Sequence[Frame], ranges: Sequence[Range]) -> Seen:
-    images = [_decoded(frame) for frame in batch]
+def _look(batch: Sequence[Frame], ranges: Sequence[Range], fast: bool) -> Seen:
+    scales = [2 if fast and frame.shrinks else 1 for frame in batch]
+    images = [_decoded(frame, scale) for frame, scale in zip(batch, scales, strict=True)]
     sound = [k for k, image in enumerate(images) if image is not None]
     found = search.windows([image for image in images if image is not None], ranges)
     widths = [0 if image is None else image.shape[1] for image in images]
-    return [window._replace(picture=sound[window.picture]) for window in found], widths
+    placed = [window._replace(picture=sound[window.picture]) for window in found]
+    return placed, list(zip(widths, scales, strict=True))
 
 
-def _decoded(frame: Frame) -> Array | None:
+def _decoded(frame: Frame, scale: int) -> Array | None:
     with suppress(InputError):
-        return frame.decode(1)
+        return frame.decode(scale)
     return None
 
 

@@ -4,11 +4,12 @@ Run as `python -m tests.benchmarks.bench_perception`.
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 
 import cv2
 import numpy as np
 
-from bodylog.perception import blobs, colour, ranges
+from bodylog.perception import colour, ranges
 from bodylog.types import Array, Frame
 from tests.benchmarks.timing import side_by_side
 from tests.perception import scenes
@@ -27,6 +28,7 @@ def main() -> None:
         {
             "cv2.imdecode alone": lambda: _run(payloads, _decode),
             "track": lambda: _track(payloads, _decode),
+            "track at half scale": lambda: _track(payloads, _decode, fast=True),
             "imdecode and the plain pipeline": lambda: _run(payloads, lambda p: _plain(_decode(p), wanted)),
         },
     )
@@ -34,15 +36,21 @@ def main() -> None:
         f"{COUNT} raw pictures, ×1 is cv2.cvtColor to HSV alone",
         {
             "cv2.cvtColor to HSV alone": lambda: _run(pictures, lambda p: cv2.cvtColor(p, cv2.COLOR_BGR2HSV)),
-            "track": lambda: _track(pictures, lambda p: p),
+            "track": lambda: _track(pictures, _whole),
             "plain pipeline: HSV, inRange, connected components": lambda: _run(pictures, lambda p: _plain(p, wanted)),
         },
     )
+    found = {
+        "JPEG track": _track(payloads, _decode),
+        "JPEG track at half scale": _track(payloads, _decode, fast=True),
+        "JPEG plain": np.array([_plain(_decode(payload), wanted) for payload in payloads]),
+        "raw  track": _track(pictures, _whole),
+        "raw  plain": np.array([_plain(picture, wanted) for picture in pictures]),
+    }
     print("\nerror of the centre, px: median, 99th percentile")
-    for name, shown in {"JPEG": [_decode(payload) for payload in payloads], "raw": pictures}.items():
-        for how, find in {"track": _centres, "plain": _plain}.items():
-            error = np.hypot(*np.moveaxis(np.array([find(picture, wanted) for picture in shown]) - truth, -1, 0))
-            print(f"  {name:<6}{how:<8}{np.median(error):8.3f}{np.quantile(error, 0.99):8.3f}")
+    for name, centres in found.items():
+        error = np.hypot(*np.moveaxis(centres - truth, -1, 0))
+        print(f"  {name:<26}{np.median(error):8.3f}{np.quantile(error, 0.99):8.3f}")
 
 
 def _pictures() -> tuple[list[Array], Array]:
@@ -59,16 +67,22 @@ def _pictures() -> tuple[list[Array], Array]:
     return pictures, np.stack([effector, hand], axis=1)
 
 
-def _decode(payload: Array) -> Array:
-    return np.asarray(cv2.imdecode(payload, cv2.IMREAD_COLOR))
+def _decode(payload: Array, k: int = 1) -> Array:
+    return np.asarray(cv2.imdecode(payload, scenes.REDUCED[k]))
 
 
-def _frames(items: Sequence[Array], decode: Callable[[Array], Array]) -> Iterator[Frame]:
-    return (Frame(index / 30.0, index, lambda _, item=item: decode(item)) for index, item in enumerate(items))
+def _whole(picture: Array, _: int) -> Array:
+    return picture
 
 
-def _track(items: Sequence[Array], decode: Callable[[Array], Array]) -> None:
-    colour.track(lambda: _frames(items, decode), COLOURS)
+def _frames(items: Sequence[Array], decode: Callable[[Array, int], Array]) -> Iterator[Frame]:
+    return (Frame(index / 30.0, index, partial(decode, item), shrinks=True) for index, item in enumerate(items))
+
+
+def _track(items: Sequence[Array], decode: Callable[[Array, int], Array], fast: bool = False) -> Array:
+    """Where each colour was seen: (COUNT, 2, 2) px."""
+    tracks, _, _ = colour.track(lambda: _frames(items, decode), COLOURS, fast=fast)
+    return np.stack([track.values for track in tracks.values()], axis=1)
 
 
 def _run(items: Sequence[Array], task: Callable[[Array], object]) -> None:
@@ -88,10 +102,6 @@ def _plain(picture: Array, wanted: Sequence[ranges.Range]) -> list[Array]:
         _, _, stats, centroids = cv2.connectedComponentsWithStats(ranges.mask(hsv, one))
         found.append(centroids[1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))])
     return found
-
-
-def _centres(picture: Array, wanted: Sequence[ranges.Range]) -> Array:
-    return blobs.look([picture], wanted)[0, :, 0, :2]
 
 
 if __name__ == "__main__":

@@ -56,7 +56,7 @@ def jpeg(picture: Array, quality: int = 90) -> Array:
 
 def frame(t: float, payload: Array) -> Frame:
     """A Frame that decodes a JPEG."""
-    return Frame(t, round(t * 1e9), lambda k: cv2.imdecode(payload, REDUCED[k]))
+    return Frame(t, round(t * 1e9), lambda k: cv2.imdecode(payload, REDUCED[k]), shrinks=True)
 
 
 def frames(t: Array, payloads: Sequence[Array]) -> Callable[[], Iterator[Frame]]:

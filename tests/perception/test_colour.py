@@ -29,8 +29,11 @@ def _film(discs: Sequence[Sequence[Disc]], seed: int, width: int = 320, height: 
 def _raw(discs: Sequence[Sequence[Disc]], seed: int) -> Callable[[], Iterator[Frame]]:
     rng = np.random.default_rng(seed)
     wall = scenes.wall(rng, contrast=4.0)
-    pictures = [scenes.draw(wall, each, rng) for each in discs]
-    return lambda: (Frame(t, round(t * 1e9), lambda _, p=p: p) for t, p in zip(T.tolist(), pictures, strict=True))
+    return _plain([scenes.draw(wall, each, rng) for each in discs])
+
+
+def _plain(pictures: Sequence[Array]) -> Callable[[], Iterator[Frame]]:
+    return lambda: (Frame(t, round(t * 1e9), lambda _, p=p: p) for t, p in zip(T.tolist(), pictures, strict=False))
 
 
 def _track(discs: Sequence[Sequence[Disc]], seed: int, name: str = "green") -> tuple[Series, Health]:
@@ -69,6 +72,49 @@ def test_stated_deviation_is_the_true_one_within_a_third(radius: float, colour_n
     assert 0.7 < np.sqrt(np.mean(stated) / np.mean(true)) < 1.3
 
 
+@pytest.mark.parametrize("raw", [False, True])
+def test_stated_deviation_is_the_true_one_over_many_places_a_target_stands_still_at(raw: bool) -> None:
+    # in one place the error hardly changes: it is one draw, of which the stated deviation is the expectation
+    rng = np.random.default_rng(1)
+    true, stated = [], []
+    for place in 64.0 + rng.uniform(-8.0, 8.0, (40, 2)):
+        wall, disc = scenes.wall(rng, 128, 128, contrast=4.0), Disc(*place.tolist(), 9.0)
+        pictures = [scenes.draw(wall, [disc], rng) for _ in range(8)]
+        film = _plain(pictures) if raw else scenes.frames(T[:8], list(map(scenes.jpeg, pictures)))
+        track = colour.track(film, {"it": "green"})[0]["it"]
+        assert track.std is not None
+        true.append(((track.values - place) ** 2).mean())
+        stated.append((track.std**2).mean())
+    assert 0.7 < np.sqrt(np.mean(stated) / np.mean(true)) < 1.3
+
+
+def test_a_picture_without_any_noise_is_as_exact() -> None:
+    rng = np.random.default_rng(0)
+    wall = scenes.wall(rng, 96, 96, contrast=0.0)
+    for u, v in 48.0 + rng.uniform(-4.0, 4.0, (20, 2)):
+        image = scenes.draw(wall, [Disc(u, v, 20.0)], rng, noise=0.0)
+        found = blobs.look([image], [ranges.resolve("green", "it")])[0, 0, 0, :2]
+        assert np.abs(found - (u, v)).max() < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_at_half_scale_the_track_is_less_exact_and_says_so(seed: int) -> None:
+    wide = 2 * PATH
+    pictures = scenes.frames(T, _film([[Disc(u, v, 12.0)] for u, v in wide], seed, 640, 480))
+    exact, fast = (colour.track(pictures, {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
+    assert exact.std is not None and fast.std is not None
+    error = fast.values - wide
+    assert np.median(_errors(exact, wide)) < np.median(np.hypot(*error.T)) < 0.15
+    assert np.abs(error.mean(axis=0)).max() < 0.03
+    assert 0.7 < np.sqrt((fast.std**2).mean() / (error**2).mean()) < 1.3
+
+
+def test_pictures_that_do_not_shrink_are_seen_whole_at_any_scale() -> None:
+    discs = [[Disc(u, v, 9.0)] for u, v in PATH]
+    exact, fast = (colour.track(_raw(discs, 0), {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
+    assert exact.values.tobytes() == fast.values.tobytes()
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_shading_does_not_pull_the_centre(seed: int) -> None:
     wide = 2 * PATH
@@ -86,7 +132,7 @@ def test_hidden_is_nothing_and_counted() -> None:
     assert health.largest_gap_s == pytest.approx(16 / 20)
 
 
-@pytest.mark.parametrize(("radius", "whole", "cut"), [(5.5, 13.0, 11.0), (10.0, 11.0, 7.5)])
+@pytest.mark.parametrize(("radius", "whole", "cut"), [(5.5, 6.5, 4.0), (10.0, 11.0, 7.5)])
 def test_at_the_border_is_nothing(radius: float, whole: float, cut: float) -> None:
     u = np.linspace(40.0, -8.0, 40)
     track, health = _track([[Disc(x, 120.0, radius)] for x in u], 0)
@@ -231,7 +277,9 @@ def test_arm_logs_are_tracked_as_truth_has_it(log: str) -> None:
     for name, key in {"effector": "ee", "hand": "hand"}.items():
         in_view = truth["seen"] if key == "ee" else np.isfinite(truth[key][:, 0])
         found = np.isfinite(features.tracks[name].values[:, 0])
-        assert not (found & ~in_view).any()
+        # the truth calls nothing within 12 px of the picture's edge in view, but the whole disc is there and is found
+        near_edge = (np.minimum(truth[key], (319, 239) - truth[key]) < 12).any(axis=1)
+        assert not (found & ~in_view & ~near_edge).any()
         if in_view.any():
             assert (found & in_view).sum() >= 0.995 * in_view.sum()
             errors = _errors(features.tracks[name], truth[key])[found]
