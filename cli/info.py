@@ -5,13 +5,13 @@ from typing import Any
 
 import click
 
-from .options import PATH, Common, common_options
+from .options import ANYWHERE, Common, common_options
 
 
 @click.command(epilog="Example: bodylog info run.bag --json")
-@click.argument("logs", metavar="LOG|BODY.npz...", type=PATH, nargs=-1, required=True)
+@click.argument("logs", metavar="LOG|BODY.npz...", type=ANYWHERE, nargs=-1, required=True)
 @common_options
-def info(logs: tuple[Path, ...], common: Common, as_json: bool) -> int:
+def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
     """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
     from bodylog import pipeline
 

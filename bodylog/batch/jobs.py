@@ -1,12 +1,14 @@
-"""Which logs a batch is about, and what each is called."""
+"""Which logs a batch is about, paths or URLs, and what each is called."""
 
 import glob
 import hashlib
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from .. import stores
 from ..errors import LogError, UsageError
 from ..settings import Settings
 
@@ -18,7 +20,7 @@ class Job:
     """One log to estimate, score and report on, the folder for what comes of it, and whether an earlier run counts."""
 
     name: str
-    log: Path
+    log: str
     folder: Path
     body: Path
     settings: Settings
@@ -26,25 +28,28 @@ class Job:
     resume: bool
 
 
-def named(logs: Sequence[str], shard: tuple[int, int]) -> dict[str, Path]:
+def named(logs: Sequence[str], shard: tuple[int, int]) -> dict[str, str]:
     """This shard's logs by name, in path order; LogError when there are none, UsageError when the shard is unsound."""
     index, count = shard
     if not 1 <= index <= count:
         raise UsageError(f"--shard {index}/{count}: the first number runs from 1 to the second")
-    found = sorted({path for given in logs for path in find(given)})
+    found = sorted({log for given in logs for log in find(given)})
     if not found:
         raise LogError(f"{', '.join(logs)}: no log in there; logs end in {', '.join(SUFFIXES)}")
     names = _names(found)
-    return {names[path]: path for path in found[index - 1 :: count]}
+    return {names[log]: log for log in found[index - 1 :: count]}
 
 
-def find(given: str) -> Iterator[Path]:
-    """Logs behind a file, a folder (searched to the bottom) or a pattern; LogError when there is none."""
+def find(given: str) -> Iterator[str]:
+    """Logs behind a file, a folder (searched to the bottom), a pattern or a URL; LogError when there is none."""
+    if stores.is_url(given):
+        yield from stores.behind(given, SUFFIXES)
+        return
     paths = [Path(given)] if Path(given).exists() else [Path(m) for m in sorted(glob.glob(given, recursive=True))]
     if not paths:
         raise LogError(f"{given}: no such file, folder or pattern; type: ls {given}")
     for path in paths:
-        yield from _inside(path) if path.is_dir() else [path]
+        yield from map(str, _inside(path) if path.is_dir() else [path])
 
 
 def _inside(folder: Path) -> Iterator[Path]:
@@ -63,12 +68,16 @@ def is_rosbag2(folder: Path) -> bool:
     return (folder / "metadata.yaml").is_file() or any(folder.glob("*.db3"))
 
 
-def _names(paths: Sequence[Path]) -> dict[Path, str]:
-    """A folder name per log: its file name made safe, told apart by a digest of the path where two are alike."""
-    plain = {path: re.sub(r"[^A-Za-z0-9._-]", "_", path.name).lstrip(".") or "log" for path in paths}
-    taken = list(plain.values())
-    return {path: name if taken.count(name) == 1 else f"{name}-{_digest(path)}" for path, name in plain.items()}
+def _names(logs: Sequence[str]) -> dict[str, str]:
+    """A folder name per log: its file name made safe, told apart by a digest of where it is when two are alike."""
+    plain = {log: re.sub(r"[^A-Za-z0-9._-]", "_", _file_name(log)).lstrip(".") or "log" for log in logs}
+    taken = Counter(plain.values())
+    return {log: name if taken[name] == 1 else f"{name}-{_digest(log)}" for log, name in plain.items()}
 
 
-def _digest(path: Path) -> str:
-    return hashlib.sha256(str(path).encode()).hexdigest()[:8]
+def _file_name(log: str) -> str:
+    return stores.name_of(log) if stores.is_url(log) else Path(log).name
+
+
+def _digest(log: str) -> str:
+    return hashlib.sha256(log.encode()).hexdigest()[:8]

@@ -1,12 +1,14 @@
 """The jobs of a batch on this machine: a pool of processes, largest logs first, within a memory budget."""
 
 import multiprocessing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from .. import stores
+from ..errors import BodylogError
 from . import work
 from .jobs import Job
 
@@ -17,11 +19,12 @@ TRIES = 2
 
 def run(jobs: Sequence[Job], workers: int, memory: int | None, keep_going: bool) -> Iterator[Row]:
     """Rows as they finish; after a bug no further log is started, unless `keep_going`."""
-    queue = sorted(jobs, key=lambda job: (-size(job.log), job.name))
+    sizes = {job.name: size(job.log) for job in jobs}
+    queue = sorted(jobs, key=lambda job: (-sizes[job.name], job.name))
     if workers == 1:
         yield from _here(queue, keep_going)
         return
-    yield from Pool(workers, memory, keep_going).run(queue)
+    yield from Pool(workers, memory, keep_going).run(queue, sizes)
 
 
 def _here(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
@@ -32,17 +35,20 @@ def _here(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
             return
 
 
-def size(log: Path) -> int:
-    """Bytes of a log, file or folder; 0 when it cannot be read."""
+def size(log: str) -> int:
+    """Bytes of a log: file, folder or URL; 0 when it cannot be read."""
+    path = Path(log)
     try:
-        return sum(p.stat().st_size for p in log.rglob("*") if p.is_file()) if log.is_dir() else log.stat().st_size
-    except OSError:
+        if stores.is_url(log):
+            return stores.size(log)
+        return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+    except (OSError, BodylogError):
         return 0
 
 
-def need(job: Job) -> int:
-    """Bytes of memory a job is expected to want: signals are held, pictures are streamed."""
-    return BASE_BYTES + size(job.log) // 2
+def need(size: int) -> int:
+    """Bytes of memory that a log of so many bytes is expected to want: signals are held, pictures are streamed."""
+    return BASE_BYTES + size // 2
 
 
 class Pool:
@@ -55,10 +61,11 @@ class Pool:
         self._idle: list[tuple[BaseProcess, Connection]] = []
         self._busy: dict[Connection, tuple[BaseProcess, Job]] = {}
         self._tries: dict[str, int] = {}
+        self._needs: dict[str, int] = {}
 
-    def run(self, queue: list[Job]) -> Iterator[Row]:
-        """Rows as they finish; a job whose worker dies is tried once more, then it is a row."""
-        queue = list(queue)
+    def run(self, queue: Sequence[Job], sizes: Mapping[str, int]) -> Iterator[Row]:
+        """Rows as they finish; a job whose worker dies is tried once more, then it is a row. sizes: bytes by name."""
+        queue, self._needs = list(queue), {name: need(size) for name, size in sizes.items()}
         try:
             while queue or self._busy:
                 self._hand_out(queue)
@@ -81,8 +88,8 @@ class Pool:
 
     def _fits(self, job: Job) -> bool:
         """Whether memory allows one more; a job too large for the budget runs alone."""
-        taken = sum(need(busy) for _, busy in self._busy.values())
-        return not self._busy or self._memory is None or taken + need(job) <= self._memory
+        taken = sum(self._needs[busy.name] for _, busy in self._busy.values())
+        return not self._busy or self._memory is None or taken + self._needs[job.name] <= self._memory
 
     def _start(self) -> tuple[BaseProcess, Connection]:
         here, there = self._context.Pipe()

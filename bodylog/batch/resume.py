@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import __version__, pipeline
+from .. import __version__, pipeline, stores
 from ..errors import BodylogError, ModelError
 from ..files import sha256
 from ..settings import Settings, plain
@@ -16,8 +16,9 @@ ROW = "row.json"
 
 
 def key(job: Job) -> str:
-    """Digest of everything the outputs depend on: log, body, settings, bounds, version."""
-    parts = [sha256(job.log), sha256(job.body), plain(job.settings), list(job.bounds), __version__]
+    """Digest of what the outputs depend on: log (what its store says of a URL), body, settings, bounds, version."""
+    log = stores.identity(job.log) if stores.is_url(job.log) else sha256(Path(job.log))
+    parts = [log, sha256(job.body), plain(job.settings), list(job.bounds), __version__]
     return _digest(parts)
 
 
@@ -34,7 +35,7 @@ def finished(job: Job) -> dict[str, Any] | None:
 def _key_or_none(job: Job) -> str | None:
     try:
         return key(job)
-    except OSError:
+    except (OSError, BodylogError):
         return None
 
 
@@ -64,7 +65,7 @@ def not_run(job: Job) -> dict[str, Any]:
     """The row of a log that was not reached because the batch stopped early."""
     return {
         "name": job.name,
-        "log": str(job.log),
+        "log": job.log,
         "key": None,
         "status": "not run",
         "exit_code": 1,

@@ -2,13 +2,15 @@
 
 import fcntl
 import json
+import shutil
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .. import pipeline, present
+from .. import pipeline, present, stores
 from ..config import toml
 from ..errors import BodylogError, BoundError
 from ..evaluation import bounds
@@ -38,7 +40,7 @@ def _alone(folder: Path) -> Iterator[None]:
 
 def _anew(job: Job) -> dict[str, Any]:
     for stale in [*job.folder.glob(".*.part"), *(job.folder / name for name in (*OUTPUTS, resume.ROW))]:
-        stale.unlink(missing_ok=True)
+        shutil.rmtree(stale) if stale.is_dir() else stale.unlink(missing_ok=True)
     text = json.dumps(_attempt(job), sort_keys=True, ensure_ascii=False, allow_nan=False)
     _leave(job.folder / resume.ROW, text)
     row: dict[str, Any] = json.loads(text)  # just as a resumed run will read it
@@ -66,7 +68,10 @@ def _attempt(job: Job) -> dict[str, Any]:
 def _estimate(job: Job) -> dict[str, Any]:
     """Keywords of _row; a broken bound is a row, not a failure."""
     annotated = job.folder / "annotated.mcap"
-    result = pipeline.estimate(job.log, job.body, annotated, job.settings)
+    with stores.local(job.log, job.folder) as log:
+        result = pipeline.estimate(log, job.body, annotated, job.settings)
+        about = tuple(replace(said, text=said.text.replace(str(log), job.log)) for said in result.findings)
+        result = replace(result, findings=about)
     present.report(annotated, job.folder / "report.html", job.settings)
     _leave(job.folder / "robot.toml", toml(job.settings))
     lost = any(finding.severity == "lost" for finding in result.findings)
@@ -88,7 +93,7 @@ def _row(
 ) -> dict[str, Any]:
     return {
         "name": job.name,
-        "log": str(job.log),
+        "log": job.log,
         "key": key,
         "status": STATUS[code],
         "exit_code": code,

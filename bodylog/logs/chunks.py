@@ -12,6 +12,7 @@ from ..errors import FormatError
 from ..types import Array
 from .compression import Buffer
 from .ledger import Ledger
+from .mapping import bring
 from .records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, Record, parse, walk
 
 MESSAGE_HEAD = np.dtype(
@@ -73,6 +74,7 @@ def chunk_head(data: memoryview, start: int) -> tuple[int, int, int, int, str, m
 
 def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
     """The chunk's records (bytes,) uint8; FormatError when they cannot be unpacked or their CRC disagrees."""
+    bring(data, chunk.start, chunk.start + chunk.length)
     _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
     content = buffer.load(compression, packed, size)
     found = zlib.crc32(content.data) if crc else 0
@@ -101,9 +103,11 @@ def index_of(data: memoryview, at: int) -> Array:
     """The MessageIndex at byte `at`: (n, 2) int64 log time (ns) and offset in the chunk; empty when it is none."""
     if not 0 <= at <= len(data) - _INDEX_HEAD.size:
         return np.empty((0, 2), np.int64)
+    bring(data, at, at + _INDEX_HEAD.size)
     opcode, length, _, size = _INDEX_HEAD.unpack_from(data, at)
     if opcode != MESSAGE_INDEX or size > length or at + _INDEX_HEAD.size + size > len(data):
         return np.empty((0, 2), np.int64)
+    bring(data, at, at + _INDEX_HEAD.size + size)
     return np.frombuffer(data, "<i8", size // 16 * 2, at + _INDEX_HEAD.size).reshape(-1, 2)
 
 

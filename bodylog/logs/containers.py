@@ -71,6 +71,11 @@ def _opened(path: Path, strict: bool, source: Path) -> Log:
     raise LogError(f"{path}: {_what_it_is(first)}; logs are .mcap, .bag, .db3 or a rosbag2 folder")
 
 
+def is_mcap(first: bytes) -> bool:
+    """Whether a file that begins so is an MCAP."""
+    return FORMATS.get(first[:8]) is _mcap
+
+
 def payloads(batch: Batch) -> Iterator[memoryview]:
     """Each message of a batch as a view of its bytes, valid as long as the batch is."""
     data = batch.data.data

@@ -3,6 +3,8 @@
 import mmap
 from pathlib import Path
 
+from .sparse import Sparse, sparse
+
 _ADVICE = hasattr(mmap, "MADV_DONTNEED")
 _PAGE = mmap.PAGESIZE
 _AROUND = 2 << 20
@@ -11,6 +13,8 @@ _AROUND = 2 << 20
 
 def mapped(path: Path) -> memoryview:
     """The bytes of a file that is not empty, read as they are touched, and no more than is touched."""
+    if (remote := sparse(path)) is not None:
+        return memoryview(remote)
     with path.open("rb") as stream:
         found = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
     if _ADVICE:
@@ -20,13 +24,20 @@ def mapped(path: Path) -> memoryview:
 
 def fetch(data: memoryview, start: int, end: int) -> None:
     """Start reading what lies between two bytes of a mapped file: all of it is about to be touched."""
+    bring(data, start, end)
     low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
         data.obj.madvise(mmap.MADV_WILLNEED, low, high - low)
 
 
+def bring(data: memoryview, start: int, end: int) -> None:
+    """Have the bytes between two of a remote file there before they are touched; a file of this machine has its own."""
+    if isinstance(data.obj, Sparse):
+        data.obj.bring(start, min(end, len(data)))
+
+
 def forget(data: memoryview, start: int, end: int) -> None:
     """Let go of the pages between two bytes of a mapped file and of those before; touching them reads them again."""
     low, high = max(0, start - _AROUND) // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
-    if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
+    if _ADVICE and high > low and type(data.obj) is mmap.mmap:
         data.obj.madvise(mmap.MADV_DONTNEED, low, high - low)

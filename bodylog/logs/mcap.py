@@ -11,7 +11,7 @@ from ..types import Array, Batch, Finding, Topic
 from .ahead import unpacked_parts
 from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, messages
 from .ledger import Ledger
-from .mapping import fetch, forget, mapped
+from .mapping import bring, fetch, forget, mapped
 from .records import HEAD, MAGIC, SCHEMA, Record, parse
 from .spans import spans_of
 from .topics import Topics, split
@@ -104,6 +104,7 @@ class McapLog:
         """The sound records of that opcode that are not in chunks."""
         from .resync import sound_records
 
+        bring(self._data, 0, len(self._data))
         for found, at, length in sound_records(self._data, len(MAGIC), len(self._data), (), lambda _at, _size: None):
             if found == opcode:
                 yield parse(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)

@@ -9,7 +9,7 @@ from ..errors import FormatError
 from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages
 from .compression import Buffer
 from .ledger import Ledger
-from .mapping import forget
+from .mapping import bring, forget
 from .mcap import Survey
 from .records import (
     CHANNEL,
@@ -77,6 +77,7 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
     """Add what lies between two bytes to the survey; FOOTER or DATA_END if they were met, CHUNK if a cut was said."""
     if start == end:
         return None
+    bring(data, start, end)
     run, ended, unsummarised = _Run(data, survey, start, ledger), None, end == len(data)
 
     def lost(at: int, size: int) -> None:

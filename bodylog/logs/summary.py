@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from ..errors import FormatError
 from .chunks import Chunk
 from .ledger import Ledger
+from .mapping import bring
 from .mcap import Survey
 from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, parse, walk
 
@@ -42,6 +43,7 @@ def section(data: memoryview) -> tuple[int, int] | None:
     start, crc = footer.fields["summary_start"], footer.fields["summary_crc"]
     if not len(MAGIC) <= start <= footer.start:
         raise FormatError(f"it is said to start at byte {start}, outside the file")
+    bring(data, start, len(data))
     found = zlib.crc32(data[start : footer.start + HEAD.size + 16])
     if crc and found != crc:
         raise FormatError(f"its CRC is {found:08x} where {crc:08x} is declared")
@@ -84,7 +86,10 @@ def _fit(data: memoryview, summary: Summary) -> None:
     for (chunk, end), following in zip(summary.chunks, starts, strict=False):
         if chunk.start < len(MAGIC) or end > following:
             raise FormatError(f"a chunk of {chunk.length} bytes at byte {chunk.start} does not fit there")
-        if end != following and HEAD.unpack_from(data, chunk.start) != (CHUNK, chunk.length - HEAD.size):
+        if end == following:
+            continue
+        bring(data, chunk.start, chunk.start + HEAD.size)
+        if HEAD.unpack_from(data, chunk.start) != (CHUNK, chunk.length - HEAD.size):
             raise FormatError(f"there is no chunk of {chunk.length} bytes at byte {chunk.start}")
 
 

@@ -1,0 +1,158 @@
+"""Logs behind URLs: found, glimpsed by ranges, fetched whole, and their errors in one line."""
+
+import json
+import os
+import shutil
+import threading
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+import pytest
+
+from bodylog import pipeline, stores
+from bodylog.errors import BodylogError, LogError, UsageError
+from bodylog.settings import Settings
+from tests.logs.writing import T0, Stream, write
+
+pytest.importorskip("fsspec")
+
+FILES = sorted((Path(__file__).parents[1] / "fixtures" / "containers").glob("*.mcap"))
+
+
+class _Ranges(SimpleHTTPRequestHandler):
+    """A file server that knows ranges."""
+
+    def log_message(self, *_: object) -> None:
+        """Say nothing."""
+
+    def do_GET(self) -> None:
+        """The file or the part of it that is asked for."""
+        path = Path(self.translate_path(self.path))
+        if not path.is_file():
+            self.send_error(404)
+            return
+        size, asked = path.stat().st_size, self.headers.get("Range")
+        low, _, high = asked.removeprefix("bytes=").partition("-") if asked else ("0", "-", "")
+        begin, end = int(low), min(int(high) + 1, size) if high else size
+        self.send_response(206 if asked else 200)
+        self.send_header("Content-Range", f"bytes {begin}-{end - 1}/{size}")
+        self.send_header("Accept-Ranges", "bytes")
+        self.send_header("Content-Length", str(end - begin))
+        self.end_headers()
+        self.wfile.write(path.read_bytes()[begin:end])
+
+
+@pytest.fixture
+def served(tmp_path):
+    """A folder and the address it is served at."""
+    pytest.importorskip("aiohttp")
+    folder = tmp_path / "served"
+    folder.mkdir()
+    server = ThreadingHTTPServer(("127.0.0.1", 0), lambda *a: _Ranges(*a, directory=str(folder)))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield folder, f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+def _told(read):
+    try:
+        found = read()
+    except BodylogError as err:
+        return type(err)
+    return {key: value for key, value in found.items() if key != "path"}
+
+
+def _named(told, path, url):
+    """The same with findings about the URL."""
+    if isinstance(told, type):
+        return told
+    findings = [{**said, "text": said["text"].replace(path, url)} for said in told["findings"]]
+    return {**told, "findings": findings}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_a_glimpse_says_of_any_mcap_what_the_file_says(path):
+    url = path.resolve().as_uri()
+    here = _told(lambda: pipeline.info(path, Settings()))
+    assert _told(lambda: pipeline.info(url, Settings())) == _named(here, str(path), url)
+
+
+def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
+    pictures = [(T0 + k * 10**6, os.urandom(1 << 20)) for k in range(48)]
+    words = [(T0 + 10**9, b"\x00\x01\x00\x00\x05\x00\x00\x00word\x00")]
+    log = write(tmp_path / "large.mcap", [
+        Stream("/blob", "std_msgs/msg/UInt8MultiArray", b"uint8[] data", pictures),
+        Stream("/words", "std_msgs/msg/String", b"string data", words),
+    ], chunk=1 << 22)  # fmt: skip
+    brought, part = [], stores.part
+
+    def counted(url, start, end):
+        brought.append(end - start)
+        return part(url, start, end)
+
+    monkeypatch.setattr(stores, "part", counted)
+    told = pipeline.info(log.as_uri(), Settings())
+    assert [topic["messages"] for topic in told["topics"]] == [48, 1]
+    assert log.stat().st_size > 48 << 20
+    assert sum(brought) < 4 << 20
+
+
+def test_info_over_http_is_what_the_file_says_and_a_bag_is_fetched(served, robot):
+    folder, address = served
+    shutil.copy(robot / "reach.mcap", folder / "reach.mcap")
+    bag = Path(__file__).parents[1] / "fixtures" / "containers" / "lz4.bag"
+    shutil.copy(bag, folder / "lz4.bag")
+    for path in folder.iterdir():
+        told, here = pipeline.info(f"{address}/{path.name}", Settings()), pipeline.info(path, Settings())
+        assert told.pop("path") == f"{address}/{path.name}"
+        here.pop("path")
+        assert told == here
+
+
+def test_estimate_of_a_url_is_that_of_the_file(tmp_path, robot, bodylog):
+    here, there = tmp_path / "here.mcap", tmp_path / "there.mcap"
+    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", here) == 0
+    url = (robot / "reach.mcap").as_uri()
+    assert bodylog("estimate", url, "--body", robot / "body.npz", "-o", there) == 0
+    assert there.read_bytes() == here.read_bytes()
+
+
+def test_batch_over_a_url_of_a_folder_resumes_until_the_file_is_another(tmp_path, robot, bodylog):
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for name in ("a.mcap", "b.mcap"):
+        shutil.copy(robot / "reach.mcap", logs / name)
+    typed = ("batch", logs.as_uri(), "-o", tmp_path / "out", "--body", robot / "body.npz")
+    assert bodylog(*typed) == 0
+    rows = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
+    assert [row["log"] for row in rows] == [(logs / name).as_uri() for name in ("a.mcap", "b.mcap")]
+    assert not list((tmp_path / "out").rglob(".fetched*"))
+    made = {name: (tmp_path / "out" / name / "row.json").stat().st_mtime_ns for name in ("a.mcap", "b.mcap")}
+    os.utime(logs / "b.mcap", (1, 1))
+    assert bodylog(*typed, "--resume") == 0
+    again = {name: (tmp_path / "out" / name / "row.json").stat().st_mtime_ns for name in made}
+    assert again["a.mcap"] == made["a.mcap"]
+    assert again["b.mcap"] != made["b.mcap"]
+
+
+def test_what_a_store_cannot_give_is_one_line(served, tmp_path):
+    _, address = served
+    for url in (f"{address}/none.mcap", f"file://{tmp_path}/none.mcap", "quux://x/y.mcap", "http://127.0.0.1:1/y.mcap"):
+        with pytest.raises((LogError, UsageError)) as caught:
+            pipeline.info(url, Settings())
+        assert url in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_what_is_wrong_with_a_fetched_log_names_its_url(tmp_path, robot, bodylog, capsys):
+    url = (robot / "reach.mcap").as_uri()
+    assert bodylog("evaluate", url) == 65
+    assert url in capsys.readouterr().err
+
+
+def test_names_from_urls_are_safe():
+    assert stores.name_of("https://host/a/..") == "log"
+    assert stores.name_of("s3://bucket/run 1.mcap?versionId=3") == "run_1.mcap"
+    assert stores.name_of("http://host/%2e%2e%2fetc%2fpasswd") == "passwd"
+    assert not stores.is_url("C:/logs/run.mcap")
