@@ -104,7 +104,10 @@ def _least(trials: Sequence[Trial]) -> str:
 
 def _price(trials: Sequence[Trial]) -> str:
     found = {s: float(np.nanmedian(column(trials, f"sigma {s:g} second"))) for s in SWEEP}
-    return "with a learned body, in rad by σ_v: " + ", ".join(f"{v:.3f} at {s:g}" for s, v in found.items())
+    told = ", ".join(f"{v:.3f} at {s:g}" for s, v in found.items())
+    holds = [f"{s:g}" for s, v in found.items() if v >= INDUCED]
+    where = f"it holds at {', '.join(holds)}" if holds else "it holds at none of them"
+    return f"the constant is σ_v (printed: 5): with a learned body, in rad by σ_v: {told}: {where}"
 
 
 def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:

@@ -73,7 +73,7 @@ def _panels(beliefs: dict[tuple[str, str], Belief]) -> list[dict[str, Any]]:
 def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
     def claim(what: str, more: str, less: str, said: str) -> Claim:
         figures = _ratio(trials, f"printed {more}", f"printed {less}"), _ratio(trials, f"ours {more}", f"ours {less}")
-        measured = f"error of {more} over error of {less}"
+        measured = f"error of {more.split()[0]} over error of {less.split()[0]}"
         return judge("E4", f"{what}, the prior being wrong", measured, "1", Bound("≤", WORTH), figures, said)
 
     beside = "ours: vision places the effector to tenths of a px, touch to some px: it adds where vision is silent"
