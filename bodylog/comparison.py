@@ -1,4 +1,4 @@
-"""Every method with every subset of the senses on one log."""
+"""Every method with every subset of the senses on one log, with and without truth."""
 
 import time
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ class Row:
 def compare(
     log: Path, body: Path, settings: Settings, progress: Progress | None = None
 ) -> tuple[list[Row], tuple[Finding, ...]]:
-    """Every method with every subset of the senses the log has."""
+    """Every method with every subset of the senses the log has; each is also asked for pictures withheld from it."""
     from . import estimation
     from .body import model
     from .estimation import choices
@@ -38,7 +38,12 @@ def compare(
 def _row(
     method: str, senses: tuple[str, ...], features: Features, learned: BodyModel, settings: Settings, read: Recording
 ) -> Row:
+    from .evaluation.heldout import held_out, withhold
+
     started = time.perf_counter()
     chosen = replace(settings, estimate=replace(settings.estimate, method=method, senses=senses, without=()))
     found = infer(features, learned, chosen)
-    return Row(method, senses, judge(found, read), time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    fewer, withheld = withhold(features)
+    foretold = held_out(infer(fewer, learned, chosen), withheld, learned)
+    return Row(method, senses, (*judge(found, read), *foretold), seconds)

@@ -10,7 +10,7 @@ from . import options
 if TYPE_CHECKING:
     from bodylog.comparison import Row
 
-COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence")
+COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out")
 
 
 @click.command(epilog="Example: bodylog compare run.bag --body body.npz")
@@ -19,7 +19,10 @@ COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence")
 @options.clock_option
 @options.common_options
 def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
-    """Every method with every subset of senses on one log, in one table."""
+    """Every method with every subset of senses on one log, in one table.
+
+    held_out, which needs no truth, is the mean log density (nats) of pictures withheld from the method, one in five.
+    """
     from bodylog import comparison
 
     from .output import data, lost, progress, talk

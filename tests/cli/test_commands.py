@@ -68,6 +68,8 @@ def test_compare_has_a_row_for_every_method_and_subset(capsys, bodylog, robot):
     ran = {f"{row['method']} {','.join(row['senses'])}" for row in rows}
     assert {"laplace encoders,vision", "laplace encoders", "kalman encoders", "smoother vision"} <= ran
     assert all(row["scores"]["joint_rmse"] > 0 for row in rows)
+    foretold = {f"{row['method']} {','.join(row['senses'])}": row["scores"]["held_out"] for row in rows}
+    assert foretold["smoother encoders,vision"] > foretold["smoother encoders"]
 
 
 def _wrong(robot, tmp_path):
