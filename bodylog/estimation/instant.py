@@ -70,6 +70,6 @@ def _readings(dt: float, encoders: Array, encoder_var: Array, sights: Sequence[S
             continue
         mean, slope, own = sight.model.predict(x[None])
         y[index], jac[index] = sight.value - mean[0] + slope[0] @ x, slope[0]
-        var[index] = sight.var + own[0] * sight.memory.again(x) ** 2
+        var[index] = sight.var + own[0] * (2.0 * sight.memory.again(x) - 1.0)
     parts = (np.array(dt), encoders, encoder_var, y, jac, var)
     return Readings(*(part[None, ..., None] for part in parts))

@@ -34,7 +34,7 @@ class Tangents:
         self._old_var = tuple(np.ones(len(x), bool) for x in points)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
-        """Write stale tangents into the readings: y = s − g + J x°, var = pixel + n² model variance.
+        """Write stale tangents into the readings: y = s − g + J x°, var = pixel + (2n − 1) model variance.
 
         Which stretches (C,) now read otherwise.
         """
@@ -69,13 +69,13 @@ class Tangents:
         return mean, jac
 
     def _own(self, index: int, sighting: Sighting) -> Array:
-        """The model's variance (F,D), n² times in the n-th frame from one place."""
+        """The model's variance (F,D), 2n − 1 times in the n-th frame from one place."""
         old = self._old_var[index]
         if old.any() and self._round not in ROUGH:
             self._model_var[index][old] = _several(sighting.model, self.points[index][old])[2]
             old[:] = False
         var, seen = self._model_var[index].copy(), np.isfinite(sighting.values).all(axis=1)
-        var[seen] *= repeats(self.points[index][seen])[:, None] ** 2
+        var[seen] *= 2.0 * repeats(self.points[index][seen])[:, None] - 1.0
         return np.asarray(var)
 
     def follow(self, wanted: tuple[Array, ...]) -> None:
@@ -99,8 +99,9 @@ def _several(model: ForwardModel, x: Array) -> tuple[Array, ...]:
 def repeats(points: Array) -> Array:
     """How many frames (F,) up to each were taken from nearly the same angles (F,M): there the model errs alike.
 
-    With n² times its variance in the n-th of them, standing still before the camera never teaches more than the model
-    knows: the information adds up to less than 1.65 / variance, not to frames / variance.
+    The model's error goes from frame to frame with a correlation ρ. At a steady pace n is 1 / (1 − ρ), and a mean
+    over many frames has the variance of as many independent ones with (1 + ρ) / (1 − ρ) = 2n − 1 times its variance:
+    so a slow pass counts no more than it should, and standing still adds but the logarithm of the frames.
     """
     if not len(points):
         return np.empty(0)
