@@ -25,6 +25,10 @@ def run(jobs: Sequence[Job], scheduler: str, workers: int) -> Iterator[Row]:
 
 def _client(scheduler: str, workers: int) -> "Client":
     try:
+        import dask
+
+        # read when distributed is imported: workers forked from a server that has it loaded start several times sooner
+        dask.config.set({"distributed.worker.multiprocessing-method": "forkserver", "logging.distributed": "error"})
         from distributed import Client, LocalCluster
     except ImportError as err:
         raise UsageError("--scheduler needs Dask; type: pip install 'bodylog[dask]'") from err

@@ -25,9 +25,21 @@ STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable
 def run(job: Job) -> dict[str, Any]:
     """Do one job and leave its row beside its outputs; every failure becomes a row."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    with _alone(job.folder):
+    with _alone(job.folder), _on_one_core():
         earlier = resume.finished(job) if job.resume else None
         return earlier or _anew(job)
+
+
+@contextmanager
+def _on_one_core() -> Iterator[None]:
+    """Logs are what is done side by side: one core each, so that `--jobs` says how many cores a batch takes."""
+    from ..perception.colour import THREADS
+
+    token = THREADS.set(1)
+    try:
+        yield
+    finally:
+        THREADS.reset(token)
 
 
 @contextmanager

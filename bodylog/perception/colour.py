@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import suppress
+from contextvars import ContextVar
 from itertools import chain, islice
 
 import numpy as np
@@ -15,7 +16,8 @@ from . import blobs, choose, search
 from .ranges import Range, covered, nearest, resolve
 from .search import CANDIDATES, Window
 
-_THREADS = 2
+THREADS: ContextVar[int] = ContextVar("threads", default=2)
+"""How many threads look at pictures: one where whole logs are worked on side by side."""
 # pictures looked at by one task, tasks ahead of the reader, pictures whose finds are measured together
 _BATCH, _AHEAD, _SHEET = 4, 4, 64
 _NOTABLE = 1e-4
@@ -66,7 +68,7 @@ def _look_at_all(
     source_ns: list[int] = []
     sizes: list[tuple[int, int]] = []
     tables: list[list[Future[Array]]] = [[] for _ in ranges]
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(THREADS.get()) as pool:
         for some in _by_sheets(_in_order(pool, frames, ranges, fast)):
             found: list[Window] = []
             before = len(sizes)

@@ -1,7 +1,11 @@
-"""Batches: two processes against one, the cost of a row, Dask against the pool, the scheduler's share of tiny logs."""
+"""Batches: two processes against one, the cost of a row, Dask against the pool, the scheduler's share of tiny logs.
+
+`python -m tests.benchmarks.bench_batch scale` measures what docs/scale.md says, a thousand tiny logs among it.
+"""
 
 import io
 import shutil
+import sys
 import tempfile
 import time
 from contextlib import redirect_stderr, redirect_stdout
@@ -22,12 +26,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         _robot(work)
-        _processes(work)
-        _tiny(work)
+        if sys.argv[1:] == ["scale"]:
+            _kinds(work)
+            _tiny(work, (*TINY, 1000))
+        else:
+            _processes(work)
+            _tiny(work, TINY)
 
 
 def _robot(work: Path) -> None:
-    for scenario, name, seconds in (("babble", "explore", 20), ("reach", "reach", 20), ("reach", "tiny", 2)):
+    for scenario, name, seconds in (("babble", "explore", 20), ("reach", "reach", 60), ("reach", "tiny", 2)):
         _quiet("record", scenario, "-o", work / f"{name}.mcap", "--duration", seconds, "--size", "320x240")
     _quiet("fit", work / "explore.mcap", "-o", work / "body.npz")
 
@@ -49,25 +57,27 @@ def _processes(work: Path) -> None:
     logs = _copies(work, "reach", LOGS)
     alone = _estimate(work)
     one, two = _batch(work, logs, workers=1), _batch(work, logs, workers=2)
-    dask = _batch(work, logs, workers=2, scheduler="local")
+    started = _batch(work, logs, workers=2, scheduler="local")
+    dask = _on_cluster(work, logs)
     size = (work / "reach.mcap").stat().st_size / 1e9
     print(f"\n{LOGS} equal logs of {size * 1e3:.1f} MB")
     print(f"  one estimate and report in a warm process     {alone:8.2f} s")
     print(f"  batch, 1 process: per log                      {one / LOGS:8.2f} s  (+{one / LOGS - alone:.3f} s)")
     print(f"  batch, 2 processes: per log                    {two / LOGS:8.2f} s  (x{one / two:.2f} of one process)")
-    print(f"  Dask, 2 worker processes: per log              {dask / LOGS:8.2f} s  (x{dask / two:.2f} of the pool)")
+    print(f"  Dask, 2 workers of a cluster that runs: per log{dask / LOGS:8.2f} s  (x{dask / two:.2f} of the pool)")
+    print(f"  Dask, 2 workers started for it: per log       {started / LOGS:8.2f} s  (x{started / two:.2f} of it)")
     print(f"  per GB of log, 1 process                       {one / LOGS / size:8.1f} s")
 
 
-def _estimate(work: Path) -> float:
-    _once(work)
+def _estimate(work: Path, log: str = "reach") -> float:
+    _once(work, log)
     started = time.perf_counter()
-    _once(work)
+    _once(work, log)
     return time.perf_counter() - started
 
 
-def _once(work: Path) -> None:
-    pipeline.estimate(work / "reach.mcap", work / "body.npz", work / "alone.mcap", Settings())
+def _once(work: Path, log: str) -> None:
+    pipeline.estimate(work / f"{log}.mcap", work / "body.npz", work / "alone.mcap", Settings())
     present.report(work / "alone.mcap", work / "alone.html", Settings())
 
 
@@ -82,9 +92,31 @@ def _batch(work: Path, logs: Path, workers: int, scheduler: str | None = None) -
     return took
 
 
-def _tiny(work: Path) -> None:
+def _on_cluster(work: Path, logs: Path) -> float:
+    """Two workers of a cluster that was there before, as on a cluster they are."""
+    from distributed import Client, LocalCluster
+
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+        client.wait_for_workers(2)
+        return _batch(work, logs, 2, cluster.scheduler_address)
+
+
+def _kinds(work: Path) -> None:
+    """Seconds per log and per GB by what the camera writes, or with the features alone: one process, a minute each."""
+    print("\none process, logs of 60 s at 640x480")
+    for kind in ("jpeg", "raw"):
+        _quiet("record", "reach", "-o", work / f"{kind}.mcap", "--duration", 60, "--size", "640x480", "--image", kind)
+    _quiet("extract", work / "jpeg.mcap", "-o", work / "features.mcap")
+    for kind in ("jpeg", "raw", "features"):
+        size, logs = (work / f"{kind}.mcap").stat().st_size / 1e9, _copies(work, kind, 4)
+        took = _batch(work, logs, 1) / 4
+        print(f"  {kind:<8} {size * 1e3:8.1f} MB  {took:6.2f} s per log  {took / size:8.1f} s per GB")
+
+
+def _tiny(work: Path, counts: tuple[int, ...]) -> None:
     print("\ntiny logs (2 s), s per log")
-    for count in TINY:
+    print(f"  one estimate and report in a warm process {_estimate(work, 'tiny'):.3f}")
+    for count in counts:
         logs = _copies(work, "tiny", count)
         pool, dask = _batch(work, logs, 2), _batch(work, logs, 2, "local")
         print(f"  {count:>5} logs: pool {pool / count:.3f}, Dask {dask / count:.3f} (x{dask / pool:.2f})")
