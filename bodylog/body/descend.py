@@ -1,6 +1,7 @@
 """Descent in a few variables between bounds: BFGS from a known curvature (Nocedal & Wright 2006, ch. 6)."""
 
 from collections.abc import Callable
+from math import sqrt
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from ..types import Array
 _STEPS = 200
 _FARTHEST = 3.0
 _ENOUGH = 1e-4
-_SETTLED = 1e-8
+_SETTLED = 1e-6
 
 Loss = Callable[[Array], tuple[float, Array]]
 
@@ -68,7 +69,7 @@ def _search(
 def _updated(inverse: Array, step: Array, bend: Array) -> Array:
     """N&W (6.17); unchanged where the loss bends down."""
     along = float(step @ bend)
-    if along <= 1e-12 * float(np.linalg.norm(step) * np.linalg.norm(bend)):
+    if along <= 1e-12 * sqrt(float(step @ step) * float(bend @ bend)):
         return inverse
     turned = inverse @ bend
     cross = step[:, None] * turned

@@ -1,16 +1,17 @@
 """Gaussian-process forward model: mean, Jacobian and variance at one point or at many (paper, "Body learning")."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cache, cached_property
-from typing import Any
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ..types import Array
 
 _BLOCK_BYTES = 4 << 20
-_STRIP = 128
+
+NEGLIGIBLE = 1e-6
+"""Relative error of the variance allowed at any point, for leaving out directions the samples say nothing of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,7 +19,7 @@ class GP:
     """One sense's learned model: D outputs on shared centres, one squared-exponential kernel (G=1) or one each (G=D).
 
     outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² ·
-    mean (D,) unit · weights (D,n) · lower factor (G,n,n): variance = amplitude − |factor k|² · noise (D,) unit² found
+    mean (D,) unit · weights (D,n) · factor (G,r,n): variance = amplitude − |factor k|² · noise (D,) unit² found
     beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
     """
 
@@ -51,7 +52,7 @@ class GP:
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         kernel, value, slope = self._at(x)
-        seen = [_times(upper, row) for upper, row in zip(self._uppers, kernel, strict=True)]
+        seen = [factor @ row for factor, row in zip(self._factors, kernel, strict=True)]
         left = [max(a - float(part @ part), 0.0) for a, part in zip(self._amplitudes, seen, strict=True)]
         return value, slope, np.array(left * len(value) if len(left) == 1 else left)
 
@@ -93,10 +94,8 @@ class GP:
         return kernel, sums[:, -1] + self.mean, sums[:, :-1] * self._minus_precision
 
     def _projected(self, group: int, kernel: Array) -> Array:
-        """factor · k for kernel (N,n); zeros above the diagonal are passed over in strips."""
-        factor, count = self.factor[group], kernel.shape[1]
-        strips = [(start, min(start + _STRIP, count)) for start in range(0, count, _STRIP)]
-        return np.concatenate([kernel[:, :stop] @ factor[start:stop, :stop].T for start, stop in strips], axis=1)
+        """factor · k for kernel (N,n): (N,r)."""
+        return np.asarray(kernel @ self.factor[group].T)
 
     def _linear(self, group: int, x: Array, kernel: Array, value: Array, slope: Array) -> None:
         """Fill value (N,D) and slope (N,D,M) of the group's outputs: dk/dx = −k (x − z)/l², sums over centres."""
@@ -130,8 +129,8 @@ class GP:
         return np.asarray(self.weights[:, :, None] * lifted)
 
     @cached_property
-    def _uppers(self) -> list[Array]:
-        return [lower.T for lower in self.factor]
+    def _factors(self) -> list[Array]:
+        return list(self.factor)
 
     @cached_property
     def _amplitudes(self) -> list[float]:
@@ -150,18 +149,19 @@ class GP:
         return np.asarray(-1.0 / self.scales**2)
 
 
-def _times(upper: Array, vector: Array) -> Array:
-    """upperᵀ (n,n) · vector (n,), reading only the triangle once it no longer fits the nearest cache."""
-    if len(vector) <= _STRIP:
-        return np.asarray(vector @ upper)
-    return np.asarray(_dtrmv()(upper, vector, trans=1))
+def shortened(gp: GP) -> GP:
+    """The same with as few rows r of the factor as keep the variance to NEGLIGIBLE of itself at every x.
 
-
-@cache
-def _dtrmv() -> Any:
-    from scipy.linalg.blas import dtrmv
-
-    return dtrmv
+    With F the factor and K the Gram matrix of the centres, F K Fᵀ has eigenvalues λ/(1+λ), where λ is signal over noise
+    along an eigenvector. The prior bounds k(x) by its amplitude, so rows up to λ change a variance v by at most λ v.
+    """
+    short = []
+    for factor, scales, amplitude in zip(gp.factor, gp.scales, gp.amplitude, strict=True):
+        gram = se(gp.centres / scales, gp.centres / scales, amplitude)
+        values, vectors = np.linalg.eigh(factor @ gram @ factor.T)
+        short.append((values, vectors.T @ factor))
+    rank = max(int((values > NEGLIGIBLE).sum()) for values, _ in short)
+    return replace(gp, factor=np.array([factor[-rank:] for _, factor in short]))
 
 
 def se(a: Array, b: Array, amplitude: float) -> Array:

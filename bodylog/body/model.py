@@ -20,14 +20,14 @@ _KIND = "bodylog body model"
 _HEADER = "header.npy"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
-# n centres, s samples, d outputs, g kernels, m joints
+# n centres, r rank, s samples, d outputs, g kernels, m joints
 _LEARNED = {
     "centres": "nm",
     "scales": "gm",
     "amplitude": "g",
     "mean": "d",
     "weights": "dn",
-    "factor": "gnn",
+    "factor": "grn",
     "noise": "d",
     "samples": "sm",
     "targets": "sd",

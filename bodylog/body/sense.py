@@ -8,7 +8,7 @@ import numpy as np
 from ..settings import Fit
 from ..types import Array, Finding, Noise, Score
 from .evidence import ROTATION
-from .gp import GP
+from .gp import GP, shortened
 from .holdout import alone, residuals
 from .pairs import Joint, Pairs, coupled
 from .paper import SAMPLES, paper
@@ -74,7 +74,7 @@ def findings(name: str, found: Sense) -> Iterator[Finding]:
 
 def _sense(data: Samples, found: Fitted, block: Array, whole: Pairs, rejected: int, rule: str) -> Sense:
     residual, variance = residuals(data, found, block)
-    return Sense(build(data, found, _OUTPUTS, "px"), data.floor, residual, variance, whole, rejected, rule)
+    return Sense(shortened(build(data, found, _OUTPUTS, "px")), data.floor, residual, variance, whole, rejected, rule)
 
 
 def _believable(data: Samples, found: Fitted) -> Array:

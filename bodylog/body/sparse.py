@@ -51,7 +51,7 @@ class Sums:
 
 @dataclass(frozen=True, eq=False)
 class Sparse:
-    """weights (G,m) · lower factor (m,m) of GP · mean (G,) · bound on the evidence, nats (Titsias 2009, eq. 9)."""
+    """weights (G,m) · factor (m,m) of GP · mean (G,) · bound on the evidence, nats (Titsias 2009, eq. 9)."""
 
     weights: Array
     factor: Array
@@ -90,7 +90,7 @@ def posterior(base: Basis, total: Sums) -> Sparse:
     inner = total.inner - cross.T @ (cross / (1.0 + values)[:, None])
     mean = inner[0, 1:] / inner[0, 0]
     weights = turned.T @ ((cross[:, 1:] - cross[:, :1] * mean) / (1.0 + values)[:, None])
-    factor = _lower(np.sqrt(values / (1.0 + values))[:, None] * turned)
+    factor = np.sqrt(values / (1.0 + values))[:, None] * turned
     group = len(mean)
     fit = float(np.trace(inner[1:, 1:]) - inner[0, 0] * mean @ mean)
     entropy = group * (total.logdet + np.log1p(values).sum() + total.count * np.log(2.0 * np.pi) + total.lost)
@@ -152,9 +152,3 @@ def _rows(spread: Spread, rows: Array) -> Spread:
     i, j = place[spread.i], place[spread.j]
     kept = (i >= 0) & (j >= 0)
     return Spread(spread.diagonal[rows], i[kept], j[kept], spread.value[kept])
-
-
-def _lower(factor: Array) -> Array:
-    """The lower triangular matrix with the same product with its transpose on the left."""
-    upper = np.asarray(np.linalg.qr(factor[:, ::-1], mode="r"))
-    return np.ascontiguousarray(upper[::-1, ::-1])

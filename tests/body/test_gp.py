@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bodylog.body.evidence import Hyper, independent
-from bodylog.body.gp import GP, se
+from bodylog.body.gp import GP, NEGLIGIBLE, se, shortened
 from bodylog.body.train import Fitted, Samples, assemble, samples, train
 
 
@@ -72,6 +72,23 @@ def test_slope_variance_is_the_curvature_of_the_covariance(seed: int) -> None:
         block = gp.covariance(np.array([x + step, x - step]))
         expected = (block[:, 0, 0] + block[:, 1, 1] - 2 * block[:, 0, 1]) / (2 * h) ** 2
         assert np.allclose(gp.slope_variance(x[None])[0, :, m], expected, rtol=1e-3)
+
+
+@settings(max_examples=20, deadline=None)
+@given(shared=st.booleans(), count=st.sampled_from([30, 200]), **_sizes)
+def test_a_short_factor_changes_no_variance(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> None:
+    gp = _random(seed, count, inputs, outputs, shared)
+    short, draw = shortened(gp), np.random.default_rng(seed)
+    x = np.concatenate([gp.samples[:20], draw.uniform(-2, 2, (20, inputs)), draw.uniform(-6, 6, (20, inputs))])
+    whole, less = gp.predict(x)[2], short.predict(x)[2]
+    # what rounding leaves of a difference of two amplitudes comes on top
+    assert (np.abs(less - whole) <= 1.01 * NEGLIGIBLE * whole + 1e-11 * gp.amplitude.max()).all()
+    assert (less >= whole - 1e-11 * gp.amplitude.max()).all()
+    assert short.factor.shape[1] <= count
+
+
+def test_a_smooth_model_of_many_samples_gets_short() -> None:
+    assert shortened(_random(0, 400, 2, 2, True)).factor.shape[1] < 200
 
 
 def test_covariance_has_the_variance_on_its_diagonal() -> None:

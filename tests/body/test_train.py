@@ -63,7 +63,7 @@ def test_separate_kernels_have_each_its_own_greatest_evidence(camera) -> None:
     assert len(found.kernels) == 2
     for d, kernel in enumerate(found.kernels):
         gradient = evidence(kernel.theta, data.x, data.y[:, d : d + 1], independent(np.zeros(80)))[1]
-        assert np.abs(gradient[:-1]).max() < 0.05
+        assert np.abs(gradient[:-1]).max() < 0.2
     gp = build(data, found, ("u", "v"), "px")
     assert gp.scales.shape == (2, 3) and gp.factor.shape == (2, 80, 80)
 
