@@ -57,8 +57,7 @@ class Pool:
     def __init__(self, workers: int, memory: int | None, keep_going: bool) -> None:
         """Start nothing yet."""
         self._workers, self._memory, self._keep_going = workers, memory, keep_going
-        self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(["bodylog.batch.ready"])
+        self._context = multiprocessing.get_context("spawn")
         self._idle: list[tuple[BaseProcess, Connection]] = []
         self._busy: dict[Connection, tuple[BaseProcess, Job]] = {}
         self._tries: dict[str, int] = {}
