@@ -17,8 +17,6 @@ GATE = 5.0
 
 EVEN = 16
 """Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
-
-
 MANY = 0.6
 """Share of stretches above which all are scanned rather than some copied out and back."""
 
@@ -80,16 +78,27 @@ def scan(
     trace = _empty(readings, len(z), remember) if into is None else into
     propagate = propagator(p, z, dynamics)
     visible: Array = np.any(np.isfinite(readings.y), axis=(1, 2))
-    seen = [np.flatnonzero(row) for row in visible]
+    seen, heard = [np.flatnonzero(row) for row in visible], np.isfinite(readings.encoders)
+    shape = (length, m + readings.y.shape[1] * readings.y.shape[2], z.shape[1])
+    gains, weights, nus = (None, np.zeros(shape), np.zeros(shape)) if trace.back is None else trace.back
     for i in range(length):
         propagate(readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
-        gains = None if trace.back is None else tuple(part[i] for part in trace.back)
-        update(readings, i, seen[i], dynamics.recalled, z, p, trace.nats[i], trace.encoder_d[i], gains)
+        back = None if gains is None else gains[i], weights[i], nus[i]
+        update(readings, i, heard[i], seen[i], dynamics.recalled, z, p, trace.encoder_d[i], back)
         trace.z[i], trace.p[i] = z, p
+    trace.nats[:] = _nats(weights, nus, dynamics.recalled)
     return trace
+
+
+def _nats(weights: Array, nus: Array, recalled: Array | None) -> Array:
+    """Free energy (L,C) of innovations (L,rows,C) with these weights, 0 where nothing was heard."""
+    if recalled is not None:
+        weights = weights * ~np.pad(recalled, (0, weights.shape[1] - len(recalled)))[:, None]
+    spread = 2.0 * np.pi / np.where(weights > 0, weights, 2.0 * np.pi)
+    return np.asarray(0.5 * (nus * nus * weights + np.log(spread)).sum(axis=1))
 
 
 def rescan(
@@ -153,57 +162,57 @@ def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyp
     return propagate
 
 
-def update(  # type: ignore[no-untyped-def]
-    readings: Readings, i: int, seen: Array, recalled: Array | None, z: Array, p: Array, nats: Array, encoder_d: Array,
-    back,
+def update(
+    readings: Readings, i: int, heard: Array, seen: Array, recalled: Array | None, z: Array, p: Array,
+    encoder_d: Array, back: tuple[Array | None, Array, Array],
 ) -> None:  # fmt: skip
     """Condition z, p in place on all that is heard at instant i, tracks in the stretches `seen` alone.
 
-    Noise is gated by the prior, so order is no matter.
+    Noise is gated by the prior, so order is no matter. `back` takes gains, weights and innovations of all rows.
     """
-    m = readings.encoders.shape[1]
+    m, (gains, weights, nus) = readings.encoders.shape[1], back
     y, jac = readings.y[i][..., seen], readings.jac[i][..., seen]
     joint_var, encoder_d[:] = _gated_encoders(readings.encoders[i], readings.encoder_var[i], z, p, m)
     line_var = _gated_lines(y, jac, readings.var[i][..., seen], z[:m, seen], p[:m, :m, seen])
-    nats[:], aside = 0.0, np.zeros_like(nats)
     if recalled is not None:
         joint_var[recalled], encoder_d[recalled] = readings.encoder_var[i][recalled], np.nan
+    said = np.where(heard, readings.encoders[i], 0.0)
     for j in range(m):
         ph = p[:, j] if len(z) == 2 * m else p[:, j] + p[:, 2 * m + j]
         s = joint_var[j] + (ph[j] if len(z) == 2 * m else ph[j] + ph[2 * m + j])
-        nu = readings.encoders[i, j] - (z[j] if len(z) == 2 * m else z[j] + z[2 * m + j])
-        gain, weight = _condition(z, p, ph, s, nu, nats if recalled is None or not recalled[j] else aside)
-        if back is not None:
-            back[0][j], back[1][j], back[2][j] = gain, weight, nu
+        nus[j] = said[j] - (z[j] if len(z) == 2 * m else z[j] + z[2 * m + j])
+        weights[j] = heard[j] / s
+        gain = _condition(z, p, ph, weights[j], nus[j])
+        if gains is not None:
+            gains[j] = gain
     if len(seen):
-        _see(y, jac, line_var, seen, z, p, nats, back)
+        _see(y, jac, line_var, seen, z, p, (None if gains is None else gains[m:], weights[m:], nus[m:]))
 
 
-def _see(y: Array, jac: Array, var: Array, seen: Array, z: Array, p: Array, nats: Array, back) -> None:  # type: ignore[no-untyped-def]
+def _see(
+    y: Array, jac: Array, var: Array, seen: Array, z: Array, p: Array, back: tuple[Array | None, Array, Array]
+) -> None:
     """Condition the stretches `seen` of z, p in place on their tracks' rows y, var (T,D,C'), jac (T,D,M,C')."""
-    m = jac.shape[2]
-    some_z, some_p, some_nats = z[:, seen], p[:, :, seen], nats[seen]
+    m, heard, (gains, weights, nus) = jac.shape[2], np.isfinite(y), back
+    y, some_z, some_p = np.where(heard, y, 0.0), z[:, seen], p[:, :, seen]
     for index, row in enumerate(np.ndindex(y.shape[0], y.shape[1])):
         h = jac[row]
         ph = np.einsum("jc,kjc->kc", h, some_p[:, :m])
-        s = var[row] + np.einsum("jc,jc->c", h, ph[:m])
+        weight = heard[row] / (var[row] + np.einsum("jc,jc->c", h, ph[:m]))
         nu = y[row] - np.einsum("jc,jc->c", h, some_z[:m])
-        gain, weight = _condition(some_z, some_p, ph, s, nu, some_nats)
-        if back is not None:
-            back[0][m + index][:, seen], back[1][m + index][seen], back[2][m + index][seen] = gain, weight, nu
-    z[:, seen], p[:, :, seen], nats[seen] = some_z, some_p, some_nats
+        gain = _condition(some_z, some_p, ph, weight, nu)
+        weights[index][seen], nus[index][seen] = weight, nu
+        if gains is not None:
+            gains[index][:, seen] = gain
+    z[:, seen], p[:, :, seen] = some_z, some_p
 
 
-def _condition(z: Array, p: Array, ph: Array, s: Array, nu: Array, nats: Array) -> tuple[Array, Array]:
-    """One scalar reading: innovation nu (C,), its variance s (C,), ph = P Hᵀ (K,C); NaN readings change nothing."""
-    heard = np.isfinite(nu)
-    weight = heard / s
-    nu[~heard] = 0.0
+def _condition(z: Array, p: Array, ph: Array, weight: Array, nu: Array) -> Array:
+    """One scalar reading: innovation nu (C,), its weight (C,), 0 where silent, ph = P Hᵀ (K,C); the gain (K,C)."""
     gain = ph * weight
     z += gain * nu
     p -= gain[:, None] * ph[None]
-    nats += 0.5 * (heard * np.log(2.0 * np.pi * s) + nu * nu * weight)
-    return gain, weight
+    return gain
 
 
 def _gated_encoders(y: Array, var: Array, z: Array, p: Array, m: int) -> tuple[Array, Array]:
