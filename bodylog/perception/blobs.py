@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..types import Array
-from .centre import measure
+from .centre import counts, measure
 from .ranges import Range, mask
 from .search import CANDIDATES, Window, windows
 
@@ -80,7 +80,7 @@ def _rows(some: Sequence[Window], colour: Range) -> Array:
     sheet, valid = _sheet(some)
     core = _largest(sheet, valid, colour)
     rows = np.full((len(some), FIELDS), np.nan)
-    enough = np.flatnonzero(np.count_nonzero(core, axis=(1, 2)) >= _SMALLEST)
+    enough = np.flatnonzero(counts(core) >= _SMALLEST)
     if not enough.size:
         return rows
     if enough.size < len(some):

@@ -52,11 +52,18 @@ def _zones(core: Array, valid: Array) -> tuple[Array, Array, Array]:
 
     flat = core.reshape(-1, core.shape[2])
     inner = cv2.erode(flat | (1 - valid).reshape(flat.shape), _ERODE).reshape(core.shape) & core
-    few = np.count_nonzero(inner, axis=(1, 2)) < _FEWEST
+    few = counts(inner) < _FEWEST
     inner[few] = core[few]
     grown = cv2.dilate(flat, _GROW)
     outer = valid & (1 - cv2.dilate(grown, _CLEAR).reshape(core.shape))
     return inner, grown.reshape(core.shape) & valid, outer
+
+
+def counts(where: Array) -> Array:
+    """How many of each square's pixels (K,S,S) uint8 are not 0: (K,)."""
+    import cv2
+
+    return np.array([cv2.countNonZero(each) for each in where])
 
 
 @lru_cache(maxsize=64)
