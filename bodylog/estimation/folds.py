@@ -7,8 +7,9 @@ import numpy as np
 
 from ..types import Array
 
-SHORTEST = 96
-OVERLAP = 32
+FEW = 5000
+"""Instants up to which stretches are short and overlap: a short log wants many of them, side by side."""
+SHORT, OVERLAP = 96, 32
 LONG = 128
 
 
@@ -81,11 +82,12 @@ class Fold:
 
 
 def fold_for(events: int, over: int | None = None) -> Fold:
-    """About as many stretches as instants in each, so that neither numpy calls nor restarts dominate.
+    """More stretches than instants in each, four times at the most, so that numpy calls do not dominate.
 
     A long stretch needs no overlap: what it hands over has long forgotten where it began.
     """
-    own = max(SHORTEST, int(np.ceil(np.sqrt(events))))
-    over = (0 if own >= LONG else OVERLAP) if over is None else over
+    long = events > FEW
+    own = max(LONG, int(np.ceil(np.sqrt(events) / 2))) if long else max(SHORT, int(np.ceil(np.sqrt(events))))
+    over = (0 if long else OVERLAP) if over is None else over
     count = -(-events // own)
     return Fold(events, own, over if count > 1 else 0, count)

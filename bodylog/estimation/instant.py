@@ -47,9 +47,12 @@ class Memory:
 
 def hear(
     dynamics: Dynamics, z: Array, p: Array, dt: float, encoders: Array, encoder_var: Array, sights: Sequence[Sight],
-    remember: bool = False,
+    remember: bool = False, resting: float = RESTING,
 ) -> tuple[Readings, Trace]:  # fmt: skip
-    """Move z (K,), p (K,K) by dt and hear encoders (M,), NaN where silent, and sights; what came of it."""
+    """Move z (K,), p (K,K) by dt and hear encoders (M,), NaN where silent, and sights; what came of it.
+
+    `resting` (rad) is how little the point of linearisation may still move.
+    """
     m = len(encoders)
     x = z[:m] + dt * z[m : 2 * m]
     for iteration in range(ITERATIONS):
@@ -57,7 +60,7 @@ def hear(
         trace = scan(readings, dynamics, z[:, None], p[:, :, None], remember)
         move = trace.z[0, :m, 0] - x
         x = x + (move if iteration < HASTY else 0.5 * move)
-        if not any(np.isfinite(s.value).all() for s in sights) or np.abs(move).max() < RESTING:
+        if not any(np.isfinite(s.value).all() for s in sights) or np.abs(move).max() < resting:
             break
     return readings, trace
 

@@ -5,10 +5,12 @@ from dataclasses import fields, replace
 import numpy as np
 
 from .folds import Fold
-from .instant import Memory, Sight, hear
+from .instant import RESTING, Memory, Sight, hear
 from .laplace import Problem, Solution, encoder_rows, prior
 from .scan import Readings, Trace
 
+ROUGHLY = 1e-3
+"""rad: near enough for a path that is only to be linearised along first."""
 GAP = 1.0
 """s: a joint silent for longer cannot be guessed from its own readings."""
 
@@ -28,12 +30,12 @@ def led(problem: Problem) -> Problem:
     """The problem with a path to linearise along first, where the encoders do not give one."""
     if not silent(problem):
         return problem
-    solution = walk(problem)
+    solution = walk(problem, resting=ROUGHLY)
     return replace(problem, path=(problem.timeline.t, solution.trace.z[:, : len(problem.start), 0]))
 
 
-def walk(problem: Problem, remember: bool = False) -> Solution:
-    """The filter's solution as one single stretch, each instant linearised until it rests."""
+def walk(problem: Problem, remember: bool = False, resting: float = RESTING) -> Solution:
+    """The filter's solution as one single stretch, each instant linearised until it moves less than `resting` rad."""
     line, m = problem.timeline, len(problem.start)
     encoders, var = encoder_rows(problem)
     rows = [np.full(len(line.t), -1) for _ in line.sightings]
@@ -43,7 +45,7 @@ def walk(problem: Problem, remember: bool = False) -> Solution:
     z, p = prior(problem)
     for k, dt in enumerate(np.diff(line.t, prepend=line.t[0])):
         sights = _sights(problem, [int(row[k]) for row in rows], memory)
-        steps.append(hear(problem.dynamics, z, p, dt, encoders[k], var[k], sights, remember))
+        steps.append(hear(problem.dynamics, z, p, dt, encoders[k], var[k], sights, remember, resting))
         z, p = steps[-1][1].z[0, :, 0], steps[-1][1].p[0, :, :, 0]
         memory = [sight.seen_at(z[:m]) for sight in sights]
     readings, trace = _joined([r for r, _ in steps]), _joined_traces([t for _, t in steps])

@@ -18,9 +18,9 @@ def rmse(found, world):
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("encoder_hz", [50.0, 400.0])
-def test_on_a_linear_body_it_is_the_kalman_filter(world, reference, linear_model, seed, encoder_hz):
-    drawn = world(seed, duration=6.0, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
+@pytest.mark.parametrize(("encoder_hz", "duration"), [(50.0, 6.0), (400.0, 6.0), (400.0, 16.0)])
+def test_on_a_linear_body_it_is_the_kalman_filter(world, reference, linear_model, seed, encoder_hz, duration):
+    drawn = world(seed, duration=duration, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
     found = estimate(drawn.features, drawn.body, replace(MODEL, rate=None))
     expected = reference(drawn, np.full(3, 0.3), np.full(3, 0.02**2), 0.4**2)
     at = np.searchsorted(expected.t, found.joints.t)
