@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from .. import memory
 from ..errors import UsageError
 from . import work
 from .jobs import Job
@@ -40,11 +41,20 @@ def _client(scheduler: str, workers: int) -> "Client":
         raise UsageError(f"--scheduler {scheduler}: nothing answers there; type: tcp://HOST:PORT or local") from err
 
 
+def do(job: Job) -> Row:
+    """One job on a worker, which Dask tells to give memory back at once: bodylog asks for the same again and again."""
+    import cv2
+
+    memory.keep()
+    cv2.setNumThreads(1)
+    return work.run(job)
+
+
 def _gather(client: "Client", jobs: Sequence[Job]) -> Iterator[Row]:
     from distributed import as_completed
 
     # pure=False: the work lies in files, so an equal call is still a call to make.
-    futures = {client.submit(work.run, job, pure=False, retries=TRIES): job for job in jobs}
+    futures = {client.submit(do, job, pure=False, retries=TRIES): job for job in jobs}
     for future in as_completed(list(futures)):
         if future.status == "finished":
             yield future.result()

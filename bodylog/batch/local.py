@@ -7,7 +7,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from .. import stores
+from .. import memory, stores
 from ..errors import BodylogError
 from . import work
 from .jobs import Job
@@ -125,7 +125,11 @@ def _worker(pipe: Connection) -> None:
     """Do what comes through the pipe until it closes."""
     import signal
 
+    import cv2
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    memory.keep()
+    cv2.setNumThreads(1)
     while True:
         try:
             job = pipe.recv()

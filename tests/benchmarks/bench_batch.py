@@ -3,6 +3,7 @@
 `python -m tests.benchmarks.bench_batch scale` measures what docs/scale.md says, a thousand tiny logs among it.
 """
 
+import contextvars
 import io
 import shutil
 import sys
@@ -15,6 +16,7 @@ import bodylog_cli
 
 from bodylog import pipeline, present
 from bodylog.batch import Group, Plan, batch
+from bodylog.perception.colour import THREADS
 from bodylog.settings import Settings
 
 LOGS = 16
@@ -77,6 +79,12 @@ def _estimate(work: Path, log: str = "reach") -> float:
 
 
 def _once(work: Path, log: str) -> None:
+    """On one core, as in a batch."""
+    contextvars.copy_context().run(_alone, work, log)
+
+
+def _alone(work: Path, log: str) -> None:
+    THREADS.set(1)
     pipeline.estimate(work / f"{log}.mcap", work / "body.npz", work / "alone.mcap", Settings())
     present.report(work / "alone.mcap", work / "alone.html", Settings())
 
