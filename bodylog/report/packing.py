@@ -16,7 +16,7 @@ BUDGET = 130_000
 
 _MOST, _LEAST = 4000, 60
 _TICKS = 2**32 - 1
-_DANGEROUS = {"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"}
+_DANGEROUS = str.maketrans({"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"})
 
 
 def most_points(panels: Sequence[Panel]) -> int:
@@ -42,7 +42,7 @@ def marks(features: Features | None, estimate: Estimate | None) -> list[dict[str
 def embedded(values: Any) -> str:
     """JSON that no parser of HTML mistakes for a tag, an entity or the end of a line; the same for the same values."""
     text = json.dumps(values, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":"))
-    return "".join(_DANGEROUS.get(c, c) for c in text)
+    return text.translate(_DANGEROUS)
 
 
 def _span(duration: float, panels: Sequence[Panel]) -> list[float]:
