@@ -42,7 +42,8 @@ LEVELS: dict[str, Callable[[np.random.Generator], Array]] = {"one": _one, "all":
 
 
 def _run(lab: Lab, seed: int) -> Trial:
-    lab = replace(lab, shapes={"marker": "blue"})
+    # vision is all there is: at half the size what is left of a still disc's centre would be the joints' error
+    lab = replace(lab, shapes={"marker": "blue"}, size=(640, 480))
     heard = lab.heard("wrong-start", seed, duration=2.0, variant="all", marker=True)
     presets = {"printed": "paper", "ours": "default"}
     explored: dict[str, Any] = {"variant": "four", "marker": True, "duration": LONGER * lab.exploration}
