@@ -34,7 +34,7 @@ def _client(scheduler: str, workers: int) -> "Client":
     except ImportError as err:
         raise UsageError("--scheduler needs Dask; type: pip install 'bodylog[dask]'") from err
     if scheduler == "local":
-        return Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None))
+        return Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"))
     try:
         return Client(scheduler, timeout="5s")
     except (OSError, ValueError, TimeoutError) as err:

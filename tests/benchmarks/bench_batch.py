@@ -104,7 +104,8 @@ def _on_cluster(work: Path, logs: Path) -> float:
     """Two workers of a cluster that was there before, as on a cluster they are."""
     from distributed import Client, LocalCluster
 
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+    wanted = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
+    with LocalCluster(**wanted) as cluster, Client(cluster) as client:
         client.wait_for_workers(2)
         return _batch(work, logs, 2, cluster.scheduler_address)
 
