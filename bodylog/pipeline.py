@@ -2,17 +2,14 @@
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import gettempdir
 from typing import Any
 
-from . import __version__, stores
-from .errors import LogError, UsageError
+from . import __version__
+from .errors import EvidenceError, LogError, UsageError
 from .files import sha256
-from .settings import Settings, plain
+from .settings import Colours, Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
 
 Progress = Callable[[int], None]
@@ -37,52 +34,6 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
 
     sim.record(scenario, out, **options)
     return Result(out)
-
-
-def info(log: Path | str, settings: Settings) -> dict[str, Any]:
-    """What is in a log: topics, rates, roles, clocks; or in a body model (.npz): joints, senses, noise, provenance.
-
-    Of an MCAP behind a URL only what this needs is read.
-    """
-    from .logs import recording
-
-    if stores.is_url(str(log)):
-        return _info_remote(str(log), settings)
-    log = Path(log)
-    if log.suffix == ".npz":
-        return _info_body(log)
-    return recording.info(log, settings, settings.input.strict)
-
-
-def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
-    from .logs import containers, recording, sparse
-
-    size = stores.size(url)
-    head = stores.part(url, 0, min(size, 64)) if size else b""
-    if containers.is_mcap(head):
-        opened: AbstractContextManager[Path] = sparse.glimpse(stores.name_of(url), size, partial(stores.part, url))
-    else:
-        opened = stores.local(url, Path(gettempdir()))
-    with opened as path, stores.naming(path, url):
-        told = recording.info(path, settings, settings.input.strict)
-    findings = [{**said, "text": said["text"].replace(str(path), url)} for said in told["findings"]]
-    return told | {"path": url, "findings": findings}
-
-
-def _info_body(path: Path) -> dict[str, Any]:
-    from .body import model
-
-    learned = model.load(path)
-    return {
-        "path": str(path),
-        "format": "body",
-        "joints": list(learned.joints),
-        "senses": {name: list(sense.outputs) for name, sense in learned.senses.items()},
-        "noise": asdict(learned.noise),
-        "touch": asdict(learned.touch),
-        "provenance": dict(learned.provenance),
-        "findings": [],
-    }
 
 
 def observe(log: Path, settings: Settings, progress: Progress | None = None) -> tuple[Recording, Features]:
@@ -142,12 +93,24 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     learned = model.load(body)
     read, features = observe(log, settings, progress)
     found = infer(features, learned, settings)
+    _insist(log, found, features, settings)
     outgoing = _estimate_messages(read, features, found)
     provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)
     lost = annotate.annotate(log, outgoing, provenance, out)
     remarks = (*read.findings, *features.findings, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
     return Result(out, judge(found, read), health, remarks, dict(found.settings), found.faults)
+
+
+def _insist(log: Path, found: Estimate, features: Features, settings: Settings) -> None:
+    """EvidenceError when a track gave nothing though robot.toml names its camera or colour: named is not guessed."""
+    said = {"effector": settings.colours.effector != Colours().effector, **dict.fromkeys(settings.colours.shapes, True)}
+    for name, explicit in said.items():
+        used = found.used.get(name)
+        if used is not None and not used.used and (explicit or settings.topics.camera is not None):
+            seen = f"{name}: nothing usable in {used.seen} pictures of the camera or colour that robot.toml names"
+            told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
+            raise EvidenceError(f"{log}: {told}; or go on with the rest: --without {name}")
 
 
 def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:

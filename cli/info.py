@@ -13,12 +13,12 @@ from .options import ANYWHERE, Common, common_options
 @common_options
 def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
     """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
-    from bodylog import pipeline
+    from bodylog import inventory
 
     from .output import data
 
     chosen = common.settings()
-    found = [pipeline.info(log, chosen) for log in logs]
+    found = [inventory.info(log, chosen) for log in logs]
     if as_json:
         data(found)
     else:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bodylog import pipeline, stores
+from bodylog import inventory, stores
 from bodylog.errors import BodylogError, LogError, UsageError
 from bodylog.settings import Settings
 from tests.logs.writing import T0, Stream, write
@@ -74,8 +74,8 @@ def _named(told, path, url):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_a_glimpse_says_of_any_mcap_what_the_file_says(path):
     url = path.resolve().as_uri()
-    here = _told(lambda: pipeline.info(path, Settings()))
-    assert _told(lambda: pipeline.info(url, Settings())) == _named(here, str(path), url)
+    here = _told(lambda: inventory.info(path, Settings()))
+    assert _told(lambda: inventory.info(url, Settings())) == _named(here, str(path), url)
 
 
 def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
@@ -92,7 +92,7 @@ def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
         return part(url, start, end)
 
     monkeypatch.setattr(stores, "part", counted)
-    told = pipeline.info(log.as_uri(), Settings())
+    told = inventory.info(log.as_uri(), Settings())
     assert [topic["messages"] for topic in told["topics"]] == [48, 1]
     assert log.stat().st_size > 48 << 20
     assert sum(brought) < 4 << 20
@@ -104,7 +104,7 @@ def test_info_over_http_is_what_the_file_says_and_a_bag_is_fetched(served, robot
     bag = Path(__file__).parents[1] / "fixtures" / "containers" / "lz4.bag"
     shutil.copy(bag, folder / "lz4.bag")
     for path in folder.iterdir():
-        told, here = pipeline.info(f"{address}/{path.name}", Settings()), pipeline.info(path, Settings())
+        told, here = inventory.info(f"{address}/{path.name}", Settings()), inventory.info(path, Settings())
         assert told.pop("path") == f"{address}/{path.name}"
         here.pop("path")
         assert told == here
@@ -140,7 +140,7 @@ def test_what_a_store_cannot_give_is_one_line(served, tmp_path):
     _, address = served
     for url in (f"{address}/none.mcap", f"file://{tmp_path}/none.mcap", "quux://x/y.mcap", "http://127.0.0.1:1/y.mcap"):
         with pytest.raises((LogError, UsageError)) as caught:
-            pipeline.info(url, Settings())
+            inventory.info(url, Settings())
         assert url in str(caught.value)
         assert "\n" not in str(caught.value)
 

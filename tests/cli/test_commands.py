@@ -193,3 +193,16 @@ def test_what_was_found_is_exported_as_tables(tmp_path, bodylog, robot):
     typed = ("extract", robot / "reach.mcap", "-o", tmp_path / "features.mcap", "--csv", tmp_path / "tables")
     assert bodylog(*typed) == 0
     assert (tmp_path / "tables" / "tracks_effector.csv").read_text().startswith("t,u,v,std_u,std_v\n")
+
+
+def test_a_named_colour_never_seen_is_an_error_a_guessed_one_a_warning(tmp_path, robot, bodylog, capsys):
+    (tmp_path / "robot.toml").write_text('[colours]\neffector = "magenta"\n')
+    typed = ["estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap"]
+    named = [*typed, "--config", tmp_path / "robot.toml"]
+    assert bodylog(*named) == 65
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "effector: 'magenta' was never found" in last
+    assert "seen: green" in last
+    assert "--without effector" in last
+    assert not (tmp_path / "out.mcap").exists()
+    assert bodylog(*named, "--without", "effector") == 0

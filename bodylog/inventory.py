@@ -1,0 +1,57 @@
+"""What is in a file: a log here or behind a URL, or a body model."""
+
+from contextlib import AbstractContextManager
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from tempfile import gettempdir
+from typing import Any
+
+from . import stores
+from .settings import Settings
+
+
+def info(log: Path | str, settings: Settings) -> dict[str, Any]:
+    """What is in a log: topics, rates, roles, clocks; or in a body model (.npz): joints, senses, noise, provenance.
+
+    Of an MCAP behind a URL only what this needs is read.
+    """
+    from .logs import recording
+
+    if stores.is_url(str(log)):
+        return _info_remote(str(log), settings)
+    log = Path(log)
+    if log.suffix == ".npz":
+        return _info_body(log)
+    return recording.info(log, settings, settings.input.strict)
+
+
+def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
+    from .logs import containers, recording, sparse
+
+    size = stores.size(url)
+    head = stores.part(url, 0, min(size, 64)) if size else b""
+    if containers.is_mcap(head):
+        opened: AbstractContextManager[Path] = sparse.glimpse(stores.name_of(url), size, partial(stores.part, url))
+    else:
+        opened = stores.local(url, Path(gettempdir()))
+    with opened as path, stores.naming(path, url):
+        told = recording.info(path, settings, settings.input.strict)
+    findings = [{**said, "text": said["text"].replace(str(path), url)} for said in told["findings"]]
+    return told | {"path": url, "findings": findings}
+
+
+def _info_body(path: Path) -> dict[str, Any]:
+    from .body import model
+
+    learned = model.load(path)
+    return {
+        "path": str(path),
+        "format": "body",
+        "joints": list(learned.joints),
+        "senses": {name: list(sense.outputs) for name, sense in learned.senses.items()},
+        "noise": asdict(learned.noise),
+        "touch": asdict(learned.touch),
+        "provenance": dict(learned.provenance),
+        "findings": [],
+    }
