@@ -14,7 +14,7 @@ from bodylog.types import Array, Frame
 from tests.benchmarks.timing import side_by_side
 from tests.perception import scenes
 
-COUNT = 240
+COUNT = 600
 COLOURS = {"effector": "green", "hand": "red"}
 
 
