@@ -1,0 +1,100 @@
+"""The whole chain, raw log to annotated log, beside a script of the usual libraries and beside its limits.
+
+`python -m tests.benchmarks.bench_chain [jpeg] [raw] [raw-zstd] [command] [--keep FOLDER]`; without names: jpeg, raw,
+command. FOLDER keeps the logs for the next run.
+"""
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import cv2
+from mcap.writer import CompressionType
+
+from bodylog import pipeline
+from bodylog.body import model as models
+from bodylog.settings import Settings
+from bodylog.types import Array
+from tests.benchmarks import chain_log, chain_peer
+from tests.benchmarks.bench_annotate import _and_remove, _synced_copy
+from tests.benchmarks.timing import side_by_side
+
+SECONDS = 60.0
+THREADS = 2
+BOUNDS = {"jpeg": 6.0, "raw": 7.0, "raw-zstd": 7.0}
+REPEATS = 3
+
+
+def main() -> None:
+    """Print times, ratios and the bounds they are held to."""
+    typed = sys.argv[1:] if sys.argv[0].endswith("bench_chain.py") else []
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        if "--keep" in typed:
+            work = Path(typed.pop(typed.index("--keep") + 1))
+            typed.remove("--keep")
+            work.mkdir(exist_ok=True)
+        if not (work / "body.npz").exists():
+            chain_log.learn(work / "body.npz")
+        for name in typed or ["jpeg", "raw", "command"]:
+            command(work) if name == "command" else whole(work, name)
+
+
+def whole(work: Path, kind: str) -> None:
+    """A minute of robot with a camera of that kind."""
+    log, body, out = work / f"{kind}.mcap", work / "body.npz", work / "out.mcap"
+    if not log.exists():
+        chain_log.record(log, kind, SECONDS)
+    packed = CompressionType.NONE if kind == "raw" else CompressionType.ZSTD
+    cases: dict[str, Callable[[], object]] = {
+        "bodylog estimate": lambda: pipeline.estimate(log, body, out, Settings()),
+        "bodylog estimate, a fresh process": lambda: _command(log, body, out),
+        "mcap, mcap_ros2, OpenCV, numpy": lambda: chain_peer.run(log, models.load(body), out, packed),
+        "limit: copying the log, synced": lambda: _synced_copy(log, out),
+    }
+    cases = {name: partial(_and_remove, case, out) for name, case in cases.items()}
+    if kind == "jpeg":
+        jpegs = chain_log.jpegs(log)
+        cases[f"limit: decoding the JPEGs alone, {THREADS} threads"] = partial(_decode, jpegs)
+    took = side_by_side(f"{SECONDS:.0f} s, {kind}, {log.stat().st_size / 1e6:.0f} MB", cases, REPEATS)
+    ours, fresh, peer, copy, *decode = took.values()
+    print(f"  the peer: {peer / ours:.1f} x our time (bound {BOUNDS[kind]:g}), {peer / fresh:.1f} x a fresh process's")
+    print(f"  {SECONDS / ours:.0f} x real time, {ours / copy:.1f} x a copy")
+    for alone in decode:
+        print(f"  {ours / alone:.2f} x decoding alone, {fresh / alone:.2f} x by a fresh process (bound 2)")
+
+
+def command(work: Path) -> None:
+    """The command on ten minutes whose tracks are in the log, against the estimation alone."""
+    log, body, out = work / "tracks.mcap", work / "body.npz", work / "out.mcap"
+    if not log.exists():
+        chain_log.record_features(log, 600.0, 100.0)
+    learned, settings = models.load(body), Settings()
+    _, features = pipeline.observe(log, settings)
+    cases: dict[str, Callable[[], object]] = {
+        "the loop": partial(pipeline.infer, features, learned, settings),
+        "bodylog estimate": lambda: pipeline.estimate(log, body, out, settings),
+        "bodylog estimate, a fresh process": lambda: _command(log, body, out),
+        "python -c pass": lambda: subprocess.run([sys.executable, "-c", "pass"], check=True),
+    }
+    loop, inside, fresh, _ = side_by_side("10 minutes at 100 Hz, tracks in the log", cases, REPEATS).values()
+    print(f"  beside the loop {inside - loop:.2f} s, as a command {fresh - loop:.2f} s (bound 0.6)")
+
+
+def _command(log: Path, body: Path, out: Path) -> None:
+    typed = ["estimate", str(log), "--body", str(body), "-o", str(out)]
+    subprocess.run([sys.executable, "-m", "bodylog_cli", *typed], check=True, capture_output=True)
+
+
+def _decode(jpegs: list[Array]) -> None:
+    with ThreadPoolExecutor(THREADS) as pool:
+        for _ in pool.map(lambda jpeg: cv2.imdecode(jpeg, cv2.IMREAD_COLOR).shape, jpegs):
+            pass
+
+
+if __name__ == "__main__":
+    main()
