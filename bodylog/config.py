@@ -128,6 +128,10 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
         )
     if (section, key) == ("synchrony", "clock_offset") and isinstance(value, str) and value != "auto":
         raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto or a number of seconds")
+    if (section, key) == ("topics", "camera") and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):
+        raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must be a topic, or several different ones")
+    if (section, key) == ("colours", "shapes") and (bad := next((name for name in value if "/" in name), None)):
+        raise ConfigError(f"{where}: {section}.{key} names {bad!r}; a feature's name has no /, which ends a camera's")
     if section == "colours":
         for colour in value.values() if key == "shapes" else [value]:
             _colour(colour, f"{where}: {section}.{key}")

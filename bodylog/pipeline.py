@@ -77,6 +77,8 @@ def fit(
     known = None if update is None else model.load(update)
     observed = [observe(log, settings, progress) for log in logs]
     features = [found for _, found in observed]
+    for log, found in zip(logs, features, strict=True):
+        _insist(log, {n: h for n, h in found.health.items() if n.split("/")[-1] == "effector"}, found, settings)
     provenance = _provenance(logs, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     learned = body.learn(features, settings, provenance, known)
     model.save(learned.model, out)
@@ -93,7 +95,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     learned = model.load(body)
     read, features = observe(log, settings, progress)
     found = infer(features, learned, settings)
-    _insist(log, found, features, settings)
+    _insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     outgoing = _estimate_messages(read, features, found)
     provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)
     lost = annotate.annotate(log, outgoing, provenance, out)
@@ -102,15 +104,17 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     return Result(out, judge(found, read), health, remarks, dict(found.settings), found.faults)
 
 
-def _insist(log: Path, found: Estimate, features: Features, settings: Settings) -> None:
+def _insist(
+    log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
+) -> None:
     """EvidenceError when a track gave nothing though robot.toml names its camera or colour: named is not guessed."""
     said = {"effector": settings.colours.effector != Colours().effector, **dict.fromkeys(settings.colours.shapes, True)}
-    for name, explicit in said.items():
-        used = found.used.get(name)
-        if used is not None and not used.used and (explicit or settings.topics.camera is not None):
+    for name, used in used_of.items():
+        explicit = said.get(name.split("/")[-1])
+        if explicit is not None and not used.used and (explicit or settings.topics.cameras):
             seen = f"{name}: nothing usable in {used.seen} pictures of the camera or colour that robot.toml names"
             told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
-            raise EvidenceError(f"{log}: {told}; or go on with the rest: --without {name}")
+            raise EvidenceError(f"{log}: {told}{instead.format(name)}")
 
 
 def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
@@ -180,14 +184,19 @@ def count(log: Path) -> int:
 def _feature_messages(read: Recording, features: Features) -> list[Outgoing]:
     from .logs import messages
 
-    return messages.from_features(features, read.start_ns, read.roles.get("camera"))
+    return messages.from_features(features, read.start_ns, read.roles.get("camera"), _views(read))
 
 
 def _estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
     from .logs import messages
 
-    camera = read.roles.get("camera")
-    return [*_feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns, camera)]
+    topics = read.roles.get("camera"), _views(read)
+    return [*_feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns, *topics)]
+
+
+def _views(read: Recording) -> dict[str, str]:
+    """The topics of the cameras beside the first, by name."""
+    return {role.removeprefix("camera/"): path for role, path in read.roles.items() if role.startswith("camera/")}
 
 
 def _something_seen(log: Path, features: Features) -> None:

@@ -12,16 +12,22 @@ Colour = str | Mapping[str, tuple[int, int, int]]
 class Topics:
     """[topics]: which topic plays which role, with a message path where a field must be named; None is guessed.
 
-    `camera` may be a video file beside the log: then `start` is the time of its first frame (s since epoch; None: the
-    first joint) and `rate` its frames per second (None: as the file says).
+    `camera` may be several, the first of which names its tracks plainly. One may be a video file beside the log: then
+    `start` is the time of its first frame (s since epoch; None: the first joint) and `rate` its frames per second
+    (None: as the file says).
     """
 
     joints: str | None = None
-    camera: str | None = None
+    camera: str | tuple[str, ...] | None = None
     skin: str | None = None
     truth: str | None = None
     start: float | None = None
     rate: float | None = None
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras named, the first one first; none when they are to be guessed."""
+        return (self.camera,) if isinstance(self.camera, str) else self.camera or ()
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,10 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One log: signals, and frames() as a lazy iterator in time order; `features` if the log already carries them."""
+    """One log: signals, and frames() as a lazy iterator in time order; `features` if the log already carries them.
+
+    `views` {name: frames} are the cameras beside the first; what they show is named name/feature.
+    """
 
     name: str
     format: str
@@ -183,6 +186,7 @@ class Recording:
     features: Features | None
     health: Mapping[str, Health]
     findings: tuple[Finding, ...] = ()
+    views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
 
 
 class ForwardModel(Protocol):

@@ -24,6 +24,13 @@ def test_file_overrides_defaults_and_command_line_overrides_file(tmp_path):
     assert isinstance(settings.estimate.rate, float)
 
 
+def test_cameras_are_one_or_many_and_printed_as_they_were_given(tmp_path):
+    assert load(None).topics.cameras == ()
+    assert load(_file(tmp_path, "[topics]\ncamera = '/a'\n")).topics.cameras == ("/a",)
+    many = load(_file(tmp_path, "[topics]\ncamera = ['/a', '/b']\n"))
+    assert many.topics.cameras == ("/a", "/b") and load(_file(tmp_path, toml(many))) == many
+
+
 def test_colours_take_a_name_or_ranges_and_shapes_a_table_of_them(tmp_path):
     text = '[colours]\neffector = {low = [50, 80, 80], high = [70, 255, 255]}\nshapes = {elbow = "blue"}\n'
     colours = load(_file(tmp_path, text)).colours
@@ -37,6 +44,9 @@ def test_colours_take_a_name_or_ranges_and_shapes_a_table_of_them(tmp_path):
         ("[topic]\njoints = '/j'", "did you mean topics"),
         ("[body]\njoint = ['a']", "did you mean joints"),
         ("[body]\njoints = 3", "must be a list"),
+        ("[topics]\ncamera = []", "topics.camera is \\[\\]; it must be a topic, or several different ones"),
+        ("[topics]\ncamera = ['/a', '/a']", "several different ones"),
+        ("[colours]\nshapes = {'side/elbow' = 'blue'}", "names 'side/elbow'; a feature's name has no /"),
         ("[body]\njoints = [3]", "must be a list"),
         ("[body]\nunit = 'degrees'", "did you mean deg"),
         ("[colours]\nhand = 'puce'", "possible: blue"),

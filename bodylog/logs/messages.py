@@ -1,7 +1,7 @@
 """What we write into a log: features and estimates as ready messages, each beside the message that caused it."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,13 +14,17 @@ ROOT = "/bodylog/"
 TRACK = ROOT + "track/"
 PREDICTED = ROOT + "predicted/"
 ERROR = ROOT + "prediction_error/"
+ANNOTATIONS = ROOT + "annotations"
 TRACK_NAMES = ("u", "v", "std_u", "std_v")
 PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
 
 
+_ILLEGAL = re.compile(r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])")
+
+
 def escape(name: str) -> str:
-    """`name` as one segment of a topic name: what ROS does not allow there becomes _x<hex>_."""
-    return re.sub(r"^[0-9]|[^A-Za-z0-9_]|_(?=x[0-9a-f]+_)", lambda m: f"_x{ord(m[0]):x}_", name)
+    """`name`, whose / part it, as the end of a topic name: what ROS does not allow there becomes _x<hex>_."""
+    return _ILLEGAL.sub(lambda m: f"_x{ord(m[0]):x}_", name)
 
 
 def unescape(segment: str) -> str:
@@ -28,10 +32,16 @@ def unescape(segment: str) -> str:
     return re.sub(r"_x([0-9a-f]+)_", lambda m: chr(int(m[1], 16)), segment)
 
 
-def from_features(features: Features, start_ns: int, camera: str | None) -> list[Outgoing]:
-    """Tracks, sightings, touches and synchrony; `camera` is the frame_id of what lies in the picture."""
-    frame = camera or ""
-    out = [_track(name, track, start_ns, frame) for name, track in features.tracks.items()]
+def from_features(
+    features: Features, start_ns: int, camera: str | None, views: Mapping[str, str] | None = None
+) -> list[Outgoing]:
+    """Tracks, sightings, touches and synchrony; `camera` is the frame_id of what lies in the first one's pictures.
+
+    `views` {camera's name: frame_id} is for the tracks camera/feature.
+    """
+    frames = {"": camera or "", **(views or {})}
+    frame = frames[""]
+    out = [_track(name, track, start_ns, frames.get(_camera(name), "")) for name, track in features.tracks.items()]
     for name in ("effector", "hand"):
         if name in features.tracks:
             out.append(_points(ROOT + name, features.tracks[name], start_ns, frame))
@@ -41,9 +51,15 @@ def from_features(features: Features, start_ns: int, camera: str | None) -> list
     return out
 
 
-def from_estimate(estimate: Estimate, features: Features | None, start_ns: int, camera: str | None) -> list[Outgoing]:
-    """Belief, covariance, errors, predictions, faults, and the overlay of what was seen and what was predicted."""
-    frame, joints = camera or "", estimate.joints
+def from_estimate(
+    estimate: Estimate,
+    features: Features | None,
+    start_ns: int,
+    camera: str | None,
+    views: Mapping[str, str] | None = None,
+) -> list[Outgoing]:
+    """Belief, covariance, errors, predictions, faults, and each camera's overlay of what was seen and predicted."""
+    frames, joints = {"": camera or "", **(views or {})}, estimate.joints
     out = [
         from_joints(ROOT + "joint_states", joints, start_ns, estimate.rate.values),
         _named(ROOT + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
@@ -53,16 +69,27 @@ def from_estimate(estimate: Estimate, features: Features | None, start_ns: int, 
     if estimate.bias is not None:
         out.append(_named(ROOT + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
     for name, series in estimate.predicted.items():
+        frame = frames.get(_camera(name), "")
         out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, frame))
     if "effector" in estimate.predicted:
-        out.append(_points(ROOT + "effector_predicted", estimate.predicted["effector"], start_ns, frame))
+        out.append(_points(ROOT + "effector_predicted", estimate.predicted["effector"], start_ns, frames[""]))
     if estimate.faults:
         out.append(_faults(estimate.faults, joints, start_ns))
-    seen = features.tracks if features is not None else {}
-    if seen or estimate.predicted:
-        times, payloads = overlay.annotations(seen, estimate.predicted, estimate.predicted_cov, start_ns)
-        out.append(_outgoing(ROOT + "annotations", "foxglove_msgs/msg/ImageAnnotations", times, payloads))
-    return out
+    return [*out, *_overlays(estimate, features.tracks if features is not None else {}, start_ns)]
+
+
+def _camera(name: str) -> str:
+    """The camera of a track camera/feature; "" is the first one."""
+    return name.rpartition("/")[0]
+
+
+def _overlays(estimate: Estimate, tracks: Mapping[str, Series], start_ns: int) -> Iterator[Outgoing]:
+    for camera in sorted({_camera(name) for name in (*tracks, *estimate.predicted)}):
+        seen = {name: track for name, track in tracks.items() if _camera(name) == camera}
+        predicted = {name: series for name, series in estimate.predicted.items() if _camera(name) == camera}
+        times, payloads = overlay.annotations(seen, predicted, estimate.predicted_cov, start_ns)
+        topic = "/".join(filter(None, (ANNOTATIONS, escape(camera))))
+        yield _outgoing(topic, "foxglove_msgs/msg/ImageAnnotations", times, payloads)
 
 
 def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:

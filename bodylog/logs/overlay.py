@@ -27,7 +27,8 @@ def annotations(
     tracks = [*seen.values(), *predicted.values()]
     times, first = np.unique(np.concatenate([track.source_ns for track in tracks]), return_index=True)
     stamp = start_ns + np.rint(np.concatenate([track.t for track in tracks])[first] * 1e9).astype(np.int64)
-    circles: list[_Circle] = [(_COLOURS.get(name, _OTHER), 16.0, _at(times, track)) for name, track in seen.items()]
+    inks = {name: _COLOURS.get(name.rpartition("/")[2], _OTHER) for name in seen}
+    circles: list[_Circle] = [(inks[name], 16.0, _at(times, track)) for name, track in seen.items()]
     circles += [(_PREDICTED, 8.0, _at(times, track)) for track in predicted.values()]
     loops = [_at(times, series, _ellipse(series, cov[name])) for name, series in predicted.items() if name in cov]
     return times, _grouped(stamp, circles, loops)

@@ -12,7 +12,7 @@ from . import roles, video
 from .containers import Log, open_log
 from .streams import Stream, health, joints_of, remarks, series, streams
 
-_OURS = "/bodylog/"
+_OURS, _VIEW = "/bodylog/", "camera/"
 
 
 def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
@@ -22,22 +22,25 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         heard, silent = streams(log, found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
-        findings = (*log.findings, *silent, *_findings(log, heard))
-    sidecar = _sidecar(path, settings)
+        findings = (*log.findings, *silent, *_findings(log, heard, settings))
+    sidecars = _sidecars(path, settings)
+    named = {key: said for key, said in roles.cameras(settings.topics).items() if key in sidecars}
+    films = _films(path, strict, heard, sidecars, settings, start_ns)
     return Recording(
         name=path.name,
         format=log.format,
         start_ns=start_ns,
         duration_s=_duration(heard, log),
         topics=log.topics,
-        roles={role: stream.role.path for role, stream in heard.items()} | _said(sidecar, settings),
+        roles={role: stream.role.path for role, stream in heard.items()} | named,
         joints=series(heard.get("joints"), start_ns, "rad"),
         skin=series(heard.get("skin"), start_ns, "0..1"),
         truth=series(heard.get("truth"), start_ns, "rad"),
-        frames=_frames(path, strict, heard.get("camera"), sidecar, settings, start_ns),
+        frames=films.get("camera"),
         features=features,
-        health={stream.role.topic: health(stream) for stream in heard.values()} | _seen(sidecar),
+        health={stream.role.topic: health(stream) for stream in heard.values()} | _seen(sidecars),
         findings=findings,
+        views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
     )
 
 
@@ -50,7 +53,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
             found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
             heard, silent = streams(log, found, settings, str(path))
             found = {role: stream.role for role, stream in heard.items()}
-            remarked = (*silent, *_findings(log, heard))
+            remarked = (*silent, *_findings(log, heard, settings))
         except BodylogError as error:
             remarked = (Finding("warning", str(error).removeprefix(f"{path}: ")),)
         spans = _spans(log, heard)
@@ -99,30 +102,32 @@ def _duration(heard: Mapping[str, Stream], log: Log) -> float:
     return (max(int(stream.dated.t_ns[-1]) for stream in heard.values()) - first) / 1e9
 
 
-def _sidecar(path: Path, settings: Settings) -> video.Sidecar | None:
-    said = settings.topics.camera
-    return video.find(str(said), path, settings.topics) if roles.is_video("camera", said) else None
+def _sidecars(path: Path, settings: Settings) -> dict[str, video.Sidecar]:
+    said = roles.cameras(settings.topics).items()
+    return {key: video.find(name, path, settings.topics) for key, name in said if roles.is_video("camera", name)}
 
 
-def _said(sidecar: video.Sidecar | None, settings: Settings) -> dict[str, str]:
-    return {"camera": str(settings.topics.camera)} if sidecar else {}
+def _seen(sidecars: Mapping[str, video.Sidecar]) -> dict[str, Health]:
+    return {one.path.name: Health(one.frames, one.frames, {}, 1 / one.rate) for one in sidecars.values()}
 
 
-def _seen(sidecar: video.Sidecar | None) -> dict[str, Health]:
-    return {sidecar.path.name: Health(sidecar.frames, sidecar.frames, {}, 1 / sidecar.rate)} if sidecar else {}
-
-
-def _frames(
-    path: Path, strict: bool, stream: Stream | None, sidecar: video.Sidecar | None, settings: Settings, start_ns: int
-) -> Callable[[], Iterator[Frame]] | None:
-    if sidecar is not None:
-        start = settings.topics.start
-        first_s = 0.0 if start is None else (round(start * 1e9) - start_ns) / 1e9
-        return video.frames(sidecar, first_s, start_ns)
-    if stream is None:
-        return None
-    t_ns = stream.dated.t_ns
-    return camera.frames(path, strict, stream.role.topics, stream.counts, stream.rows, t_ns, start_ns)
+def _films(
+    path: Path,
+    strict: bool,
+    heard: Mapping[str, Stream],
+    sidecars: Mapping[str, video.Sidecar],
+    settings: Settings,
+    start_ns: int,
+) -> dict[str, Callable[[], Iterator[Frame]]]:
+    """The pictures of every camera, by its role."""
+    start = settings.topics.start
+    first_s = 0.0 if start is None else (round(start * 1e9) - start_ns) / 1e9
+    beside = {key: video.frames(sidecar, first_s, start_ns) for key, sidecar in sidecars.items()}
+    return beside | {
+        key: camera.frames(path, strict, s.role.topics, s.counts, s.rows, s.dated.t_ns, start_ns)
+        for key, s in heard.items()
+        if s.role.role == "camera"
+    }
 
 
 def _features(log: Log, start_ns: int) -> Features | None:
@@ -133,8 +138,9 @@ def _features(log: Log, start_ns: int) -> Features | None:
     return read_features(log, start_ns)
 
 
-def _findings(log: Log, heard: Mapping[str, Stream]) -> tuple[Finding, ...]:
-    advice = roles.advice({role: stream.role for role, stream in heard.items()})
+def _findings(log: Log, heard: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
+    found = {role: stream.role for role, stream in heard.items()}
+    advice, more = roles.advice(found), roles.unused_cameras(log.topics, settings.topics, found)
     said = [Finding("info", f"roles, ready for robot.toml: {advice}")] if heard else []
     broken = [Finding("warning", f"{text}; not considered for any role") for text in roles.unreadable(log.topics)]
-    return (*said, *broken, *(finding for stream in heard.values() for finding in remarks(stream)))
+    return (*said, *more, *broken, *(finding for stream in heard.values() for finding in remarks(stream)))

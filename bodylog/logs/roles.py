@@ -4,10 +4,11 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 
-from ..errors import BodylogError, LogError
+from ..errors import BodylogError, ConfigError, LogError
 from ..settings import Topics
-from ..types import Topic
+from ..types import Finding, Topic
 from . import images
 from .columns import definition_of
 from .definitions import PRIMITIVES, Definition
@@ -24,6 +25,7 @@ _TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)", re.IGNORECASE)
 _TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
 _COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
 _DEPTH = re.compile(r"depth|disparity|mask|segment", re.IGNORECASE)
+_PICTURE = re.compile(r"(/(image\w*|compressed|raw))+$", re.IGNORECASE)
 _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
 
 
@@ -55,24 +57,58 @@ def roles(
     """
     found = {}
     for role in ROLES:
-        said = getattr(settings, role)
-        if said is None:
+        said = cameras(settings) if role == "camera" else {role: getattr(settings, role)}
+        if not any(said.values()):
             guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
             found.update({role: guessed} if guessed else {})
-        elif not is_video(role, said):
-            found[role] = _named(role, said, topics, name)
+        else:
+            found.update({key: _named(role, s, topics, name) for key, s in said.items() if not is_video(role, s)})
     return found
 
 
-def is_video(role: str, said: str | None) -> bool:
+def cameras(settings: Topics) -> dict[str, str]:
+    """What robot.toml names as cameras: the first by "camera", others by "camera/NAME"; ConfigError for equal names."""
+    found: dict[str, str] = {}
+    for said in settings.cameras:
+        key = f"camera/{camera_name(said)}" if found else "camera"
+        if key in found:
+            both = f"{found[key]!r} and {said!r}"
+            raise ConfigError(f"[topics] camera: {both} would both be called {camera_name(said)!r}; leave one out")
+        found[key] = said
+    return found
+
+
+def camera_name(said: str) -> str:
+    """A camera's name: its topic without what only says that it is a picture, or its video's without the suffix."""
+    if is_video("camera", said):
+        return PurePath(said).stem
+    return _PICTURE.sub("", said).strip("/") or said.strip("/")
+
+
+def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
+    """That a log has more cameras than the one guessed, and what to type to use them."""
+    if settings.cameras or "camera" not in found:
+        return ()
+    ranked = sorted(topic.name for topic in topics if _is_raw(topic) and _camera_rank(topic) is not None)
+    by_name = {camera_name(topic): topic for topic in reversed(ranked)} | {camera_name(found["camera"].path): ""}
+    others = sorted(topic for topic in by_name.values() if topic)
+    if not others:
+        return ()
+    first = found["camera"].path
+    said = f"camera: {first} is used, {', '.join(others)} not; for more, type: [topics] camera = "
+    return (Finding("info", said + json.dumps([first, *others])),)
+
+
+def is_video(role: str, said: str) -> bool:
     """Whether a camera setting names a video file."""
-    return role == "camera" and said is not None and said.lower().endswith(VIDEOS)
+    return role == "camera" and said.lower().endswith(VIDEOS)
 
 
 def advice(found: Mapping[str, Role]) -> str:
     """The roles as one line ready to paste into robot.toml."""
-    lines = ", ".join(f"{role} = {json.dumps(found[role].path)}" for role in ROLES if role in found)
-    return f"topics = {{ {lines} }}"
+    paths = {role: [one.path for one in found.values() if one.role == role] for role in ROLES}
+    lines = (f"{role} = {json.dumps(said if len(said) > 1 else said[0])}" for role, said in paths.items() if said)
+    return f"topics = {{ {', '.join(lines)} }}"
 
 
 def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], int]) -> Sequence[Topic]:

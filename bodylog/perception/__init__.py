@@ -43,8 +43,18 @@ def _tracks(
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]:
     if recording.frames is None:
         return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),)
-    return colour.track(recording.frames, _wanted(settings.colours), progress, settings.colours.fast)
+    fast = settings.colours.fast
+    tracks, health, findings = colour.track(recording.frames, _wanted(settings.colours), progress, fast)
+    for camera, frames in recording.views.items():
+        more = colour.track(frames, _beside(settings.colours, camera), progress, fast)
+        tracks, health, findings = tracks | more[0], health | more[1], findings + more[2]
+    return tracks, health, findings
 
 
 def _wanted(colours: Colours) -> Mapping[str, Colour]:
     return {"effector": colours.effector, "hand": colours.hand, **colours.shapes}
+
+
+def _beside(colours: Colours, camera: str) -> Mapping[str, Colour]:
+    """What a camera beside the first looks for: what is on the arm; touches are compared with the first's hand."""
+    return {f"{camera}/{name}": colour for name, colour in _wanted(colours).items() if name != "hand"}

@@ -172,6 +172,6 @@ def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float],
     shares = {other: share for other, share in instead.items() if share >= _NOTABLE}
     others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in shares.items())
     free = next((other for other in shares if other not in taken), None)
-    hint = f"; type: [colours] {name} = \"{free}\"" if free else ""
+    hint = f"; type: [colours] {name.rpartition('/')[2]} = \"{free}\"" if free else ""
     severity = "info" if name == "hand" else "warning"
     return Finding(severity, f"{name}: {wanted} was never found in {count} pictures; seen: {others or 'none'}{hint}")

@@ -9,10 +9,11 @@ _ASSETS = Path(__file__).parent / "assets"
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm: joints as in its URDF, home and swing (rad, one per joint), moving joints, camera relative to home.
+    """One arm: joints as in its URDF, home and swing (rad, one per joint), moving joints, cameras relative to home.
 
-    `swing` is the half range a wide exploration uses; `camera` is the camera's place (m) seen from the end
-    effector at home, in the base frame; `marker` is the link at whose origin a blue ball can sit.
+    `swing` is the half range a wide exploration uses; `camera` and `side` are the places (m) of the head's camera and
+    of one at the side, seen from the end effector at home, in the base frame; `marker` is the link at whose origin a
+    blue ball can sit.
     """
 
     urdf: Path
@@ -22,6 +23,7 @@ class Arm:
     moving: tuple[int, ...]
     elbow: int
     camera: tuple[float, float, float]
+    side: tuple[float, float, float]
     marker: str
 
 
@@ -41,6 +43,7 @@ ARMS: dict[str, Arm] = {
         moving=(0, 1, 2),
         elbow=2,
         camera=(0.20, -1.12, 0.38),
+        side=(1.05, -0.10, 0.45),
         marker="wrist_2_link",
     ),
     "seven": Arm(
@@ -51,6 +54,7 @@ ARMS: dict[str, Arm] = {
         moving=(0, 1, 2, 3, 4, 5, 6),
         elbow=3,
         camera=(-0.50, 1.00, 0.50),
+        side=(1.00, 0.40, 0.45),
         marker="link_6",
     ),
 }

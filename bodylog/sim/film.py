@@ -1,4 +1,4 @@
-"""The camera's stream: pictures with what is true at their stamps."""
+"""The cameras' streams: pictures with what is true at their stamps."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,14 +8,25 @@ import numpy as np
 from ..types import Array
 from . import camera as cameras
 from . import messages
-from .stage import FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
+from .stage import FRAME, SIDE_FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
 from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS
 
 _CAMERA_HZ = 20.0
-_OFFSET_NS = 7_000_000
 _QUALITY = 90
 _WHOLE = 0.99
 _SLIDE = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """One camera: its topics begin with `under`, those of its truth with `truth`; its clock and its chance."""
+
+    camera: cameras.Camera
+    under: str
+    truth: str
+    frame: str
+    offset_ns: int
+    stream: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,75 +51,89 @@ class _Card:
 
 
 def camera_items(stage: Stage) -> Iterator[Item]:
-    """Pictures, CameraInfo, /tf, and the truth: effector pose, and the pixel of each thing wholly in sight."""
-    rng = stage.chance(3)
-    wall, noise = cameras.background(stage.camera, rng), cameras.grain(stage.camera, rng)
-    card = _card(stage)
+    """The head's: pictures, CameraInfo, /tf, and the truth: effector pose, and the pixel of each thing in sight."""
+    return _film(stage, _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3), _card(stage))
+
+
+def side_items(stage: Stage) -> Iterator[Item]:
+    """The same of the camera at the side, if there is one, at instants of its own; it sees past the card."""
+    if stage.side is None:
+        return iter(())
+    return _film(stage, _View(stage.side, "/side", "/truth/side", SIDE_FRAME, 29_000_000, 4), None)
+
+
+def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
+    rng = stage.chance(view.stream)
+    wall, noise = cameras.background(view.camera, rng), cameras.grain(view.camera, rng)
     shot: _Shot | None = None
-    for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, _OFFSET_NS):
+    for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
         t = stamps / 1e9
         q, hands = stage.wish.plan.motion.position(t), seen_hand(stage, t)
         for row, log in enumerate(late(stamps, 8.0, 14.0, rng)):
             if shot is None or not np.array_equal(shot.q, q[row]):
-                shot = _shoot(stage, q[row], wall)
-            picture, seen = _compose(stage, shot, hands[row], card, t[row])
+                shot = _shoot(stage, view.camera, q[row], wall)
+            picture, seen = _compose(stage, view, shot, hands[row], card, t[row])
             picture = cameras.expose(picture, noise, rng)
-            yield from _items(stage, shot, int(stamps[row]) + START_NS, int(log), picture, seen)
+            yield from _items(stage, view, shot, int(stamps[row]) + START_NS, int(log), picture, seen)
 
 
-def _shoot(stage: Stage, q: Array, wall: Array) -> _Shot:
+def _shoot(stage: Stage, camera: cameras.Camera, q: Array, wall: Array) -> _Shot:
     places, turns = stage.world.pose(q)
-    return _Shot(q, places, turns, *stage.world.picture(stage.camera, wall))
+    return _Shot(q, places, turns, *stage.world.picture(camera, wall))
 
 
-def _compose(stage: Stage, shot: _Shot, place: Array, card: _Card | None, t: float) -> tuple[Array, dict[str, Array]]:
+def _compose(
+    stage: Stage, view: _View, shot: _Shot, place: Array, card: _Card | None, t: float
+) -> tuple[Array, dict[str, Array]]:
     """The picture at t, and the pixel of each thing that is wholly in sight."""
     picture, depth = shot.picture.copy(), shot.depth.copy()
     if card is not None:
         _cover(picture, depth, card, t)
     seen = {}
-    for topic, centre, radius, colour in _things(stage, shot, place):
-        if cameras.sphere(picture, depth, stage.camera, centre, radius, np.array(colour)) > _WHOLE:
-            seen[topic] = cameras.ellipse_centre(stage.camera, centre[None], radius)[0]
+    for topic, centre, radius, colour in _things(stage, view, shot, place):
+        if cameras.sphere(picture, depth, view.camera, centre, radius, np.array(colour)) > _WHOLE:
+            seen[topic] = cameras.ellipse_centre(view.camera, centre[None], radius)[0]
     return picture, seen
 
 
-def _things(stage: Stage, shot: _Shot, place: Array) -> list[tuple[str, Array, float, cameras.Colour]]:
+def _things(
+    stage: Stage, view: _View, shot: _Shot, place: Array
+) -> list[tuple[str, Array, float, cameras.Colour]]:
     """The coloured spheres (topic of its truth, centre, radius, colour), nearest first."""
     links = stage.world.links
-    things = [("/truth/effector_pixel", shot.places[links.index("effector")], EFFECTOR_RADIUS, cameras.GREEN)]
+    things = [(f"{view.truth}/effector_pixel", shot.places[links.index("effector")], EFFECTOR_RADIUS, cameras.GREEN)]
     if stage.wish.marker:
         ball = shot.places[links.index(stage.wish.arm.marker)]
-        things.append(("/truth/marker_pixel", ball, MARKER_RADIUS, cameras.BLUE))
+        things.append((f"{view.truth}/marker_pixel", ball, MARKER_RADIUS, cameras.BLUE))
     if not np.isnan(place).any():
-        things.append(("/truth/hand_pixel", place, HAND_RADIUS, cameras.RED))
-    return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1] - stage.camera.position)))
+        things.append((f"{view.truth}/hand_pixel", place, HAND_RADIUS, cameras.RED))
+    return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1] - view.camera.position)))
 
 
 def _items(
-    stage: Stage, shot: _Shot, stamp: int, log: int, picture: Array, seen: dict[str, Array]
+    stage: Stage, view: _View, shot: _Shot, stamp: int, log: int, picture: Array, seen: dict[str, Array]
 ) -> Iterator[Item]:
-    view = stage.camera
-    yield Item(log, stamp, stage.image_topic, _image(stage, stamp, picture))
-    info = messages.camera_info(stamp, FRAME, view.width, view.height, view.focal, view.centre)
-    yield Item(log, stamp, "/camera/camera_info", info)
+    camera = view.camera
+    yield Item(log, stamp, stage.topic(view.under), _image(stage.wish.image, view.frame, stamp, picture))
+    info = messages.camera_info(stamp, view.frame, camera.width, camera.height, camera.focal, camera.centre)
+    yield Item(log, stamp, f"{view.under}/camera_info", info)
     frames = list(zip(stage.world.links, shot.places, shot.turns, strict=True))
-    frames.append((FRAME, view.position, _quaternion(view.rotation.T)))
+    frames.append((view.frame, camera.position, _quaternion(camera.rotation.T)))
     yield Item(log, stamp, "/tf", messages.transforms(stamp, frames))
     link = stage.world.links.index("effector")
     yield Item(log, stamp, "/truth/effector_pose", messages.pose(stamp, shot.places[link], shot.turns[link]))
     for topic, uv in seen.items():
-        yield Item(log, stamp, topic, messages.pixel(stamp, FRAME, uv))
+        yield Item(log, stamp, topic, messages.pixel(stamp, view.frame, uv))
 
 
-def _image(stage: Stage, stamp: int, picture: Array) -> object:
+def _image(form: str, frame: str, stamp: int, picture: Array) -> object:
     import cv2
 
-    if stage.wish.image == "raw":
-        return messages.raw(stamp, FRAME, picture)
+    if form == "raw":
+        return messages.raw(stamp, frame, picture)
     options = [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
     jpeg = cv2.imencode(".jpg", cv2.cvtColor(picture, cv2.COLOR_RGB2BGR), options)[1]
-    return messages.compressed(stamp, FRAME, jpeg.ravel())
+    return messages.compressed(stamp, frame, jpeg.ravel())
 
 
 def _quaternion(rotation: Array) -> Array:

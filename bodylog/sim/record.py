@@ -10,7 +10,7 @@ import numpy as np
 from .. import files
 from ..errors import UsageError
 from .arms import ARMS
-from .film import camera_items
+from .film import camera_items, side_items
 from .plan import Plan, Request, choose, unknown
 from .scenarios import SCENARIOS
 from .stage import Stage, Wish, open_stage
@@ -34,12 +34,14 @@ def record(
     variant: str | None = None,
     place: str | None = None,
     marker: bool = False,
+    cameras: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> None:
     """Write `scenario` to `out`, the same bytes for the same arguments; UsageError when one of them is not possible.
 
     duration (s), noise (encoders, rad), variant and place are the scenario's own when None; size in px; `marker` puts
-    a blue ball on the arm, for a second visual sense; `progress` is told how many more pictures are done.
+    a blue ball on the arm, for a second visual sense; `cameras` is 2 for one at the side beside the head's; `progress`
+    is told how many more pictures the head's has taken.
     """
     plan, length = _plan(scenario, seed, duration, full, arm, variant, place)
     if image not in _IMAGES:
@@ -48,7 +50,8 @@ def record(
     _check("height", size[1], 48, 4096)
     wished = plan.noise if noise is None else noise
     _check("noise", wished, 0.0, 10.0)
-    wish = Wish(scenario, ARMS[arm], plan, length, seed, size, wished, image, marker)
+    _check("cameras", cameras, 1, 2)
+    wish = Wish(scenario, ARMS[arm], plan, length, seed, size, wished, image, marker, cameras)
     with files.replacing(out) as beside, open_stage(wish) as stage:
         _write(beside, stage, progress)
 
@@ -90,7 +93,7 @@ def _fill(writer: Any, stage: Stage, progress: Callable[[int], None] | None) -> 
     from .messages import store
 
     channels: dict[str, tuple[int, int]] = {}
-    streams = (encoder_items, skin_items, camera_items, event_items)
+    streams = (encoder_items, skin_items, camera_items, side_items, event_items)
     for item in heapq.merge(*(stream(stage) for stream in streams), key=lambda item: item.log_ns):
         kind = item.message.__msgtype__
         if item.topic not in channels:
@@ -120,4 +123,4 @@ def _settings(wish: Wish) -> dict[str, str]:
         "noise_rad": repr(wish.noise),
         "arm": wish.arm.urdf.stem,
         "marker": str(wish.marker).lower(),
-    }
+    } | ({"cameras": str(wish.cameras)} if wish.cameras > 1 else {})

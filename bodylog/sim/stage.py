@@ -22,7 +22,7 @@ from .world import World, open_world
 START_NS = 1_767_225_600 * 1_000_000_000
 """2026-01-01T00:00:00Z: every recording starts here."""
 
-FRAME = "camera_optical_frame"
+FRAME, SIDE_FRAME = "camera_optical_frame", "side_optical_frame"
 _BLOCK = 1000
 _ASIDE = np.array([0.017, 0.0, 0.03])
 
@@ -39,7 +39,10 @@ class Item:
 
 @dataclass(frozen=True)
 class Wish:
-    """What is to be recorded: scenario and its plan, duration s, picture size px, encoder noise rad, marker or not."""
+    """What is to be recorded: scenario and its plan, duration s, picture size px, encoder noise rad, marker or not.
+
+    `cameras` is 1 for the head's alone, 2 for one at the side as well.
+    """
 
     scenario: str
     arm: Arm
@@ -50,21 +53,27 @@ class Wish:
     noise: float
     image: str
     marker: bool
+    cameras: int
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """All that the streams share; `column` is the column of skin cells the hand touches."""
+    """All that the streams share; `column` is the column of skin cells the hand touches; `side` sees, or is None."""
 
     wish: Wish
     world: World
     camera: Camera
     column: int
+    side: Camera | None
 
     @property
     def image_topic(self) -> str:
-        """The topic of the pictures."""
-        return "/camera/image/compressed" if self.wish.image == "jpeg" else "/camera/image"
+        """The topic of the head's pictures."""
+        return self.topic("/camera")
+
+    def topic(self, under: str) -> str:
+        """The topic of the pictures of the camera whose topics are `under` that."""
+        return f"{under}/image/compressed" if self.wish.image == "jpeg" else f"{under}/image"
 
     def chance(self, stream: int) -> np.random.Generator:
         """The random numbers of one stream; 0 is the scenario's."""
@@ -77,10 +86,12 @@ def open_stage(wish: Wish) -> Iterator[Stage]:
     with open_world(wish.arm) as world:
         places, turns = world.pose(np.array(wish.arm.home))
         target = places[world.links.index("effector")]
-        camera = cameras.look(target + wish.arm.camera, target + _ASIDE, wish.size)
+        camera, side = (
+            cameras.look(target + place, target + _ASIDE, wish.size) for place in (wish.arm.camera, wish.arm.side)
+        )
         link = world.links.index("skin")
         column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
-        yield Stage(wish, world, camera, column)
+        yield Stage(wish, world, camera, column, side if wish.cameras > 1 else None)
 
 
 def matrix(xyzw: Array) -> Array:

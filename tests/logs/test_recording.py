@@ -395,3 +395,25 @@ def info_or_error(log: Path) -> str:
         return json.dumps(info(log, PLAIN))
     except BodylogError as error:
         return str(error)
+
+
+def test_every_named_camera_is_dated_by_its_own_stamps_and_read_on_its_own(tmp_path):
+    every, late = 40 * MS, 13 * MS
+    shots = {"/head/image": (0, range(10, 60, 10)), "/side/image": (late, range(100, 180, 10))}
+    films = []
+    for topic, (first, shades) in shots.items():
+        stamps = [(T0 + first + i * every, np.full((8, 8, 3), shade, np.uint8)) for i, shade in enumerate(shades)]
+        films.append(camera(topic, [(t + 20 * MS, compressed(t, image)) for t, image in stamps]))
+    log = write(tmp_path / "a.mcap", [joints("/j", moves(20)), *films])
+    got = read(log, settings(topics=Topics(camera=tuple(shots))))
+    assert got.frames is not None and list(got.views) == ["side"]
+    assert (got.roles["camera"], got.roles["camera/side"]) == tuple(shots)
+    for film, (first, shades) in zip((got.frames, got.views["side"]), shots.values(), strict=True):
+        frames = list(film())
+        np.testing.assert_allclose([f.t for f in frames], (first + every * np.arange(len(shades))) / 1e9)
+        assert [int(f.image[0, 0, 0]) for f in frames] == list(shades)
+    assert got.health["/side/image"].used == 8
+    assert not read(log, PLAIN).views
+    silent = write(tmp_path / "b.mcap", [joints("/j", moves(20)), films[0], camera("/side/image", [])])
+    with pytest.raises(LogError, match="no usable message on /side/image: it is empty"):
+        read(silent, settings(topics=Topics(camera=tuple(shots))))

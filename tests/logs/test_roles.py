@@ -4,8 +4,8 @@ import tomllib
 
 import pytest
 
-from bodylog.errors import LogError
-from bodylog.logs.roles import advice, roles, unreadable
+from bodylog.errors import ConfigError, LogError
+from bodylog.logs.roles import advice, camera_name, roles, unreadable, unused_cameras
 from bodylog.settings import Topics
 from bodylog.types import Topic
 
@@ -137,3 +137,38 @@ def test_the_advice_is_toml_that_says_the_same():
 def test_several_schemas_of_one_topic_are_read_together():
     found = roles(topics(("/a", JOINTS, 5), ("/a", JOINTS, 7), ("/a", FLOATS, 7)), Topics(), "x.mcap")
     assert [topic.messages for topic in found["joints"].topics] == [5, 7]
+
+
+CAMERAS = (("/head/image_raw", IMAGE, 30), ("/side/image_raw", IMAGE, 20), ("/side/image_raw/compressed", COMPRESSED))
+
+
+def test_several_cameras_are_named_by_their_topics_and_the_first_is_the_camera():
+    named = Topics(camera=("/side/image_raw", "/head/image_raw"))
+    found = roles(topics(*CAMERAS), named, "x.mcap")
+    assert {key: role.path for key, role in found.items()} == {
+        "camera": "/side/image_raw", "camera/head": "/head/image_raw"
+    }  # fmt: skip
+    assert tomllib.loads(advice(found)) == {"topics": {"camera": ["/side/image_raw", "/head/image_raw"]}}
+    with pytest.raises(LogError, match="there is no topic '/top/image'; possible: /head/image_raw, /side/image_raw"):
+        roles(topics(*CAMERAS), Topics(camera=("/side/image_raw", "/top/image")), "x.mcap")
+    again = Topics(camera=("/head/image_raw", "/side/image_raw", "/side/image_raw/compressed"))
+    with pytest.raises(ConfigError, match="would both be called 'side'"):
+        roles(topics(*CAMERAS), again, "x.mcap")
+
+
+@pytest.mark.parametrize(("said", "name"), [
+    ("/side/image", "side"), ("/cameras/left/image_rect_color/compressed", "cameras/left"), ("/side", "side"),
+    ("/image", "image"), ("films/side.MP4", "side"), ("/imager", "imager"),
+])  # fmt: skip
+def test_a_camera_is_called_what_its_topic_says_beside_that_it_is_a_picture(said, name):
+    assert camera_name(said) == name
+
+
+def test_further_cameras_are_pointed_out_when_one_was_guessed():
+    found = roles(topics(*CAMERAS), Topics(), "x.mcap")
+    (finding,) = unused_cameras(topics(*CAMERAS), Topics(), found)
+    typed = 'type: [topics] camera = ["/head/image_raw", "/side/image_raw"]'
+    assert found["camera"].path == "/head/image_raw"
+    assert finding.text == f"camera: /head/image_raw is used, /side/image_raw not; for more, {typed}"
+    assert not unused_cameras(topics(*CAMERAS), Topics(camera="/head/image_raw"), found)
+    assert not unused_cameras(topics(*CAMERAS[1:]), Topics(), roles(topics(*CAMERAS[1:]), Topics(), "x.mcap"))

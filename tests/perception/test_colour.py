@@ -320,3 +320,26 @@ def test_the_yellow_disc_is_tracked_in_every_real_picture() -> None:
     settings = Settings(colours=Colours(effector="yellow"))
     health = observe(read(path, settings), settings).health["effector"]
     assert health.used == health.seen == 30
+
+
+def test_further_cameras_look_for_what_is_on_the_arm_and_name_it_by_camera() -> None:
+    head = scenes.frames(T[:10], _film([[Disc(u, v, 6.0)] for u, v in PATH[:10]], 0))
+    pictures = _film([[Disc(v, u, 6.0), Disc(30.0, 30.0, 7.0, scenes.YELLOW)] for u, v in PATH[:10]], 1, 240, 320)
+    side = scenes.frames(T[:10] + 0.01, pictures)
+    settings = Settings(colours=Colours(shapes={"elbow": "yellow"}))
+    alone = observe(scenes.recording(head), settings)
+    both = observe(replace(scenes.recording(head), views={"side": side}), settings)
+    assert list(both.tracks) == ["effector", "hand", "elbow", "side/effector", "side/elbow"]
+    assert np.array_equal(both.tracks["effector"].values, alone.tracks["effector"].values)
+    seen = both.tracks["side/effector"]
+    assert np.allclose(seen.t, T[:10] + 0.01) and np.allclose(seen.values, PATH[:10, ::-1], atol=0.5)
+    assert both.health["side/elbow"].used == 10
+    blind = observe(replace(scenes.recording(head), views={"side": lambda: iter(())}), settings)
+    assert blind.tracks["side/effector"].values.shape == (0, 2)
+
+
+def test_a_colour_a_further_camera_never_saw_is_told_with_its_name_and_the_setting_to_type() -> None:
+    pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
+    _, _, (finding,) = colour.track(pictures, {"side/effector": "green"})
+    assert finding.text.startswith("side/effector: 'green' was never found in 5 pictures")
+    assert finding.text.endswith('type: [colours] effector = "yellow"')

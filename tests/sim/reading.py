@@ -35,12 +35,12 @@ def read(path):
     return dict(topics)
 
 
-def pictures(topics):
+def pictures(topics, camera="/camera"):
     """(stamp, BGR) of every frame."""
-    if "/camera/image" in topics:
-        rows = topics["/camera/image"]
+    if f"{camera}/image" in topics:
+        rows = topics[f"{camera}/image"]
         return [(row.t, row.message.data.reshape(row.message.height, row.message.width, 3)[..., ::-1]) for row in rows]
-    return [(row.t, cv2.imdecode(row.message.data, cv2.IMREAD_COLOR)) for row in topics["/camera/image/compressed"]]
+    return [(row.t, cv2.imdecode(row.message.data, cv2.IMREAD_COLOR)) for row in topics[f"{camera}/image/compressed"]]
 
 
 def pixels(topics, topic):

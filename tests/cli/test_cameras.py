@@ -1,0 +1,79 @@
+"""Two cameras on the command line: recorded, learned, used, written, shown; and what is said when one is blind."""
+
+import json
+
+import pytest
+
+BOTH = '[topics]\ncamera = ["/camera/image/compressed", "/side/image/compressed"]\n'
+
+
+@pytest.fixture(scope="module")
+def watched(tmp_path_factory, bodylog):
+    """A folder with explore.mcap and reach.mcap of two cameras, both.toml, and a body of one camera and of both."""
+    folder = tmp_path_factory.mktemp("watched")
+    (folder / "both.toml").write_text(BOTH)
+    for scenario, name, seed, seconds in (("babble", "explore", 1, 20), ("reach", "reach", 11, 8)):
+        where = ("-o", folder / f"{name}.mcap", "--size", "160x120", "--cameras", 2)
+        assert bodylog("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
+    assert bodylog("fit", folder / "explore.mcap", "-o", folder / "one.npz") == 0
+    typed = ("--config", folder / "both.toml")
+    assert bodylog("fit", folder / "explore.mcap", "-o", folder / "two.npz", *typed) == 0
+    return folder
+
+
+def _said(capsys, bodylog, *arguments):
+    capsys.readouterr()
+    assert bodylog(*arguments, "--json") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def _estimated(capsys, bodylog, folder, body, out, *typed):
+    result = _said(capsys, bodylog, "estimate", folder / "reach.mcap", "--body", folder / body, "-o", out, *typed)
+    return {score["name"]: score["value"] for score in result["scores"]}
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
+def test_two_cameras_know_more_than_one(tmp_path, capsys, bodylog, watched, method):
+    typed, both = ("--method", method), ("--config", watched / "both.toml")
+    one = _estimated(capsys, bodylog, watched, "one.npz", tmp_path / "1.mcap", *typed)
+    two = _estimated(capsys, bodylog, watched, "two.npz", tmp_path / "2.mcap", *typed, *both)
+    assert two["joint_rmse"] <= (1.02 if method == "predictive-coding" else 0.85) * one["joint_rmse"]
+    if method == "laplace":
+        assert 0.7 <= two["nees"] <= 1.6 and 0.5 <= two["error_squared/side/effector"] <= 1.5
+
+
+def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, bodylog, watched):
+    out = tmp_path / "out.mcap"
+    _estimated(capsys, bodylog, watched, "two.npz", out, "--config", watched / "both.toml")
+    (said,) = _said(capsys, bodylog, "info", out, "--config", watched / "both.toml")
+    counts = {topic["topic"]: topic["messages"] for topic in said["topics"]}
+    assert said["roles"]["camera"] == "/camera/image/compressed"
+    assert said["roles"]["camera/side"] == "/side/image/compressed"
+    assert counts["/bodylog/track/side/effector"] == 160
+    for topic in ("predicted/side/effector", "prediction_error/side/effector"):
+        assert 150 <= counts[f"/bodylog/{topic}"] <= 160
+    assert counts["/bodylog/annotations"] == counts["/bodylog/annotations/side"] == 160
+    assert "/bodylog/track/side/hand" not in counts
+    again = tmp_path / "again.mcap"
+    assert bodylog("estimate", out, "--body", watched / "two.npz", "-o", again) == 0
+    first, second = (_said(capsys, bodylog, "evaluate", log) for log in (out, again))
+    assert first["scores"] == second["scores"]
+
+
+def test_a_log_with_more_cameras_than_the_one_guessed_says_what_to_type(capsys, bodylog, watched):
+    (said,) = _said(capsys, bodylog, "info", watched / "reach.mcap")
+    assert said["roles"]["camera"] == "/camera/image/compressed" and "camera/side" not in said["roles"]
+    (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
+    assert text.endswith('type: ' + BOTH.strip().replace("\n", " "))
+
+
+def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_path, capsys, bodylog, watched):
+    (tmp_path / "blind.toml").write_text(BOTH + '[colours]\neffector = "magenta"\n')
+    for typed in (
+        ("fit", watched / "explore.mcap", "-o", tmp_path / "body.npz"),
+        ("estimate", watched / "reach.mcap", "--body", watched / "two.npz", "-o", tmp_path / "out.mcap"),
+    ):
+        capsys.readouterr()
+        assert bodylog(*typed, "--config", tmp_path / "blind.toml") == 65
+        error = capsys.readouterr().err.strip()
+        assert "\n" not in error and "effector: 'magenta' was never found in" in error and "seen: green" in error
