@@ -56,7 +56,8 @@ def layout(log: Path, out: Path, settings: Settings) -> Result:
 
     distinct(log, out)
     read = recording.read(log, settings, settings.input.strict)
-    viewer.write(out, topic_of(read, "camera"), annotated.read_estimate(log, read.start_ns))
+    found = annotated.read_estimate(log, read.start_ns)
+    viewer.write(out, topic_of(read, "camera"), found, {name: _topic(read, name) for name in read.views})
     return Result(out)
 
 
@@ -104,9 +105,14 @@ def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None
 def _companion(log: Path, read: Recording, found: Estimate | None) -> Callable[[Path, str], None]:
     from .report import companion
 
-    topic = topic_of(read, "camera")
-    camera = None if topic is None else companion.Camera(topic, _frame_id(log, topic))
-    return partial(companion.write, camera=camera, features=read.features, estimate=found, truth=read.truth)
+    topics = {name: _topic(read, name) for name in ("", *read.views)}
+    cameras = {name: companion.Camera(topic, _frame_id(log, topic)) for name, topic in topics.items() if topic}
+    return partial(companion.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
+
+
+def _topic(read: Recording, camera: str) -> str:
+    """The topic of a camera's pictures, by its name; "" for a video's."""
+    return topic_of(read, f"camera/{camera}".strip("/")) or ""
 
 
 def _frame_id(log: Path, topic: str) -> str:

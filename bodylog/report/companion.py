@@ -3,7 +3,7 @@
 Everything is laid out over `message_log_time`, as Rerun lays out the messages of an MCAP.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,20 +30,22 @@ class Camera:
 
 
 def write(
-    out: Path, identity: str, camera: Camera | None, features: Features | None, estimate: Estimate | None,
+    out: Path, identity: str, cameras: Mapping[str, Camera], features: Features | None, estimate: Estimate | None,
     truth: Series | None,
 ) -> None:  # fmt: skip
-    """Write the companion of the recording `identity` to `out` (.rrd), with the layout of a window."""
+    """Write the companion of the recording `identity` to `out` (.rrd), with the layout of a window.
+
+    `cameras` are called as before the last / of their tracks' names: the first "".
+    """
     import rerun
 
     stream = rerun.RecordingStream(ROOT, recording_id=identity, send_properties=False)
     stream.save(out)
-    if camera is not None:
-        _overlay(stream, camera, features, estimate)
+    _overlay(stream, cameras, features, estimate)
     if estimate is not None:
         _belief(stream, estimate, truth)
     _events(stream, features, estimate)
-    stream.send_blueprint(_window(camera, estimate))
+    stream.send_blueprint(_window(tuple(cameras.values()), estimate))
     stream.flush()
     stream.disconnect()
 
@@ -59,13 +61,16 @@ def _topic(topic: str) -> tuple[str, ...]:
     return tuple(part for part in topic.split("/") if part)
 
 
-def _overlay(stream: Any, camera: Camera, features: Features | None, estimate: Estimate | None) -> None:
-    """Points seen and predicted, and the prediction's 2-sigma ellipse, below the picture's own entity."""
-    tracks: Mapping[str, Series] = features.tracks if features else {}
-    for name, track in tracks.items():
-        _points(stream, camera, f"{name} seen", track, HAND if name == "hand" else SEEN)
-    predicted = estimate.predicted if estimate else {}
-    for name, track in predicted.items():
+def _overlay(
+    stream: Any, cameras: Mapping[str, Camera], features: Features | None, estimate: Estimate | None
+) -> None:
+    """Points seen and predicted, and the prediction's 2-sigma ellipse, below the entity of their camera's picture."""
+    for name, track in (features.tracks if features else {}).items():
+        if camera := cameras.get(name.rpartition("/")[0]):
+            _points(stream, camera, f"{name} seen", track, HAND if name == "hand" else SEEN)
+    for name, track in (estimate.predicted if estimate else {}).items():
+        if not (camera := cameras.get(name.rpartition("/")[0])):
+            continue
         _points(stream, camera, f"{name} predicted", track, PREDICTED)
         if estimate and name in estimate.predicted_cov:
             _ellipses(stream, camera, f"{name} predicted, 2 sigma", track, estimate.predicted_cov[name])
@@ -171,11 +176,11 @@ def _times(ns: Array) -> Any:
     return rerun.TimeColumn(TIME, timestamp=np.asarray(ns, np.int64).view("datetime64[ns]"))
 
 
-def _window(camera: Camera | None, estimate: Estimate | None) -> Any:
-    """The picture with its overlay, beside the belief, errors, free energy and events over the log's time."""
+def _window(cameras: Sequence[Camera], estimate: Estimate | None) -> Any:
+    """The pictures with its overlay, beside the belief, errors, free energy and events over the log's time."""
     import rerun.blueprint as rrb
 
-    picture = [rrb.Spatial2DView(origin=_path(*_topic(camera.topic)), name="picture")] if camera else []
+    pictures = [rrb.Spatial2DView(origin=_path(*_topic(camera.topic)), name="picture") for camera in cameras]
     plots = [
         rrb.TimeSeriesView(origin=_path(ROOT, "belief", name), name=f"{name}, rad")
         for name in (estimate.joints.names if estimate else ())
@@ -183,6 +188,6 @@ def _window(camera: Camera | None, estimate: Estimate | None) -> Any:
     if estimate is not None:
         plots.append(rrb.TimeSeriesView(origin=_path(ROOT, "errors"), name="errors, standard deviations"))
         plots.append(rrb.TimeSeriesView(origin=_path(ROOT, "energy"), name="free energy, nats"))
-    left = rrb.Vertical(*picture, rrb.TextLogView(origin=_path(ROOT, "events"), name="touches and faults"))
+    left = rrb.Vertical(*pictures, rrb.TextLogView(origin=_path(ROOT, "events"), name="touches and faults"))
     columns = rrb.Horizontal(left, rrb.Vertical(*plots))
     return rrb.Blueprint(columns, rrb.TimePanel(timeline=TIME), collapse_panels=True)

@@ -11,25 +11,32 @@ from ..types import Estimate
 ROOT = "/bodylog"
 
 
-def write(out: Path, camera: str | None, estimate: Estimate | None) -> None:
-    """Write the layout as JSON to `out`, for the camera topic and the joints and senses of `estimate`."""
+def write(
+    out: Path, camera: str | None, estimate: Estimate | None, views: Mapping[str, str] | None = None
+) -> None:
+    """Write the layout as JSON to `out`, for the camera topics and the joints and senses of `estimate`."""
     with replacing(out) as beside:
-        beside.write_text(json.dumps(layout(camera, estimate), indent=2) + "\n", encoding="utf-8")
+        beside.write_text(json.dumps(layout(camera, estimate, views), indent=2) + "\n", encoding="utf-8")
 
 
-def layout(camera: str | None, estimate: Estimate | None) -> dict[str, Any]:
-    """The layout's tree: panels by id, and how they share the window."""
+def layout(
+    camera: str | None, estimate: Estimate | None, views: Mapping[str, str] | None = None
+) -> dict[str, Any]:
+    """The layout's tree: panels by id, and how they share the window; `views`: topics of further cameras by name."""
     joints = estimate.joints.names if estimate else ()
     senses = {name: errors.names for name, errors in estimate.errors.items()} if estimate else {}
     panels: dict[str, Any] = {
         "Plot!belief": _plot([(_item("joint_states.position", k), name) for k, name in enumerate(joints)]),
         "Plot!errors": _plot(_errors(senses)),
         "Plot!free_energy": _plot([(f"{ROOT}/free_energy.data", "free energy, nats")]),
-        "Image!camera": _image(camera),
+        "Image!camera": _image(camera, f"{ROOT}/annotations"),
         "RawMessages!faults": {"topicPath": f"{ROOT}/faults"},
     }
     plots = _split("column", "Plot!belief", _split("column", "Plot!errors", "Plot!free_energy", 60), 45)
     picture = _split("column", "Image!camera", "RawMessages!faults", 75)
+    for name, topic in (views or {}).items():
+        panels[f"Image!{name}"] = _image(topic, f"{ROOT}/annotations/{name}")
+        picture = _split("column", f"Image!{name}", picture, 40)
     return {
         "configById": panels,
         "globalVariables": {},
@@ -58,9 +65,8 @@ def _plot(lines: Sequence[tuple[str, str]]) -> dict[str, Any]:
     return {"paths": paths, "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}
 
 
-def _image(camera: str | None) -> dict[str, Any]:
-    shown = {f"{ROOT}/annotations": {"visible": True}}
-    return {"imageMode": {"imageTopic": camera or "", "annotations": shown}}
+def _image(camera: str | None, annotations: str) -> dict[str, Any]:
+    return {"imageMode": {"imageTopic": camera or "", "annotations": {annotations: {"visible": True}}}}
 
 
 def _split(direction: str, first: Any, second: Any, share: int) -> dict[str, Any]:

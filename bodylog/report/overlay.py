@@ -45,17 +45,19 @@ def overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Arra
 def pictures(
     recording: Recording, features: Features | None, estimate: Estimate | None, count: int = 6
 ) -> tuple[Picture, ...]:
-    """`count` frames spread evenly over the log, with what was seen and predicted in them; () without a camera."""
-    if recording.frames is None:
-        return ()
+    """`count` frames of each camera, evenly over the log, with what was seen and predicted; () without a camera."""
+    films = {} if recording.frames is None else {"": recording.frames}
     wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
     drawn: list[Picture] = []
-    for frame in recording.frames():
-        if len(drawn) == count:
-            break
-        if frame.t >= wanted[len(drawn)]:
-            with suppress(FormatError):  # a damaged picture: health counts it, the next one is shown
-                drawn.append(_picture(frame.t, frame.image, features, estimate))
+    for camera, frames in (films | dict(recording.views)).items():
+        due = iter(wanted)
+        after = next(due)
+        for frame in frames():
+            if frame.t >= after:
+                with suppress(FormatError):  # a damaged picture: health counts it, the next one is shown
+                    drawn.append(_picture(camera, frame.t, frame.image, features, estimate))
+                    if (after := next(due, np.inf)) == np.inf:
+                        break
     return tuple(drawn)
 
 
@@ -92,14 +94,18 @@ def scaled(image: Array, width: int) -> Array:
     return cv2.resize(image, (width, height), interpolation=method)
 
 
-def _picture(t: float, image: Array, features: Features | None, estimate: Estimate | None) -> Picture:
+def _picture(
+    camera: str, t: float, image: Array, features: Features | None, estimate: Estimate | None
+) -> Picture:
+    at = f"{camera}/" if camera else ""
     tracks = features.tracks if features else {}
     predicted = estimate.predicted if estimate else {}
     covs = estimate.predicted_cov if estimate else {}
-    seen, hand = _at(tracks.get("effector"), t), _at(tracks.get("hand"), t)
-    mean, row = _at(predicted.get("effector"), t), _nearest(predicted.get("effector"), t)
-    cov = covs["effector"][row] if row is not None and "effector" in covs else None
-    said = f"{t:.2f} s · {'not seen' if seen is None else 'seen'}"
+    name = f"{at}effector"
+    seen, hand = _at(tracks.get(name), t), _at(tracks.get(f"{at}hand"), t)
+    mean, row = _at(predicted.get(name), t), _nearest(predicted.get(name), t)
+    cov = covs[name][row] if row is not None and name in covs else None
+    said = f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
     if seen is not None and mean is not None:
         said += f" · {np.hypot(*(seen - mean)):.1f} px apart"
     return Picture(t, _enlarged(image, seen, mean, cov, hand), said)

@@ -64,7 +64,7 @@ def test_a_log_with_more_cameras_than_the_one_guessed_says_what_to_type(capsys, 
     (said,) = _said(capsys, bodylog, "info", watched / "reach.mcap")
     assert said["roles"]["camera"] == "/camera/image/compressed" and "camera/side" not in said["roles"]
     (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
-    assert text.endswith('type: ' + BOTH.strip().replace("\n", " "))
+    assert text.endswith("type: " + BOTH.strip().replace("\n", " "))
 
 
 def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_path, capsys, bodylog, watched):
@@ -77,3 +77,14 @@ def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_pat
         assert bodylog(*typed, "--config", tmp_path / "blind.toml") == 65
         error = capsys.readouterr().err.strip()
         assert "\n" not in error and "effector: 'magenta' was never found in" in error and "seen: green" in error
+
+
+def test_the_page_and_the_layout_show_every_camera(tmp_path, capsys, bodylog, watched):
+    out, typed = tmp_path / "out.mcap", ("--config", watched / "both.toml")
+    _estimated(capsys, bodylog, watched, "two.npz", out, *typed)
+    assert bodylog("report", out, "-o", tmp_path / "page.html", *typed) == 0
+    page = (tmp_path / "page.html").read_text()
+    assert "side/effector u, px" in page and page.count("<figcaption>side · ") == 6
+    assert bodylog("layout", out, "-o", tmp_path / "layout.json", *typed) == 0
+    panels = json.loads((tmp_path / "layout.json").read_text())["configById"]
+    assert panels["Image!side"]["imageMode"]["imageTopic"] == "/side/image/compressed"

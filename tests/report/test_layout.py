@@ -10,7 +10,9 @@ def _panels(tree):
 
 
 def test_every_panel_shown_is_configured_and_every_configured_one_shown():
-    made = layout("/cam", None)
+    made = layout("/cam", None, {"side": "/side/image"})
+    side = made["configById"]["Image!side"]["imageMode"]
+    assert side["imageTopic"] == "/side/image" and list(side["annotations"]) == ["/bodylog/annotations/side"]
     assert _panels(made["layout"]) == set(made["configById"])
 
 

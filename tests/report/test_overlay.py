@@ -88,3 +88,12 @@ def test_a_sheet_of_nothing_or_of_another_kind_is_refused(tmp_path):
         overlay_sheet((), tmp_path / "a.png")
     with pytest.raises(UsageError, match=r"type: .*a\.png"):
         overlay_sheet(pictures(recording(), None, None, 1), tmp_path / "a.jpg")
+
+
+def test_every_cameras_pictures_are_shown_with_its_own_marks():
+    log, seen = recording(), features()
+    aside = replace(seen, tracks=seen.tracks | {"side/effector": seen.tracks["effector"]})
+    drawn = pictures(replace(log, views={"side": log.frames}), aside, estimate(), 3)
+    assert [p.caption.split(" · ")[0] for p in drawn[3:]] == ["side"] * 3 and len(drawn) == 6
+    assert "px apart" in drawn[0].caption and "px apart" not in drawn[3].caption  # nothing predicted for it
+    assert drawn[3].caption.endswith(" · seen")
