@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FormatError
-from ..types import Array, Recording, Topic
+from ..errors import FormatError, LogError
+from ..types import Array, Frame, Recording, Topic
 from . import cdr, images
 from .cdr import Field
 from .containers import open_log, payloads
-from .messages import stamps
+from .messages import escape, stamps
 from .objects import reader
 from .ros1 import converter, known_definition
 
@@ -29,6 +29,10 @@ class Kind(NamedTuple):
     definition: bytes
     form: str
 
+    def below(self, camera: str) -> "Kind":
+        """The same among another camera's topics."""
+        return self._replace(topic=self.topic.replace("/camera", camera, 1))
+
 
 class Picture(NamedTuple):
     """One picture: what it is, when (s since start_ns), its payload in CDR."""
@@ -38,22 +42,31 @@ class Picture(NamedTuple):
     payload: bytes
 
 
+Frames = Callable[[], Iterator[Frame]]
 _Convert = Callable[[bytes, int], bytes]
 """A payload and its stamp (ns) -> CDR."""
 
 
 def pictures(path: Path, recording: Recording) -> Iterator[Picture]:
-    """All pictures the recording accepts, in the order of its file; those of a video or in JSON are made anew."""
-    camera = recording.roles.get("camera", "")
-    topics = {t.id: t for t in recording.topics if camera == t.name or camera.startswith(f"{t.name}.")}
-    if recording.frames is None:
-        return iter(())
-    return _passed(path, recording, topics) if topics else _encoded(recording)
+    """All pictures the recording accepts, camera by camera, in the order of its file; those of a video are made anew.
+
+    The first camera's topic is /camera/image, another's /NAME/image, or as compressed. LogError where that is the same.
+    """
+    films = {"": recording.frames} if recording.frames is not None else {}
+    for name, frames in (films | dict(recording.views)).items():
+        under = f"/{escape(name)}" if name else "/camera"
+        if name and under == "/camera":
+            said = recording.roles["camera/camera"]
+            raise LogError(f"{path}: two cameras would be written as {RAW}; name {said} first in [topics] camera")
+        said = recording.roles.get(f"camera/{name}".strip("/"), "")
+        topics = {t.id: t for t in recording.topics if said == t.name or said.startswith(f"{t.name}.")}
+        found = _passed(path, recording, frames, topics) if topics else _encoded(recording, frames)
+        yield from (picture._replace(kind=picture.kind.below(under)) for picture in found)
 
 
-def _passed(path: Path, recording: Recording, topics: Mapping[int, Topic]) -> Iterator[Picture]:
+def _passed(path: Path, recording: Recording, frames: Frames, topics: Mapping[int, Topic]) -> Iterator[Picture]:
     accepted: dict[int, deque[float]] = {}
-    for frame in recording.frames() if recording.frames else ():
+    for frame in frames():
         accepted.setdefault(frame.source_ns, deque()).append(frame.t)
     carriers = {number: _carrier(topic) for number, topic in topics.items()}
     with open_log(path) as log:
@@ -88,11 +101,11 @@ def _ros2(name: str) -> Kind:
     return Kind(name, kind, known_definition(kind) or b"", "ros2msg")
 
 
-def _encoded(recording: Recording) -> Iterator[Picture]:
+def _encoded(recording: Recording, frames: Frames) -> Iterator[Picture]:
     import cv2
 
     kind = _ros2(COMPRESSED)
-    for frame in recording.frames() if recording.frames else ():
+    for frame in frames():
         done, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
             raise FormatError(f"{recording.name}: the picture at {frame.t:.3f} s cannot be written as JPEG")

@@ -88,3 +88,22 @@ def test_the_page_and_the_layout_show_every_camera(tmp_path, capsys, bodylog, wa
     assert bodylog("layout", out, "-o", tmp_path / "layout.json", *typed) == 0
     panels = json.loads((tmp_path / "layout.json").read_text())["configById"]
     assert panels["Image!side"]["imageMode"]["imageTopic"] == "/side/image/compressed"
+
+
+def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, bodylog, watched):
+    tidy = tmp_path / "tidy.mcap"
+    assert bodylog("ingest", watched / "reach.mcap", "-o", tidy, "--config", watched / "both.toml") == 0
+    (said,) = _said(capsys, bodylog, "info", tidy)
+    counts = {topic["topic"]: topic["messages"] for topic in said["topics"] if "image" in topic["topic"]}
+    assert counts == {"/camera/image/compressed": 160, "/side/image/compressed": 160}
+    raw, again = (
+        _said(capsys, bodylog, "estimate", log, "--body", watched / "two.npz", "-o", tmp_path / "o.mcap",
+              "--config", watched / "both.toml")
+        for log in (watched / "reach.mcap", tidy)
+    )  # fmt: skip
+    assert raw["scores"] == again["scores"]
+    swapped = tmp_path / "swapped.toml"
+    swapped.write_text('[topics]\ncamera = ["/side/image/compressed", "/camera/image/compressed"]\n')
+    capsys.readouterr()
+    assert bodylog("ingest", watched / "reach.mcap", "-o", tmp_path / "s.mcap", "--config", swapped) == 65
+    assert "name /camera/image/compressed first" in capsys.readouterr().err and not (tmp_path / "s.mcap").exists()
