@@ -10,6 +10,7 @@ from ..types import BodyModel, Features, Finding, ForwardModel, Score
 from . import coverage, noise, sense, touch
 from .gp import GP
 from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs
+from .threads import one_thread
 
 _LEAST_SIGHTINGS = 8
 
@@ -23,6 +24,7 @@ class Learned:
     findings: tuple[Finding, ...]
 
 
+@one_thread()
 def learn(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None
 ) -> Learned:
