@@ -110,6 +110,7 @@ ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("time", "camera"): ("auto", "header", "log"),
     ("time", "skin"): ("auto", "header", "log"),
     ("time", "truth"): ("auto", "header", "log"),
+    ("time", "reference"): ("auto", "header", "log"),
     ("fit", "preset"): ("default", "paper"),
     ("estimate", "preset"): ("default", "paper"),
     ("estimate", "precision"): ("auto", "model", "fixed"),

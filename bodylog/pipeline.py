@@ -43,10 +43,10 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
 
     read = recording.read(log, settings, settings.input.strict)
     if read.features is None:
-        return read, perception.observe(read, settings, progress)
+        return read, replace(perception.observe(read, settings, progress), reference=read.reference)
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
-    found = replace(read.features, joints=read.joints, findings=(*read.features.findings, carried))
-    return read, found
+    remarks = (*read.features.findings, carried)
+    return read, replace(read.features, joints=read.joints, reference=read.reference, findings=remarks)
 
 
 def extract(
@@ -78,6 +78,8 @@ def fit(
     observed = [observe(log, settings, progress) for log in logs]
     features = [found for _, found in observed]
     for log, found in zip(logs, features, strict=True):
+        if found.reference is None and (said := settings.topics.reference):
+            raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
         _insist(log, {n: h for n, h in found.health.items() if n.split("/")[-1] == "effector"}, found, settings)
     provenance = _provenance(logs, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     learned = body.learn(features, settings, provenance, known)
@@ -126,8 +128,9 @@ def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
 def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """Where the body was, from what was found in a log and a learned body."""
     from . import estimation
+    from .body import encoders
 
-    return estimation.estimate(features, learned, settings.estimate)
+    return estimation.estimate(*encoders.understood(features, learned, settings.estimate))
 
 
 def judge(found: Estimate, read: Recording) -> tuple[Score, ...]:

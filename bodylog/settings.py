@@ -14,7 +14,8 @@ class Topics:
 
     `camera` may be several, the first of which names its tracks plainly. One may be a video file beside the log: then
     `start` is the time of its first frame (s since epoch; None: the first joint) and `rate` its frames per second
-    (None: as the file says).
+    (None: as the file says). `reference` has the true angles of a log to learn from, where encoders read another
+    function of them; it is never guessed.
     """
 
     joints: str | None = None
@@ -23,6 +24,7 @@ class Topics:
     truth: str | None = None
     start: float | None = None
     rate: float | None = None
+    reference: str | None = None
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -79,6 +81,7 @@ class Time:
     camera: str = "auto"
     skin: str = "auto"
     truth: str = "auto"
+    reference: str = "auto"
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,8 @@ class Features:
     """What perception found: tracks (name -> Series of u, v in px with std), touches, strokes, synchrony.
 
     `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of those names.
-    `picture_size` is (width, height) in px where it is known.
+    `picture_size` is (width, height) in px where it is known; `reference` the true angles where a log to learn from
+    has them.
     """
 
     joints: Series | None
@@ -154,6 +155,7 @@ class Features:
     health: Mapping[str, Health]
     findings: tuple[Finding, ...] = ()
     picture_size: tuple[int, int] | None = None
+    reference: Series | None = None
 
     @property
     def effector(self) -> Series | None:
@@ -170,7 +172,8 @@ class Features:
 class Recording:
     """One log: signals, and frames() as a lazy iterator in time order; `features` if the log already carries them.
 
-    `views` {name: frames} are the cameras beside the first; what they show is named name/feature.
+    `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
+    what robot.toml names as the true angles to learn from; `truth` is for scores alone.
     """
 
     name: str
@@ -186,6 +189,7 @@ class Recording:
     features: Features | None
     health: Mapping[str, Health]
     findings: tuple[Finding, ...] = ()
+    reference: Series | None = None
     views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
 
 

@@ -1,10 +1,17 @@
 """Encoders that do not read the angle itself: a function of it for each joint, s_p = g_p(x) (paper, E2: x²)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..types import Array
+from ..errors import UsageError
+from ..settings import Estimation
+from ..types import Array, BodyModel, Features, Series
+from .gp import GP
+
+_GRID = 4097
+# methods that know one variance for each joint get it wrong by this to either side of the middle, squared
+_STEEP = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -12,7 +19,7 @@ class Polynomial:
     """What M encoders read: reading m = Σₖ coefficients[m,k] xₘᵏ, coefficients (M,K) of ascending powers.
 
     As body.senses["encoders"] it takes the place of s_p = x. An exploration alone cannot tell it: angles in any
-    other unit explain all that was seen as well, so it is given.
+    other unit explain all that was seen as well, so it is given, or learned where a reference has the true angles.
     """
 
     outputs: tuple[str, ...]
@@ -26,3 +33,79 @@ class Polynomial:
         rising = self.coefficients[:, 1:] * np.arange(1, self.coefficients.shape[1])
         slope = (powers[:, :, :-1] * rising).sum(axis=2)
         return (powers * self.coefficients).sum(axis=2), slope[:, :, None] * np.eye(x.shape[1]), np.zeros(x.shape)
+
+
+def referred(found: Features, known: BodyModel | None) -> Features:
+    """The features with true angles as joints: the reference's, else those a known body's encoders tell."""
+    if found.reference is not None:
+        return replace(found, joints=found.reference)
+    if known is None or found.joints is None:
+        return found
+    return understood(found, known, Estimation())[0]
+
+
+def understood(
+    found: Features, body: BodyModel, settings: Estimation
+) -> tuple[Features, BodyModel, Estimation]:
+    """Features, body and settings such that a method understands what the body's encoders read.
+
+    Predictive coding descends through their model, from the angles that the first readings tell. The other methods
+    get angles instead of readings; UsageError where a reading does not tell the angle over what was explored.
+    """
+    if "encoders" not in body.senses or found.joints is None:
+        return found, body, settings
+    if settings.method == "predictive-coding":
+        start = settings.start or _first(_angles(found.joints, body), body.joints)
+        return found, body, replace(settings, start=start)
+    angles = _angles(found.joints, body)
+    if angles is None:
+        raise UsageError(
+            f"{settings.method}: what this body's encoders read does not tell angles apart; type: --method "
+            "predictive-coding, and in robot.toml [estimate] start, one angle in rad for each of "
+            + ", ".join(body.joints)
+        )
+    senses = {name: model for name, model in body.senses.items() if name != "encoders"}
+    x = _explored(body)
+    slope = np.einsum("nmm->nm", body.senses["encoders"].predict(x)[1])
+    variance = np.array(body.noise.encoder) * (slope**-2.0).mean(axis=0)
+    plain = replace(body, senses=senses, noise=replace(body.noise, encoder=tuple(variance.tolist())))
+    return replace(found, joints=angles), plain, settings
+
+
+def _angles(joints: Series, body: BodyModel) -> Series | None:
+    """The readings as angles, on the branch that was explored; None where some angles there read alike."""
+    x = _explored(body)
+    low, high = x.min(axis=0), x.max(axis=0)
+    grid = np.linspace(low, high, _GRID)
+    read = body.senses["encoders"].predict(grid)[0]
+    step = np.diff(read, axis=0) * np.sign(read[-1] - read[0])
+    if (step.min(axis=0) < _STEEP * step.max(axis=0)).any():
+        return None
+    values = joints.values.astype(float)
+    for m, name in enumerate(body.joints):
+        if name in joints.names:
+            column = joints.names.index(name)
+            values[:, column] = _inverse(values[:, column], read[:, m], grid[:, m])
+    return replace(joints, values=values)
+
+
+def _inverse(y: Array, read: Array, grid: Array) -> Array:
+    """Where the monotone curve read(grid) takes the values y (N,); straight on beyond its ends."""
+    way = 1 if read[-1] > read[0] else -1
+    inside = np.interp(y, read[::way], grid[::way])
+    beyond = y - np.clip(y, min(read[0], read[-1]), max(read[0], read[-1]))
+    first, last = (grid[1] - grid[0]) / (read[1] - read[0]), (grid[-1] - grid[-2]) / (read[-1] - read[-2])
+    at_first = (beyond < 0) == (way > 0)
+    return np.asarray(inside + beyond * np.where(at_first, first, last))
+
+
+def _explored(body: BodyModel) -> Array:
+    """The angles (S,M) rad that the body's tracks were learned at."""
+    return np.concatenate([model.samples for model in body.senses.values() if isinstance(model, GP)])
+
+
+def _first(angles: Series | None, names: tuple[str, ...]) -> tuple[float, ...] | None:
+    """The first finite angle of each joint; None where readings do not tell it."""
+    columns = [] if angles is None else [angles.values[:, angles.names.index(n)] for n in names if n in angles.names]
+    found = [column[np.isfinite(column)] for column in columns]
+    return tuple(float(column[0]) for column in found) if found and all(len(column) for column in found) else None

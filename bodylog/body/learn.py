@@ -7,7 +7,7 @@ from typing import Any
 from ..errors import EvidenceError, ModelError
 from ..settings import Fit, Settings
 from ..types import BodyModel, Features, Finding, ForwardModel, Score
-from . import coverage, noise, sense, touch
+from . import coverage, encoders, noise, reference, sense, touch
 from .gp import GP
 from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs
 from .threads import one_thread
@@ -31,11 +31,13 @@ def learn(
     """A body model from the features of one or many exploration logs, with what it says of itself.
 
     A body to update keeps its joints, the senses it was given, and touch where no log tells of it; what it was learned
-    from counts as one more log. LogError without joints, ConfigError for an unknown joint, ModelError for another
+    from counts as one more log. Where logs have a reference, angles are its, and what encoders read is learned as well.
+    LogError without joints, ConfigError for an unknown joint, ModelError for another
     robot's body, EvidenceError when nothing was seen or moved.
     """
     wanted = settings.body.joints if update is None else _same(features, update)
-    heard = joints(features, wanted)
+    told = [encoders.referred(f, update) for f in features]
+    heard = joints(told, wanted)
     chosen = [j for j in heard if wanted or moves(j)]
     if not chosen:
         possible = ", ".join(j.name for j in heard)
@@ -49,7 +51,8 @@ def learn(
         )
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
-    constants, cells, touched = touch.learned(features, names, gps.get("effector"))
+    constants, cells, touched = touch.learned(told, names, gps.get("effector"))
+    read = reference.learned(features, chosen, learned)
     given: Mapping[str, ForwardModel] = {}
     if update is not None:
         given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
@@ -57,10 +60,11 @@ def learn(
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
     few = [Finding("warning", f"{name}: only {len(tracks[name].x)} sightings, too few for a model") for name in rare]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
+    pictures = _pictures(features)
     return Learned(
-        BodyModel(names, {**given, **gps}, learned, constants, {**_pictures(features), **provenance}, cells),
-        (*coverage.scores(chosen, gps, learned), *scores),
-        (*coverage.findings(heard, chosen, gps, learned), *few, *left_out, *touched),
+        BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, {**pictures, **provenance}, cells),
+        (*coverage.scores(chosen, gps, learned), *scores, *read.scores),
+        (*coverage.findings(heard, chosen, gps, learned), *few, *left_out, *touched, *read.findings),
     )
 
 

@@ -36,6 +36,7 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         joints=series(heard.get("joints"), start_ns, "rad"),
         skin=series(heard.get("skin"), start_ns, "0..1"),
         truth=series(heard.get("truth"), start_ns, "rad"),
+        reference=series(heard.get("reference"), start_ns, "rad"),
         frames=films.get("camera"),
         features=features,
         health={stream.role.topic: health(stream) for stream in heard.values()} | _seen(sidecars),

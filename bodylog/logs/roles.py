@@ -15,7 +15,7 @@ from .definitions import PRIMITIVES, Definition
 from .objects import reader
 from .paths import parse
 
-ROLES = ("joints", "camera", "skin", "truth")
+ROLES = ("joints", "camera", "skin", "truth", "reference")
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 _OURS = "/bodylog/"
 _JOINTS = "sensor_msgs/msg/JointState"
@@ -53,12 +53,18 @@ def roles(
 ) -> dict[str, Role]:
     """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have.
 
+    The reference, which only logs to learn from have, is left out where its topic is not there.
+
     `joints_of` looks how many joints a topic speaks of, where several could be the robot's.
     """
-    found = {}
+    found: dict[str, Role] = {}
+    names = [topic.name for topic in topics]
     for role in ROLES:
         said = cameras(settings) if role == "camera" else {role: getattr(settings, role)}
-        if not any(said.values()):
+        if role == "reference":
+            there = [s for s in said.values() if s and parse(s, names).topic in names]
+            found.update((role, _named(role, s, topics, name)) for s in there)
+        elif not any(said.values()):
             guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
             found.update({role: guessed} if guessed else {})
         else:
@@ -202,6 +208,7 @@ def _skin_rank(topic: Topic) -> tuple[int, ...] | None:
 _RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
     "joints": _joints_rank,
     "truth": _truth_rank,
+    "reference": _truth_rank,
     "camera": _camera_rank,
     "skin": _skin_rank,
 }

@@ -99,7 +99,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     choice = getattr(settings.time, role.role)
     if choice == "header" and signal.stamp_ns is None and len(signal.rows):
         raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
-    by_name = role.role in ("joints", "truth")
+    by_name = role.role in ("joints", "truth", "reference")
     dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
     values, idle = signal.values[dated.rows], 0
     if by_name:

@@ -172,3 +172,12 @@ def test_further_cameras_are_pointed_out_when_one_was_guessed():
     assert finding.text == f"camera: /head/image_raw is used, /side/image_raw not; for more, {typed}"
     assert not unused_cameras(topics(*CAMERAS), Topics(camera="/head/image_raw"), found)
     assert not unused_cameras(topics(*CAMERAS[1:]), Topics(), roles(topics(*CAMERAS[1:]), Topics(), "x.mcap"))
+
+
+def test_a_reference_is_never_guessed_and_may_be_absent():
+    there = topics(("/joint_states", JOINTS), ("/truth/joint_states", JOINTS))
+    named = Topics(reference="/truth/joint_states")
+    assert "reference" not in roles(there, Topics(), "x.mcap")
+    found = roles(there, named, "x.mcap")
+    assert found["reference"].path == found["truth"].path == "/truth/joint_states"
+    assert "reference" not in roles(there[:1], named, "x.mcap")
