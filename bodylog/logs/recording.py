@@ -7,8 +7,8 @@ from typing import Any
 from ..errors import BodylogError
 from ..settings import Settings
 from ..types import Features, Finding, Frame, Health, Recording, Topic
+from . import cameras, roles, video
 from . import frames as camera
-from . import roles, video
 from .containers import Log, open_log
 from .streams import Stream, health, joints_of, remarks, series, streams
 
@@ -24,7 +24,7 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         features = _features(log, start_ns)
         findings = (*log.findings, *silent, *_findings(log, heard, settings))
     sidecars = _sidecars(path, settings)
-    named = {key: said for key, said in roles.cameras(settings.topics).items() if key in sidecars}
+    named = {key: said for key, said in cameras.cameras(settings.topics).items() if key in sidecars}
     films = _films(path, strict, heard, sidecars, settings, start_ns)
     return Recording(
         name=path.name,
@@ -104,8 +104,8 @@ def _duration(heard: Mapping[str, Stream], log: Log) -> float:
 
 
 def _sidecars(path: Path, settings: Settings) -> dict[str, video.Sidecar]:
-    said = roles.cameras(settings.topics).items()
-    return {key: video.find(name, path, settings.topics) for key, name in said if roles.is_video("camera", name)}
+    said = cameras.cameras(settings.topics).items()
+    return {key: video.find(name, path, settings.topics) for key, name in said if cameras.is_video("camera", name)}
 
 
 def _seen(sidecars: Mapping[str, video.Sidecar]) -> dict[str, Health]:

@@ -4,19 +4,18 @@ import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import PurePath
 
-from ..errors import BodylogError, ConfigError, LogError
+from ..errors import BodylogError, LogError
 from ..settings import Topics
 from ..types import Finding, Topic
 from . import images
+from .cameras import camera_name, cameras, is_video
 from .columns import definition_of
 from .definitions import PRIMITIVES, Definition
 from .objects import reader
 from .paths import parse
 
 ROLES = ("joints", "camera", "skin", "truth", "reference")
-VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 _OURS = "/bodylog/"
 _JOINTS = "sensor_msgs/msg/JointState"
 _ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
@@ -25,7 +24,6 @@ _TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)", re.IGNORECASE)
 _TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
 _COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
 _DEPTH = re.compile(r"depth|disparity|mask|segment", re.IGNORECASE)
-_PICTURE = re.compile(r"(/(image\w*|compressed|raw))+$", re.IGNORECASE)
 _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
 
 
@@ -53,7 +51,8 @@ def roles(
 ) -> dict[str, Role]:
     """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have.
 
-    The reference, which only logs to learn from have, is left out where its topic is not there.
+    The reference, which only logs to learn from have, is left out where its topic is not there; the cameras where a log
+    has their tracks alone.
 
     `joints_of` looks how many joints a topic speaks of, where several could be the robot's.
     """
@@ -67,28 +66,16 @@ def roles(
         elif not any(said.values()):
             guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
             found.update({role: guessed} if guessed else {})
-        else:
+        elif role != "camera" or not _tracks_alone(topics):
             found.update({key: _named(role, s, topics, name) for key, s in said.items() if not is_video(role, s)})
     return found
 
 
-def cameras(settings: Topics) -> dict[str, str]:
-    """What robot.toml names as cameras: the first by "camera", others by "camera/NAME"; ConfigError for equal names."""
-    found: dict[str, str] = {}
-    for said in settings.cameras:
-        key = f"camera/{camera_name(said)}" if found else "camera"
-        if key in found:
-            both = f"{found[key]!r} and {said!r}"
-            raise ConfigError(f"[topics] camera: {both} would both be called {camera_name(said)!r}; leave one out")
-        found[key] = said
-    return found
-
-
-def camera_name(said: str) -> str:
-    """A camera's name: its topic without what only says that it is a picture, or its video's without the suffix."""
-    if is_video("camera", said):
-        return PurePath(said).stem
-    return _PICTURE.sub("", said).strip("/") or said.strip("/")
+def _tracks_alone(topics: Sequence[Topic]) -> bool:
+    """Whether a log carries tracks of an earlier run without the pictures."""
+    return any(topic.name.startswith(f"{_OURS}track/") for topic in topics) and not any(
+        _camera_rank(topic) is not None for topic in topics
+    )
 
 
 def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
@@ -103,11 +90,6 @@ def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str
     first = found["camera"].path
     said = f"camera: {first} is used, {', '.join(others)} not; for more, type: [topics] camera = "
     return (Finding("info", said + json.dumps([first, *others])),)
-
-
-def is_video(role: str, said: str) -> bool:
-    """Whether a camera setting names a video file."""
-    return role == "camera" and said.lower().endswith(VIDEOS)
 
 
 def advice(found: Mapping[str, Role]) -> str:

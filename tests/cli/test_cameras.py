@@ -107,3 +107,11 @@ def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, bodylog, watched):
     capsys.readouterr()
     assert bodylog("ingest", watched / "reach.mcap", "-o", tmp_path / "s.mcap", "--config", swapped) == 65
     assert "name /camera/image/compressed first" in capsys.readouterr().err and not (tmp_path / "s.mcap").exists()
+
+
+def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsys, bodylog, watched):
+    features, typed = tmp_path / "features.mcap", ("--config", watched / "both.toml")
+    assert bodylog("extract", watched / "reach.mcap", "-o", features, *typed) == 0
+    typed = (*typed, "--body", watched / "two.npz", "-o", tmp_path / "out.mcap")
+    whole, found = (_said(capsys, bodylog, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
+    assert "side/effector" in found["health"] and found["scores"] == whole["scores"]

@@ -1,0 +1,34 @@
+"""The cameras robot.toml names: topics or videos, and what each is called."""
+
+import re
+from pathlib import PurePath
+
+from ..errors import ConfigError
+from ..settings import Topics
+
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
+_PICTURE = re.compile(r"(/(image\w*|compressed|raw))+$", re.IGNORECASE)
+
+
+def cameras(settings: Topics) -> dict[str, str]:
+    """What robot.toml names as cameras: the first by "camera", others by "camera/NAME"; ConfigError for equal names."""
+    found: dict[str, str] = {}
+    for said in settings.cameras:
+        name = camera_name(said)
+        if name in found:
+            both = f"{found[name]!r} and {said!r}"
+            raise ConfigError(f"[topics] camera: {both} would both be called {name!r}; leave one out")
+        found[name] = said
+    return {f"camera/{name}" if rank else "camera": said for rank, (name, said) in enumerate(found.items())}
+
+
+def camera_name(said: str) -> str:
+    """A camera's name: its topic without what only says that it is a picture, or its video's without the suffix."""
+    if is_video("camera", said):
+        return PurePath(said).stem
+    return _PICTURE.sub("", said).strip("/") or said.strip("/")
+
+
+def is_video(role: str, said: str) -> bool:
+    """Whether a camera setting names a video file."""
+    return role == "camera" and said.lower().endswith(VIDEOS)
