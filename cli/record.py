@@ -22,6 +22,7 @@ from .options import out_option
 @click.option("--place", help="rubber-hand: left, centre or right.")
 @click.option("--marker", is_flag=True, help="A blue ball on the wrist as a second feature.")
 @click.option("--cameras", type=int, default=1, show_default=True, help="2: one at the side as well.")
+@click.option("--turning", is_flag=True, help="The head with its camera turns: one more joint.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:
     """Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth.

@@ -1,13 +1,14 @@
 """The cameras' streams: pictures with what is true at their stamps."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..types import Array
 from . import camera as cameras
 from . import messages
+from .head import SWING
 from .stage import FRAME, SIDE_FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
 from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS
 
@@ -70,6 +71,8 @@ def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
         t = stamps / 1e9
         q, hands = stage.wish.plan.motion.position(t), seen_hand(stage, t)
         for row, log in enumerate(late(stamps, 8.0, 14.0, rng)):
+            if stage.head is not None and view.frame == FRAME:
+                view, shot = replace(view, camera=stage.seen_from(t[row])), None
             if shot is None or not np.array_equal(shot.q, q[row]):
                 shot = _shoot(stage, view.camera, q[row], wall)
             picture, seen = _compose(stage, view, shot, hands[row], card, t[row])
@@ -157,7 +160,7 @@ def _card(stage: Stage) -> _Card | None:
     path = np.array([stage.world.pose(q)[0][link] for q in stage.wish.plan.motion.position(t)])
     pixels = cameras.ellipse_centre(stage.camera, path, EFFECTOR_RADIUS)
     ahead = (path - stage.camera.position) @ stage.camera.rotation[2]
-    margin = stage.wish.plan.margin * stage.camera.width
+    margin = stage.wish.plan.margin * stage.camera.width + (SWING * stage.camera.focal if stage.head else 0.0)
     left, top = np.maximum(pixels.min(0) - margin, 0).astype(int)
     right, bottom = np.minimum(pixels.max(0) + margin, [stage.camera.width, stage.camera.height]).astype(int)
     return _Card((left, top, right, bottom), float(ahead.min()) - 2.4 * EFFECTOR_RADIUS, start, end)

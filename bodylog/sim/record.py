@@ -35,13 +35,14 @@ def record(
     place: str | None = None,
     marker: bool = False,
     cameras: int = 1,
+    turning: bool = False,
     progress: Callable[[int], None] | None = None,
 ) -> None:
     """Write `scenario` to `out`, the same bytes for the same arguments; UsageError when one of them is not possible.
 
     duration (s), noise (encoders, rad), variant and place are the scenario's own when None; size in px; `marker` puts
-    a blue ball on the arm, for a second visual sense; `cameras` is 2 for one at the side beside the head's; `progress`
-    is told how many more pictures the head's has taken.
+    a blue ball on the arm, for a second visual sense; `cameras` is 2 for one at the side beside the head's, `turning`
+    turns the head as one more joint; `progress` is told how many more pictures the head's has taken.
     """
     plan, length = _plan(scenario, seed, duration, full, arm, variant, place)
     if image not in _IMAGES:
@@ -51,7 +52,7 @@ def record(
     wished = plan.noise if noise is None else noise
     _check("noise", wished, 0.0, 10.0)
     _check("cameras", cameras, 1, 2)
-    wish = Wish(scenario, ARMS[arm], plan, length, seed, size, wished, image, marker, cameras)
+    wish = Wish(scenario, ARMS[arm], plan, length, seed, size, wished, image, marker, cameras, turning)
     with files.replacing(out) as beside, open_stage(wish) as stage:
         _write(beside, stage, progress)
 
@@ -114,7 +115,8 @@ def _channel(writer: Any, topic: str, kind: str) -> int:
 
 
 def _settings(wish: Wish) -> dict[str, str]:
-    return {
+    seen = ({"cameras": str(wish.cameras)} if wish.cameras > 1 else {}) | ({"turning": "true"} if wish.turning else {})
+    return seen | {
         "scenario": wish.scenario,
         "seed": str(wish.seed),
         "duration_s": repr(wish.duration),
@@ -123,4 +125,4 @@ def _settings(wish: Wish) -> dict[str, str]:
         "noise_rad": repr(wish.noise),
         "arm": wish.arm.urdf.stem,
         "marker": str(wish.marker).lower(),
-    } | ({"cameras": str(wish.cameras)} if wish.cameras > 1 else {})
+    }

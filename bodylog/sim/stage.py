@@ -16,6 +16,7 @@ from . import camera as cameras
 from . import hand
 from .arms import Arm
 from .camera import Camera
+from .head import Head, turned
 from .plan import Plan
 from .world import World, open_world
 
@@ -41,7 +42,7 @@ class Item:
 class Wish:
     """What is to be recorded: scenario and its plan, duration s, picture size px, encoder noise rad, marker or not.
 
-    `cameras` is 1 for the head's alone, 2 for one at the side as well.
+    `cameras` is 1 for the head's alone, 2 for one at the side as well; `turning`: the head turns.
     """
 
     scenario: str
@@ -54,17 +55,26 @@ class Wish:
     image: str
     marker: bool
     cameras: int
+    turning: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """All that the streams share; `column` is the column of skin cells the hand touches; `side` sees, or is None."""
+    """All that the streams share: `camera` with the head at rest, `column` of skin cells the hand touches.
+
+    `side` is the camera at the side, `head` what turns `camera`, or None.
+    """
 
     wish: Wish
     world: World
     camera: Camera
     column: int
     side: Camera | None
+    head: Head | None
+
+    def seen_from(self, t: float) -> Camera:
+        """The head's camera as it stands at t s."""
+        return self.camera if self.head is None else turned(self.camera, float(self.head.angle(np.array([t]))[0]))
 
     @property
     def image_topic(self) -> str:
@@ -91,7 +101,8 @@ def open_stage(wish: Wish) -> Iterator[Stage]:
         )
         link = world.links.index("skin")
         column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
-        yield Stage(wish, world, camera, column, side if wish.cameras > 1 else None)
+        head = Head(np.random.default_rng([wish.seed, 5]).uniform(0.0, 2 * np.pi, 2)) if wish.turning else None
+        yield Stage(wish, world, camera, column, side if wish.cameras > 1 else None, head)
 
 
 def matrix(xyzw: Array) -> Array:

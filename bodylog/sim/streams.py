@@ -7,6 +7,7 @@ import numpy as np
 from ..types import Array
 from . import hand, messages, skin
 from .camera import ellipse_centre
+from .head import JOINT
 from .plan import Contact, Plan
 from .stage import FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
 from .world import HAND_RADIUS
@@ -19,12 +20,17 @@ def encoder_items(stage: Stage) -> Iterator[Item]:
     """/joint_states in alphabetical order as the UR driver publishes, and /truth/joint_states."""
     yield Item(START_NS, START_NS, "/robot_description", messages.text(stage.wish.arm.urdf.read_text()))
     rng = stage.chance(1)
-    order = np.argsort(stage.wish.arm.joints)
-    names, true_names = [stage.wish.arm.joints[joint] for joint in order], list(stage.wish.arm.joints)
+    true_names = [*stage.wish.arm.joints, *([JOINT] if stage.head else [])]
+    order = np.argsort(true_names)
+    names = [true_names[joint] for joint in order]
     for stamps in stamps_of(stage.wish.duration, _JOINT_HZ, 0):
         t = stamps / 1e9
         q, rate = stage.wish.plan.motion.position(t), stage.wish.plan.motion.rate(t)
         read, speed = _encoders(stage.wish.plan, t, q, stage.wish.noise, rng)
+        if stage.head is not None:
+            angle, turn = stage.head.angle(t)[:, None], stage.head.rate(t)[:, None]
+            q, rate, speed = np.hstack([q, angle]), np.hstack([rate, turn]), np.hstack([speed, turn])
+            read = np.hstack([read, angle + rng.normal(0.0, 1.0, angle.shape) * stage.wish.noise])
         for row, (stamp, log) in enumerate(zip(stamps + START_NS, late(stamps, 4.0, 6.0, rng), strict=True)):
             seen = messages.joint_state(int(stamp), names, read[row, order], speed[row, order])
             yield Item(int(log), int(stamp), "/joint_states", seen)
@@ -66,7 +72,9 @@ def _events(stage: Stage, contact: Contact, base: Array) -> Iterator[Item]:
     touch = messages.touch(stamp, offset - onset, cells, float(signal.max()))
     yield Item(START_NS + round(offset * 1e9) + 3_000_000, stamp, "/truth/touch", touch)
     begin, end = contact.onset + contact.delay, contact.onset + contact.length + contact.delay
-    pixels = ellipse_centre(stage.camera, seen_hand(stage, np.array([begin, end])), HAND_RADIUS)
+    places = seen_hand(stage, np.array([begin, end]))
+    views = stage.seen_from(begin), stage.seen_from(end)
+    pixels = [ellipse_centre(view, place[None], HAND_RADIUS)[0] for view, place in zip(views, places, strict=True)]
     stamp = START_NS + round(begin * 1e9)
     stroke = messages.stroke(stamp, FRAME, end - begin, pixels[0], pixels[1], begin - onset)
     yield Item(START_NS + round(end * 1e9) + 3_000_000, stamp, "/truth/stroke", stroke)

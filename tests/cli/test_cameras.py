@@ -115,3 +115,15 @@ def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsy
     typed = (*typed, "--body", watched / "two.npz", "-o", tmp_path / "out.mcap")
     whole, found = (_said(capsys, bodylog, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
     assert "side/effector" in found["health"] and found["scores"] == whole["scores"]
+
+
+def test_a_head_that_turns_is_learned_and_estimated_as_a_joint(tmp_path, capsys, bodylog):
+    for scenario, name, seed, seconds in (("babble", "explore", 1, 25), ("reach", "reach", 11, 6)):
+        where = ("-o", tmp_path / f"{name}.mcap", "--size", "160x120", "--turning")
+        assert bodylog("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
+    body = tmp_path / "body.npz"
+    learned = _said(capsys, bodylog, "fit", tmp_path / "explore.mcap", "-o", body)
+    scores = {score["name"]: score["value"] for score in learned["scores"]}
+    assert scores["influence.effector.head_pan_joint"] > 4 and scores["held_out.effector"] < 0.4
+    found = _estimated(capsys, bodylog, tmp_path, "body.npz", tmp_path / "out.mcap")
+    assert found["joint_rmse/head_pan_joint"] < 0.5 * found["encoder_rmse"] and 0.5 < found["nees"] < 2.0

@@ -50,6 +50,27 @@ def test_a_camera_at_the_side_sees_the_same_arm_at_instants_of_its_own(tmp_path,
     assert not set(shown) & {t for t, _ in reading.pictures(topics)}
 
 
+def test_a_head_that_turns_is_one_more_joint_and_its_camera_turns_with_it(tmp_path):
+    record("touch", tmp_path / "a.mcap", seed=3, duration=6.0, size=(320, 240), turning=True)
+    topics = reading.read(tmp_path / "a.mcap")
+    _, angles, names = reading.positions(topics, "/truth/joint_states")
+    turn = angles[:, names.index("head_pan_joint")]
+    assert 0.1 < np.ptp(turn) <= 0.2 and names[-1] == "head_pan_joint"
+    _, read, read_names = reading.positions(topics, "/joint_states")
+    off = read[:, read_names.index("head_pan_joint")] - turn
+    assert read_names == sorted(read_names) and off.std() == pytest.approx(0.01, rel=0.15)
+    truth = reading.pixels(topics, "/truth/effector_pixel")
+    errors = [np.linalg.norm(centroid(p, 1) - truth[t]) for t, p in reading.pictures(topics) if t in truth]
+    assert len(errors) > 100 and np.median(errors) < 0.1
+    u = np.array(list(truth.values()))[:, 0]  # the arm is still: only the head moves it, by 288 px per rad
+    expected = np.interp(list(truth), np.arange(len(turn)) / 100, turn) * 288
+    assert np.corrcoef(u, expected)[0, 1] > 0.999 and np.ptp(u) == pytest.approx(np.ptp(expected), rel=0.1)
+    stroke = next(row for row in topics["/truth/stroke"])
+    hand = reading.pixels(topics, "/truth/hand_pixel")
+    nearest = min(hand, key=lambda t: abs(t - stroke.t))
+    assert np.linalg.norm(hand[nearest] - [stroke.message.start.x, stroke.message.start.y]) < 5
+
+
 def test_a_second_camera_changes_nothing_of_the_first(tmp_path):
     logs = []
     for cameras in (1, 2):
