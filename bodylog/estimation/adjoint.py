@@ -15,7 +15,7 @@ def means(readings: Readings, trace: Trace, end: Array, keep: int) -> tuple[Arra
     push = nus * weights
     for i in range(len(smooth) - 1, -1, -1):
         smooth[i] = trace.z[i] - np.einsum("klc,lc->kc", trace.p[i], adjoint)
-        for row in range(gains.shape[1] - 1, -1, -1):
+        for row in _last_first(m, gains.shape[1]):
             pull = np.einsum("kc,kc->c", gains[i, row], adjoint) + push[i, row]
             if row < m:
                 adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
@@ -51,7 +51,7 @@ def _unhear(readings: Readings, trace: Trace, i: int, information: Array) -> Non
     gains, weights, _ = (part[i] for part in trace.back)
     m = readings.encoders.shape[1]
     jac = readings.jac[i].reshape(-1, m, information.shape[2])
-    for row in range(len(gains) - 1, -1, -1):
+    for row in _last_first(m, len(gains)):
         b = np.einsum("klc,lc->kc", information, gains[row])
         curve = np.einsum("kc,kc->c", gains[row], b) + weights[row]
         if row >= m:
@@ -63,6 +63,11 @@ def _unhear(readings: Readings, trace: Trace, i: int, information: Array) -> Non
         information[row :: 2 * m] -= b
         information[:, row :: 2 * m] -= b[:, None]
         information[row :: 2 * m, row :: 2 * m] += curve
+
+
+def _last_first(m: int, rows: int) -> list[int]:
+    """Readings of one instant, last heard first: m encoders are heard after the tracks."""
+    return [*range(m - 1, -1, -1), *range(rows - 1, m - 1, -1)]
 
 
 def before(at_start: Array) -> Array:

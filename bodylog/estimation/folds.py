@@ -54,7 +54,7 @@ class Fold:
 
     def _copies(self, events: Array) -> Iterator[tuple[Array, Array, Array]]:
         stretch, instant = events // self.own, events % self.own + self.over
-        for shift in (-1, 0, 1):
+        for shift in (-1, 0, 1) if self.over else (0,):
             at, inside = stretch + shift, instant - shift * self.own
             which = (at >= 0) & (at < self.count) & (inside >= 0) & (inside < self.length)
             yield which, inside[which], at[which]

@@ -12,16 +12,13 @@ import numpy as np
 from ..types import Array
 from .folds import Fold, fold_for
 from .habit import Habit
+from .outset import handed_over, outset
 from .precision import Precision
 from .scan import Dynamics, Readings, Trace, rescan
 from .senses import Evidence
 from .tangents import RESTING, Tangents
 from .timeline import Timeline
 
-START_STD = 1.0
-"""rad and rad/s: how little is known of angles and rates before the first reading."""
-OFFSET_STD = 0.01
-"""rad: how far an encoder that is allowed an offset may be off before the first reading."""
 SWEEPS = 40
 PATIENCE = 8
 """Sweeps without a new least move after which rest is given up."""
@@ -63,16 +60,6 @@ class Solution:
     trace: Trace
 
 
-def prior(problem: Problem) -> tuple[Array, Array]:
-    """State z (K,) and covariance p (K,K) before anything is heard."""
-    m, drift = len(problem.start), problem.precision.drift
-    z = np.concatenate([problem.start, np.zeros(problem.dynamics.size - m)])
-    var = np.full(len(z), START_STD**2)
-    if drift is not None:
-        var[2 * m :] = np.where(drift > 0, OFFSET_STD**2, 0.0)
-    return z, np.diag(var)
-
-
 def solve(
     problem: Problem, warm: Solution | None = None, at: str = "posterior", rest: float = SETTLED
 ) -> Solution:
@@ -81,8 +68,9 @@ def solve(
     `warm` is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
     """
     fold, line, m = fold_for(len(problem.timeline.t)), problem.timeline, len(problem.start)
-    readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
-    tangents = Tangents(guesses(problem) if warm is None else warm.points, RESTING * rest / SETTLED)
+    readings = heard(problem, fold)
+    points, z, p = outset(problem, fold, readings, warm)
+    tangents = Tangents(points, RESTING * rest / SETTLED)
     trace, moving, move, progress = None, np.ones(fold.count, bool), np.inf, Progress()
     for _ in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
@@ -139,43 +127,6 @@ def encoder_rows(problem: Problem) -> tuple[Array, Array]:
         encoders[line.encoders] = problem.evidence.encoders.values
     var = np.tile(problem.precision.encoder, (len(line.t), 1))
     return (encoders, var) if problem.habit is None else problem.habit.fill(line.t, encoders, var)
-
-
-def guesses(problem: Problem) -> tuple[Array, ...]:
-    """First points of linearisation (F,M) per sighting: the encoders between their stamps, else the start."""
-    return tuple(_angles(problem, sighting.t) for sighting in problem.evidence.sightings)
-
-
-def _angles(problem: Problem, t: Array) -> Array:
-    if problem.path is not None:
-        return np.stack([np.interp(t, problem.path[0], column) for column in problem.path[1].T], axis=1)
-    x = np.repeat(problem.start[None], len(t), axis=0)
-    encoders = problem.evidence.encoders
-    for j in range(len(problem.start)):
-        if encoders is None:
-            break
-        known = np.isfinite(encoders.values[:, j])
-        if known.any():
-            x[:, j] = np.interp(t, encoders.t[known], encoders.values[known, j])
-    return x
-
-
-def starts(problem: Problem, fold: Fold, warm: Solution | None) -> tuple[Array, Array]:
-    """Where each stretch starts, z (K,C), p (K,K,C): the prior for the first, as in `warm` or a guess for others."""
-    z0, p0 = prior(problem)
-    z, p = np.repeat(z0[:, None], fold.count, axis=1), np.repeat(p0[:, :, None], fold.count, axis=2)
-    begin = problem.timeline.t[fold.first_events()]
-    z[: len(problem.start), 1:] = _angles(problem, begin).T
-    if warm is not None and warm.trace.z.shape[1] == len(z):
-        return handed_over(z, p, warm.trace, fold)
-    return z, p
-
-
-def handed_over(z: Array, p: Array, trace: Trace, fold: Fold) -> tuple[Array, Array]:
-    """Starts for the next sweep: each stretch begins where its predecessor ended."""
-    z, p = z.copy(), p.copy()
-    z[:, 1:], p[:, :, 1:] = trace.z[fold.handover, :, :-1], trace.p[fold.handover, :, :, :-1]
-    return z, p
 
 
 def far(z: Array, p: Array, next_z: Array, next_p: Array) -> Array:

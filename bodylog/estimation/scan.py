@@ -171,11 +171,12 @@ def update(
     Noise is gated by the prior, so order is no matter. `back` takes gains, weights and innovations of all rows.
     """
     m, (gains, weights, nus) = readings.encoders.shape[1], back
-    y, jac = readings.y[i][..., seen], readings.jac[i][..., seen]
     joint_var, encoder_d[:] = _gated_encoders(readings.encoders[i], readings.encoder_var[i], z, p, m)
-    line_var = _gated_lines(y, jac, readings.var[i][..., seen], z[:m, seen], p[:m, :m, seen])
     if recalled is not None:
         joint_var[recalled], encoder_d[recalled] = readings.encoder_var[i][recalled], np.nan
+    if len(seen):
+        lines = (part[i].take(seen, axis=-1) for part in (readings.y, readings.jac, readings.var))
+        _see(*lines, seen, z, p, (None if gains is None else gains[m:], weights[m:], nus[m:]))
     said = np.where(heard, readings.encoders[i], 0.0)
     for j in range(m):
         ph = p[:, j] if len(z) == 2 * m else p[:, j] + p[:, 2 * m + j]
@@ -185,26 +186,44 @@ def update(
         gain = _condition(z, p, ph, weights[j], nus[j])
         if gains is not None:
             gains[j] = gain
-    if len(seen):
-        _see(y, jac, line_var, seen, z, p, (None if gains is None else gains[m:], weights[m:], nus[m:]))
 
 
 def _see(
     y: Array, jac: Array, var: Array, seen: Array, z: Array, p: Array, back: tuple[Array | None, Array, Array]
 ) -> None:
-    """Condition the stretches `seen` of z, p in place on their tracks' rows y, var (T,D,C'), jac (T,D,M,C')."""
-    m, heard, (gains, weights, nus) = jac.shape[2], np.isfinite(y), back
-    y, some_z, some_p = np.where(heard, y, 0.0), z[:, seen], p[:, :, seen]
-    for index, row in enumerate(np.ndindex(y.shape[0], y.shape[1])):
-        h = jac[row]
-        ph = np.einsum("jc,kjc->kc", h, some_p[:, :m])
-        weight = heard[row] / (var[row] + np.einsum("jc,jc->c", h, ph[:m]))
-        nu = y[row] - np.einsum("jc,jc->c", h, some_z[:m])
-        gain = _condition(some_z, some_p, ph, weight, nu)
-        weights[index][seen], nus[index][seen] = weight, nu
-        if gains is not None:
-            gains[index][:, seen] = gain
+    """Condition the stretches `seen` of z, p in place on their tracks' rows y, var (T,2,C'), jac (T,2,M,C')."""
+    m, some_z, some_p, (gains, weights, nus) = jac.shape[2], z.take(seen, axis=1), p.take(seen, axis=2), back
+    priors = [(*_lean(h, some_p), (h * some_z[:m]).sum(axis=1)) for h in jac]
+    own = [_gated(s, said - mean, noise) for (_, s, mean), said, noise in zip(priors, y, var, strict=True)]
+    for t, h in enumerate(jac):
+        # tracks heard before have moved the belief since
+        ph, s, mean = priors[0] if t == 0 else (*_lean(h, some_p), (h * some_z[:m]).sum(axis=1))
+        heard = np.isfinite(y[t])
+        nu = np.where(heard, y[t] - mean, 0.0)
+        for d in range(2):
+            weight = heard[d] / (s[d, d] + own[t][d])
+            gain = _condition(some_z, some_p, ph[d], weight, nu[d])
+            weights[2 * t + d][seen], nus[2 * t + d][seen] = weight, nu[d]
+            if gains is not None:
+                gains[2 * t + d][:, seen] = gain
+            if d == 0:
+                share = weight * s[0, 1]
+                ph[1], s[1, 1], nu[1] = ph[1] - share * ph[0], s[1, 1] - share * s[0, 1], nu[1] - share * nu[0]
     z[:, seen], p[:, :, seen] = some_z, some_p
+
+
+def _lean(h: Array, p: Array) -> tuple[Array, Array]:
+    """P Hᵀ (2,K,C) and H P Hᵀ (2,2,C) of rows h (2,M,C) under p (K,K,C)."""
+    m = h.shape[1]
+    ph = (h[:, None] * p[:, :m]).sum(axis=2)
+    return ph, (h * ph[:, None, :m]).sum(axis=2)
+
+
+def _gated(s: Array, nu: Array, var: Array) -> Array:
+    """Variances (2,C) of a track's rows after gating it as a whole; H P Hᵀ s (2,2,C), innovations nu (2,C)."""
+    a, b, c = s[0, 0] + var[0], s[0, 1], s[1, 1] + var[1]
+    d2 = (c * nu[0] ** 2 - 2.0 * b * nu[0] * nu[1] + a * nu[1] ** 2) / (a * c - b * b)
+    return var + np.stack([a, c]) * _excess(d2)
 
 
 def _condition(z: Array, p: Array, ph: Array, weight: Array, nu: Array) -> Array:
@@ -224,24 +243,6 @@ def _gated_encoders(y: Array, var: Array, z: Array, p: Array, m: int) -> tuple[A
         nu = nu - z[2 * m :]
     d = nu / np.sqrt(s)
     return var + s * _excess(d * d), d
-
-
-def _gated_lines(y: Array, jac: Array, var: Array, x: Array, p: Array) -> Array:
-    """Variances (T,D,C) of the tracks' rows after gating each track as a whole; x (M,C), p (M,M,C)."""
-    if y.size == 0:
-        return var
-    nu = y - np.einsum("tdjc,jc->tdc", jac, x)
-    s = np.einsum("tdkc,tekc->tdec", np.einsum("tdjc,jkc->tdkc", jac, p), jac)
-    diagonal = np.einsum("tddc->tdc", s)
-    diagonal += var
-    if y.shape[1] == 2:
-        det = s[:, 0, 0] * s[:, 1, 1] - s[:, 0, 1] ** 2
-        d2 = (s[:, 1, 1] * nu[:, 0] ** 2 - 2.0 * s[:, 0, 1] * nu[:, 0] * nu[:, 1] + s[:, 0, 0] * nu[:, 1] ** 2) / det
-    else:
-        white = np.linalg.solve(np.moveaxis(s, -1, 0), np.moveaxis(nu, -1, 0)[..., None])[..., 0]
-        d2 = np.einsum("ctd,tdc->tc", white, nu)
-    gated: Array = var + diagonal * _excess(d2)[:, None]
-    return gated
 
 
 def _excess(d2: Array) -> Array:

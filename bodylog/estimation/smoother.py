@@ -13,7 +13,8 @@ from ..types import Array, BodyModel, Estimate, Features
 from . import adjoint, results
 from .filtering import drifts, pose, settled
 from .folds import Fold, fold_for
-from .laplace import SWEEPS, Problem, Progress, Restless, Solution, far, guesses, handed_over, heard, starts
+from .laplace import SWEEPS, Problem, Progress, Restless, Solution, far, heard
+from .outset import handed_over, outset
 from .results import Beliefs
 from .scan import Readings, Trace, rescan
 from .tangents import Tangents
@@ -53,8 +54,9 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path; Restless when the rounds do not settle."""
     fold, line, m = fold_for(len(problem.timeline.t)), problem.timeline, len(problem.start)
-    readings, (z, p) = heard(problem, fold), starts(problem, fold, warm)
-    tangents, forth = Tangents(guesses(problem) if warm is None else warm.points, STILL), FORTH if warm is None else 0
+    readings = heard(problem, fold)
+    points, z, p = outset(problem, fold, readings, warm)
+    tangents, forth = Tangents(points, STILL), FORTH if warm is None else 0
     ends, smooth, moving, rest = np.zeros_like(z), None, np.ones(fold.count, bool), np.inf
     trace, progress = None, Progress()
     for sweep in range(SWEEPS):

@@ -10,7 +10,7 @@ from ..settings import Estimation
 from ..types import Array, BodyModel
 from .bias import WALKS
 from .instant import Memory, Sight, hear
-from .laplace import OFFSET_STD, START_STD
+from .outset import OFFSET_STD, START_STD
 from .scan import Dynamics
 
 

@@ -1,6 +1,5 @@
 """Where frames are linearised: predicted anew only as far as their points still move."""
 
-from itertools import accumulate
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,8 +15,6 @@ if TYPE_CHECKING:
 
 RESTING = 2e-8
 """rad: a frame whose point of linearisation is moved less keeps its tangent."""
-ROUGH = (1, 3)
-"""Rounds that leave the model's variance as it was: n times as dear as the mean, and not what moves the points."""
 SAME = 1e-7
 """Relative change of a frame's variance that does not count."""
 
@@ -27,11 +24,10 @@ class Tangents:
 
     def __init__(self, points: tuple[Array, ...], resting: float = RESTING) -> None:
         """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed."""
-        self._resting, self._round = resting, 0
+        self._resting = resting
         self.points = points
         self._stale = tuple(np.ones(len(x), bool) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
-        self._old_var = tuple(np.ones(len(x), bool) for x in points)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
         """Write stale tangents into the readings: y = s − g + J x°, var = pixel + (2n − 1) model variance.
@@ -45,7 +41,7 @@ class Tangents:
             stale = self._stale[index]
             if stale.any():
                 x = self.points[index][stale]
-                mean, jac = self._predict(index, sighting.model, stale)
+                mean, jac, self._model_var[index][stale] = _several(sighting.model, x)
                 y = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
                 fold.put(readings.y[:, index], events[stale], y)
                 fold.put(readings.jac[:, index], events[stale], jac)
@@ -57,23 +53,8 @@ class Tangents:
             touched |= fold.sees(events[other])
         return touched
 
-    def _predict(self, index: int, model: ForwardModel, stale: Array) -> tuple[Array, Array]:
-        """Mean and Jacobian at the stale points; the variance too, in all but rough rounds."""
-        x, means = self.points[index][stale], getattr(model, "means", None)
-        rough = means is not None and self._round in ROUGH
-        self._old_var[index][stale] = rough
-        if means is not None and rough:
-            mean, jac = means(x)
-        else:
-            mean, jac, self._model_var[index][stale] = _several(model, x)
-        return mean, jac
-
     def _own(self, index: int, sighting: Sighting) -> Array:
         """The model's variance (F,D), 2n − 1 times in the n-th frame from one place."""
-        old = self._old_var[index]
-        if old.any() and self._round not in ROUGH:
-            self._model_var[index][old] = _several(sighting.model, self.points[index][old])[2]
-            old[:] = False
         var, seen = self._model_var[index].copy(), np.isfinite(sighting.values).all(axis=1)
         var[seen] *= 2.0 * repeats(self.points[index][seen])[:, None] - 1.0
         return np.asarray(var)
@@ -83,7 +64,6 @@ class Tangents:
         pairs = list(zip(wanted, self.points, strict=True))
         moves = [np.abs(new - old).max(axis=1) for new, old in pairs]
         self._stale = tuple(move > self._resting for move in moves)
-        self._round += 1
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )
@@ -106,4 +86,10 @@ def repeats(points: Array) -> Array:
     if not len(points):
         return np.empty(0)
     apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    return np.array(list(accumulate(np.exp(-apart / ALIKE).tolist(), lambda n, kept: 1.0 + kept * n, initial=1.0)))
+    count, kept, reach = np.ones(len(points)), np.append(0.0, np.exp(-apart / ALIKE)), 1
+    # n[k] = 1 + kept[k] n[k−1] by doubling: after each round the sums reach twice as far back
+    while reach < len(points) and kept.any():
+        count[reach:] += kept[reach:] * count[:-reach]
+        kept[reach:] *= kept[:-reach].copy()
+        reach *= 2
+    return count

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..types import Array
-from .folds import Fold
-from .laplace import Problem, Solution, handed_over, prior, solve
+from .laplace import Problem, Solution, solve
 from .motion import floor
+from .outset import handed_over, priors
 from .precision import Precision
 from .scan import Dynamics, Readings, scan
 from .senses import Encoders, Evidence, Sighting
@@ -77,7 +77,7 @@ def costs(part: Problem, solution: Solution, candidates: Array, names: list[str]
     """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors."""
     m, g = len(part.start), len(candidates)
     readings, fold = solution.readings, solution.fold
-    z, p = handed_over(*first_starts(part, fold), solution.trace, fold)
+    z, p = handed_over(*priors(part, fold), solution.trace, fold)
     var = np.repeat(readings.var[..., None], g, axis=-1)
     for index, (sighting, events) in enumerate(zip(part.evidence.sightings, part.timeline.sightings, strict=True)):
         if sighting.name in names:
@@ -92,12 +92,6 @@ def costs(part: Problem, solution: Solution, candidates: Array, names: list[str]
     trace = scan(tiled, dynamics, _tile(z, g), _tile(p, g))
     mine = trace.nats[fold.over : fold.over + fold.own].reshape(fold.own, fold.count, g)
     return np.asarray(mine.sum(axis=(0, 1)))
-
-
-def first_starts(part: Problem, fold: Fold) -> tuple[Array, Array]:
-    """The prior (K,C), (K,K,C) for every stretch."""
-    z, p = prior(part)
-    return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
 
 
 def _tile(a: Array, g: int) -> Array:

@@ -6,7 +6,8 @@ import numpy as np
 
 from .folds import Fold
 from .instant import RESTING, Memory, Sight, hear
-from .laplace import Problem, Solution, encoder_rows, prior
+from .laplace import Problem, Solution, encoder_rows
+from .outset import prior
 from .scan import Readings, Trace
 
 ROUGHLY = 1e-3
