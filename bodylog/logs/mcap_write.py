@@ -35,7 +35,6 @@ _MESSAGE = np.dtype(
     ]
 )
 MESSAGE_HEAD = _MESSAGE.itemsize
-_GATHER = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +158,7 @@ def messages(table: Messages) -> tuple[Array, Array]:
     head["channel"], head["sequence"] = table.channel, table.sequence
     head["log_ns"], head["publish_ns"] = table.log_ns, table.publish_ns
     out = np.empty(int(size.sum()), np.uint8)
-    out[start[:, None] + np.arange(MESSAGE_HEAD)] = head.view(np.uint8).reshape(-1, MESSAGE_HEAD)
+    _windows(out, MESSAGE_HEAD)[start] = head.view(f"V{MESSAGE_HEAD}")
     _copy(table.data, table.offset, out, start + MESSAGE_HEAD, table.length)
     return out, start
 
@@ -173,12 +172,12 @@ def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
 
 
 def _copy(source: Array, where: Array, out: Array, to: Array, length: Array) -> None:
-    """Scatter pieces of `source` into `out`: equal short lengths at once, long ones one by one."""
-    for size in np.unique(length):
+    """Scatter pieces of `source` into `out`, those of one length at once."""
+    for size in np.unique(length[length > 0]).tolist():
         rows = np.flatnonzero(length == size)
-        if size > _GATHER or len(rows) < 4:
-            for i, j in zip(where[rows].tolist(), to[rows].tolist(), strict=True):
-                out[j : j + size] = source[i : i + size]
-        elif size:
-            span = np.arange(size)
-            out[to[rows, None] + span] = source[where[rows, None] + span]
+        _windows(out, size)[to[rows]] = _windows(source, size)[where[rows]]
+
+
+def _windows(data: Array, size: int) -> Array:
+    """`size` bytes from every place (bytes,) of `data` on, each as one item: moved as a block, not byte by byte."""
+    return np.ndarray(max(0, len(data) - size + 1), f"V{size}", data, 0, (1,))

@@ -4,6 +4,7 @@
 command. FOLDER keeps the logs for the next run.
 """
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -86,8 +87,11 @@ def command(work: Path) -> None:
 
 
 def _command(log: Path, body: Path, out: Path) -> None:
+    """With the package's bytecode at hand, as it is where it was installed."""
     typed = ["estimate", str(log), "--body", str(body), "-o", str(out)]
-    subprocess.run([sys.executable, "-m", "bodylog_cli", *typed], check=True, capture_output=True)
+    shell = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    shell["PYTHONPYCACHEPREFIX"] = str(body.parent / "bytecode")
+    subprocess.run([sys.executable, "-m", "bodylog_cli", *typed], check=True, capture_output=True, env=shell)
 
 
 def _decode(jpegs: list[Array]) -> None:
