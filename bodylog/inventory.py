@@ -1,5 +1,7 @@
 """What is in a file: a log here or behind a URL, or a body model."""
 
+import json
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
@@ -9,6 +11,7 @@ from typing import Any
 
 from . import stores
 from .settings import Settings
+from .types import ForwardModel
 
 
 def info(log: Path | str, settings: Settings) -> dict[str, Any]:
@@ -49,9 +52,30 @@ def _info_body(path: Path) -> dict[str, Any]:
         "path": str(path),
         "format": "body",
         "joints": list(learned.joints),
-        "senses": {name: list(sense.outputs) for name, sense in learned.senses.items()},
+        "senses": {name: _sense(sense, learned.joints) for name, sense in learned.senses.items()},
         "noise": asdict(learned.noise),
         "touch": asdict(learned.touch),
-        "provenance": dict(learned.provenance),
+        "cells": {str(cell): list(place) for cell, place in learned.cells.items()},
+        "provenance": {key: _parsed(value) for key, value in learned.provenance.items()},
         "findings": [],
     }
+
+
+def _sense(sense: ForwardModel, joints: Sequence[str]) -> dict[str, Any]:
+    """What a sense's model is made of: samples and a length scale (rad) for each joint, or coefficients."""
+    from .body.encoders import Polynomial
+    from .body.gp import GP
+
+    told: dict[str, Any] = {"outputs": list(sense.outputs), "unit": getattr(sense, "unit", "")}
+    if isinstance(sense, GP):
+        scales = [dict(zip(joints, group, strict=True)) for group in sense.scales.tolist()]
+        return told | {"samples": len(sense.samples), "length_scales": scales}
+    return told | ({"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {})
+
+
+def _parsed(value: Any) -> Any:
+    """A text that holds JSON as what it holds."""
+    try:
+        return json.loads(value) if isinstance(value, str) else value
+    except ValueError:
+        return value

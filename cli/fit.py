@@ -27,12 +27,16 @@ def fit(
     as_json: bool,
 ) -> int:
     """Learn the robot's body from exploration logs: what each sense is expected to read at any joint angles."""
-    from bodylog import pipeline
+    from bodylog import inventory, pipeline
 
-    from .output import progress, show
+    from .output import body, progress, show
 
     named = tuple(joints.split(",")) if joints else None
     chosen = common.settings(fit={"preset": preset, "every": every}, body={"joints": named})
     with progress("fit") as tick:
         result = pipeline.fit(logs, out, chosen, tick, update)
-    return show(result, as_json)
+    learned = inventory.info(out, chosen)
+    code = show(result, as_json, body=learned)
+    if not as_json:
+        body(learned)
+    return code

@@ -28,8 +28,10 @@ def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
 
 
 def _print(one: dict[str, Any]) -> None:
+    from .output import body
+
     if one["format"] == "body":
-        _print_body(one)
+        body(one)
         return
     click.echo(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")
     width = max((len(topic["topic"]) for topic in one["topics"]), default=0)
@@ -42,12 +44,3 @@ def _print(one: dict[str, Any]) -> None:
         click.echo(f"  joint names: {', '.join(one['joints'])}")
     for finding in one["findings"]:
         click.echo(f"  {finding['severity']}: {finding['text']}")
-
-
-def _print_body(one: dict[str, Any]) -> None:
-    click.echo(f"{one['path']}: body model of {', '.join(one['joints'])}")
-    for sense, outputs in one["senses"].items():
-        click.echo(f"  {sense}: {', '.join(outputs)}")
-    for part in ("noise", "touch", "provenance"):
-        for key, value in one[part].items():
-            click.echo(f"  {part} {key}: {value}")

@@ -14,11 +14,14 @@ if TYPE_CHECKING:
     from bodylog.types import Finding, Score
 
 
-def show(result: "Result", as_json: bool, quiet: bool = False) -> int:
-    """Print a result and return the exit code: 3 when part of the input was lost, else 0; `quiet` is for talk."""
+def show(result: "Result", as_json: bool, quiet: bool = False, **further: Any) -> int:
+    """Print a result and return the exit code: 3 when part of the input was lost, else 0; `quiet` is for talk.
+
+    What is `further` known of it is printed with --json alone.
+    """
     talk(result.findings, quiet)
     if as_json:
-        data(as_data(result))
+        data(as_data(result) | further)
     else:
         table(() if quiet else result.scores)
         if result.output is not None:
@@ -72,6 +75,65 @@ def table(scores: "Sequence[Score]") -> None:
     width = max((len(score.name) for score in scores), default=0)
     for score in scores:
         click.echo(f"{score.name:<{width}}  {score.value:>12.6g}  {score.unit}".rstrip())
+
+
+def body(told: dict[str, Any]) -> None:
+    """A body model as `info` tells it: samples and length scales, noise with standard errors, touch, where from."""
+    click.echo(f"{told['path']}: body model of {', '.join(told['joints'])}")
+    for name, sense in told["senses"].items():
+        click.echo(f"  {name} ({', '.join(sense['outputs'])}): {_learned(sense)}")
+    for line in (*_noise(told), *_touch(told), *_provenance(told["provenance"])):
+        click.echo(f"  {line}")
+
+
+def _learned(sense: dict[str, Any]) -> str:
+    if "coefficients" in sense:
+        return "; ".join(" + ".join(f"{c:.4g} x^{k}" for k, c in enumerate(row)) for row in sense["coefficients"])
+    kernels = (", ".join(f"{joint} {value:.4g}" for joint, value in one.items()) for one in sense["length_scales"])
+    return f"{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
+
+
+def _noise(told: dict[str, Any]) -> Iterator[str]:
+    """Standard deviations of what is read, and densities of the motion, each with its standard error."""
+    noise, errors = told["noise"], told["noise"]["std_error"]
+    for joint, value, off in _beside(told["joints"], noise["encoder"], errors.get("encoder")):
+        yield f"noise encoders {joint}: {_root(value, off)} rad"
+    for name, sense in told["senses"].items():
+        for output, value, off in _beside(sense["outputs"], noise["senses"].get(name, ()), errors.get(name)):
+            yield f"noise {name} {output}: {_root(value, off)} {sense['unit']}"
+    for joint, value, off in _beside(told["joints"], noise["process"], errors.get("process")):
+        yield f"process {joint}: {value:.4g}{_off(off)} rad²/s³"
+
+
+def _beside(
+    names: Sequence[str], values: Sequence[float], errors: Sequence[float] | None
+) -> Iterator[tuple[str, float, float | None]]:
+    known = errors if errors is not None and len(errors) == len(values) else [None] * len(values)
+    return zip(names, values, known, strict=False)
+
+
+def _root(variance: float, off: float | None) -> str:
+    """A standard deviation, its standard error by the variance's."""
+    std = variance**0.5
+    return f"{std:.4g}{_off(None if off is None else off / (2.0 * std))}"
+
+
+def _off(error: float | None) -> str:
+    return "" if error is None else f" ± {error:.2g}"
+
+
+def _touch(told: dict[str, Any]) -> Iterator[str]:
+    units = {"b1": " /px²", "b2": " /s²"}
+    yield "touch: " + ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in told["touch"].items())
+    for cell, (u, v, spread) in told["cells"].items():
+        yield f"cell {cell}: seen {u:+.1f}, {v:+.1f} px from the effector, spread {spread:.1f} px"
+
+
+def _provenance(said: dict[str, Any]) -> Iterator[str]:
+    """Where a body comes from; the settings, which are long, only with --json."""
+    for key, value in sorted(said.items()):
+        for item in () if key == "settings" else value if isinstance(value, list) else [value]:
+            yield f"{key}: {' '.join(map(str, item)) if isinstance(item, list) else item}"
 
 
 @contextmanager

@@ -1,5 +1,7 @@
 """Figures of merit: how far the belief is from the truth, and whether its error bars are true."""
 
+from collections.abc import Iterator, Mapping, Sequence
+
 import numpy as np
 
 from ..types import Array, Estimate, Score, Series
@@ -69,7 +71,24 @@ def own_scores(estimate: Estimate) -> list[Score]:
         if len(finite):
             found.append(Score(f"error_squared/{sense}", float(np.mean(finite**2)), "1"))
     found += [Score(f"used/{sense}", float(health.used), "messages") for sense, health in sorted(estimate.used.items())]
-    return found
+    return [*found, *precision_scores(estimate)]
+
+
+def precision_scores(estimate: Estimate) -> list[Score]:
+    """What was taken for noise: each joint's encoder_std and process, and by how much a track's variance was scaled."""
+    names, said = estimate.joints.names, estimate.settings
+    found = [Score(f"encoder_std/{n}", v**0.5, "rad") for n, v in _each(names, said.get("encoder"))]
+    found += [Score(f"encoder_std/{n}", v**0.5, "rad") for n, v in _each(names, said.get("sigma_encoders"))]
+    found += [Score(f"process/{n}", v, "rad²/s³") for n, v in _each(names, said.get("process"))]
+    scale = said.get("scale")
+    factors = sorted(scale.items()) if isinstance(scale, Mapping) else ()
+    return found + [Score(f"variance_factor/{n}", v, "1") for track, v in factors for n, v in _each((track,), [v])]
+
+
+def _each(names: Sequence[str], values: object) -> Iterator[tuple[str, float]]:
+    """Each name's variance out of a list as a log says it; nothing for anything else."""
+    if isinstance(values, list | tuple) and len(values) == len(names):
+        yield from ((n, float(v)) for n, v in zip(names, values, strict=True) if isinstance(v, int | float) and v >= 0)
 
 
 def track_scores(estimate: Estimate) -> list[Score]:

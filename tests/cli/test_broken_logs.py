@@ -1,0 +1,143 @@
+"""Logs spoilt in one way each, as .mcap and as .bag: refused by name, or read and the loss counted; nothing is left."""
+
+import json
+
+import numpy as np
+import pytest
+
+from .spoilt import later, spoil
+
+SECONDS = 3.0
+PLACES = pytest.mark.parametrize("log", ["reach.mcap", "reach.bag"])
+
+
+@pytest.fixture
+def made(tmp_path, arm):
+    """Spoil the first seconds of a log of the arm."""
+
+    def make(log, change, name="spoilt", until=SECONDS, **how):
+        return spoil(arm / log, tmp_path / f"{name}_{log}", change, until, **how)
+
+    return make
+
+
+def _estimated(capsys, bodylog, log, body, out, *typed):
+    capsys.readouterr()
+    assert bodylog("estimate", log, "--body", body, "-o", out, "--json", *typed) == 0
+    result = json.loads(capsys.readouterr().out)
+    return result, {score["name"]: score["value"] for score in result["scores"]}
+
+
+def _refused(capsys, bodylog, log, body, out, *typed):
+    """The one line said by an estimate that ends with 65 and leaves nothing."""
+    capsys.readouterr()
+    before = sorted(out.parent.iterdir())
+    assert bodylog("estimate", log, "--body", body, "-o", out, *typed) == 65
+    said = capsys.readouterr().err.strip()
+    assert "\n" not in said and said.startswith("bodylog: ")
+    assert sorted(out.parent.iterdir()) == before
+    return said
+
+
+def _nothing(count, message):
+    return True
+
+
+@PLACES
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_readings_that_are_no_numbers_are_passed_over(tmp_path, capsys, bodylog, arm_body, made, log, value):
+    def change(count, message):
+        message.position[0] = value if 20 <= count < 30 else message.position[0]
+        return True
+
+    result, scores = _estimated(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    _, whole = _estimated(capsys, bodylog, made(log, _nothing, "whole"), arm_body, tmp_path / "out.mcap")
+    assert not result["faults"]
+    assert scores["joint_rmse"] < 1.15 * whole["joint_rmse"] and np.isfinite(scores["encoder_rmse"])
+
+
+@PLACES
+def test_stamps_that_run_backwards_are_counted(tmp_path, capsys, bodylog, arm_body, made, log):
+    """Ten messages dated one second back fall on the stamps of others, which were there first."""
+
+    def change(count, message):
+        later(message, -1.0 if 60 <= count < 70 else 0.0)
+        return True
+
+    result, scores = _estimated(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    said = [finding["text"] for finding in result["findings"] if finding["text"].startswith("joints ")]
+    assert any("messages out of order were sorted" in text for text in said)
+    assert any("rejected 10 (same stamp again) of 150 messages" in text for text in said)
+    assert scores["used/encoders"] == 140 and scores["joint_rmse"] < scores["encoder_rmse"]
+
+
+@PLACES
+def test_joints_of_another_robot_are_named_beside_the_bodys(tmp_path, capsys, bodylog, arm_body, made, log):
+    def change(count, message):
+        message.name = [f"other_{name}" for name in message.name]
+        return True
+
+    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    for name in ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"):
+        assert f" {name}" in said and f"other_{name}" in said
+
+
+@PLACES
+def test_one_joint_of_the_body_that_is_absent_is_named(tmp_path, capsys, bodylog, arm_body, made, log):
+    def change(count, message):
+        message.name = ["wrist_9_joint" if name == "elbow_joint" else name for name in message.name]
+        return True
+
+    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    assert ": elbow_joint missing;" in said and "wrist_9_joint" in said
+
+
+@PLACES
+@pytest.mark.parametrize("spoken", ["nothing", "no numbers", "one joint no numbers"])
+def test_encoders_that_never_say_a_number_are_refused(tmp_path, capsys, bodylog, arm_body, made, log, spoken):
+    def change(count, message):
+        message.position[: 1 if spoken.startswith("one") else None] = np.nan
+        return spoken != "nothing"
+
+    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    assert "joints: " in said
+
+
+@PLACES
+@pytest.mark.parametrize("sense", ["vision", "touch"])
+def test_a_named_sense_without_an_observation_is_refused_by_name(
+    tmp_path, capsys, bodylog, arm_body, made, log, sense
+):
+    blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
+    said = _refused(capsys, bodylog, blind, arm_body, tmp_path / "out.mcap", "--with", f"encoders,{sense}")
+    assert sense in said
+
+
+@PLACES
+def test_senses_nobody_named_may_be_absent(tmp_path, capsys, bodylog, arm_body, made, log):
+    blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
+    _, scores = _estimated(capsys, bodylog, blind, arm_body, tmp_path / "out.mcap")
+    assert scores["used/encoders"] == 150 and "error_squared/effector" not in scores
+    assert scores["joint_rmse"] < scores["encoder_rmse"]
+
+
+@PLACES
+@pytest.mark.parametrize("what", ["frozen", "dead", "jumping"])
+def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, bodylog, arm_body, made, log, what):
+    held = {}
+
+    def change(count, message):
+        at = list(message.name).index("shoulder_pan_joint")
+        if count < 150:
+            held["last"] = message.position[at]
+        else:
+            lie = {"frozen": held["last"], "dead": np.nan, "jumping": message.position[at] + 0.4}
+            message.position[at] = lie[what]
+        return True
+
+    result, scores = _estimated(capsys, bodylog, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
+    (fault,) = result["faults"]
+    assert (fault["name"], fault["kind"]) == ("shoulder_pan_joint", what)
+    assert fault["since"] == pytest.approx(3.0, abs=0.05)
+    assert fault["size"] == pytest.approx(0.4 if what == "jumping" else 0.0, abs=0.03)
+    assert scores["joint_rmse/shoulder_pan_joint"] < 0.012
