@@ -11,6 +11,9 @@ for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65."""
+    from bodylog import memory
+
+    memory.keep()
     sys.exit(run(arguments))
 
 
