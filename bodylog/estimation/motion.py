@@ -7,7 +7,7 @@ from .folds import Fold, fold_for
 from .senses import Encoders
 
 SPREAD = 17
-MOST = 12_000
+MOST = 6000
 """Readings used at most, from the middle of the log: more would not sharpen two numbers per joint."""
 SKIP = 3
 """Readings per stretch that only start the filter and do not count."""

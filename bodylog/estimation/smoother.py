@@ -20,10 +20,12 @@ from .scan import Readings, Trace, rescan
 from .tangents import Tangents
 from .walk import walk
 
-FORTH = 2
+FORTH = 1
 """Sweeps that only go forth, until the stretches start nearly where they should."""
 
 
+TURNS = 2
+"""Ways back at most for one way forth, of which they cost a quarter."""
 STILL = 1e-7
 """rad: a frame whose point on the path moves less keeps its tangent."""
 LASTING = 1e-6
@@ -70,13 +72,24 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
         progress.note(rest)
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
         if sweep >= forth:
-            smooth, at_start = adjoint.means(readings, trace, ends, fold.takeover)
-            next_ends = adjoint.before(at_start)
-            rest, ends = max(rest, _pulled(next_ends - ends, p)), next_ends
+            smooth, ends, pulled = _back(readings, trace, ends, p, fold, rest)
+            rest = max(rest, pulled)
         tangents.follow(
             tuple(fold.pick(trace.z if smooth is None else smooth, events)[:, :m] for events in line.sightings)
         )
     raise Restless(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
+
+
+def _back(
+    readings: Readings, trace: Trace, ends: Array, p: Array, fold: Fold, rest: float
+) -> tuple[Array, Array, float]:
+    """Smoothed state (L,K,C) and ends (K,C), gone back again while ends move more than starts did; their last move."""
+    for _ in range(TURNS):
+        smooth, at_start = adjoint.means(readings, trace, ends, fold.takeover)
+        pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
+        if pulled <= max(rest, LASTING):
+            break
+    return smooth, ends, pulled
 
 
 def spread(readings: Readings, trace: Trace, fold: Fold) -> Array:
