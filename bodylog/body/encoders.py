@@ -50,7 +50,7 @@ def understood(
     """Features, body and settings such that a method understands what the body's encoders read.
 
     Predictive coding descends through their model, from the angles that the first readings tell. The other methods
-    get angles instead of readings; UsageError where a reading does not tell the angle over what was explored.
+    get angles instead of readings; UsageError where a reading does not tell the angle over what was explored, or hardly.
     """
     if "encoders" not in body.senses or found.joints is None:
         return found, body, settings
@@ -60,7 +60,7 @@ def understood(
     angles = _angles(found.joints, body)
     if angles is None:
         raise UsageError(
-            f"{settings.method}: what this body's encoders read does not tell angles apart; type: --method "
+            f"{settings.method}: what this body's encoders read turns or flattens over the angles explored; type: --method "
             "predictive-coding, and in robot.toml [estimate] start, one angle in rad for each of "
             + ", ".join(body.joints)
         )
@@ -73,7 +73,7 @@ def understood(
 
 
 def _angles(joints: Series, body: BodyModel) -> Series | None:
-    """The readings as angles, on the branch that was explored; None where some angles there read alike."""
+    """The readings as angles, on the branch that was explored; None where some angles there read (almost) alike."""
     x = _explored(body)
     low, high = x.min(axis=0), x.max(axis=0)
     grid = np.linspace(low, high, _GRID)

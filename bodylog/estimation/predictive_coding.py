@@ -134,9 +134,13 @@ def _beliefs(
     every[line.outputs] = nats
     errors = np.full((len(line.t), x.shape[1]), np.nan)
     if evidence.encoders is not None:
-        sigma = plan.senses[0].sigma[before][line.encoders]
-        std = np.sqrt(sigma + np.einsum("nii->ni", cov[before][line.encoders]))
-        errors[line.encoders] = (evidence.encoders.values - x[before][line.encoders]) / std
+        then, sense = before[line.encoders], plan.senses[0]
+        read, slope = x[then], np.ones_like(x[then])
+        if sense.model is not None:
+            read, jac, _ = sense.model.predict(read)
+            slope = np.einsum("nmm->nm", jac)
+        std = np.sqrt(sense.sigma[then] + slope**2 * np.einsum("nii->ni", cov[then]))
+        errors[line.encoders] = (evidence.encoders.values - read) / std
     settings = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
     settings |= {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
     z = np.concatenate([x, rate], axis=1)[held]

@@ -78,6 +78,8 @@ def test_a_log_without_reference_is_estimated(explored, tmp_path, reading, metho
     found = estimate(*understood(features, load(tmp_path / "body.npz"), Estimation(method=method)))
     error = found.joints.values - motion(found.joints.t, 0)
     late = found.joints.t > 2.0
+    if method != "predictive-coding":  # whose static belief lags behind
+        assert 0.7 < np.square(found.errors["encoders"].values[200:]).mean() < 1.3
     assert np.sqrt(np.square(error[late]).mean()) < (0.03 if method == "predictive-coding" else 0.006)
 
 
@@ -88,13 +90,14 @@ def test_squares_about_zero_hide_the_sign_and_the_start_decides(explored) -> Non
     noise = np.random.default_rng(1).normal(0.0, 0.01, (len(t), 3))
     joints = replace(still.joints, t=t, values=at**2 + noise, names=body.joints, source_ns=(t * 1e9).astype(np.int64))
     features = replace(still, joints=joints, tracks={})
-    with pytest.raises(UsageError, match="does not tell angles apart; type: --method predictive-coding"):
+    with pytest.raises(UsageError, match="turns or flattens over the angles explored; type: --method predictive-coding"):
         understood(features, body, Estimation())
     for sign in (1.0, -1.0):
         start = (sign * 0.3, 0.3, 0.4)
         asked = Estimation(method="predictive-coding", senses=("encoders",), start=start)
-        found = estimate(*understood(features, body, asked)).joints.values[-50:].mean(axis=0)
-        assert np.abs(found - at * [sign, 1, 1]).max() < 0.02
+        found = estimate(*understood(features, body, asked))
+        assert np.abs(found.joints.values[-50:].mean(axis=0) - at * [sign, 1, 1]).max() < 0.02
+        assert 0.5 < np.square(found.errors["encoders"].values[-300:]).mean() < 1.5
 
 
 def test_readings_become_angles_by_name_and_go_straight_on_beyond_what_was_explored(explored) -> None:
