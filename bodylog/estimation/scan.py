@@ -9,11 +9,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..types import Array
+from .conditioning import update
 
 R = TypeVar("R", "Readings", "Trace")
-
-GATE = 5.0
-"""Standard deviations: a rarer innovation d has its noise raised until its pull falls as GATE²/d (redescending)."""
 
 EVEN = 16
 """Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
@@ -160,92 +158,3 @@ def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyp
             diagonal[2 * m :] += walk * dt
 
     return propagate
-
-
-def update(
-    readings: Readings, i: int, heard: Array, seen: Array, recalled: Array | None, z: Array, p: Array,
-    encoder_d: Array, back: tuple[Array | None, Array, Array],
-) -> None:  # fmt: skip
-    """Condition z, p in place on all that is heard at instant i, tracks in the stretches `seen` alone.
-
-    Noise is gated by the prior, so order is no matter. `back` takes gains, weights and innovations of all rows.
-    """
-    m, (gains, weights, nus) = readings.encoders.shape[1], back
-    joint_var, encoder_d[:] = _gated_encoders(readings.encoders[i], readings.encoder_var[i], z, p, m)
-    if recalled is not None:
-        joint_var[recalled], encoder_d[recalled] = readings.encoder_var[i][recalled], np.nan
-    if len(seen):
-        lines = (part[i].take(seen, axis=-1) for part in (readings.y, readings.jac, readings.var))
-        _see(*lines, seen, z, p, (None if gains is None else gains[m:], weights[m:], nus[m:]))
-    said = np.where(heard, readings.encoders[i], 0.0)
-    for j in range(m):
-        ph = p[:, j] if len(z) == 2 * m else p[:, j] + p[:, 2 * m + j]
-        s = joint_var[j] + (ph[j] if len(z) == 2 * m else ph[j] + ph[2 * m + j])
-        nus[j] = said[j] - (z[j] if len(z) == 2 * m else z[j] + z[2 * m + j])
-        weights[j] = heard[j] / s
-        gain = _condition(z, p, ph, weights[j], nus[j])
-        if gains is not None:
-            gains[j] = gain
-
-
-def _see(
-    y: Array, jac: Array, var: Array, seen: Array, z: Array, p: Array, back: tuple[Array | None, Array, Array]
-) -> None:
-    """Condition the stretches `seen` of z, p in place on their tracks' rows y, var (T,2,C'), jac (T,2,M,C')."""
-    m, some_z, some_p, (gains, weights, nus) = jac.shape[2], z.take(seen, axis=1), p.take(seen, axis=2), back
-    priors = [(*_lean(h, some_p), (h * some_z[:m]).sum(axis=1)) for h in jac]
-    own = [_gated(s, said - mean, noise) for (_, s, mean), said, noise in zip(priors, y, var, strict=True)]
-    for t, h in enumerate(jac):
-        # tracks heard before have moved the belief since
-        ph, s, mean = priors[0] if t == 0 else (*_lean(h, some_p), (h * some_z[:m]).sum(axis=1))
-        heard = np.isfinite(y[t])
-        nu = np.where(heard, y[t] - mean, 0.0)
-        for d in range(2):
-            weight = heard[d] / (s[d, d] + own[t][d])
-            gain = _condition(some_z, some_p, ph[d], weight, nu[d])
-            weights[2 * t + d][seen], nus[2 * t + d][seen] = weight, nu[d]
-            if gains is not None:
-                gains[2 * t + d][:, seen] = gain
-            if d == 0:
-                share = weight * s[0, 1]
-                ph[1], s[1, 1], nu[1] = ph[1] - share * ph[0], s[1, 1] - share * s[0, 1], nu[1] - share * nu[0]
-    z[:, seen], p[:, :, seen] = some_z, some_p
-
-
-def _lean(h: Array, p: Array) -> tuple[Array, Array]:
-    """P Hᵀ (2,K,C) and H P Hᵀ (2,2,C) of rows h (2,M,C) under p (K,K,C)."""
-    m = h.shape[1]
-    ph = (h[:, None] * p[:, :m]).sum(axis=2)
-    return ph, (h * ph[:, None, :m]).sum(axis=2)
-
-
-def _gated(s: Array, nu: Array, var: Array) -> Array:
-    """Variances (2,C) of a track's rows after gating it as a whole; H P Hᵀ s (2,2,C), innovations nu (2,C)."""
-    a, b, c = s[0, 0] + var[0], s[0, 1], s[1, 1] + var[1]
-    d2 = (c * nu[0] ** 2 - 2.0 * b * nu[0] * nu[1] + a * nu[1] ** 2) / (a * c - b * b)
-    return var + np.stack([a, c]) * _excess(d2)
-
-
-def _condition(z: Array, p: Array, ph: Array, weight: Array, nu: Array) -> Array:
-    """One scalar reading: innovation nu (C,), its weight (C,), 0 where silent, ph = P Hᵀ (K,C); the gain (K,C)."""
-    gain = ph * weight
-    z += gain * nu
-    p -= gain[:, None] * ph[None]
-    return gain
-
-
-def _gated_encoders(y: Array, var: Array, z: Array, p: Array, m: int) -> tuple[Array, Array]:
-    """Encoder variances (M,C) after gating, and the innovations in standard deviations (M,C)."""
-    diagonal = np.einsum("iic->ic", p)
-    s, nu = diagonal[:m] + var, y - z[:m]
-    if len(z) > 2 * m:
-        s = s + diagonal[2 * m :] + 2.0 * np.einsum("iic->ic", p[:m, 2 * m :])
-        nu = nu - z[2 * m :]
-    d = nu / np.sqrt(s)
-    return var + s * _excess(d * d), d
-
-
-def _excess(d2: Array) -> Array:
-    """By how many prior variances the noise must grow: 0 inside the gate, (d/GATE)⁴ − 1 outside; NaN is inside."""
-    over = d2 > GATE * GATE
-    return np.where(over, (d2 / (GATE * GATE)) ** 2 - 1.0, 0.0) if over.any() else np.zeros_like(d2)
