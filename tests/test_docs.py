@@ -34,9 +34,9 @@ def test_commands_in_the_pages_exist(name):
 
 def test_tutorial_runs_word_for_word(tmp_path):
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    for block in re.findall(r"```bash\n(.*?)```", TUTORIAL, re.DOTALL):
-        done = subprocess.run(
-            ["bash", "-ec", block], cwd=tmp_path, capture_output=True, text=True, env={**os.environ, "PATH": path}
-        )
+    run = {"bash": ("bash", "-ec"), "python": (sys.executable, "-W", "error", "-c")}
+    for language, block in re.findall(r"```(bash|python)\n(.*?)```", TUTORIAL, re.DOTALL):
+        command, environment = [*run[language], block], {**os.environ, "PATH": path}
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, env=environment)
         assert done.returncode == 0, f"{block}\n{done.stdout}\n{done.stderr}"
     assert {"body.npz", "smooth.mcap", "smooth.png", "report.html", "results"} <= {p.name for p in tmp_path.iterdir()}
