@@ -49,21 +49,20 @@ def understood(
 ) -> tuple[Features, BodyModel, Estimation]:
     """Features, body and settings such that a method understands what the body's encoders read.
 
-    Predictive coding descends through their model, from the angles that the first readings tell. The other methods
-    get angles instead of readings; UsageError where a reading does not tell the angle over what was explored, or hardly.
+    Predictive coding descends through their model, from the angles that the first readings tell or as set. The other
+    methods get angles instead of readings. UsageError where over what was explored a reading does not tell the angle.
     """
-    if "encoders" not in body.senses or found.joints is None:
+    coding = settings.method == "predictive-coding"
+    if "encoders" not in body.senses or found.joints is None or (coding and settings.start):
         return found, body, settings
-    if settings.method == "predictive-coding":
-        start = settings.start or _first(_angles(found.joints, body), body.joints)
-        return found, body, replace(settings, start=start)
     angles = _angles(found.joints, body)
     if angles is None:
         raise UsageError(
-            f"{settings.method}: what this body's encoders read turns or flattens over the angles explored; type: --method "
-            "predictive-coding, and in robot.toml [estimate] start, one angle in rad for each of "
-            + ", ".join(body.joints)
+            "encoders: what this body's read turns or flattens over the angles explored; type: --method "
+            f"predictive-coding, and in robot.toml [estimate] start, the angles in rad of {', '.join(body.joints)}"
         )
+    if coding:
+        return found, body, replace(settings, start=_first(angles, body.joints))
     senses = {name: model for name, model in body.senses.items() if name != "encoders"}
     x = _explored(body)
     slope = np.einsum("nmm->nm", body.senses["encoders"].predict(x)[1])
@@ -104,8 +103,8 @@ def _explored(body: BodyModel) -> Array:
     return np.concatenate([model.samples for model in body.senses.values() if isinstance(model, GP)])
 
 
-def _first(angles: Series | None, names: tuple[str, ...]) -> tuple[float, ...] | None:
-    """The first finite angle of each joint; None where readings do not tell it."""
-    columns = [] if angles is None else [angles.values[:, angles.names.index(n)] for n in names if n in angles.names]
+def _first(angles: Series, names: tuple[str, ...]) -> tuple[float, ...] | None:
+    """The first finite angle of each joint; None where one has none."""
+    columns = [angles.values[:, angles.names.index(name)] for name in names if name in angles.names]
     found = [column[np.isfinite(column)] for column in columns]
-    return tuple(float(column[0]) for column in found) if found and all(len(column) for column in found) else None
+    return tuple(float(column[0]) for column in found) if all(map(len, found)) else None

@@ -90,8 +90,9 @@ def test_squares_about_zero_hide_the_sign_and_the_start_decides(explored) -> Non
     noise = np.random.default_rng(1).normal(0.0, 0.01, (len(t), 3))
     joints = replace(still.joints, t=t, values=at**2 + noise, names=body.joints, source_ns=(t * 1e9).astype(np.int64))
     features = replace(still, joints=joints, tracks={})
-    with pytest.raises(UsageError, match="turns or flattens over the angles explored; type: --method predictive-coding"):
-        understood(features, body, Estimation())
+    for method in ("laplace", "smoother", "predictive-coding"):
+        with pytest.raises(UsageError, match="turns or flattens over the angles explored; type: --method predictive"):
+            understood(features, body, Estimation(method=method))
     for sign in (1.0, -1.0):
         start = (sign * 0.3, 0.3, 0.4)
         asked = Estimation(method="predictive-coding", senses=("encoders",), start=start)
