@@ -2,13 +2,15 @@
 
 import struct
 import zlib
+from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..types import Array
 from . import mcap_write as mcap
 from .mcap_write import Messages
 from .records import (
@@ -28,6 +30,8 @@ CHUNK_BYTES = 1 << 20
 _LEVEL = 1
 _WORTH = 0.95
 _MOST = 0xFFFF
+_AHEAD = 2
+"""Chunks made while the one before is written."""
 
 
 @dataclass
@@ -48,16 +52,27 @@ class Contents:
         self.span = min(first, start_ns), max(last, end_ns)
 
 
+@dataclass(frozen=True, eq=False)
+class _Packed:
+    """A chunk ready to be written: log times, bytes unpacked, how and to what it was packed, its record's head and
+    length, messages and message index by channel."""
+
+    span: tuple[int, int]
+    size: int
+    compression: str
+    stored: bytes
+    head: bytes
+    length: int
+    indexes: dict[int, tuple[int, bytes]]
+
+
 class Writer:
     """Appends records to a stream at `position`; crc is that of all bytes before, or None where it is not kept."""
 
     def __init__(self, stream: BinaryIO, contents: Contents, position: int = 0, crc: int | None = None) -> None:
         """Start at `position` of the stream, whose CRC so far is `crc`."""
-        import zstandard
-
         self.contents = contents
         self._stream, self._position, self._crc = stream, position, crc
-        self._compressor = zstandard.ZstdCompressor(_LEVEL)
         self._schema_ids = {record[11:]: number for number, record in contents.schemas.items()}
 
     def begin(self, profile: str, library: str) -> None:
@@ -86,10 +101,16 @@ class Writer:
     def write(self, table: Messages) -> None:
         """Messages in the given order, as chunks of about 1 MiB each."""
         edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
-        cuts = np.flatnonzero(np.diff(edges)) + 1
-        for first, last in zip([0, *cuts.tolist()], [*cuts.tolist(), len(edges)], strict=True):
-            if last > first:
-                self._chunk(_part(table, slice(first, last)))
+        cuts = [0, *(np.flatnonzero(np.diff(edges)) + 1).tolist(), len(edges)]
+        parts = (_part(table, slice(first, last)) for first, last in pairwise(cuts) if last > first)
+        with ThreadPoolExecutor(2) as pool:
+            waiting: deque[Future[_Packed]] = deque()
+            for part in parts:
+                waiting.append(pool.submit(_packed, part))
+                if len(waiting) > _AHEAD:
+                    self._chunk(waiting.popleft().result())
+            while waiting:
+                self._chunk(waiting.popleft().result())
 
     def about(self, name: str, pairs: Mapping[str, str]) -> None:
         """A metadata record."""
@@ -119,28 +140,35 @@ class Writer:
             self.put(record)
         return known
 
-    def _chunk(self, table: Messages) -> None:
-        raw, start = mcap.messages(table)
-        span = int(table.log_ns.min()), int(table.log_ns.max())
-        compression, stored = self._pack(raw)
-        head, length = mcap.chunk(*span, raw.size, zlib.crc32(raw.data), compression, stored)
-        place = self._position, length
-        self.put(head, stored)
+    def _chunk(self, packed: _Packed) -> None:
+        place = self._position, packed.length
+        self.put(packed.head, packed.stored)
         indexes_at, indexes = self._position, {}
-        for number in np.unique(table.channel).tolist():
-            rows = np.flatnonzero(table.channel == number)
+        for number, (count, index) in packed.indexes.items():
             indexes[number] = self._position
-            self.put(mcap.message_index(number, table.log_ns[rows], start[rows]))
-            self.contents.counts[number] += len(rows)
-        sizes = len(stored), raw.size
+            self.put(index)
+            self.contents.counts[number] += count
+        sizes = len(packed.stored), packed.size
         self.contents.chunks.append(
-            mcap.chunk_index(span, place, indexes, self._position - indexes_at, compression, sizes)
+            mcap.chunk_index(packed.span, place, indexes, self._position - indexes_at, packed.compression, sizes)
         )
-        self.contents.seen(*span)
+        self.contents.seen(*packed.span)
 
-    def _pack(self, raw: Array) -> tuple[str, bytes]:
-        packed = self._compressor.compress(raw.data)
-        return ("zstd", packed) if len(packed) < _WORTH * raw.size else ("", raw.tobytes())
+
+def _packed(table: Messages) -> _Packed:
+    import zstandard
+
+    raw, start = mcap.messages(table)
+    span = int(table.log_ns.min()), int(table.log_ns.max())
+    stored, compression = zstandard.ZstdCompressor(_LEVEL).compress(raw.data), "zstd"
+    if len(stored) >= _WORTH * raw.size:
+        stored, compression = raw.tobytes(), ""
+    head, length = mcap.chunk(*span, raw.size, zlib.crc32(raw.data), compression, stored)
+    indexes = {}
+    for number in np.unique(table.channel).tolist():
+        rows = np.flatnonzero(table.channel == number)
+        indexes[number] = len(rows), mcap.message_index(number, table.log_ns[rows], start[rows])
+    return _Packed(span, raw.size, compression, stored, head, length, indexes)
 
 
 def _free(taken: Mapping[int, bytes]) -> int:
