@@ -7,7 +7,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 STAGES = {"logs", "perception", "body", "estimation", "sim", "evaluation", "report"}
-RECORDS = {"types", "errors", "settings", "files"}
+RECORDS = {"types", "errors", "settings", "files", "threads"}
 
 
 def _imported(path: Path) -> set[str]:

@@ -6,11 +6,11 @@ from typing import Any
 
 from ..errors import EvidenceError, ModelError
 from ..settings import Fit, Settings
+from ..threads import one_thread
 from ..types import BodyModel, Features, Finding, ForwardModel, Score
 from . import coverage, encoders, noise, reference, sense, touch
 from .gp import GP
 from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs
-from .threads import one_thread
 
 _LEAST_SIGHTINGS = 8
 
@@ -24,7 +24,7 @@ class Learned:
     findings: tuple[Finding, ...]
 
 
-@one_thread()
+@one_thread("scipy.linalg")
 def learn(
     features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None
 ) -> Learned:

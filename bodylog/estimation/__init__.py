@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 
 from ..errors import UsageError
 from ..settings import Estimation
+from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
 from . import filtering, kalman, predictive_coding, smoother
 from .streaming import Belief, Estimator
@@ -25,4 +26,5 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         raise UsageError(f"method: {settings.method!r} is none of {', '.join(METHODS)}")
     if settings.touch == "literal" and settings.method != "predictive-coding":
         raise UsageError("touch: 'literal' is the paper's form, for predictive-coding alone; type --touch likelihood")
-    return METHODS[settings.method](features, body, settings)
+    with one_thread():
+        return METHODS[settings.method](features, body, settings)

@@ -5,9 +5,10 @@ import scipy.linalg  # noqa: F401  its BLAS can be told only once it is loaded
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bodylog.body import learn
-from bodylog.body.threads import one_thread
 from bodylog.errors import EvidenceError
-from bodylog.settings import Settings
+from bodylog.estimation import METHODS, estimate
+from bodylog.settings import Estimation, Settings
+from bodylog.threads import one_thread
 
 
 def _threads() -> list[int]:
@@ -29,7 +30,8 @@ def test_linear_algebra_has_one_thread_meanwhile_and_as_many_as_before_afterward
     assert set(_threads()) == {2}
 
 
-def test_a_body_is_learned_on_one_thread(two, explored, monkeypatch) -> None:
+def _running(run, monkeypatch) -> set[int]:
+    """How many threads there are while a body is learned or a log estimated: both stop at once and ask."""
     seen: list[int] = []
 
     def stop(*_):
@@ -37,6 +39,13 @@ def test_a_body_is_learned_on_one_thread(two, explored, monkeypatch) -> None:
         raise EvidenceError("enough")
 
     monkeypatch.setattr(import_module("bodylog.body.learn"), "joints", stop)
+    monkeypatch.setitem(METHODS, "laplace", stop)
     with pytest.raises(EvidenceError):
-        learn([explored(0, 0.003, 10.0).features], Settings(), {})
-    assert set(seen) == {1} and set(_threads()) == {2}
+        run()
+    return set(seen)
+
+
+def test_bodies_are_learned_and_logs_estimated_on_one_thread(two, monkeypatch) -> None:
+    assert _running(lambda: learn([], Settings(), {}), monkeypatch) == {1}
+    assert _running(lambda: estimate(None, None, Estimation()), monkeypatch) == {1}
+    assert set(_threads()) == {2}
