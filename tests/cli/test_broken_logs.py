@@ -15,8 +15,8 @@ PLACES = pytest.mark.parametrize("log", ["reach.mcap", "reach.bag"])
 def made(tmp_path, arm):
     """Spoil the first seconds of a log of the arm."""
 
-    def make(log, change, name="spoilt", until=SECONDS, **how):
-        return spoil(arm / log, tmp_path / f"{name}_{log}", change, until, **how)
+    def make(log, change, until=SECONDS, **how):
+        return spoil(arm / log, tmp_path / f"spoilt_{log}", change, until, **how)
 
     return make
 
@@ -51,9 +51,8 @@ def test_readings_that_are_no_numbers_are_passed_over(tmp_path, capsys, bodylog,
         return True
 
     result, scores = _estimated(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
-    _, whole = _estimated(capsys, bodylog, made(log, _nothing, "whole"), arm_body, tmp_path / "out.mcap")
     assert not result["faults"]
-    assert scores["joint_rmse"] < 1.15 * whole["joint_rmse"] and np.isfinite(scores["encoder_rmse"])
+    assert scores["joint_rmse"] < 0.012 < 0.018 < scores["encoder_rmse"] < 0.022
 
 
 @PLACES

@@ -79,8 +79,8 @@ def test_a_log_added_to_a_body_is_as_good_as_learned_with_the_others(tmp_path, c
     from bodylog.body.model import load
 
     both, added = tmp_path / "both.npz", tmp_path / "added.npz"
-    _learned(capsys, bodylog, both, arm / "explore.mcap", arm / "reach.mcap")
-    _, _, body = _learned(capsys, bodylog, added, arm / "reach.mcap", "--update", arm_body)
+    _learned(capsys, bodylog, both, arm / "explore.mcap", arm / "reach.bag")
+    _, _, body = _learned(capsys, bodylog, added, arm / "reach.bag", "--update", arm_body)
     assert body["joints"] == list(JOINTS) and len(body["provenance"]["update_sha256"]) == 64
     truth = np.load(arm / "reach.mcap.truth.npz")
     x = np.column_stack([np.interp(truth["tf"], truth["t"], column) for column in truth["x"].T[::-1]])  # elbow first
