@@ -121,7 +121,6 @@ def single(count: int) -> None:
 
     cases = {
         "mean, Jacobian, variance": repeat(lambda: gp.predict_one(x)),
-        "mean, Jacobian": repeat(lambda: gp.mean_one(x)),
         "the variance's matrix times one vector alone": repeat(lambda: gp.factor[0] @ gp.weights[0]),
     }
     other = peer(data, gp)
