@@ -135,7 +135,7 @@ def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:
         sequence=np.concatenate([np.arange(count) for count in counts])[order],
         log_ns=log_ns[order],
         publish_ns=log_ns[order],
-        data=np.concatenate([o.data for o in outgoing]),
+        data=tuple(o.data for o in outgoing),
         offset=np.concatenate([o.offset + start for o, start in zip(outgoing, shift, strict=False)])[order],
         length=np.concatenate([o.length for o in outgoing])[order],
     )

@@ -103,7 +103,7 @@ def _messages(pending: list[Picture], channels: dict[Kind, int], count: int, sta
     data = np.frombuffer(b"".join(picture.payload for picture in pending), np.uint8)
     channel = np.array([channels[picture.kind] for picture in pending])
     sequence = count + np.arange(len(pending))
-    return Messages(channel, sequence, log_ns, log_ns, data, np.cumsum(length) - length, length)
+    return Messages(channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length)
 
 
 def _within(start: float | None, end: float | None) -> str:

@@ -39,13 +39,16 @@ MESSAGE_HEAD = _MESSAGE.itemsize
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """n messages of any channels: channel, sequence, log_ns, publish_ns (n,), payload i in data at offset[i]."""
+    """n messages of any channels: channel, sequence, log_ns, publish_ns (n,), payload i in data at offset[i].
+
+    Offsets count through the arrays of `data`, one after another; no payload lies in two.
+    """
 
     channel: Array
     sequence: Array
     log_ns: Array
     publish_ns: Array
-    data: Array
+    data: tuple[Array, ...]
     offset: Array
     length: Array
 
@@ -159,7 +162,11 @@ def messages(table: Messages) -> tuple[Array, Array]:
     head["log_ns"], head["publish_ns"] = table.log_ns, table.publish_ns
     out = np.empty(int(size.sum()), np.uint8)
     _windows(out, MESSAGE_HEAD)[start] = head.view(f"V{MESSAGE_HEAD}")
-    _copy(table.data, table.offset, out, start + MESSAGE_HEAD, table.length)
+    first = 0
+    for data in table.data:
+        here = np.flatnonzero((table.offset >= first) & (table.offset < first + data.size))
+        _copy(data, table.offset[here] - first, out, start[here] + MESSAGE_HEAD, table.length[here])
+        first += data.size
     return out, start
 
 

@@ -95,7 +95,7 @@ def _tables(log: Log, carriers: Mapping[int, _Carrier], writer: Writer) -> Itera
     size = 0
     for batch in _pieces(log.batches(list(carriers))):
         pending.append(_taken(batch, carriers[batch.topic_id], writer))
-        size += pending[-1].data.size
+        size += pending[-1].data[0].size
         if size >= _PENDING:
             yield _sorted(pending)
             pending, size = [], 0
@@ -122,7 +122,7 @@ def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> Messages:
     else:
         data, offset, length = _converted(batch, carrier, channel, writer)
     carrier.carried += count
-    return Messages(channel, sequence, batch.log_ns, publish_ns, data, offset, length)
+    return Messages(channel, sequence, batch.log_ns, publish_ns, (data,), offset, length)
 
 
 def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
@@ -180,7 +180,7 @@ def _resistance(source: Path, carrier: _Carrier) -> Finding:
 
 
 def _sorted(parts: list[Messages]) -> Messages:
-    shift = np.cumsum([0, *(part.data.size for part in parts)])
+    shift = np.cumsum([0, *(part.data[0].size for part in parts)])
     log_ns = np.concatenate([part.log_ns for part in parts])
     order = np.argsort(log_ns, kind="stable")
     return Messages(
@@ -188,7 +188,7 @@ def _sorted(parts: list[Messages]) -> Messages:
         np.concatenate([part.sequence for part in parts])[order],
         log_ns[order],
         np.concatenate([part.publish_ns for part in parts])[order],
-        np.concatenate([part.data for part in parts]),
+        tuple(part.data[0] for part in parts),
         np.concatenate([part.offset + start for part, start in zip(parts, shift, strict=False)])[order],
         np.concatenate([part.length for part in parts])[order],
     )

@@ -27,7 +27,7 @@ from tests.benchmarks.timing import side_by_side
 SECONDS = 60.0
 THREADS = 2
 BOUNDS = {"jpeg": 6.0, "raw": 7.0, "raw-zstd": 7.0}
-REPEATS = 3
+REPEATS = 5
 
 
 def main() -> None:
