@@ -1,6 +1,6 @@
 """What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,7 +56,19 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     heard = tuple(s for s in sightings if used[s.name].used)
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
-    return Evidence(encoders, heard, first, used, findings)
+    return Evidence(encoders, heard, first, used, (*findings, *_ambiguous(body.joints, encoders, heard)))
+
+
+def _ambiguous(names: tuple[str, ...], encoders: Encoders | None, heard: tuple[Sighting, ...]) -> Iterator[Finding]:
+    """A warning where pictures give fewer numbers than there are joints no encoder speaks of."""
+    silent = [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
+    seen = sum(sighting.values.shape[1] for sighting in heard if sighting.name != "touch")
+    if 0 < seen < len(silent):
+        yield Finding(
+            "warning",
+            f"vision: {seen} numbers a picture for {len(silent)} joints without an encoder ({', '.join(silent)}): "
+            "many postures look alike, angles may be off by far more than their error bars; add encoders or a camera",
+        )
 
 
 def _wanted(features: Features, body: BodyModel, settings: Estimation) -> set[str]:

@@ -75,3 +75,12 @@ def test_settings_that_make_no_sense(world, field, value):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=field):
         estimate(drawn.features, drawn.body, replace(Estimation(), **{field: value}))
+
+
+@pytest.mark.parametrize("without, warned", [((), False), (("lift",), False), (("encoders",), True)])
+def test_more_silent_joints_than_numbers_seen_are_warned_of(world, without, warned):
+    drawn = world(0, duration=2.0)
+    found = estimate(drawn.features, drawn.body, Estimation(without=without))
+    said = [finding.text for finding in found.findings if finding.text.startswith("vision: 2 numbers")]
+    assert bool(said) == warned
+    assert not warned or "3 joints without an encoder (pan, lift, elbow)" in said[0]
