@@ -4,6 +4,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from .errors import InputError, UsageError
 from .pipeline import Progress, infer, judge, observe
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Score
@@ -22,7 +23,10 @@ class Row:
 def compare(
     log: Path, body: Path, settings: Settings, progress: Progress | None = None
 ) -> tuple[list[Row], tuple[Finding, ...]]:
-    """Every method with every subset of the senses the log has; each is also asked for pictures withheld from it."""
+    """Every method with every subset of the senses the log has; each is also asked for pictures withheld from it.
+
+    What a method refuses is a remark, and an error where all refuse.
+    """
     from . import estimation
     from .body import model
     from .estimation import choices
@@ -31,8 +35,17 @@ def compare(
     read, features = observe(log, settings, progress)
     subsets = choices.subsets(features, learned)
     runs = [(m, senses) for m in estimation.METHODS for senses in subsets if choices.usable(m, senses)]
-    rows = [_row(method, senses, features, learned, settings, read) for method, senses in runs]
-    return rows, (*read.findings, *features.findings)
+    rows: list[Row] = []
+    refused: dict[str, InputError | UsageError] = {}
+    for method, senses in runs:
+        try:
+            rows.append(_row(method, senses, features, learned, settings, read))
+        except (InputError, UsageError) as problem:
+            refused[f"{method} {','.join(senses)}"] = problem
+    if refused and not rows:
+        raise next(iter(refused.values()))
+    remarks = (Finding("warning", f"{what}: {problem}") for what, problem in refused.items())
+    return rows, (*read.findings, *features.findings, *remarks)
 
 
 def _row(

@@ -152,6 +152,27 @@ def test_compare_needs_no_truth(tmp_path, capsys, bodylog, arm, arm_body):
     assert all((row[5] == "-") == (row[0] in ("kalman", "predictive-coding")) for row in rows)
 
 
+def test_what_a_method_refuses_is_left_out_of_the_comparison_and_said(tmp_path, capsys, bodylog, arm, arm_body):
+    """A body whose encoders read the square of the distance from the middle of what was explored."""
+    from bodylog.body import Polynomial, model
+
+    body = model.load(arm_body)
+    middle = np.median(body.senses["effector"].samples, axis=0)
+    squares = Polynomial(body.joints, np.column_stack([middle**2, -2.0 * middle, np.ones(3)]))
+    model.save(replace(body, senses={**body.senses, "encoders": squares}), tmp_path / "body.npz")
+    (tmp_path / "start.toml").write_text(f"[estimate]\nstart = {middle.tolist()}\n")
+    log = spoil(arm / "reach.bag", tmp_path / "log.bag", _nothing, 1.0)
+    capsys.readouterr()
+    typed = ("compare", log, "--body", tmp_path / "body.npz", "--json")
+    assert bodylog(*typed, "--config", tmp_path / "start.toml") == 0
+    captured = capsys.readouterr()
+    assert {row["method"] for row in json.loads(captured.out)["rows"]} == {"predictive-coding"}
+    for refused in ("laplace encoders,vision: ", "smoother vision: ", "kalman encoders: "):
+        assert f"warning: {refused}encoders: what this body's read turns or flattens" in captured.err
+    assert bodylog(*typed) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
 @pytest.mark.parametrize("bias", ["off", "on"])
 def test_readings_as_they_come_give_the_belief_of_the_log(arm, arm_body, bias):
     """As `estimate --precision model` has it, each sighting's noise being the body's."""
