@@ -14,6 +14,8 @@ WINDOW = 12
 """Sightings over which surprise is averaged."""
 SURPRISE = 4.0
 """Mean square of standardised errors over a window, 1 when all is well, that asks whether an encoder lies."""
+LASTING, LEAN = 1.0, 8.0
+"""s, and standard deviations: an encoder's summed errors over so long, white when all is well, beyond that ask too."""
 GAIN = 20.0
 """Nats of evidence that one more offset must win."""
 SIGMAS, LEAST = 4.0, 0.01
@@ -21,23 +23,40 @@ SIGMAS, LEAST = 4.0, 0.01
 
 
 def surprised(problem: Problem, solved: Solution) -> bool:
-    """Whether vision disagrees with the belief for long, as it does when an encoder drifts."""
-    fold, trace, m = solved.fold, solved.trace, len(problem.start)
-    x, cov = fold.unfold(trace.prior), fold.unfold(trace.prior_cov)
-    for index, (sighting, events) in enumerate(
-        zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
-    ):
-        seen = events[np.isfinite(sighting.values).all(axis=1)]
-        if sighting.name == "touch" or len(seen) < WINDOW:
-            continue
-        jac = fold.pick(solved.readings.jac[:, index], seen)
-        nu = fold.pick(solved.readings.y[:, index], seen) - np.einsum("fdm,fm->fd", jac, x[seen])
-        s = np.einsum("fdj,fjk,fek->fde", jac, cov[seen][:, :m, :m], jac, optimize=True)
-        np.einsum("fdd->fd", s)[:] += fold.pick(solved.readings.var[:, index], seen)
-        d2 = np.einsum("fd,fd->f", nu, np.linalg.solve(s, nu[..., None])[..., 0]) / nu.shape[1]
-        # single blunders are the gate's business: the median of the window, not its mean
-        windows = np.lib.stride_tricks.sliding_window_view(d2, WINDOW)
-        if np.median(windows, axis=1).max() > SURPRISE:
+    """Whether vision, or an encoder beside it, disagrees with the belief for long, as when an encoder drifts."""
+    seen = [
+        events[np.isfinite(sighting.values).all(axis=1)]
+        for sighting, events in zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
+    ]
+    names = [sighting.name for sighting in problem.evidence.sightings]
+    visual = [k for k, name in enumerate(names) if name != "touch" and len(seen[k]) >= WINDOW]
+    # a lie may have been taken for blurred pictures, or sharp ones were believed at once, to the encoders' surprise
+    blurred = any(problem.precision.scale.get(names[k], 1.0) > SURPRISE for k in visual)
+    return blurred or any(_astray(solved, k, seen[k]) for k in visual) or (bool(visual) and _leaning(problem, solved))
+
+
+def _astray(solved: Solution, track: int, seen: Array) -> bool:
+    """Whether the sightings of one track, at instants `seen` (F,), are far from the belief for long."""
+    fold, trace, m = solved.fold, solved.trace, solved.readings.encoders.shape[1]
+    x, cov = fold.pick(trace.prior, seen), fold.pick(trace.prior_cov, seen)
+    jac = fold.pick(solved.readings.jac[:, track], seen)
+    nu = fold.pick(solved.readings.y[:, track], seen) - np.einsum("fdm,fm->fd", jac, x)
+    s = np.einsum("fdj,fjk,fek->fde", jac, cov[:, :m, :m], jac, optimize=True)
+    np.einsum("fdd->fd", s)[:] += fold.pick(solved.readings.var[:, track], seen)
+    d2 = np.einsum("fd,fd->f", nu, np.linalg.solve(s, nu[..., None])[..., 0]) / nu.shape[1]
+    # single blunders are the gate's business: the median of the window, not its mean
+    windows = np.lib.stride_tricks.sliding_window_view(d2, WINDOW)
+    return bool(np.median(windows, axis=1).max() > SURPRISE)
+
+
+def _leaning(problem: Problem, solved: Solution) -> bool:
+    """Whether an encoder is off to the same side for LASTING s, by more than white noise of its own ever is."""
+    rows = solved.fold.unfold(solved.trace.encoder_d)[problem.timeline.encoders]
+    for column in rows.T:
+        d = np.clip(column[np.isfinite(column)], -SURPRISE, SURPRISE)
+        count = int(LASTING * len(d) / max(np.ptp(problem.timeline.t), LASTING))
+        total = np.concatenate([[0.0], np.cumsum(d)])
+        if count >= WINDOW and np.abs(total[count:] - total[:-count]).max() > LEAN * np.sqrt(count):
             return True
     return False
 
@@ -53,11 +72,12 @@ def choose(problem: Problem, cost: Callable[[Problem], float]) -> Problem:
         if not costs or min(costs) > least - GAIN:
             break
         least, best = min(zip(costs, trials, strict=True), key=lambda pair: pair[0])
-    for factor in (walk / WALKS[0] for walk in WALKS[1:]) if best is not problem else ():
-        trial = with_drift(problem, np.asarray(best.precision.drift) * factor)
-        if (nats := cost(trial)) < least:
-            least, best = nats, trial
-    return best
+    if best is problem:
+        return problem
+    others = [with_drift(best, np.asarray(best.precision.drift) * (walk / WALKS[0])) for walk in WALKS[1:]]
+    # pictures taken for blurred on the lie's account are as sharp as perception says
+    sharp = replace(best.precision, scale=dict.fromkeys(best.precision.scale, 1.0))
+    return min([best, replace(best, precision=sharp), *others], key=cost)
 
 
 def with_drift(problem: Problem, drift: Array) -> Problem:

@@ -18,12 +18,16 @@ LEVEL = 5
 
 
 def screen(encoders: Encoders, names: tuple[str, ...]) -> tuple[Encoders, tuple[Fault, ...]]:
-    """The encoders with frozen stretches silenced and jumps taken back, and the faults (size 0 when frozen)."""
+    """The encoders with frozen or dead stretches silenced and jumps taken back, and the faults (size 0 but for jumps).
+
+    An encoder that repeats exactly zero is dead, and not even its first zero is sound.
+    """
     values, found = encoders.values.copy(), []
     for joint, name in enumerate(names):
         column = values[:, joint]
         for begin, end in frozen(encoders.t, column):
-            found.append(Fault("encoders", name, "frozen", float(encoders.t[begin]), 0.0, "rad"))
+            kind, begin = ("dead", begin - 1) if column[begin] == 0.0 else ("frozen", begin)
+            found.append(Fault("encoders", name, kind, float(encoders.t[begin]), 0.0, "rad"))
             column[begin:end] = np.nan
         if (since := dead(encoders.t, column)) is not None and not any(f.name == name for f in found):
             found.append(Fault("encoders", name, "dead", since, 0.0, "rad"))
