@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cache
+from math import isqrt
 from typing import Any
 
 import numpy as np
 
 from ..types import Array
 from .descend import descend
+from .gp import se
 from .select import spaced
 
 _JITTER = 1e-10
@@ -86,88 +88,82 @@ ROTATION = Prior(np.ones(()), 0.35)
 
 def condition(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior:
     """Posterior of outputs y (n,G) that share `kernel`, with known noise `spread`."""
-    return _condition(_gram(kernel.theta[0], (x - x.mean(axis=0)) / kernel.scales), kernel.noise, y, spread)
+    z = (x - x.mean(axis=0)) / kernel.scales
+    return _condition(se(z, z, kernel.amplitude), kernel.noise, y, spread)
 
 
 def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
     """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
-    return _evidence(theta, x - x.mean(axis=0), y, spread)
+    return _evidence(theta, _terms(x), y, spread)
 
 
-def _evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
-    """The same for inputs that are centred."""
-    (count, group), inputs, kernel = y.shape, x.shape[1], np.exp(theta)
-    z = np.empty((count, inputs + 1))
-    z[:, 0] = 1.0
-    np.divide(x, kernel[1:-1], out=z[:, 1:])
-    gram = _gram(theta[0], z[:, 1:])
+def _evidence(theta: Array, terms: Array, y: Array, spread: Spread) -> tuple[float, Array]:
+    """The same for inputs whose terms are known."""
+    kernel, group = np.exp(theta), y.shape[1]
+    gram = _grams(theta, terms)
     found = _condition(gram, kernel[-1], y, spread)
     inverse, _ = _lapack().dpotri(found.chol, lower=1, overwrite_c=1)
-    diagonal = inverse.diagonal().copy()
-    # the factor leaves zeros above the diagonal: the lower triangle and its transpose, less the diagonal once
-    inverse *= gram.T
-    rows = inverse @ z
-    rows += inverse.T @ z
-    rows -= (kernel[0] * diagonal)[:, None] * z
-    rows *= -group
-    for alpha in found.alpha.T:
-        rows += alpha[:, None] * (gram @ (alpha[:, None] * z))
-    # Σ P (zᵢ − zⱼ)² = 2 zᵢ² Σⱼ P − 2 zᵢ P zⱼ for symmetric P
-    gradient = np.empty(inputs + 2)
-    gradient[:-1] = (z * (z * rows[:, :1] - rows)).sum(axis=0)
-    gradient[0] = 0.5 * rows[:, 0].sum()
-    gradient[-1] = 0.5 * kernel[-1] * (np.vdot(found.alpha, found.alpha) - group * diagonal.sum())
+    # R&W 5.9: what each entry of the covariance is worth, ααᵀ − G K⁻¹; one triangle, zeros in the other
+    worth = _blas().dsyrk(1.0, found.alpha, beta=-group, c=inverse, lower=1, overwrite_c=1).T
+    trace = worth.trace()
+    worth *= gram
+    gradient = np.empty(len(theta))
+    gradient[:-1] = terms @ worth.reshape(-1)
+    gradient[0] -= 0.5 * kernel[0] * trace
+    gradient[1:-1] *= -2.0 / kernel[1:-1] ** 2
+    gradient[-1] = 0.5 * kernel[-1] * trace
     return found.evidence, gradient
 
 
-def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: list[Hyper]) -> Hyper:
-    """The kernel of greatest evidence under the prior; x and y of order one.
+def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: Array) -> Hyper:
+    """The kernel of greatest evidence under the prior; x and y of order one, starts (S,M+2) in theta.
 
     One descent from the start of greatest evidence, its curvature that expected of the evidence there.
     """
-    x = x - x.mean(axis=0)
+    terms = _terms(x)
     low = np.array([-10.0, *[-5.0] * x.shape[1], -23.0])
     high = np.array([16.0, *[10.0] * x.shape[1], 3.0])
-    thetas = np.clip([start.theta for start in starts], low, high)
-    first = thetas[0] if len(thetas) == 1 else min(thetas, key=lambda theta: _value(theta, x, y, spread, prior))
+    thetas = np.minimum(np.maximum(starts, low), high)
+    first = thetas[0] if len(thetas) == 1 else thetas[np.argmin(_values(thetas, terms, y, spread, prior))]
     curvature = _information(first, x, y.shape[1], spread, prior)
-    return hyper(descend(lambda theta: _loss(theta, x, y, spread, prior), first, low, high, curvature))
+    return hyper(descend(lambda theta: _loss(theta, terms, y, spread, prior), first, low, high, curvature))
 
 
-def starts(x: Array, seed: int, count: int) -> list[Hyper]:
+def starts(x: Array, seed: int, count: int) -> Array:
     """A typical first guess for x, y of order one, then seeded ones: as rough or smoother, as noisy or quieter."""
-    draw = np.random.default_rng(seed)
-    first = Hyper(np.full(x.shape[1], 2.0), 1.0, 1e-2)
-    jumps = draw.normal(0.0, 0.4, (count - 1, x.shape[1] + 2))
-    jumps[:, 0] += draw.normal(0.5, 1.0, count - 1)
-    jumps[:, 1:-1] += draw.normal(0.0, 0.4, (count - 1, 1))
-    jumps[:, -1] = draw.uniform(-8.0, 0.0, count - 1)
-    return [first, *(hyper(first.theta + jump) for jump in jumps)]
+    draw, inputs = np.random.default_rng(seed), x.shape[1]
+    jumps = np.zeros((count, inputs + 2))
+    jumps[1:] = draw.normal(0.0, 0.4, (count - 1, inputs + 2))
+    jumps[1:, 0] += draw.normal(0.5, 1.0, count - 1)
+    jumps[1:, 1:-1] += draw.normal(0.0, 0.4, (count - 1, 1))
+    jumps[1:, -1] = draw.uniform(-8.0, 0.0, count - 1)
+    return Hyper(np.full(inputs, 2.0), 1.0, 1e-2).theta + jumps
 
 
-def _loss(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior) -> tuple[float, Array]:
-    value, gradient = _evidence(theta, x, y, spread)
+def _loss(theta: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> tuple[float, Array]:
+    value, gradient = _evidence(theta, terms, y, spread)
     away = _away(theta, prior)
     gradient[1:-1] -= away / prior.width
     return 0.5 * float(away @ away) - value, -gradient
 
 
-def _value(theta: Array, x: Array, y: Array, spread: Spread, prior: Prior) -> float:
-    """The loss alone."""
-    away, kernel = _away(theta, prior), np.exp(theta)
-    found = _condition(_gram(theta[0], x / kernel[1:-1]), kernel[-1], y, spread)
-    return 0.5 * float(away @ away) - found.evidence
+def _values(thetas: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> list[float]:
+    """The loss alone, at several thetas (S,M+2)."""
+    noises, grams = np.exp(thetas[:, -1]), _grams(thetas, terms)
+    fits = [_condition(gram, noise, y, spread).evidence for gram, noise in zip(grams, noises, strict=True)]
+    return [0.5 * float(np.square(_away(t, prior)).sum()) - fit for t, fit in zip(thetas, fits, strict=True)]
 
 
 def _information(theta: Array, x: Array, group: int, spread: Spread, prior: Prior) -> Array:
     """Fisher information ½ tr(K⁻¹∂K K⁻¹∂K) of the G outputs and the prior (p,p), from at most 100 of the samples."""
     rows = spaced(len(x), _INFORMANTS)
-    kernel, z = np.exp(theta), x[rows] / np.exp(theta[1:-1])
-    gram = _gram(theta[0], z)
+    kernel, terms, count = np.exp(theta), _terms(x[rows]), len(rows)
+    gram = _grams(theta, terms)
     inverse = inverse_lower(cholesky(gram, independent(spread.diagonal[rows]), kernel[-1]))
-    slopes = [gram, *(gram * np.square(c[:, None] - c) for c in z.T), kernel[-1] * np.eye(len(rows))]
-    whitened = np.array([inverse @ slope @ inverse.T for slope in slopes]).reshape(len(theta), -1)
-    found = 0.5 * group * len(x) / len(rows) * whitened @ whitened.T
+    bends = terms[1:].reshape(-1, count, count) * (-2.0 / kernel[1:-1, None, None] ** 2)
+    slopes = np.array([gram, *(gram * bends), kernel[-1] * np.eye(count)])
+    whitened = (inverse @ slopes @ inverse.T).reshape(len(theta), -1)
+    found = 0.5 * group * len(x) / count * whitened @ whitened.T
     found[np.diag_indices(len(theta))] += _LEAST_INFORMATION
     found[range(1, len(theta) - 1), range(1, len(theta) - 1)] += prior.width**-2.0
     return np.asarray(found)
@@ -178,12 +174,20 @@ def _away(theta: Array, prior: Prior) -> Array:
     return np.asarray((theta[1:-1] - np.log(prior.scales)) / prior.width)
 
 
-def _gram(log_amplitude: float, z: Array) -> Array:
-    half = 0.5 * (log_amplitude - np.einsum("nm,nm->n", z, z))
-    gram = z @ z.T
-    gram += half[:, None]
-    gram += half
-    return np.asarray(np.exp(gram, out=gram))
+def _terms(x: Array) -> Array:
+    """What the kernel's logarithm is a sum of: 1 and, of each input, −½ (xᵢ − xⱼ)²: (1+M,n²)."""
+    terms = np.ones((1 + x.shape[1], len(x), len(x)))
+    np.subtract(x.T[:, :, None], x.T[:, None], out=terms[1:])
+    terms[1:] *= -0.5 * terms[1:]
+    return terms.reshape(len(terms), -1)
+
+
+def _grams(theta: Array, terms: Array) -> Array:
+    """The kernel between all samples (n,n), or at several thetas (S,p) each: (S,n,n)."""
+    shares = theta[..., :-1].copy()
+    shares[..., 1:] = np.exp(-2.0 * shares[..., 1:])
+    gram, count = shares @ terms, isqrt(terms.shape[1])
+    return np.asarray(np.exp(gram, out=gram).reshape(*theta.shape[:-1], count, count))
 
 
 def _condition(gram: Array, noise: float, y: Array, spread: Spread) -> Posterior:
@@ -227,3 +231,10 @@ def _lapack() -> Any:
     from scipy.linalg import lapack
 
     return lapack
+
+
+@cache
+def _blas() -> Any:
+    from scipy.linalg import blas
+
+    return blas

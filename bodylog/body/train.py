@@ -118,7 +118,7 @@ def polish(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior) -> Hy
     """The kernel of greatest evidence near `start`."""
     sx, sy = _deviation(x), float(np.mean(_deviation(y)))
     first = Hyper(start.scales / sx, start.amplitude / sy**2, start.noise / sy**2)
-    found = maximise(x / sx, y / sy, spread.scaled(1.0 / sy**2), prior.scaled(1.0 / sx), [first])
+    found = maximise(x / sx, y / sy, spread.scaled(1.0 / sy**2), prior.scaled(1.0 / sx), first.theta[None])
     return Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
 
 

@@ -95,5 +95,5 @@ def test_one_descent_finds_what_many_find(seed: int, count: int, prior: Prior, c
         away = (np.log(kernel.scales) - np.log(prior.scales)) / prior.width
         return 0.5 * float(away @ away) - evidence(kernel.theta, x, y, nothing)[0]
 
-    best = min(loss(maximise(x, y, nothing, prior, [guess])) for guess in guesses[:6])
+    best = min(loss(maximise(x, y, nothing, prior, guess[None])) for guess in guesses[:6])
     assert loss(maximise(x, y, nothing, prior, guesses)) < best + 0.01
