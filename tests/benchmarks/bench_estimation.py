@@ -1,17 +1,19 @@
 """Cost of a step: ours beside filterpy's extended filter with scikit-learn predictions, and beside the model alone."""
 
 import importlib.util
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from bodylog import body
 from bodylog.estimation import Estimator, estimate
 from bodylog.settings import Estimation, Settings
-from bodylog.types import BodyModel, Features
+from bodylog.types import BodyModel, Features, Series
 from tests.benchmarks.timing import side_by_side
 from tests.estimation.conftest import World, draw
 
@@ -114,23 +116,51 @@ def filterpy(world: World, model: BodyModel, events: list[tuple[float, int, int]
         ekf.update(z[:, None], lambda x, s=slope: s, lambda x, a=around: a[0][:, None], R=pixel)
 
 
-def growth() -> None:
-    """Cost per step against the samples n of the model and the number N of tracks."""
-    print("\nlaplace, µs per step of a 60 s log (body's precisions)")
-    for samples in (46, 100, 200, 400):
-        print(f"  n = {samples:<4} {per_step(learned(samples), 1):8.1f}")
+def growth() -> dict[str, dict[int, float]]:
+    """Cost per step against the samples n of the model, the number N of tracks and M of joints: µs by size."""
+    costs: dict[str, dict[int, float]] = {"n": {}, "N": {}, "M": {}}
+    world = draw(4, duration=60.0, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
+    for samples in (46, 100, 200, 400, 800, 1600):
+        costs["n"][samples] = per_step(world.features, learned(samples), 1)
     model = learned(100)
     for tracks in (1, 2, 4, 8):
-        print(f"  N = {tracks:<4} {per_step(model, tracks):8.1f}")
+        costs["N"][tracks] = per_step(world.features, model, tracks)
+    for joints in range(2, 8):
+        explored, replayed = chain(joints, 5, 12.5, 8.0, 50.0), chain(joints, 6, 60.0, 30.0, 100.0)
+        costs["M"][joints] = per_step(replayed, body.learn([explored], Settings(), {}).model, 1)
+    print("\nlaplace, µs per step of a 60 s log (body's precisions)")
+    for name, by_size in costs.items():
+        said = ", ".join(f"{size}: {cost:.1f}" for size, cost in by_size.items())
+        print(f"  {name} = {said}; exponent {exponent(by_size):.2f}")
+    return costs
 
 
-def per_step(model: BodyModel, tracks: int) -> float:
+def chain(joints: int, seed: int, duration: float, camera_hz: float, encoder_hz: float) -> Features:
+    """What is read and seen of a chain of so many links that bends in the plane of the picture."""
+    rng = np.random.default_rng(seed)
+    encoders, frames = np.arange(0.0, duration, 1 / encoder_hz), np.arange(0.003, duration, 1 / camera_hz)
+    t = np.concatenate([encoders, frames])
+    angles = np.full((len(t), joints), 0.4)
+    for _ in range(3):
+        rate, phase = rng.uniform(0.5, 2.0, (2, joints))
+        angles += 0.15 * np.sin(np.outer(t, rate) + np.pi * phase)
+    turned, link = np.cumsum(angles, axis=1), 300.0 / joints
+    place = link * np.column_stack([np.cos(turned).sum(axis=1), np.sin(turned).sum(axis=1)])
+    read = angles[: len(encoders)] + rng.normal(0, 0.01, (len(encoders), joints))
+    seen = place[len(encoders) :] + rng.normal(0, 0.3, (len(frames), 2))
+    names = tuple(f"joint{k}" for k in range(joints))
+    heard = Series(encoders, read, names, "rad", (1e9 * encoders).astype(np.int64))
+    track = Series(frames, seen, ("u", "v"), "px", (1e9 * frames).astype(np.int64), np.full(seen.shape, 0.3))
+    return Features(heard, {"effector": track}, None, (), (), {})
+
+
+def per_step(given: Features, model: BodyModel, tracks: int) -> float:
     """Microseconds per step, the best of three."""
-    world = draw(4, duration=60.0, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
-    track, sense = world.features.tracks["effector"], model.senses["effector"]
+    track, sense = given.tracks["effector"], model.senses["effector"]
     names = [f"mark{k}" for k in range(tracks)]
-    features: Features = replace(world.features, tracks=dict.fromkeys(names, track))
-    several = replace(model, senses=dict.fromkeys(names, sense))
+    features = replace(given, tracks=dict.fromkeys(names, track))
+    noise = replace(model.noise, senses=dict.fromkeys(names, (0.3**2,) * 2))
+    several = replace(model, senses=dict.fromkeys(names, sense), noise=noise)
     times = []
     for _ in range(3):
         started = time.perf_counter()
@@ -139,8 +169,41 @@ def per_step(model: BodyModel, tracks: int) -> float:
     return min(times) / len(found.joints.t) * 1e6
 
 
+def exponent(costs: dict[int, float]) -> float:
+    """Slope of log cost over log size."""
+    return float(np.polyfit(np.log(list(costs)), np.log(list(costs.values())), 1)[0])
+
+
+def plot(costs: dict[str, dict[int, float]], out: Path) -> None:
+    """Cost over each size, both axes logarithmic, with linear or cubic growth from the first point on."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, panels = plt.subplots(1, 3, figsize=(9, 3.0), layout="constrained", sharey=True)
+    said = {"n": ("samples n of the model", 1), "N": ("tracks N", 1), "M": ("joints M", 3)}
+    for axes, (name, (label, power)) in zip(panels, said.items(), strict=True):
+        sizes, cost = np.array(list(costs[name])), np.array(list(costs[name].values()))
+        axes.loglog(sizes, cost, "o-", label="measured")
+        allowed = cost[0] * (sizes / sizes[0]) ** power
+        axes.loglog(sizes, allowed, ":", color="grey", label="linear" if power == 1 else f"{name}³")
+        axes.set_xticks(sizes, [str(size) for size in sizes])
+        axes.minorticks_off()
+        axes.set(xlabel=label)
+        axes.legend(frameon=False)
+        axes.grid(alpha=0.3)
+    panels[0].set(ylabel="µs per step", ylim=(10, None))
+    figure.savefig(out, dpi=90, metadata={"Software": None})
+    plt.close(figure)
+    print(f"  drawn: {out}")
+
+
 def main() -> None:
-    """Run all cases."""
+    """Run all cases; --figure PNG draws how the cost grows, alone."""
+    if "--figure" in sys.argv:
+        plot(growth(), Path(sys.argv[sys.argv.index("--figure") + 1]))
+        return
     model = learned(320)
     beside_filterpy(model, whole_log(model))
     growth()
