@@ -62,8 +62,8 @@ def _heard(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array
     """Log time (E,) of the last message heard by each instant."""
     latest = np.full(len(t), np.iinfo(np.int64).min)
     if evidence.encoders is not None:
-        np.maximum.at(latest, encoders, evidence.encoders.source_ns)
+        latest[encoders] = evidence.encoders.source_ns
     for sighting, events in zip(evidence.sightings, sightings, strict=True):
-        np.maximum.at(latest, events, sighting.source_ns)
+        latest[events] = np.maximum(latest[events], sighting.source_ns)
     latest = np.maximum.accumulate(latest)
     return np.where(latest == np.iinfo(np.int64).min, latest.max(), latest)
