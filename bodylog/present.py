@@ -68,6 +68,8 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
     from .logs import recording
     from .report import viewer
 
+    if out is not None:
+        distinct(log, out)
     viewer.ready()
     with TemporaryDirectory() as folder:
         source, lost = _as_mcap(log, Path(folder) / "log.mcap", settings)

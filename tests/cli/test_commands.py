@@ -206,3 +206,15 @@ def test_a_named_colour_never_seen_is_an_error_a_guessed_one_a_warning(tmp_path,
     assert "--without effector" in last
     assert not (tmp_path / "out.mcap").exists()
     assert bodylog(*named, "--without", "effector") == 0
+
+
+@pytest.mark.parametrize("name", ["fit", "view", "estimate", "extract", "plot", "report", "layout", "ingest"])
+def test_what_a_command_reads_it_never_writes_to(tmp_path, capsys, bodylog, robot, name):
+    log, body = tmp_path / "log.mcap", tmp_path / "body.npz"
+    shutil.copy(robot / "reach.mcap", log)
+    shutil.copy(robot / "body.npz", body)
+    typed = ("--body", body) if name == "estimate" else ()
+    for out in (log, body) if name == "estimate" else (log,):
+        assert "give another name with -o" in _said(capsys, 2, bodylog, name, log, *typed, "-o", out)
+    assert log.read_bytes() == (robot / "reach.mcap").read_bytes()
+    assert body.read_bytes() == (robot / "body.npz").read_bytes()
