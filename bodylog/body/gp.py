@@ -8,7 +8,7 @@ import numpy as np
 
 from ..types import Array
 
-_BLOCK_BYTES = 4 << 20
+_BLOCK_BYTES = 1 << 19
 
 NEGLIGIBLE = 1e-6
 """Relative error of the variance allowed at any point, for leaving out directions the samples say nothing of."""
@@ -42,11 +42,8 @@ class GP:
         if len(x) == 1:
             value, slope, spread = self.predict_one(x[0])
             return value[None], slope[None], spread[None]
-        value, slope, spread = self._empty(len(x))
-        for group, rows, kernel in self._kernels(x):
-            self._linear(group, x[rows], kernel, value[rows], slope[rows])
-            left = self.amplitude[group] - np.square(self._projected(group, kernel)).sum(axis=-1)
-            spread[rows, self._members(group)] = np.maximum(left, 0.0)[:, None]
+        parts = [single.many(x - self._origin) for single in self._singles]
+        value, slope, spread = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
         return value, slope, spread
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
@@ -60,9 +57,8 @@ class GP:
 
     def means(self, x: Array) -> tuple[Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance: O(N n)."""
-        value, slope, _ = self._empty(len(x))
-        for group, rows, kernel in self._kernels(x):
-            self._linear(group, x[rows], kernel, value[rows], slope[rows])
+        parts = [single.means(x - self._origin) for single in self._singles]
+        value, slope = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
         return value, slope
 
     def covariance(self, x: Array) -> Array:
@@ -76,52 +72,26 @@ class GP:
 
     def slope_variance(self, x: Array) -> Array:
         """Variance of the Jacobian at x (N,M) rad: (N,D,M) per rad squared."""
-        result = self._empty(len(x))[1]
-        for group, rows, kernel in self._kernels(x):
-            for m, scale in enumerate(self.scales[group]):
-                lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
-                left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
-                result[rows, self._members(group), m] = np.maximum(left, 0.0)[:, None]
+        result = np.empty((len(x), len(self.mean), x.shape[1]))
+        for group, scales in enumerate(self.scales):
+            for rows in _blocks(len(x), len(self.centres)):
+                kernel = se(x[rows] / scales, self.centres / scales, self.amplitude[group])
+                for m, scale in enumerate(scales):
+                    lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
+                    left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
+                    result[rows, self._members(group), m] = np.maximum(left, 0.0)[:, None]
         return result
 
     def _projected(self, group: int, kernel: Array) -> Array:
         """factor · k for kernel (N,n): (N,r)."""
         return np.asarray(kernel @ self.factor[group].T)
 
-    def _linear(self, group: int, x: Array, kernel: Array, value: Array, slope: Array) -> None:
-        """Fill value (N,D) and slope (N,D,M) of the group's outputs: dk/dx = −k (x − z)/l², sums over centres."""
-        for d in self._members(group):
-            sums = kernel @ self._moments[d]
-            value[:, d] = sums[:, 0] + self.mean[d]
-            slope[:, d] = ((x - self._origin) * sums[:, :1] - sums[:, 1:]) * self._minus_precision[group]
-
     def _members(self, group: int) -> list[int]:
         return list(range(len(self.mean))) if len(self.scales) == 1 else [group]
-
-    def _empty(self, count: int) -> tuple[Array, Array, Array]:
-        shape = count, len(self.mean)
-        return np.empty(shape), np.empty((*shape, self.scales.shape[1])), np.empty(shape)
-
-    def _kernels(self, x: Array) -> Iterator[tuple[int, slice, Array]]:
-        step = max(1, _BLOCK_BYTES // (8 * len(self.centres)))
-        for start in range(0, len(x), step):
-            rows = slice(start, min(start + step, len(x)))
-            for group, scales in enumerate(self.scales):
-                near, far = (x[rows] - self._origin) / scales, (self.centres - self._origin) / scales
-                yield group, rows, se(near, far, self.amplitude[group])
 
     @cached_property
     def _origin(self) -> Array:
         return np.asarray(self.centres.mean(axis=0))
-
-    @cached_property
-    def _moments(self) -> Array:
-        lifted = np.column_stack([np.ones(len(self.centres)), self.centres - self._origin])
-        return np.asarray(self.weights[:, :, None] * lifted)
-
-    @cached_property
-    def _minus_precision(self) -> Array:
-        return np.asarray(-1.0 / self.scales**2)
 
     @cached_property
     def _singles(self) -> list["_Single"]:
@@ -138,7 +108,7 @@ class GP:
 
 @dataclass(frozen=True, eq=False)
 class _Single:
-    """One kernel's D outputs at one point: all that is linear in the kernel in one product.
+    """One kernel's D outputs at one point or at many: all that is linear in the kernel in one product.
 
     near (n,M) centres · fixed (n,) ln k at the origin · precision (M,) · mean (D,) · amplitude ·
     rows (D+DM+r,n): weights, weights times centres times precision, factor.
@@ -163,6 +133,39 @@ class _Single:
         value, leans, seen = sums[:outputs], sums[outputs : outputs * (1 + inputs)], sums[outputs * (1 + inputs) :]
         slope = leans.reshape(outputs, inputs) - value[:, None] * tilt
         return value + self.mean, slope, np.array([max(self.amplitude - float(seen.dot(seen)), 0.0)] * outputs)
+
+    def many(self, offset: Array) -> tuple[Array, Array, Array]:
+        """Mean (N,D), Jacobian (N,D,M) and variance (N,D) at offsets (N,M)."""
+        sums = self._sums(offset, self.rows)
+        value, slope = self._linear(offset, sums)
+        left = self.amplitude - np.square(sums[:, value.shape[1] + slope[0].size :]).sum(axis=1)
+        return value, slope, np.repeat(np.maximum(left, 0.0)[:, None], value.shape[1], axis=1)
+
+    def means(self, offset: Array) -> tuple[Array, Array]:
+        """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M)."""
+        return self._linear(offset, self._sums(offset, self.rows[: len(self.mean) * (1 + offset.shape[1])]))
+
+    def _sums(self, offset: Array, rows: Array) -> Array:
+        """The rows' products (N,R) with the kernel, whose logarithm is linear in [x/l², 1, −x·x/2l²]."""
+        tilt, sums = offset * self.precision, np.empty((len(offset), len(rows)))
+        left = np.column_stack([tilt, np.ones(len(offset)), -0.5 * (offset * tilt).sum(axis=1)])
+        right = np.vstack([self.near.T, self.fixed, np.ones(len(self.fixed))])
+        for block in _blocks(len(offset), len(self.fixed)):
+            kernel = left[block] @ right
+            np.matmul(np.exp(kernel, out=kernel), rows.T, out=sums[block])
+        return sums
+
+    def _linear(self, offset: Array, sums: Array) -> tuple[Array, Array]:
+        count, (outputs, inputs) = len(offset), (len(self.mean), offset.shape[1])
+        value, leans = sums[:, :outputs], sums[:, outputs : outputs * (1 + inputs)]
+        slope = leans.reshape(count, outputs, inputs) - value[:, :, None] * (offset * self.precision)[:, None]
+        return value + self.mean, slope
+
+
+def _blocks(count: int, width: int) -> Iterator[slice]:
+    """Rows of a (count, width) array, as many at a time as stay near the processor."""
+    step = max(1, _BLOCK_BYTES // (8 * width))
+    return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
 def shortened(gp: GP) -> GP:
