@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..types import Array, ForwardModel
+from ..types import Array
 from .folds import Fold
 from .instant import ALIKE
 from .scan import Readings
@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 RESTING = 2e-8
 """rad: a frame whose point of linearisation is moved less keeps its tangent."""
-NEAR = 1e-6
-"""rad: the model's variance, dearer than its mean, is kept for points this close to where it was had."""
 SAME = 1e-7
 """Relative change of a frame's variance that does not count."""
 
@@ -30,7 +28,6 @@ class Tangents:
         self.points = points
         self._stale = tuple(np.ones(len(x), bool) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
-        self._var_at = tuple(np.full(x.shape, np.inf) for x in points)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
         """Write stale tangents into the readings: y = s − g + J x°, var = pixel + (2n − 1) model variance.
@@ -44,7 +41,7 @@ class Tangents:
             stale = self._stale[index]
             if stale.any():
                 x = self.points[index][stale]
-                mean, jac = self._predict(index, sighting.model, stale)
+                mean, jac, self._model_var[index][stale] = sighting.model.predict(x)
                 y = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
                 fold.put(readings.y[:, index], events[stale], y)
                 fold.put(readings.jac[:, index], events[stale], jac)
@@ -55,21 +52,6 @@ class Tangents:
             fold.put(readings.var[:, index], events[other], var[other])
             touched |= fold.sees(events[other])
         return touched
-
-    def _predict(self, index: int, model: ForwardModel, stale: Array) -> tuple[Array, Array]:
-        """Mean (S,D) and Jacobian (S,D,M) at the stale points; the variance too where they went far enough."""
-        x, means = self.points[index][stale], getattr(model, "means", None)
-        far = np.abs(x - self._var_at[index][stale]).max(axis=1) > NEAR
-        if means is None or far.mean() > 0.5:
-            mean, jac, self._model_var[index][stale] = model.predict(x)
-            self._var_at[index][stale] = x
-            return mean, jac
-        mean, jac = means(x)
-        if far.any():
-            anew = np.flatnonzero(stale)[far]
-            mean[far], jac[far], self._model_var[index][anew] = model.predict(x[far])
-            self._var_at[index][anew] = x[far]
-        return mean, jac
 
     def _own(self, index: int, sighting: Sighting) -> Array:
         """The model's variance (F,D), 2n − 1 times in the n-th frame from one place."""
