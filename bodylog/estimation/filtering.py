@@ -54,7 +54,7 @@ def pose(
     if evidence.encoders is not None:
         sound, faults = screen(evidence.encoders, body.joints)
         evidence = replace(evidence, encoders=sound)
-    first = start(evidence, settings, len(body.joints))
+    first = start(evidence, settings, body.joints)
     precision = resolve(evidence, body, settings)
     usual = habit(evidence, precision.process, first)
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..errors import UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
@@ -18,12 +19,12 @@ PROCESS, NOISE = 0.001, 1.0
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The belief on the paper's grid of 20 Hz, or `rate`; EvidenceError without encoders."""
-    evidence = gather(features, body, replace(settings, senses=("encoders",), without=()))
+    evidence = gather(features, body, replace(settings, senses=_encoders(body, settings)))
     assert evidence.encoders is not None
     line = timeline(evidence, settings.rate or RATE)
     t = line.t[line.outputs]
     s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
-    x, var, before, before_var, nats = static(s, start(evidence, settings, len(body.joints)))
+    x, var, before, before_var, nats = static(s, start(evidence, settings, body.joints))
     held = np.maximum(np.searchsorted(t, line.t, "right") - 1, 0)
     errors = np.full((len(line.t), s.shape[1]), np.nan)
     errors[line.outputs] = (s - before) / np.sqrt(before_var + NOISE)
@@ -34,6 +35,17 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     used = {"process": PROCESS, "encoder": NOISE}
     beliefs = Beliefs(np.concatenate([x, rate], axis=1)[held], cov, every, before[held], before_cov, errors, {}, used)
     return results.estimate("kalman", body, evidence, line, beliefs)
+
+
+def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:
+    """The senses that may be asked for: encoders, by joint or all."""
+    other = [name for name in settings.senses or () if name not in ("encoders", *body.joints)]
+    if other:
+        raise UsageError(
+            f"method: kalman hears encoders alone, but {', '.join(other)} is asked for; type --with encoders, "
+            "or --method laplace"
+        )
+    return settings.senses or ("encoders",)
 
 
 def static(s: Array, x: Array) -> tuple[Array, Array, Array, Array, Array]:

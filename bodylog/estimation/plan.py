@@ -70,7 +70,7 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
         senses.append(Sense(sighting.name, s / unit, sighting.model, sigma, unit))
     touch = literal(features, body, t, dt) if printed and any(s.name == "touch" for s in evidence.sightings) else None
     sigma_x = np.full(m, PAPER[0]) if precision is None else _wander(senses[:1], precision.encoder)
-    return Plan(tuple(senses), touch, t, dt, sigma_x, start(evidence, settings, m)), evidence, line
+    return Plan(tuple(senses), touch, t, dt, sigma_x, start(evidence, settings, body.joints)), evidence, line
 
 
 def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array | None) -> Sense:

@@ -1,6 +1,6 @@
 """What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,8 +52,9 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     if "touch" in wanted and "effector" in body.senses:
         # descent integrates a pull over time; a filter would take the frames of one touch for independent
         sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
-    findings = _check(used, settings.senses or (), features)
-    heard = tuple(s for s in sightings if used[s.name].used)
+    findings = _check(used, settings.senses or (), features, _silent(body.joints, encoders))
+    # touches out of time are a result, not a lack: they are heard, for what little they weigh
+    heard = tuple(s for s in sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
     return Evidence(encoders, heard, first, used, (*findings, *_ambiguous(body.joints, encoders, heard)))
@@ -61,7 +62,7 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
 
 def _ambiguous(names: tuple[str, ...], encoders: Encoders | None, heard: tuple[Sighting, ...]) -> Iterator[Finding]:
     """A warning where pictures give fewer numbers than there are joints no encoder speaks of."""
-    silent = [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
+    silent = _silent(names, encoders)
     seen = sum(sighting.values.shape[1] for sighting in heard if sighting.name != "touch")
     if 0 < seen < len(silent):
         yield Finding(
@@ -69,6 +70,11 @@ def _ambiguous(names: tuple[str, ...], encoders: Encoders | None, heard: tuple[S
             f"vision: {seen} numbers a picture for {len(silent)} joints without an encoder ({', '.join(silent)}): "
             "many postures look alike, angles may be off by far more than their error bars; add encoders or a camera",
         )
+
+
+def _silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
+    """Joints no encoder speaks of."""
+    return [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
 
 
 def _wanted(features: Features, body: BodyModel, settings: Estimation) -> set[str]:
@@ -99,6 +105,8 @@ def _encoders(
     values[~np.isfinite(values)] = np.nan
     keep = rising & ~broken
     reasons = {"time runs backwards": int((~rising).sum()), "not a number": int((rising & broken).sum())}
+    for index in (index for index, name in enumerate(names) if name in wanted):
+        reasons[f"without {names[index]}"] = int(np.isnan(values[keep, index]).sum())
     use = int(np.isfinite(values[keep]).any(axis=1).sum())
     used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, _gap(joints.t[keep]))}
     return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
@@ -158,24 +166,32 @@ def _pixel_variance(track: Series, fallback: Array) -> Array:
 def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: bool) -> Sighting:
     t, values, var, source_ns, count = touch.sightings(features, body, whole)
     seen = 0 if features.touches is None else len(features.touches)
-    left = {"no stroke seen in time": seen - count} if seen > count else {}
+    paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= touch.COUNTS for pair in features.synchrony)
+    reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
+    left = {reason: number for reason, number in reasons.items() if number}
     used["touch"] = Health(seen, count, left)
     rising = _rising(t)
     return Sighting("touch", body.senses["effector"], t[rising], values[rising], var[rising], source_ns[rising])
 
 
-def _check(used: Mapping[str, Health], named: tuple[str, ...], features: Features) -> tuple[Finding, ...]:
-    """EvidenceError for a named sense that is empty; a finding for a guessed one."""
+def _check(
+    used: Mapping[str, Health], named: tuple[str, ...], features: Features, silent: Sequence[str]
+) -> tuple[Finding, ...]:
+    """EvidenceError for a named sense, or joint, that is empty; a finding for a guessed one."""
     visual = {name for name in used if name not in ("encoders", "touch")}
+    late = "touch" in used and "not synchronous" in used["touch"].rejected
     for name in named:
-        members = visual if name == "vision" else {name} if name in used else {"encoders"}
-        if not any(used[member].used for member in members if member in used):
+        joint = features.joints is not None and name in features.joints.names
+        members = visual if name == "vision" else {"encoders"} if joint and name not in silent else {name}
+        heard = any(used[member].used for member in members if member in used)
+        if not heard and not (name == "touch" and late):
             raise EvidenceError(
                 f"{name}: asked for, but it gave no observation ({_counts(used)}; tracks: "
                 f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
             )
     empty = [name for name, health in used.items() if health.seen and not health.used and name not in named]
-    return tuple(Finding("warning", f"{name}: nothing usable ({_words(used[name])}), left out") for name in empty)
+    said = {name: "out of time with what is seen" if name == "touch" and late else "left out" for name in empty}
+    return tuple(Finding("warning", f"{name}: nothing usable ({_words(used[name])}), {said[name]}") for name in empty)
 
 
 def _counts(used: Mapping[str, Health]) -> str:
@@ -187,12 +203,13 @@ def _words(health: Health) -> str:
     return f"{health.used} of {health.seen} used" + (f", {reasons}" if reasons else "")
 
 
-def start(evidence: Evidence, settings: Estimation, count: int) -> Array:
+def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> Array:
     """Mean (M,) rad the belief starts from: as set, or the first readings."""
     if settings.start is not None:
-        if len(settings.start) != count:
-            raise UsageError(f"start: {len(settings.start)} angles given, the body has {count} joints")
+        if len(settings.start) != len(names):
+            raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(names)} joints")
         return np.array(settings.start, float)
     if np.isnan(evidence.first).any():
-        raise LogError("joints: no reading tells where the arm starts; give `start`, one angle in rad per joint")
+        unknown = ", ".join(name for name, angle in zip(names, evidence.first, strict=True) if np.isnan(angle))
+        raise LogError(f"joints: no reading tells where {unknown} starts; give `start`, one angle in rad per joint")
     return evidence.first

@@ -6,6 +6,8 @@ from ..types import Array, BodyModel, Features
 
 LEAST = 1e-9
 """A touch of smaller weight says nothing at all."""
+COUNTS = 1e-3
+"""A touch of smaller weight, under a thousandth of a synchronous one, is heard but not counted as used."""
 
 
 def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Array, Array, Array, Array, int]:
@@ -20,7 +22,7 @@ def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[
     if hand is None or not features.touches:
         return nothing
     seen, strongest = np.isfinite(hand.values).all(axis=1), weights(features, hand.t)
-    parts, taken = [], np.zeros(len(hand.t), bool)
+    parts, taken, count = [], np.zeros(len(hand.t), bool), 0
     for pair in features.synchrony:
         touch = features.touches[pair.touch]
         during = seen & ~taken & (hand.t >= touch.onset) & (hand.t <= touch.offset) & (strongest == pair.weight)
@@ -28,13 +30,14 @@ def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[
         if pair.weight > LEAST and during.any():
             u, v, var = _place(body, touch.strongest)
             var = var / pair.weight * (during.sum() if whole else 1)
+            count += pair.weight > COUNTS
             parts.append((hand.t[during], hand.values[during] - (u, v), var, hand.source_ns[during]))
     if not parts:
         return nothing
     parts.sort(key=lambda part: float(part[0][0]))
     t, values, variances, source_ns = zip(*parts, strict=True)
     spread = np.concatenate([np.full_like(places, one) for places, one in zip(values, variances, strict=True)])
-    return np.concatenate(t), np.concatenate(values), spread, np.concatenate(source_ns), len(parts)
+    return np.concatenate(t), np.concatenate(values), spread, np.concatenate(source_ns), count
 
 
 def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:

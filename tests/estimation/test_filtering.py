@@ -148,7 +148,7 @@ def test_nan_and_backward_times_are_skipped_and_counted(world):
     t[100:110] = t[40:50]
     spoilt = Series(t, values, joints.names, joints.unit, joints.source_ns)
     found = estimate(replace(drawn.features, joints=spoilt), drawn.body, Estimation())
-    assert found.used["encoders"].rejected == {"time runs backwards": 10, "not a number": 10}
+    assert found.used["encoders"].rejected == {"time runs backwards": 10, "not a number": 10, "without elbow": 10}
     assert rmse(found, drawn)["joint_rmse"] < 0.01
 
 

@@ -84,3 +84,30 @@ def test_more_silent_joints_than_numbers_seen_are_warned_of(world, without, warn
     said = [finding.text for finding in found.findings if finding.text.startswith("vision: 2 numbers")]
     assert bool(said) == warned
     assert not warned or "3 joints without an encoder (pan, lift, elbow)" in said[0]
+
+
+@pytest.mark.parametrize("asked", [("vision",), ("encoders", "effector")])
+def test_the_baseline_refuses_senses_it_does_not_hear(world, asked):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(UsageError, match=f"kalman hears encoders alone, but {asked[-1]} is asked for"):
+        estimate(drawn.features, drawn.body, Estimation(method="kalman", senses=asked))
+
+
+def test_a_track_the_body_knows_but_the_log_has_not_cannot_be_asked_for(world):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(EvidenceError, match=r"effector: asked for, but it gave no observation"):
+        estimate(replace(drawn.features, tracks={}), drawn.body, Estimation(senses=("encoders", "effector")))
+
+
+def test_a_silent_joint_is_counted_refused_when_asked_for_and_named_where_it_starts(world):
+    drawn = world(0, duration=2.0)
+    joints = drawn.features.joints
+    values = joints.values.copy()
+    values[:, joints.names.index("lift")] = np.nan
+    mute = replace(drawn.features, joints=replace(joints, values=values))
+    with pytest.raises(LogError, match="no reading tells where lift starts"):
+        estimate(mute, drawn.body, Estimation())
+    with pytest.raises(EvidenceError, match="lift: asked for"):
+        estimate(mute, drawn.body, Estimation(senses=("lift", "effector"), start=(0.0, 0.0, 0.0)))
+    found = estimate(mute, drawn.body, Estimation(start=tuple(drawn.truth.values[0][[0, 1, 2]])))
+    assert found.used["encoders"].rejected == {"without lift": len(values)}
