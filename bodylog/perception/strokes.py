@@ -183,17 +183,28 @@ def _corner(t: Array, place: Array, about: float, until: float) -> tuple[float, 
         first, even = np.searchsorted(t, (about - reach, min(until, about + _EVEN))).tolist()
         near = slice(max(0, first - _APPROACH), max(int(np.searchsorted(t, about)) + 3, even))
         times = about + np.linspace(-width, width, 61)
-        errors = [_bend(t[near], place[near], time)[0] for time in times]
-        about = float(times[int(np.argmin(errors))])
-    return about, _bend(t[near], place[near], about)[1]
+        about = float(times[int(np.argmin(_bends(t[near], place[near], times)))])
+    return about, _turn(t[near], place[near], about)
 
 
-def _bend(t: Array, place: Array, corner: float) -> tuple[float, Array]:
-    """Squared error of the best path with its corner then, and the corner's place (2,) px."""
+def _bends(t: Array, place: Array, corners: Array) -> Array:
+    """Squared error (K,) of the best path with its corner at each of these times (K,)."""
+    before, after = np.minimum(t - corners[:, None], 0.0), np.maximum(t - corners[:, None], 0.0)
+    design = np.stack([np.ones_like(before), before, after, before**2], axis=-1)
+    curved = np.count_nonzero(before, axis=1) > _APPROACH
+    errors = np.empty(len(corners))
+    for which, columns in ((curved, 4), (~curved, 3)):
+        if which.any():
+            left = np.linalg.svd(design[which, :, :columns], full_matrices=False)
+            basis = left.U * (left.S / left.S[:, :1] > np.finfo(float).eps * len(t))[:, None]
+            errors[which] = np.square(place - basis @ (basis.swapaxes(1, 2) @ place)).sum(axis=(1, 2))
+    return errors
+
+
+def _turn(t: Array, place: Array, corner: float) -> Array:
+    """The place (2,) px of the corner of the best path that has it then."""
     before, after = np.minimum(t - corner, 0.0), np.maximum(t - corner, 0.0)
     columns = [np.ones_like(t), before, after]
     if np.count_nonzero(before) > _APPROACH:
         columns.append(before**2)
-    design = np.column_stack(columns)
-    fit = np.linalg.lstsq(design, place, rcond=None)[0]
-    return float(((place - design @ fit) ** 2).sum()), fit[0]
+    return np.asarray(np.linalg.lstsq(np.column_stack(columns), place, rcond=None)[0][0])
