@@ -1,6 +1,7 @@
 """BodyModel <-> .npz: plain arrays and one JSON header, never pickle; the same model gives the same bytes."""
 
 import json
+import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -45,6 +46,7 @@ _UNITS = {
     "cells": "px",
 }
 _POSITIVE = ("scales", "amplitude")
+_LARGEST = sys.float_info.max
 
 
 def save(model: BodyModel, path: Path) -> None:
@@ -95,11 +97,11 @@ def _header(model: BodyModel) -> dict[str, Any]:
 def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
     header = _parse(path, archive)
     try:
-        joints = tuple(str(name) for name in header["joints"])
+        joints = _joints(header["joints"])
         noise, touch = _noise(header["noise"]), TouchConstants(**header["touch"])
-        cells = {int(cell): _floats(place) for cell, place in header.get("cells", {}).items()}
+        cells = {int(cell): _floats(f"cells.{cell}", place) for cell, place in header.get("cells", {}).items()}
         senses = {str(n): (_kind(s), tuple(s["outputs"]), str(s["unit"])) for n, s in header["senses"].items()}
-        provenance = dict(header["provenance"])
+        provenance = _provenance(header["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{path}: field header: {error}; fit the body again") from error
     _check_noise(path, joints, {name: len(about[1]) for name, about in senses.items()}, noise, touch)
@@ -135,12 +137,32 @@ def _refuse(name: str) -> None:
     raise ValueError(f"the number {name} is not finite")
 
 
+def _joints(found: Any) -> tuple[str, ...]:
+    twice = next((name for i, name in enumerate(found) if name in found[:i]), None)
+    if not isinstance(found, list) or twice is not None:
+        raise ValueError(f"joints: found {twice or found!r}, possible: a list that names each joint once")
+    return tuple(str(name) for name in found)
+
+
+def _provenance(found: Any) -> dict[str, Any]:
+    provenance = dict(found)
+    width = provenance.get("image_width", 1)
+    if isinstance(width, bool) or not isinstance(width, int | float) or not 0 < width <= _LARGEST:
+        raise ValueError(f"provenance.image_width: found {width!r}, possible: a finite positive number, px")
+    return provenance
+
+
 def _noise(found: Mapping[str, Any]) -> Noise:
-    senses, errors = ({k: _floats(v) for k, v in found[part].items()} for part in ("senses", "std_error"))
-    return Noise(_floats(found["encoder"]), senses, _floats(found["process"]), errors)
+    parts = ("senses", "std_error")
+    senses, errors = ({n: _floats(f"noise.{part}.{n}", v) for n, v in found[part].items()} for part in parts)
+    return Noise(
+        _floats("noise.encoder", found["encoder"]), senses, _floats("noise.process", found["process"]), errors
+    )
 
 
-def _floats(values: Any) -> tuple[float, ...]:
+def _floats(field: str, values: Any) -> tuple[float, ...]:
+    if not isinstance(values, list) or not all(isinstance(v, int | float) and abs(v) <= _LARGEST for v in values):
+        raise ValueError(f"{field}: found {str(values)[:200]}, possible: a list of finite numbers")
     return tuple(float(v) for v in values)
 
 
@@ -158,9 +180,14 @@ def _check_noise(
     for field, (values, count) in expected.items():
         if len(values) != count or not all(v > 0.0 for v in values):
             raise ModelError(f"{path}: field noise.{field}: found {values}, possible: {count} positive variances")
-    bad = {k: v for k, v in asdict(touch).items() if not isinstance(v, int | float) or v < 0}
+    counts = {"encoder": len(joints), "process": len(joints), **senses}
+    for name, errors in noise.std_error.items():
+        if name not in counts or len(errors) != counts[name] or min(errors, default=0.0) < 0.0:
+            wanted = f"{counts[name]} numbers of at least 0" if name in counts else f"one of {', '.join(counts)}"
+            raise ModelError(f"{path}: field noise.std_error.{name}: found {errors}, possible: {wanted}")
+    bad = {k: v for k, v in asdict(touch).items() if not isinstance(v, int | float) or not 0 <= v <= _LARGEST}
     if bad:
-        raise ModelError(f"{path}: field touch: found {bad}, possible: numbers of at least 0")
+        raise ModelError(f"{path}: field touch: found {bad}, possible: finite numbers of at least 0")
 
 
 def _sense(

@@ -77,6 +77,18 @@ def _liar(path: Path) -> None:
         np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 50,)})
 
 
+def _text(old: str, new: str) -> Callable[[Path], None]:
+    """The header's text with `old` replaced: what json.dumps would not write."""
+
+    def change(arrays: dict[str, np.ndarray]) -> None:
+        found = str(arrays["header"])
+        assert found.count(old) == 1
+        arrays["header"] = np.array(found.replace(old, new))
+
+    return _rewrite(change)
+
+
+_ERRORS = '"std_error": {"encoder": [1e-07, 1e-07]}'
 _BROKEN = {
     "not a zip": (lambda p: p.write_bytes(b"hello"), "not a whole .npz file"),
     "truncated": (lambda p: p.write_bytes(p.read_bytes()[:-900]), "not a whole .npz file"),
@@ -89,6 +101,19 @@ _BROKEN = {
     "more joints": (_header(joints=["a", "b", "c"]), "field noise.encoder"),
     "touch": (_header(touch={"a1": 1}), "field header: TouchConstants.__init__() missing"),
     "negative touch": (_header(touch={"a1": -1, "b1": 1, "a2": 1, "b2": 1}), "field touch: found {'a1': -1}"),
+    "endless touch": (_text('"b2": 200.0', '"b2": 1e999'), "field touch: found {'b2': inf}, possible: finite"),
+    "endless noise": (_text("[1e-06,", "[1e999,"), "noise.encoder: found [inf, 2e-06], possible: a list of fin"),
+    "noise of text": (_text("[1e-06, 2e-06]", '"12"'), "noise.encoder: found 12, possible: a list of finite numbers"),
+    "huge noise": (_text("[1e-06,", "[1" + 400 * "0" + ","), "noise.encoder: found [10000"),
+    "error lengths": (_text(_ERRORS, '"std_error": {"encoder": [1.0]}'), "field noise.std_error.encoder: found (1.0,)"),
+    "endless error": (_text(_ERRORS, '"std_error": {"encoder": [1, 1e999]}'), "noise.std_error.encoder: found [1, in"),
+    "error of none": (_text(_ERRORS, '"std_error": {"nose": [1]}'), "field noise.std_error.nose: found (1.0,)"),
+    "endless cell": (_text("[0.5, -31.0,", "[1e999, -31.0,"), "cells.7: found [inf, -31.0, 9.0], possible: a list"),
+    "a joint twice": (_header(joints=["pan", "pan"]), "joints: found 'pan', possible: a list that names each"),
+    "joints of text": (_header(joints="pl"), "joints: found 'pl', possible: a list that names each"),
+    "wide": (_header(provenance={"image_width": "wide"}), "provenance.image_width: found 'wide', possible: a finite"),
+    "endless width": (_text('{"logs"', '{"image_width": 1e999, "logs"'), "provenance.image_width: found inf, possible"),
+    "no width": (_header(provenance={"image_width": 0}), "provenance.image_width: found 0, possible: a finite"),
     "shape": (_set("effector/weights", np.ones((2, 7))), "effector/weights: found shape (2, 7), possible: (2, 30)"),
     "type": (_set("effector/mean", np.array(["a", "b"])), "effector/mean: found <U1 (2,)"),
     "object": (lambda p: np.savez(p, header=np.array([{}], object)), "header"),
