@@ -10,7 +10,7 @@ from ..threads import one_thread
 from ..types import BodyModel, Features, Finding, ForwardModel, Score
 from . import coverage, encoders, noise, reference, sense, touch
 from .gp import GP
-from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs
+from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, silent
 
 _LEAST_SIGHTINGS = 8
 
@@ -35,12 +35,13 @@ def learn(
     LogError without joints, ConfigError for an unknown joint, ModelError for another
     robot's body, EvidenceError when nothing was seen or moved.
     """
+    features, absurd = plausible(features)
     wanted = settings.body.joints if update is None else _same(features, update)
     told = [encoders.referred(f, update) for f in features]
     heard = joints(told, wanted)
     chosen = [j for j in heard if wanted or moves(j)]
     if not chosen:
-        possible = ", ".join(j.name for j in heard)
+        possible = ", ".join(j.name for j in heard) or f"none ({'; '.join(silent(told).values())})"
         raise EvidenceError(f"no joint moved; heard: {possible}; record an exploration, or name them in [body] joints")
     tracks = dict(_tracks(features, chosen, settings.fit, update))
     rare = [name for name, part in tracks.items() if len(part.x) < _LEAST_SIGHTINGS]
@@ -51,6 +52,7 @@ def learn(
         )
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
+    learned = learned if update is None else noise.pooled(learned, update.noise)
     constants, cells, touched = touch.learned(told, names, gps.get("effector"))
     read = reference.learned(features, chosen, learned)
     given: Mapping[str, ForwardModel] = {}
@@ -60,11 +62,11 @@ def learn(
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
     few = [Finding("warning", f"{name}: only {len(tracks[name].x)} sightings, too few for a model") for name in rare]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
-    pictures = _pictures(features)
+    gaps, pictures = coverage.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
     return Learned(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, {**pictures, **provenance}, cells),
         (*coverage.scores(chosen, gps, learned), *scores, *read.scores),
-        (*coverage.findings(heard, chosen, gps, learned), *few, *left_out, *touched, *read.findings),
+        (*coverage.findings(heard, chosen, gps, learned), *absurd, *gaps, *few, *left_out, *touched, *read.findings),
     )
 
 

@@ -22,7 +22,7 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class Sense:
-    """The model of one track · floor (n,2) px² of its samples · residual (n,2) px held out, expected variance (n,2)."""
+    """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2)."""
 
     gp: GP
     floor: Array
@@ -74,7 +74,9 @@ def findings(name: str, found: Sense) -> Iterator[Finding]:
 
 def _sense(data: Samples, found: Fitted, block: Array, whole: Pairs, rejected: int, rule: str) -> Sense:
     residual, variance = residuals(data, found, block)
-    return Sense(shortened(build(data, found, _OUTPUTS, "px")), data.floor, residual, variance, whole, rejected, rule)
+    # samples of a body to update are in blocks before the first, and their floor holds more than pixels' noise
+    floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
+    return Sense(shortened(build(data, found, _OUTPUTS, "px")), floor, residual, variance, whole, rejected, rule)
 
 
 def _believable(data: Samples, found: Fitted) -> Array:

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from bodylog.body.noise import learned
+from bodylog.body.noise import learned, pooled
 from bodylog.body.smooth import Motion
 from bodylog.body.train import samples, train
+from bodylog.types import Noise
 
 
 def test_pixel_variance_is_what_perception_measured_and_what_the_fit_adds() -> None:
@@ -27,3 +28,23 @@ def test_variances_of_perfect_sensors_stay_positive_and_finite() -> None:
     noise = learned([still], {"effector": gp}, {"effector": np.zeros((30, 2))})
     values = [*noise.encoder, *noise.process, *noise.senses["effector"], *noise.std_error["process"]]
     assert all(0 < v < np.inf for v in values)
+
+
+def test_variances_of_two_logs_are_weighed_by_their_readings() -> None:
+    explored = Noise((1e-4,), {"effector": (0.01, 0.02)}, (0.3,), _errors((1e-6,), (0.02,), (0.001, 0.001)))
+    still = Noise((2e-4,), {"effector": (0.04, 0.04)}, (1e-9,), _errors((2e-6,), (1e9,), (0.004, 0.004)))
+    both = pooled(still, explored)
+    # both have the encoder from as many readings: so the arm was still for half of the time
+    assert both.process == pytest.approx((0.15,)) and both.std_error["process"] == pytest.approx((0.01,))
+    assert both.encoder == pytest.approx((1.5e-4,)) and both.std_error["encoder"][0] < 1.5e-6
+    assert both.senses["effector"] == pytest.approx(((0.01 + 0.04) / 2, (400 * 0.02 + 100 * 0.04) / 500))
+
+
+def test_variances_known_to_one_alone_are_its_own() -> None:
+    new, old = Noise((1e-4,), {}, (0.3,), {}), Noise((2e-4,), {"effector": (0.1, 0.1)}, (0.1,), {})
+    both = pooled(new, old)
+    assert (both.encoder, both.process, both.senses) == ((1e-4,), (0.3,), {"effector": (0.1, 0.1)})
+
+
+def _errors(encoder: tuple[float, ...], process: tuple[float, ...], effector: tuple[float, ...]) -> dict:
+    return {"encoder": encoder, "process": process, "effector": effector}
