@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ..types import Finding, Noise, Score
+from ..types import Features, Finding, Noise, Score
 from .gp import GP
-from .pairs import Joint
+from .pairs import Joint, joints, moves, silent
 
 
 def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> Iterator[Score]:
@@ -32,6 +32,19 @@ def findings(heard: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[st
             if size < least:
                 moved = f"{joint.name}: moved {joint.range:.3f} rad, {name} only {size:.2f} px"
                 found.append(Finding("warning", f"{moved}: vision says little about it"))
+    return found
+
+
+def unlearned(features: Sequence[Features], names: Sequence[str], wanted: Sequence[str] | None) -> list[Finding]:
+    """Joints that are not among those learned, `names`, though vision hangs on them: not heard, or moved unasked."""
+    deaf = silent(features)
+    found = [Finding("warning", f"{text}; left out: vision errs by what it moved") for text in deaf.values()]
+    shared = [set(f.joints.names) for f in features if f.joints is not None]
+    rest = tuple(n for n in sorted(set.intersection(*shared)) if n not in names and n not in deaf) if wanted else ()
+    for joint in joints(features, rest) if rest else ():
+        if moves(joint):
+            moved = f"{joint.name}: moved {joint.range:.3f} rad but is not among the joints learned"
+            found.append(Finding("warning", f"{moved}: vision errs by what it moved"))
     return found
 
 

@@ -1,19 +1,22 @@
 """From features to training pairs: smoothed joint angles with their variance beside each sighting."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..errors import ConfigError, LogError
-from ..types import Array, Features, Series
+from ..errors import ConfigError, EvidenceError, LogError
+from ..types import Array, Features, Finding, Series
 from .smooth import Chain, Motion, chain, coupling, fit, posterior
 from .train import Coupling
 
 _LEAST_RANGE = 0.02
 _BLOCKS = 10
+_FEWEST = 4
 _EARLIER = -1
+# farther than anything turns, in any unit an encoder counts in, and its square still far from overflow
+_ABSURD = 1e12
 _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
 
@@ -57,13 +60,52 @@ class Joint:
 
 
 def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list[Joint]:
-    """The joints common to all logs, or those wanted; LogError without readings, ConfigError for an unknown name."""
+    """The joints heard in all logs, or those wanted.
+
+    LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no joint or one wanted
+    was not heard.
+    """
     readings = [_readings(f, i, len(features)) for i, f in enumerate(features)]
     common = [n for n in readings[0].names if all(n in r.names for r in readings)]
+    if not common:
+        have = "; ".join(f"log {i + 1} has {', '.join(r.names)}" for i, r in enumerate(readings))
+        raise EvidenceError(f"the logs share no joint: {have}; fit one body for each robot")
     unknown = [n for n in wanted or () if n not in common]
     if unknown:
         raise ConfigError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(common)}; type: bodylog info LOG")
-    return [_joint(n, readings) for n in wanted or common if _heard(n, readings)]
+    deaf = silent(features)
+    if told := [deaf[n] for n in wanted or () if n in deaf]:
+        raise EvidenceError(f"{told[0]}, but it is asked for; type: bodylog info LOG")
+    return [_joint(n, readings) for n in wanted or common if n not in deaf]
+
+
+def silent(features: Sequence[Features]) -> dict[str, str]:
+    """Of each joint that some log names but does not hear often enough to learn it, what was found."""
+    found = {}
+    for index, readings in enumerate(f.joints for f in features if f.joints is not None):
+        for name, column in zip(readings.names, readings.values.T, strict=True):
+            heard = len(np.unique(readings.t[np.isfinite(column)]))
+            if heard < _FEWEST:
+                found[name] = f"{name}: only {heard} of {len(column)} readings in log {index + 1} are numbers"
+    return found
+
+
+def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
+    """The features without readings that no joint can have, and a remark for each joint that had some."""
+    kept, said = [], []
+    for index, found in enumerate(features):
+        for role in ("joints", "reference"):
+            series = getattr(found, role)
+            absurd = np.zeros((0, 0), bool) if series is None else np.abs(series.values) > _ABSURD
+            if not absurd.any():
+                continue
+            found = replace(found, **{role: replace(series, values=np.where(absurd, np.nan, series.values))})
+            for m in np.flatnonzero(absurd.any(axis=0)):
+                example = f"{series.values[absurd[:, m], m][0]:.3g} {series.unit}"
+                what = f"{series.names[m]}: {absurd[:, m].sum()} of {len(absurd)} readings in log {index + 1}"
+                said.append(Finding("warning", f"{what} left out: no joint is at {example}"))
+        kept.append(found)
+    return kept, said
 
 
 def moves(joint: Joint) -> bool:
@@ -104,10 +146,6 @@ def _readings(features: Features, index: int, count: int) -> Series:
     if features.joints is None or not len(features.joints.t):
         raise LogError(f"log {index + 1} of {count}: no joint readings to learn from; type: bodylog info LOG")
     return features.joints
-
-
-def _heard(name: str, readings: Sequence[Series]) -> bool:
-    return all(len(np.unique(r.t[np.isfinite(r.values[:, r.names.index(name)])])) > 3 for r in readings)
 
 
 def _joint(name: str, readings: Sequence[Series]) -> Joint:

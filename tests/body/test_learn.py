@@ -154,6 +154,50 @@ def test_nothing_to_learn_from_is_an_error_that_says_so(explored) -> None:
         learn([replace(features, joints=still)], Settings(), {})
 
 
+def _heard_as(features: Features, column: int, value: float, rows: slice = slice(None)) -> Features:
+    values = features.joints.values.copy()
+    values[rows, column] = value
+    return replace(features, joints=replace(features.joints, values=values))
+
+
+def _warnings(found: Learned) -> list[str]:
+    return [f.text for f in found.findings if f.severity == "warning"]
+
+
+def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
+    features = _heard_as(explored(0, 0.003, 10.0).features, 2, np.nan)
+    found = learn([features], Settings(), {})
+    assert found.model.joints == ("pan", "lift")
+    said = "elbow: only 0 of 1000 readings in log 1 are numbers"
+    assert any(text.startswith(f"{said}; left out") for text in _warnings(found))
+    with pytest.raises(EvidenceError, match=f"{said}, but it is asked for"):
+        learn([features], Settings(body=Body(joints=("pan", "elbow"))), {})
+    values = np.full_like(features.joints.values, np.nan)
+    with pytest.raises(EvidenceError, match=r"no joint moved; heard: none \(pan: only 0 of 1000"):
+        learn([replace(features, joints=replace(features.joints, values=values))], Settings(), {})
+
+
+def test_readings_that_no_joint_can_have_are_left_out_by_name(explored) -> None:
+    whole = explored(0, 0.003, 10.0).features
+    found = learn([_heard_as(whole, 1, 1e300, slice(100, 103))], Settings(), {})
+    assert "lift: 3 of 1000 readings in log 1 left out: no joint is at 1e+300 rad" in _warnings(found)
+    without = learn([_heard_as(whole, 1, np.nan, slice(100, 103))], Settings(), {})
+    assert found.model.joints == ("pan", "lift", "elbow") and found.model.noise == without.model.noise
+
+
+def test_logs_of_two_robots_are_told_apart(explored) -> None:
+    features = explored(0, 0.003, 10.0).features
+    other = replace(features, joints=replace(features.joints, names=("a", "b", "c", "d")))
+    with pytest.raises(EvidenceError, match="share no joint: log 1 has pan, lift, elbow, wrist; log 2 has a, b, c, d"):
+        learn([features, other], Settings(), {})
+
+
+def test_a_joint_that_moved_unasked_is_named(explored) -> None:
+    found = learn([explored(0, 0.003, 10.0).features], Settings(body=Body(joints=("pan", "lift"))), {})
+    moved = [text for text in _warnings(found) if "not among the joints learned" in text]
+    assert len(moved) == 1 and moved[0].startswith("elbow: moved ")
+
+
 def _standardised(explored: Callable, encoder: float, seed: int) -> dict[str, Array]:
     """Squared residuals (n,2) over their stated variance: of each tenth held out, and on another motion."""
     features, other = [explored(seed, encoder).features], explored(seed + 500, encoder)
