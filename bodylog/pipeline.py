@@ -74,6 +74,8 @@ def fit(
     from . import body
     from .body import model
 
+    for one in (*logs, *(() if update is None else (update,))):
+        distinct(one, out)
     known = None if update is None else model.load(update)
     observed = [observe(log, settings, progress) for log in logs]
     features = [found for _, found in observed]
@@ -94,6 +96,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     from .logs import annotate, annotated
 
     distinct(log, out)
+    distinct(body, out)
     learned = model.load(body)
     read, features = observe(log, settings, progress)
     found = infer(features, learned, settings)
@@ -207,10 +210,10 @@ def _something_seen(log: Path, features: Features) -> None:
         raise LogError(f"{log}: neither camera nor skin gave anything to extract; type: bodylog info {log}")
 
 
-def distinct(log: Path, out: Path) -> None:
-    """UsageError when the file to write is the log itself."""
-    if out.exists() and log.exists() and out.resolve() == log.resolve():
-        raise UsageError(f"{out}: is the log itself, which is never written to; give another name with -o")
+def distinct(read: Path, out: Path) -> None:
+    """UsageError when the file to write is one that is read."""
+    if out.exists() and read.exists() and out.resolve() == read.resolve():
+        raise UsageError(f"{out}: is read here, and what is read is never written to; give another name with -o")
 
 
 def topic_of(read: Recording, role: str) -> str | None:
