@@ -61,10 +61,9 @@ def _leaning(problem: Problem, solved: Solution) -> bool:
     return False
 
 
-def choose(problem: Problem, cost: Callable[[Problem], float]) -> Problem:
-    """The problem with an offset for each encoder whose lie explains the log better by GAIN nats; `cost` in nats."""
-    best, least = problem, cost(problem)
-    m = len(problem.start)
+def choose(problem: Problem, least: float, cost: Callable[[Problem], float]) -> Problem:
+    """The problem, which costs `least` nats, with an offset for each encoder whose lie explains GAIN of them."""
+    best, m = problem, len(problem.start)
     for _ in range(m):
         drift = np.zeros(m) if best.precision.drift is None else np.asarray(best.precision.drift)
         trials = [with_drift(problem, drift + WALKS[0] * np.eye(m)[j]) for j in np.flatnonzero(drift == 0)]

@@ -95,18 +95,24 @@ def settled(
     solved = sure(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None or not bias.surprised(problem, solved):
         return problem, solved
-    chosen = bias.choose(problem, cost)
+    weigh = partial(cost, warm=solved)
+    least = weigh(problem)
+    chosen = bias.choose(problem, nats(solved) if np.isinf(least) else least, weigh)
     if chosen is problem:
         return problem, solved
     return chosen, sure(chosen, None)
 
 
-def cost(problem: Problem) -> float:
-    """Free energy (nats) of the whole log, filtered."""
+def cost(problem: Problem, warm: Solution | None = None) -> float:
+    """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite where sweeps do not rest."""
     try:
-        solution = solve(problem, rest=ROUGHLY)
+        return nats(solve(problem, warm, rest=ROUGHLY))
     except Restless:
         return np.inf
+
+
+def nats(solution: Solution) -> float:
+    """Free energy of a whole filtered log."""
     return float(solution.fold.unfold(solution.trace.nats).sum())
 
 

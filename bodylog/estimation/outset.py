@@ -36,9 +36,9 @@ def priors(problem: "Problem", fold: Fold) -> tuple[Array, Array]:
 
 
 def handed_over(z: Array, p: Array, trace: Trace, fold: Fold) -> tuple[Array, Array]:
-    """Starts for the next sweep: each stretch begins where its predecessor ended."""
-    z, p = z.copy(), p.copy()
-    z[:, 1:], p[:, :, 1:] = trace.z[fold.handover, :, :-1], trace.p[fold.handover, :, :, :-1]
+    """Starts for the next sweep: each stretch begins where its predecessor ended; new offsets stay as they are."""
+    z, p, k = z.copy(), p.copy(), min(len(z), trace.z.shape[1])
+    z[:k, 1:], p[:k, :k, 1:] = trace.z[fold.handover, :k, :-1], trace.p[fold.handover, :k, :k, :-1]
     return z, p
 
 
@@ -48,9 +48,7 @@ def outset(
     """Points of linearisation (F,M) per sighting, and each stretch's start z (K,C), p (K,K,C), to begin with."""
     z, p = priors(problem, fold)
     if warm is not None:
-        if warm.trace.z.shape[1] == len(z):
-            z, p = handed_over(z, p, warm.trace, fold)
-        return warm.points, z, p
+        return warm.points, *(handed_over(z, p, warm.trace, fold) if warm.fold == fold else (z, p))
     path, t = problem.path or _said(problem), problem.timeline.t
     z[: len(problem.start), 1:] = _between(path, problem.start, t[fold.first_events()]).T
     if problem.path is None and problem.evidence.encoders is not None:
