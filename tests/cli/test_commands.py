@@ -97,7 +97,7 @@ def _wrong(robot, tmp_path):
         "unknown scenario": (2, "babble", ("record", "dance", "-o", out)),
         "absent folder": (2, "mkdir", ("record", "babble", "-o", tmp_path / "no" / "out.mcap", "--duration", 1)),
         "no estimate": (65, "bodylog estimate", ("evaluate", reach)),
-        "onto itself": (2, "itself", ("estimate", reach, "-o", reach, "--body", body)),
+        "onto itself": (2, "is read here", ("estimate", reach, "-o", reach, "--body", body)),
         "unknown option": (2, "--help", ("estimate", reach, "--bodi", body)),
         "bad clock offset": (2, "auto or seconds", ("extract", reach, "-o", out, "--clock-offset", "soon")),
         "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "joint_rmse")),
