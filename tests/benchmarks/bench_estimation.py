@@ -19,6 +19,7 @@ from tests.estimation.conftest import World, draw
 
 MINUTES = 10
 GIVEN = Estimation(precision="model", bias="off")
+PEERS = ("filterpy EKF, scikit-learn means", "filterpy EKF, scikit-learn means and variances")
 
 
 def learned(samples: int) -> BodyModel:
@@ -64,15 +65,15 @@ def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
         "Estimator.step": partial(stream, world, model, events, order),
     }
     if importlib.util.find_spec("filterpy") and importlib.util.find_spec("sklearn"):
-        cases["filterpy EKF, scikit-learn predictions"] = partial(filterpy, world, model, events, order)
+        cases[PEERS[0]] = partial(filterpy, world, model, events, order, False)
+        cases[PEERS[1]] = partial(filterpy, world, model, events, order, True)
     else:
         print("  filterpy or scikit-learn is not installed: no peer")
     medians = side_by_side("30 seconds, one and the same log", cases, repeats=1)
-    peer = medians.get("filterpy EKF, scikit-learn predictions")
-    if peer is not None:
+    for peer in (peer for peer in PEERS if peer in medians):
         for name in ("laplace", "laplace, the body's precisions"):
-            step = peer / len(world.features.joints.t)
-            print(f"  filterpy's step / {name}'s of {MINUTES} minutes: {step / ours[name]:.1f}")
+            step = medians[peer] / len(world.features.joints.t)
+            print(f"  {peer}, its step / {name}'s of {MINUTES} minutes: {step / ours[name]:.1f}")
 
 
 def stream(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:
@@ -85,8 +86,13 @@ def stream(world: World, model: BodyModel, events: list[tuple[float, int, int]],
             live.step(t, joints=joints[k])
 
 
-def filterpy(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:
-    """The peer: the same states and noise, the Jacobian by differences since scikit-learn has none."""
+def filterpy(
+    world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int], spread: bool
+) -> None:
+    """The peer: the same states and noise, the Jacobian by differences since scikit-learn has none.
+
+    `spread` adds the model's own variance to the pixels', as our filter does.
+    """
     from filterpy.kalman import ExtendedKalmanFilter
     from sklearn.gaussian_process import GaussianProcessRegressor
     from sklearn.gaussian_process.kernels import RBF, ConstantKernel
@@ -110,10 +116,12 @@ def filterpy(world: World, model: BodyModel, events: list[tuple[float, int, int]
         if not seen:
             ekf.update(values[k][:, None], lambda x: eye, lambda x: x[:3], R=encoder)
             continue
-        around = gp.predict(ekf.x[:3, 0] + steps) + sense.mean
+        found = gp.predict(ekf.x[:3, 0] + steps, return_std=spread)
+        around, var = (found[0], pixel + np.diag(found[1][0] ** 2)) if spread else (found, pixel)
+        around = around + sense.mean
         slope = np.concatenate([(around[1:4] - around[4:]).T / 2e-4, np.zeros((2, 3))], axis=1)
         z = world.features.tracks["effector"].values[k]
-        ekf.update(z[:, None], lambda x, s=slope: s, lambda x, a=around: a[0][:, None], R=pixel)
+        ekf.update(z[:, None], lambda x, s=slope: s, lambda x, a=around: a[0][:, None], R=var)
 
 
 def growth() -> dict[str, dict[int, float]]:
