@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__
-from .errors import EvidenceError, LogError, UsageError
+from .errors import EvidenceError, InputError, LogError, UsageError
 from .files import sha256
 from .settings import Colours, Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
@@ -99,7 +99,11 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     distinct(body, out)
     learned = model.load(body)
     read, features = observe(log, settings, progress)
-    found = infer(features, learned, settings)
+    try:
+        found = infer(features, learned, settings)
+    except InputError as problem:
+        gone = "".join(f"; {f.text.removeprefix(f'{log}: ')}" for f in read.findings if f.severity == "lost")
+        raise type(problem)(f"{log}: {problem}{gone}") from problem
     _insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     outgoing = _estimate_messages(read, features, found)
     provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)

@@ -24,7 +24,6 @@ def estimate(
 
     from .output import progress, show
 
-    options.apart(out, body)
     chosen = common.settings(colours={"fast": fast}, estimate=options.estimation(typed))
     with progress("estimate") as tick:
         result = pipeline.estimate(log, body, out, chosen, tick)

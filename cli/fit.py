@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, apart, clock_option, common_options, logs_argument, out_option
+from .options import PATH, Common, clock_option, common_options, logs_argument, out_option
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
@@ -31,7 +31,6 @@ def fit(
 
     from .output import body, progress, show
 
-    apart(out, *logs)
     named = tuple(joints.split(",")) if joints else None
     chosen = common.settings(fit={"preset": preset, "every": every}, body={"joints": named})
     with progress("fit") as tick:

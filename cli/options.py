@@ -54,12 +54,6 @@ def out_option(what: str) -> Callable[[Command], Command]:
     return click.option("-o", "--output", "out", type=PATH, required=True, help=what)
 
 
-def apart(out: Path, *read: Path) -> None:
-    """A usage error when the file to write is one of those that are read."""
-    if any(out.exists() and one.exists() and out.resolve() == one.resolve() for one in read):
-        raise click.UsageError(f"-o {out} is read here, and would be lost; give another name with -o")
-
-
 @dataclass(frozen=True)
 class Common:
     """What was typed that every command understands."""

@@ -52,7 +52,7 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     if "touch" in wanted and "effector" in body.senses:
         # descent integrates a pull over time; a filter would take the frames of one touch for independent
         sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
-    findings = _check(used, settings.senses or (), features, _silent(body.joints, encoders))
+    findings = _check(used, settings.senses or (), features, _silent(body.joints, encoders), wanted)
     # touches out of time are a result, not a lack: they are heard, for what little they weigh
     heard = tuple(s for s in sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
@@ -175,7 +175,7 @@ def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: 
 
 
 def _check(
-    used: Mapping[str, Health], named: tuple[str, ...], features: Features, silent: Sequence[str]
+    used: Mapping[str, Health], named: tuple[str, ...], features: Features, silent: Sequence[str], wanted: set[str]
 ) -> tuple[Finding, ...]:
     """EvidenceError for a named sense, or joint, that is empty; a finding for a guessed one."""
     visual = {name for name in used if name not in ("encoders", "touch")}
@@ -190,6 +190,8 @@ def _check(
                 f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
             )
     empty = [name for name, health in used.items() if health.seen and not health.used and name not in named]
+    if not wanted.intersection(features.joints.names if features.joints is not None else ()):
+        empty = [name for name in empty if name != "encoders"]
     said = {name: "out of time with what is seen" if name == "touch" and late else "left out" for name in empty}
     return tuple(Finding("warning", f"{name}: nothing usable ({_words(used[name])}), {said[name]}") for name in empty)
 

@@ -31,7 +31,7 @@ def _mcap(source: Path, out: Path, change: Change, until: float, kept: Callable[
     from mcap.writer import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    store, channels, count = get_typestore(Stores.ROS2_HUMBLE), {}, 0
+    store, channels, count = get_typestore(Stores.ROS2_HUMBLE), {}, -1
     with source.open("rb") as read, out.open("wb") as written:
         writer = Writer(written)
         writer.start("ros2", "spoilt")
@@ -43,9 +43,7 @@ def _mcap(source: Path, out: Path, change: Change, until: float, kept: Callable[
             data = message.data
             if _spoken(channel.topic):
                 said = store.deserialize_cdr(data, KIND)
-                said.position = said.position.copy()
-                count += 1
-                if not change(count - 1, said):
+                if not _changed(change, count := count + 1, said):
                     continue
                 data = bytes(store.serialize_cdr(said, KIND))
             if channel.topic not in channels:
@@ -59,7 +57,7 @@ def _bag(source: Path, out: Path, change: Change, until: float, kept: Callable[[
     from rosbags.rosbag1 import Reader, Writer
     from rosbags.typesys import Stores, get_typestore
 
-    store, connections, count = get_typestore(Stores.ROS1_NOETIC), {}, 0
+    store, connections, count = get_typestore(Stores.ROS1_NOETIC), {}, -1
     with Reader(source) as reader, Writer(out) as writer:
         for connection, time, data in reader.messages():
             topic, kind = connection.topic, connection.msgtype
@@ -67,15 +65,19 @@ def _bag(source: Path, out: Path, change: Change, until: float, kept: Callable[[
                 continue
             if _spoken(topic):
                 said = store.deserialize_ros1(data, KIND)
-                said.position = said.position.copy()
-                count += 1
-                if not change(count - 1, said):
+                if not _changed(change, count := count + 1, said):
                     continue
                 data = bytes(store.serialize_ros1(said, KIND))
             if topic not in connections:
                 definition, digest = connection.msgdef.data, connection.digest
                 connections[topic] = writer.add_connection(topic, kind, msgdef=definition, md5sum=digest)
             writer.write(connections[topic], time, data)
+
+
+def _changed(change: Change, count: int, said: Any) -> bool:
+    """Whether the message is kept; its position can be written to."""
+    said.position = said.position.copy()
+    return change(count, said)
 
 
 def _spoken(topic: str) -> bool:

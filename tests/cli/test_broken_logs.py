@@ -34,7 +34,7 @@ def _refused(capsys, bodylog, log, body, out, *typed):
     before = sorted(out.parent.iterdir())
     assert bodylog("estimate", log, "--body", body, "-o", out, *typed) == 65
     said = capsys.readouterr().err.strip()
-    assert "\n" not in said and said.startswith("bodylog: ")
+    assert "\n" not in said and said.startswith(f"bodylog: {log}: ")
     assert sorted(out.parent.iterdir()) == before
     return said
 
@@ -140,3 +140,10 @@ def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, bo
     assert fault["since"] == pytest.approx(3.0, abs=0.05)
     assert fault["size"] == pytest.approx(0.4 if what == "jumping" else 0.0, abs=0.03)
     assert scores["joint_rmse/shoulder_pan_joint"] < 0.012
+
+
+def test_a_log_cut_before_its_first_chunk_ends_is_named_with_what_is_lost(tmp_path, capsys, bodylog, arm, arm_body):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((arm / "reach.mcap").read_bytes()[:300_000])
+    said = _refused(capsys, bodylog, cut, arm_body, tmp_path / "out.mcap")
+    assert "no sense has anything to say" in said and "from byte 36 299964 bytes" in said

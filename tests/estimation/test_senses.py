@@ -84,6 +84,7 @@ def test_more_silent_joints_than_numbers_seen_are_warned_of(world, without, warn
     said = [finding.text for finding in found.findings if finding.text.startswith("vision: 2 numbers")]
     assert bool(said) == warned
     assert not warned or "3 joints without an encoder (pan, lift, elbow)" in said[0]
+    assert not any(finding.text.startswith("encoders: nothing usable") for finding in found.findings)
 
 
 @pytest.mark.parametrize("asked", [("vision",), ("encoders", "effector")])
