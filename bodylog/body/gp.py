@@ -99,19 +99,20 @@ class GP:
 
     def _single(self, group: int) -> "_Single":
         near, precision, members = self.centres - self._origin, self.scales[group] ** -2.0, self._members(group)
-        fixed = np.log(self.amplitude[group]) - 0.5 * np.square(near) @ precision
+        amplitude, fixed = float(self.amplitude[group]), -0.5 * np.square(near) @ precision
         leans = (self.weights[members][:, None] * (near * precision).T).reshape(-1, len(near))
-        rows = np.concatenate([self.weights[members], leans, self.factor[group]])
+        # amplitude here, not in the exponent: large exponents are rounded more, and the variance is what is left
+        rows = amplitude * np.concatenate([self.weights[members], leans, self.factor[group]])
         near, rows = np.asfortranarray(near), np.asfortranarray(rows)
-        return _Single(near, fixed, precision, rows, self.mean[members], float(self.amplitude[group]))
+        return _Single(near, fixed, precision, rows, self.mean[members], amplitude)
 
 
 @dataclass(frozen=True, eq=False)
 class _Single:
     """One kernel's D outputs at one point or at many: all that is linear in the kernel in one product.
 
-    near (n,M) centres · fixed (n,) ln k at the origin · precision (M,) · mean (D,) · amplitude ·
-    rows (D+DM+r,n): weights, weights times centres times precision, factor.
+    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean (D,) ·
+    amplitude · rows (D+DM+r,n), amplitude times: weights, weights times centres times precision, factor.
     """
 
     near: Array

@@ -95,6 +95,23 @@ def test_covariance_has_the_variance_on_its_diagonal() -> None:
     assert np.allclose(np.diagonal(gp.covariance(x), axis1=1, axis2=2).T, gp.predict(x)[2], rtol=1e-6)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_amplitude_costs_no_digits(seed: int) -> None:
+    """A mean is as exact as its largest terms are, however large the amplitude."""
+    draw = np.random.default_rng(seed)
+    centres, weights = draw.uniform(-1, 1, (60, 3)), draw.normal(0, 1, (2, 60))
+    scales, amplitude = draw.uniform(1, 2, (1, 3)), np.array([1e12])
+    none = np.zeros((60, 2))
+    gp = GP(("u", "v"), "px", centres, scales, amplitude, np.zeros(2), weights, np.zeros((1, 1, 60)), np.zeros(2),
+            centres, none, none)  # fmt: skip
+    x = draw.uniform(-1, 1, (50, 3))
+    long = np.longdouble
+    kernel = amplitude * np.exp(-0.5 * (((x[:, None].astype(long) - centres) / scales[0]) ** 2).sum(axis=-1))
+    exact, size = kernel @ weights.T.astype(long), kernel @ np.abs(weights.T)
+    for found in (gp.predict(x)[0], np.array([gp.predict_one(point)[0] for point in x])):
+        assert (np.abs(found - exact) / size).max() < 2 * np.finfo(float).eps
+
+
 def test_far_away_it_falls_back_to_the_constant_mean_and_full_variance() -> None:
     gp = _random(1, 20, 3, 2, False)
     value, slope, spread = gp.predict(np.full((2, 3), 1e3))
