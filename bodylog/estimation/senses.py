@@ -1,6 +1,6 @@
 """What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,10 +45,11 @@ class Evidence:
 
 def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidence:
     """The evidence the settings ask for; a named sense without observations raises EvidenceError."""
-    wanted = _wanted(features, body, settings)
+    visual = {name: track for name, track in features.tracks.items() if name in body.senses}
+    wanted = chosen(visual, body, settings)
     encoders, used = _encoders(features.joints, body.joints, wanted)
     first = _first(features.joints, body.joints)
-    sightings = [_sighting(track, features.tracks[track], body, used) for track in wanted if track in features.tracks]
+    sightings = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
     if "touch" in wanted and "effector" in body.senses:
         # descent integrates a pull over time; a filter would take the frames of one touch for independent
         sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
@@ -77,19 +78,18 @@ def _silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
     return [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
 
 
-def _wanted(features: Features, body: BodyModel, settings: Estimation) -> set[str]:
-    visual = [name for name in features.tracks if name in body.senses]
-    groups = {"encoders": list(body.joints), "vision": visual, "touch": ["touch"]}
-    singles = {*body.joints, *body.senses, *visual}
+def chosen(visual: Iterable[str], body: BodyModel, settings: Estimation) -> set[str]:
+    """Joints, tracks out of `visual` and touch that the settings let be heard; UsageError for a name that is none."""
+    groups = {"encoders": list(body.joints), "vision": list(visual), "touch": ["touch"]}
+    singles = {*body.joints, *body.senses}
     for name in (*(settings.senses or ()), *settings.without):
         if name not in groups and name not in singles:
             raise UsageError(f"senses: {name!r} is none of {', '.join([*groups, *sorted(singles)])}")
 
-    def spread(names: tuple[str, ...]) -> set[str]:
+    def spread(names: Iterable[str]) -> set[str]:
         return {single for name in names for single in groups.get(name, [name])}
 
-    chosen = ("encoders", "vision", "touch") if settings.senses is None else settings.senses
-    return spread(chosen) - spread(settings.without)
+    return spread(groups if settings.senses is None else settings.senses) - spread(settings.without)
 
 
 def _encoders(

@@ -7,6 +7,7 @@ import pytest
 
 from bodylog.errors import EvidenceError, LogError, ModelError, UsageError
 from bodylog.estimation import METHODS, estimate
+from bodylog.estimation.senses import gather
 from bodylog.settings import Estimation
 
 
@@ -112,3 +113,12 @@ def test_a_silent_joint_is_counted_refused_when_asked_for_and_named_where_it_sta
         estimate(mute, drawn.body, Estimation(senses=("lift", "effector"), start=(0.0, 0.0, 0.0)))
     found = estimate(mute, drawn.body, Estimation(start=tuple(drawn.truth.values[0][[0, 1, 2]])))
     assert found.used["encoders"].rejected == {"without lift": len(values)}
+
+
+def test_tracks_are_heard_in_the_order_the_log_has_them(world):
+    """Else the same log gives other bytes in the next process, whose names hash otherwise."""
+    drawn = world(0, duration=2.0)
+    names = ("side/effector", "effector", "tip", "wrist", "back", "arm")
+    body = replace(drawn.body, senses=dict.fromkeys(names, drawn.body.senses["effector"]))
+    features = replace(drawn.features, tracks=dict.fromkeys(names, drawn.features.tracks["effector"]))
+    assert [s.name for s in gather(features, body, Estimation()).sightings] == list(names)
