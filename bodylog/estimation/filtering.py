@@ -81,7 +81,7 @@ def settled(
     problem: Problem, warm: Solution | None, settings: Estimation,
     solver: Callable[[Problem, Solution | None], S], patient: Callable[[Problem], S],
 ) -> tuple[Problem, S]:  # fmt: skip
-    """The problem solved; with offsets where the settings allow them, vision is surprised and the evidence agrees.
+    """The problem solved; with offsets where the settings allow them and the evidence asks for them.
 
     `patient`, slower but sure, takes over where the solver's sweeps do not come to rest.
     """
@@ -93,11 +93,9 @@ def settled(
             return patient(posed)
 
     solved = sure(problem, warm)
-    if settings.bias != "auto" or problem.evidence.encoders is None or not bias.surprised(problem, solved):
+    if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solved
-    weigh = partial(cost, warm=solved)
-    least = weigh(problem)
-    chosen = bias.choose(problem, nats(solved) if np.isinf(least) else least, weigh)
+    chosen = bias.choose(problem, solved, partial(cost, warm=solved))
     if chosen is problem:
         return problem, solved
     return chosen, sure(chosen, None)
@@ -106,14 +104,9 @@ def settled(
 def cost(problem: Problem, warm: Solution | None = None) -> float:
     """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite where sweeps do not rest."""
     try:
-        return nats(solve(problem, warm, rest=ROUGHLY))
+        return bias.nats(solve(problem, warm, rest=ROUGHLY))
     except Restless:
         return np.inf
-
-
-def nats(solution: Solution) -> float:
-    """Free energy of a whole filtered log."""
-    return float(solution.fold.unfold(solution.trace.nats).sum())
 
 
 def drifts(

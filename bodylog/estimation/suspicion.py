@@ -1,0 +1,145 @@
+"""What an offset of each encoder would explain, to first order at the belief at hand: cheap enough to ask of every log.
+
+A belief that knows of no offset b has innovations ν + Ψ b (Friedland 1969, "Treatment of bias in recursive
+filtering"), where Ψ follows from the filter's own covariances. So ν is a regression on b.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from .conditioning import _excess
+from .laplace import Problem, Solution
+from .outset import OFFSET_STD
+
+CLIP = 4.0
+"""Standard deviations: no innovation counts for more, lest single blunders accuse an encoder."""
+SPAN = 0.25
+"""s over which an offset is taken for constant."""
+PASSES, STILL = 8, 0.05
+"""Passes over all stretches at most, and how little a stretch's start may still move, per unit of offset."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """One track's F sightings: at which events (F,), J (F,D,M), innovation's covariance (F,D,D), S⁻¹ν (F,D) clipped,
+    information (F,M,M) as gated.
+    """
+
+    events: Array
+    jac: Array
+    cov: Array
+    pull: Array
+    stiff: Array
+
+
+def promise(problem: Problem, solved: Solution, walk: float) -> Array:
+    """Nats (M,) that an offset of each encoder, wandering by `walk` rad²/s, would win; 0 where nothing is looked at."""
+    tracks = [_frames(problem, solved, k) for k in range(len(problem.evidence.sightings))]
+    visual = [track for track, s in zip(tracks, problem.evidence.sightings, strict=True) if s.name != "touch"]
+    if not visual:
+        return np.zeros(len(problem.start))
+    shift = _shift(solved, tracks)
+    score, weight = _by_encoders(solved, shift)
+    for track in visual:
+        psi = -track.jac @ solved.fold.pick(shift, track.events)
+        score[track.events] += np.einsum("fdk,fd->fk", psi, track.pull)
+        weight[track.events] += np.einsum("fdk,fdk->fk", psi, np.linalg.solve(track.cov, psi))
+    return _won(problem.timeline.t, score, weight, walk)
+
+
+def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
+    """What the sightings of one track said to the belief."""
+    fold, readings, trace = solved.fold, solved.readings, solved.trace
+    seen = np.isfinite(problem.evidence.sightings[track].values).all(axis=1)
+    events = problem.timeline.sightings[track][seen]
+    x, cov = fold.pick(trace.prior, events), fold.pick(trace.prior_cov, events)
+    y, jac, var = (fold.pick(part[:, track], events) for part in (readings.y, readings.jac, readings.var))
+    nu, s = y - (jac @ x[..., None])[..., 0], jac @ cov @ jac.swapaxes(1, 2)
+    np.einsum("fdd->fd", s)[:] += var
+    pull = np.linalg.solve(s, nu[..., None])[..., 0]
+    d2 = np.einsum("fd,fd->f", nu, pull)
+    noise = var + np.einsum("fdd->fd", s) * _excess(d2)[:, None]
+    clip = np.minimum(1.0, CLIP / np.sqrt(np.maximum(d2 / nu.shape[1], 1e-9)))
+    return _Frames(events, jac, s, pull * clip[:, None], jac.swapaxes(1, 2) @ (jac / noise[..., None]))
+
+
+def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
+    """How far (L,M,M,C) the belief before each instant is from the truth, per unit of each encoder's offset."""
+    readings, trace, fold = solved.readings, solved.trace, solved.fold
+    gated = readings.encoder_var + _spread(solved) * _excess(trace.encoder_d**2)
+    told = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
+    stiff = np.zeros(trace.prior_cov.shape)
+    np.einsum("liic->lic", stiff)[:] = told
+    for track in tracks:
+        fold.put(stiff, track.events, fold.pick(stiff, track.events) + track.stiff)
+    # what merely reminds of habits has no offset
+    lied = np.where(np.isfinite(trace.encoder_d), told, 0.0)
+    shift, begin = np.empty_like(stiff), _follows(lied)
+    own = fold.unfold(np.tile(np.arange(len(told))[:, None], begin.shape[-1]))
+    last = int(own.max() - own[0])
+    for _ in range(PASSES):
+        end = _follow(shift, begin.copy(), readings.dt, stiff, lied, trace.p, last)
+        moved, begin[..., 1:] = np.abs(end[..., :-1] - begin[..., 1:]).max(initial=0.0), end[..., :-1]
+        if moved < STILL:
+            break
+    return shift
+
+
+def _follows(lied: Array) -> Array:
+    """A first guess (2M,M,C) of the shift where stretches start: by all the offset, of encoders that speak."""
+    _, m, c = lied.shape
+    begin = np.zeros((2 * m, m, c))
+    begin[np.arange(m), np.arange(m), 1:] = np.any(lied > 0, axis=(0, 2), keepdims=True)[0]
+    return begin
+
+
+def _follow(
+    shift: Array, moved: Array, dt: Array, stiff: Array, lied: Array, p: Array, last: int
+) -> Array:  # fmt: skip
+    """Carry `moved` (2M,M,C), angles and rates per unit of offset, through all stretches, and note it in `shift`."""
+    m = lied.shape[1]
+    own, end = np.arange(m), moved
+    for i, step in enumerate(dt):
+        moved[:m] += step * moved[m:]
+        shift[i] = moved[:m]
+        force = -(stiff[i][:, :, None] * moved[None, :m]).sum(axis=1)
+        force[own, own] += lied[i]
+        # x⁺ − x⁻ = P⁺ Hᵀ R⁻¹ ν
+        moved += (p[i, : 2 * m, :m, None] * force[None]).sum(axis=1)
+        if i == last:
+            end = moved.copy()
+    return end
+
+
+def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
+    """Ψᵀ S⁻¹ ν (E,M) and the diagonal of Ψᵀ S⁻¹ Ψ (E,M) of all that encoders said."""
+    d, m = solved.trace.encoder_d, shift.shape[1]
+    heard, std = np.isfinite(d), np.sqrt(_spread(solved))
+    psi = (np.eye(m)[..., None] - shift) * np.where(heard, 1.0 / std, 0.0)[:, :, None]
+    said = np.where(heard, np.clip(d, -CLIP, CLIP), 0.0)
+    score, weight = (psi * said[:, :, None]).sum(axis=1), (psi * psi).sum(axis=1)
+    return solved.fold.unfold(score), solved.fold.unfold(weight)
+
+
+def _spread(solved: Solution) -> Array:
+    """Variance (L,M,C) of each encoder's innovation."""
+    return np.asarray(np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var)
+
+
+def _won(t: Array, score: Array, weight: Array, walk: float) -> Array:
+    """Nats (M,) an offset wins, filtered by itself over spans of what scores (E,M) with weights (E,M) say of it."""
+    starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] + SPAN, SPAN)))
+    starts = starts[starts < len(t)]
+    steps = np.diff(t[starts], append=t[-1])
+    m = score.shape[1]
+    b, p, nats = np.zeros(m), np.full(m, OFFSET_STD**2), np.zeros(m)
+    for f, w, step in zip(np.add.reduceat(score, starts), np.add.reduceat(weight, starts), steps, strict=True):
+        p = p + walk * step
+        more, share = f - w * b, 1.0 + w * p
+        nats += b * (f - 0.5 * w * b) + 0.5 * (more * more * p / share - np.log(share))
+        p = p / share
+        b = b + p * more
+    return nats
+

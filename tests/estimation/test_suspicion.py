@@ -1,0 +1,61 @@
+"""What an offset would explain, to first order: held to the evidence of the filter that has one."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import bias, estimate, filtering
+from bodylog.estimation.laplace import solve
+from bodylog.estimation.suspicion import promise
+from bodylog.settings import Estimation
+
+WALK = bias.WALKS[0]
+
+
+def lying(drawn, size, joint="pan", since=8.0):
+    joints = drawn.features.joints
+    values = joints.values + size * np.outer(joints.t >= since, np.array(joints.names) == joint)
+    return replace(drawn.features, joints=replace(joints, values=values))
+
+
+def solved(features, body, **settings):
+    problem, warm, _ = filtering.pose(features, body, Estimation(**settings))
+    return problem, solve(problem, warm)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.03, 0.05, 0.1])
+@pytest.mark.parametrize("seed", range(2))
+def test_it_is_what_the_filter_with_an_offset_wins(world, seed, size):
+    drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
+    problem, found = solved(lying(drawn, size), drawn.body)
+    cost = partial(filtering.cost, warm=found)
+    wins = [cost(problem) - cost(bias.with_drift(problem, WALK * row)) for row in np.eye(3)]
+    np.testing.assert_allclose(promise(problem, found, WALK), wins, atol=20.0, rtol=0.3)
+    assert (max(wins) > bias.GAIN) is (size > 0)
+
+
+def test_nothing_is_promised_where_nothing_is_looked_at(world):
+    drawn = world(0, duration=6.0)
+    problem, found = solved(replace(drawn.features, tracks={}), drawn.body)
+    assert not promise(problem, found, WALK).any()
+
+
+def test_a_sound_log_is_not_weighed(world):
+    def never(problem):
+        raise AssertionError("weighed")
+
+    for seed in range(3):
+        drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
+        problem, found = solved(drawn.features, drawn.body)
+        assert bias.choose(problem, found, never) is problem
+
+
+@pytest.mark.parametrize("joint", ["lift", "elbow"])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_step_no_larger_than_the_noise_is_named(world, seed, joint):
+    drawn = world(seed, duration=16.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
+    found = estimate(lying(drawn, 0.04, joint), drawn.body, Estimation())
+    assert [fault.name for fault in found.faults] == [joint]
+    assert found.faults[0].size == pytest.approx(0.04, abs=0.02)
