@@ -3,32 +3,48 @@
 import numpy as np
 
 from ..types import Array
-from .scan import EVEN, Readings, Trace
+from .scan import EVEN, Leaps, Pooled, Readings, Trace
 
 
-def means(readings: Readings, trace: Trace, end: Array, keep: int) -> tuple[Array, Array]:
-    """Smoothed state (L,K,C) from the adjoint `end` (K,C) after the last instant; adjoint before instant `keep`."""
+def means(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array, Array]:
+    """Smoothed state (L,K,C) from the adjoint `end` (K,C) after the last instant; adjoints after each, before all."""
     assert trace.back is not None
     gains, weights, nus = trace.back
-    adjoint, smooth, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
-    jac = readings.jac.reshape(len(smooth), -1, m, end.shape[1])
+    adjoint, after, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
+    jac = readings.jac.reshape(len(after), -1, m, end.shape[1])
     push = nus * weights
-    for i in range(len(smooth) - 1, -1, -1):
-        smooth[i] = trace.z[i] - np.einsum("klc,lc->kc", trace.p[i], adjoint)
-        for row in _last_first(m, gains.shape[1]):
+    for i in range(len(after) - 1, -1, -1):
+        after[i] = adjoint
+        for row in _last_first(m, m + jac.shape[1]):
             pull = np.einsum("kc,kc->c", gains[i, row], adjoint) + push[i, row]
             if row < m:
                 adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
             else:
                 adjoint[:m] -= jac[i, row - m] * pull
-        adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
-        if i == keep:
-            kept = adjoint.copy()
-    return smooth, kept
+        if isinstance(readings, Leaps):
+            _unleap(readings.pooled, i, adjoint, gains[i, -2 * m :], push[i, -2 * m :])
+        else:
+            adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
+    return trace.z - np.einsum("iklc,ilc->ikc", trace.p, after), after, adjoint
 
 
-def covariances(readings: Readings, trace: Trace, end: Array, keep: int) -> tuple[Array, Array]:
-    """Smoothed covariance (L,M,M,C) of the angles from the adjoint's information `end` (K,K,C); that before `keep`."""
+def _unleap(pooled: Pooled, i: int, adjoint: Array, gains: Array, push: Array) -> None:
+    """Carry the adjoint (K,C) back over what was pooled before instant i."""
+    lean, parts = pooled.lean[i], adjoint.reshape(*pooled.shift[i].shape)
+    parts[:] = np.einsum("abjc,ajc->bjc", pooled.move[i], parts)
+    m = len(lean)
+    for row in range(2 * m - 1, -1, -1):
+        pull = np.einsum("kc,kc->c", gains[row], adjoint) + push[row]
+        of_rate, j = divmod(row, m)
+        if of_rate:
+            parts[1, j] -= pull
+        else:
+            parts[::2, j] -= pull
+            parts[1, j] -= lean[j] * pull
+
+
+def covariances(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array]:
+    """Smoothed covariance (L,M,M,C) of the angles from the adjoint's information `end` (K,K,C); that before all."""
     length, m, c = readings.encoders.shape
     information, cov = end.copy(), np.empty((length, m, m, c))
     for i in range(length - 1, -1, -1):
@@ -40,9 +56,7 @@ def covariances(readings: Readings, trace: Trace, end: Array, keep: int) -> tupl
         information[:, m : 2 * m] += dt * information[:, :m]
         if i % EVEN == 0:
             information[:] = 0.5 * (information + information.transpose(1, 0, 2))
-        if i == keep:
-            kept = information.copy()
-    return cov, kept
+    return cov, information
 
 
 def _unhear(readings: Readings, trace: Trace, i: int, information: Array) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 from ..types import Array
 
 if TYPE_CHECKING:
-    from .scan import Readings
+    from .scan import Pooled, Readings
 
 GATE = 5.0
 """Standard deviations: a rarer innovation d has its noise raised until its pull falls as GATE²/d (redescending)."""
@@ -28,6 +28,8 @@ def update(
     if len(seen):
         y, jac, var = (part[i].take(seen, axis=-1) for part in (readings.y, readings.jac, readings.var))
         _see(y, jac, var, seen, z, p, (None if gains is None else gains[m:], weights[m:], nus[m:]))
+    if not heard.any():
+        return
     said = np.where(heard, readings.encoders[i], 0.0)
     for j in range(m):
         ph = p[:, j] if len(z) == 2 * m else p[:, j] + p[:, 2 * m + j]
@@ -37,6 +39,36 @@ def update(
         gain = _condition(z, p, ph, weights[j], nus[j])
         if gains is not None:
             gains[j] = gain
+
+
+def leap(pooled: "Pooled", i: int, z: Array, p: Array, back: tuple[Array | None, Array, Array]) -> None:
+    """Condition z, p in place on what was pooled before instant i, ungated, and move them there."""
+    lean, heard, (gains, weights, nus) = pooled.lean[i], np.isfinite(pooled.y[i]), back
+    m = len(lean)
+    said = np.where(heard, pooled.y[i], 0.0)
+    for row in range(2 * m):
+        of_rate, j = divmod(row, m)
+        ph, mean = p[:, m + j], z[m + j]
+        if not of_rate:
+            ph, mean = p[:, j::2 * m].sum(axis=1) + lean[j] * ph, z[j::2 * m].sum(axis=0) + lean[j] * mean
+        s = ph[m + j] if of_rate else ph[j::2 * m].sum(axis=0) + lean[j] * ph[m + j]
+        nus[row] = said[of_rate, j] - mean
+        weights[row] = heard[of_rate, j] / (s + pooled.var[i, of_rate, j])
+        gain = _condition(z, p, ph, weights[row], nus[row])
+        if gains is not None:
+            gains[row] = gain
+    _move(pooled.move[i], pooled.shift[i], pooled.noise[i], z, p)
+
+
+def _move(move: Array, shift: Array, noise: Array, z: Array, p: Array) -> None:
+    """z (K,C) and p (K,K,C), in place, through move (S,S,M,C) and shift (S,M,C) of each joint's own states."""
+    states, m, c = shift.shape
+    blocks, parts = p.reshape(states, m, states, m, c), z.reshape(states, m, c)
+    parts[:] = (move * parts).sum(axis=1) + shift
+    blocks[:] = (move[:, :, :, None, None] * blocks).sum(axis=1)
+    blocks[:] = (move * blocks[:, :, None]).sum(axis=3)
+    for j in range(m):
+        blocks[:, j, :, j] += noise[:, :, j]
 
 
 def _see(

@@ -5,16 +5,18 @@ stretches of the log are filtered side by side from the ends of their predecesso
 the points of linearisation nor the starts move: the fixed point is the sequential filter's own.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..types import Array
+from .brief import Brief, full, in_brief
+from .conditioning import GATE
 from .folds import Fold, fold_for
 from .habit import Habit
-from .outset import handed_over, outset
+from .outset import handed_over, outset, starts
 from .precision import Precision
-from .scan import Dynamics, Readings, Trace, rescan
+from .scan import Dynamics, Leaps, Readings, Trace, rescan
 from .senses import Evidence
 from .tangents import RESTING, Tangents
 from .timeline import Timeline
@@ -52,12 +54,17 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A filtered log: fold, its readings as last linearised, their points (F,M) per sighting, trace."""
+    """A filtered log: fold, its readings as last linearised, where that was, trace; and how it was told in brief."""
 
     fold: Fold
     readings: Readings
-    points: tuple[Array, ...]
+    tangents: Tangents
     trace: Trace
+    brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
+
+    def gated(self) -> Array:
+        """Instants (E,) with an encoder reading beyond the gate."""
+        return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))
 
 
 def solve(
@@ -65,21 +72,40 @@ def solve(
 ) -> Solution:
     """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean.
 
-    `warm` is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
+    First in brief; then in full, which moves nothing but where the gate closes on readings that were pooled. `warm`
+    is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
     """
-    fold, line, m = fold_for(len(problem.timeline.t)), problem.timeline, len(problem.start)
-    readings = heard(problem, fold)
-    points, z, p = outset(problem, fold, readings, warm)
-    tangents = Tangents(points, RESTING * rest / SETTLED)
+    brief = in_brief(problem, None if warm is None else warm.gated())
+    readings, tangents, z, p = begun(brief, warm)
+    tangents.resting = RESTING * rest / SETTLED
+    first = swept(brief.problem, brief.fold, readings, tangents, z, p, at, rest)
+    fold = fold_for(len(problem.timeline.t))
+    z, p = starts(problem, fold, first, np.searchsorted(brief.events, fold.lasts()))
+    whole = swept(problem, fold, full(problem, fold), tangents, z, p, at, rest)
+    return replace(whole, brief=(brief, first))
+
+
+def begun(brief: Brief, warm: Solution | None) -> tuple[Leaps, Tangents, Array, Array]:
+    """The brief's readings, tangents and starts to begin with: by the encoders alone, or where `warm` ended."""
+    readings = brief.readings()
+    if warm is None:
+        return readings, *outset(brief.problem, brief.fold, readings)
+    return readings, warm.tangents.again(), *starts(brief.problem, brief.fold, warm, brief.events[brief.fold.lasts()])
+
+
+def swept(
+    problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, at: str, rest: float
+) -> Solution:
+    """Sweeps from starts z (K,C), p (K,K,C) until all rests."""
+    tangents.write(problem, fold, readings)
     trace, moving, move, progress = None, np.ones(fold.count, bool), np.inf, Progress()
     for _ in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
         if trace is not None and not moving.any():
-            return Solution(fold, readings, tangents.points, trace)
+            return Solution(fold, readings, tangents, trace)
         trace = rescan(readings, problem.dynamics, z, p, moving, trace)
-        means = trace.prior if at == "prior" else trace.z
-        tangents.follow(tuple(fold.pick(means, events)[:, :m] for events in line.sightings))
-        next_z, next_p = handed_over(z, p, trace, fold)
+        tangents.follow(problem, fold, trace.prior if at == "prior" else trace.z)
+        next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
         moves = far(z, p, next_z, next_p)
         # a start that rests stays as it was scanned, so that small moves add up until they count
         moving, move = moves >= rest, float(moves.max())
@@ -90,18 +116,6 @@ def solve(
 
 class Restless(Exception):
     """Sweeps over the log did not come to rest: the caller goes through it one instant after the other."""
-
-
-def heard(problem: Problem, fold: Fold) -> Readings:
-    """Everything but the frames' linearisation, folded."""
-    line, m = problem.timeline, len(problem.start)
-    encoders, var = encoder_rows(problem)
-    tracks, d = len(problem.evidence.sightings), 2
-    shape = (fold.length, tracks, d)
-    y, lines = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
-    jac = np.zeros((*shape, m, fold.count))
-    dt = np.diff(line.t, prepend=line.t[0])
-    return Readings(fold.fold(dt, 0.0), fold.fold(encoders, np.nan), fold.fold(var, 1.0), y, jac, lines)
 
 
 class Progress:
@@ -117,16 +131,6 @@ class Progress:
         self._least = min(self._least, move)
         if self._stuck > PATIENCE:
             raise Restless(f"no rest: {PATIENCE} sweeps have not come closer than {self._least:.2g}")
-
-
-def encoder_rows(problem: Problem) -> tuple[Array, Array]:
-    """Readings (E,M) rad, NaN where silent, and their variances (E,M); of joints without an encoder, their habit."""
-    line = problem.timeline
-    encoders = np.full((len(line.t), len(problem.start)), np.nan)
-    if problem.evidence.encoders is not None:
-        encoders[line.encoders] = problem.evidence.encoders.values
-    var = np.tile(problem.precision.encoder, (len(line.t), 1))
-    return (encoders, var) if problem.habit is None else problem.habit.fill(line.t, encoders, var)
 
 
 def far(z: Array, p: Array, next_z: Array, next_p: Array) -> Array:

@@ -3,12 +3,14 @@
 import numpy as np
 
 from ..types import Array
-from .folds import Fold, fold_for
+from .folds import Fold
 from .senses import Encoders
 
 SPREAD = 17
 MOST = 6000
 """Readings used at most, from the middle of the log: more would not sharpen two numbers per joint."""
+STRETCH = 128
+"""Readings filtered one after the other, many such stretches side by side."""
 SKIP = 3
 """Readings per stretch that only start the filter and do not count."""
 BREAK = 10.0
@@ -42,7 +44,7 @@ def learn_one(t: Array, y: Array) -> tuple[float, float] | None:
     """Noise variance and acceleration density of one joint that maximise the evidence; None when it never changes."""
     if np.ptp(y) == 0.0:
         return None
-    fold = fold_for(len(t), over=0)
+    fold = Fold(len(t), STRETCH, -(-len(t) // STRETCH))
     fresh = _breaks(t, y)
     step = float(np.median(np.diff(t)))
     ratios = np.geomspace(1e-9, 1e6, 31) / step**3  # process / noise variance, scaled so that 1 is balanced per reading

@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..types import Array
-from .conditioning import update
+from .conditioning import leap, update
 
-R = TypeVar("R", "Readings", "Trace")
+R = TypeVar("R", "Readings", "Trace", "Pooled")
 
 EVEN = 16
 """Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
@@ -37,6 +37,23 @@ class Dynamics:
 
 
 @dataclass(frozen=True, eq=False)
+class Pooled:
+    """What encoders said since the last instant, folded (L,…,C), per joint with its S = K/M states.
+
+    Two readings of the state then, y, var (L,2,M,C), NaN for none: of angle + lean (L,M,C) · rate (+ offset), and of
+    the rate. Given them it moves by move (L,S,S,M,C) and shift (L,S,M,C) with noise (L,S,S,M,C); nats (L,C) remain.
+    """
+
+    y: Array
+    var: Array
+    lean: Array
+    move: Array
+    shift: Array
+    noise: Array
+    nats: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Readings:
     """What is heard, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · lines (T tracks of D rows).
 
@@ -49,6 +66,13 @@ class Readings:
     y: Array
     jac: Array
     var: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Leaps(Readings):
+    """Readings at few instants, with what was heard before each since the last, which stands in for dt."""
+
+    pooled: Pooled
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,24 +101,39 @@ def scan(
     propagate = propagator(p, z, dynamics)
     visible: Array = np.any(np.isfinite(readings.y), axis=(1, 2))
     seen, heard = [np.flatnonzero(row) for row in visible], np.isfinite(readings.encoders)
-    shape = (length, m + readings.y.shape[1] * readings.y.shape[2], z.shape[1])
+    shape = (length, _rows(readings), z.shape[1])
     gains, weights, nus = (None, np.zeros(shape), np.zeros(shape)) if trace.back is None else trace.back
     for i in range(length):
-        propagate(readings.dt[i])
+        if isinstance(readings, Leaps):
+            back = None if gains is None else gains[i, -2 * m :], weights[i, -2 * m :], nus[i, -2 * m :]
+            leap(readings.pooled, i, z, p, back)
+        else:
+            propagate(readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
         back = None if gains is None else gains[i], weights[i], nus[i]
         update(readings, i, heard[i], seen[i], dynamics.recalled, z, p, trace.encoder_d[i], back)
         trace.z[i], trace.p[i] = z, p
-    trace.nats[:] = _nats(weights, nus, dynamics.recalled)
+    trace.nats[:] = _nats(weights, nus, _counted(readings, dynamics.recalled))
+    if isinstance(readings, Leaps):
+        trace.nats[:] += readings.pooled.nats
     return trace
 
 
-def _nats(weights: Array, nus: Array, recalled: Array | None) -> Array:
+def _counted(readings: Readings, recalled: Array | None) -> Array | None:
+    """Which rows (rows,1) count as heard; all of them when None."""
+    if recalled is None:
+        return None
+    seen = np.ones(readings.y.shape[1] * readings.y.shape[2], bool)
+    pooled = (~recalled, ~recalled) if isinstance(readings, Leaps) else ()
+    return np.concatenate([~recalled, seen, *pooled])[:, None]
+
+
+def _nats(weights: Array, nus: Array, counted: Array | None) -> Array:
     """Free energy (L,C) of innovations (L,rows,C) with these weights, 0 where nothing was heard."""
-    if recalled is not None:
-        weights = weights * ~np.pad(recalled, (0, weights.shape[1] - len(recalled)))[:, None]
+    if counted is not None:
+        weights = weights * counted
     spread = 2.0 * np.pi / np.where(weights > 0, weights, 2.0 * np.pi)
     return np.asarray(0.5 * (nus * nus * weights + np.log(spread)).sum(axis=1))
 
@@ -119,14 +158,22 @@ def columns(record: R, some: Array) -> R:
     """The record (Readings or Trace) of the stretches `some` (C,) alone."""
 
     def cut(part: Any) -> Any:
+        if isinstance(part, Pooled):
+            return columns(part, some)
         return part if part is None else part[..., some] if isinstance(part, np.ndarray) else tuple(map(cut, part))
 
     return type(record)(*(cut(getattr(record, field.name)) for field in fields(record)))
 
 
+def _rows(readings: Readings) -> int:
+    """Rows of gains at each instant: M encoders, the tracks' rows, two per joint where readings are pooled."""
+    m, tracks, d = readings.encoders.shape[1], readings.y.shape[1], readings.y.shape[2]
+    return int(m + tracks * d + (2 * m if isinstance(readings, Leaps) else 0))
+
+
 def _empty(readings: Readings, k: int, remember: bool) -> Trace:
     length, m, c = readings.encoders.shape
-    rows = m + readings.y.shape[1] * readings.y.shape[2]
+    rows = _rows(readings)
     back = (np.zeros((length, rows, k, c)), np.zeros((length, rows, c)), np.zeros((length, rows, c)))
     return Trace(
         np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),

@@ -11,10 +11,11 @@ import numpy as np
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import adjoint, results
+from .brief import full, in_brief
 from .filtering import drifts, pose, settled
 from .folds import Fold, fold_for
-from .laplace import SWEEPS, Problem, Progress, Restless, Solution, far, heard
-from .outset import handed_over, outset
+from .laplace import SWEEPS, Problem, Progress, Restless, Solution, begun, far
+from .outset import handed_over, starts
 from .results import Beliefs
 from .scan import Readings, Trace, rescan
 from .tangents import Tangents
@@ -33,10 +34,17 @@ LASTING = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Smooth(Solution):
-    """A smoothed log: with the last way forth, the smoothed state z (L,K,C), and cov (L,M,M,C) of the angles."""
+class Path(Solution):
+    """The last way forth, with the smoothed state z (L,K,C) and what the future says, `after` (L,K,C) each instant."""
 
     z: Array
+    after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth(Path):
+    """A smoothed log, with cov (L,M,M,C) of the angles."""
+
     cov: Array
 
 
@@ -54,49 +62,64 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
-    """The maximum a posteriori path; Restless when the rounds do not settle."""
-    fold, line, m = fold_for(len(problem.timeline.t)), problem.timeline, len(problem.start)
-    readings = heard(problem, fold)
-    points, z, p = outset(problem, fold, readings, warm)
-    tangents, forth = Tangents(points, STILL), FORTH if warm is None else 0
-    ends, smooth, moving, rest = np.zeros_like(z), None, np.ones(fold.count, bool), np.inf
-    trace, progress = None, Progress()
+    """The maximum a posteriori path, first in brief, then in full; Restless when the rounds do not settle."""
+    brief = in_brief(problem, None if warm is None else warm.gated())
+    readings, tangents, z, p = begun(brief, warm)
+    tangents.resting = STILL
+    forth = FORTH if warm is None else 0
+    first = _rounds(brief.problem, brief.fold, readings, tangents, z, p, np.zeros_like(z), forth)
+    fold = fold_for(len(problem.timeline.t))
+    lasts = np.searchsorted(brief.events, fold.lasts())
+    z, p = starts(problem, fold, first, lasts)
+    ends = np.zeros_like(z)
+    ends[:, :-1] = brief.fold.pick(first.after, lasts).T
+    path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 0)
+    return Smooth(
+        fold, path.readings, tangents, path.trace, path.z, path.after, spread(path.readings, path.trace),
+        brief=(brief, first),
+    )  # fmt: skip
+
+
+def _rounds(
+    problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, ends: Array, forth: int
+) -> Path:  # fmt: skip
+    """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until all rests; `forth` sweeps only go forth."""
+    tangents.write(problem, fold, readings)
+    trace, back, progress, moving, rest = None, None, Progress(), np.ones(fold.count, bool), np.inf
     for sweep in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
-        if trace is not None and smooth is not None and rest < LASTING and not moving.any():
-            return Smooth(fold, readings, tangents.points, trace, smooth, spread(readings, trace, fold))
+        if trace is not None and back is not None and rest < LASTING and not moving.any():
+            return Path(fold, readings, tangents, trace, *back)
         trace = rescan(readings, problem.dynamics, z, p, moving, trace, remember=True)
-        next_z, next_p = handed_over(z, p, trace, fold)
+        next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
         moves = far(z, p, next_z, next_p)
         moving, rest = moves >= LASTING, float(moves.max())
         progress.note(rest)
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
         if sweep >= forth:
-            smooth, ends, pulled = _back(readings, trace, ends, p, fold, rest)
+            back, ends, pulled = _back(readings, trace, ends, p, rest)
             rest = max(rest, pulled)
-        tangents.follow(
-            tuple(fold.pick(trace.z if smooth is None else smooth, events)[:, :m] for events in line.sightings)
-        )
+        tangents.follow(problem, fold, trace.z if back is None else back[0])
     raise Restless(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
 
 
 def _back(
-    readings: Readings, trace: Trace, ends: Array, p: Array, fold: Fold, rest: float
-) -> tuple[Array, Array, float]:
-    """Smoothed state (L,K,C) and ends (K,C), gone back again while ends move more than starts did; their last move."""
+    readings: Readings, trace: Trace, ends: Array, p: Array, rest: float
+) -> tuple[tuple[Array, Array], Array, float]:
+    """Smoothed state and adjoints (L,K,C), ends (K,C), gone back again while they move more than starts; the move."""
     for _ in range(TURNS):
-        smooth, at_start = adjoint.means(readings, trace, ends, fold.takeover)
+        smooth, after, at_start = adjoint.means(readings, trace, ends)
         pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
         if pulled <= max(rest, LASTING):
             break
-    return smooth, ends, pulled
+    return (smooth, after), ends, pulled
 
 
-def spread(readings: Readings, trace: Trace, fold: Fold) -> Array:
+def spread(readings: Readings, trace: Trace) -> Array:
     """Smoothed covariance (L,M,M,C) of the angles, once what the future says at each stretch's end rests."""
-    ends, std = np.zeros_like(trace.p[0]), np.sqrt(np.einsum("iic->ic", trace.p[fold.handover]))
+    ends, std = np.zeros_like(trace.p[0]), np.sqrt(np.einsum("iic->ic", trace.p[-1]))
     for _ in range(SWEEPS):
-        cov, at_start = adjoint.covariances(readings, trace, ends, fold.takeover)
+        cov, at_start = adjoint.covariances(readings, trace, ends)
         moved, ends = adjoint.before(at_start) - ends, adjoint.before(at_start)
         if np.abs(moved * std[:, None] * std[None]).max() < LASTING:
             return cov
@@ -106,9 +129,9 @@ def spread(readings: Readings, trace: Trace, fold: Fold) -> Array:
 def once(problem: Problem) -> Smooth:
     """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
     solution, k = walk(problem, remember=True), problem.dynamics.size
-    smooth, _ = adjoint.means(solution.readings, solution.trace, np.zeros((k, 1)), 0)
-    cov, _ = adjoint.covariances(solution.readings, solution.trace, np.zeros((k, k, 1)), 0)
-    return Smooth(solution.fold, solution.readings, solution.points, solution.trace, smooth, cov)
+    smooth, after, _ = adjoint.means(solution.readings, solution.trace, np.zeros((k, 1)))
+    cov, _ = adjoint.covariances(solution.readings, solution.trace, np.zeros((k, k, 1)))
+    return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
 
 
 def _pulled(adjoint_moved: Array, p: Array) -> float:

@@ -22,11 +22,12 @@ SAME = 1e-7
 class Tangents:
     """Where each sighting's frames are linearised, (F,M) rad each; frames that rest are not predicted anew."""
 
-    def __init__(self, points: tuple[Array, ...], resting: float = RESTING) -> None:
+    def __init__(self, sightings: tuple[Sighting, ...], points: tuple[Array, ...]) -> None:
         """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed."""
-        self._resting = resting
-        self.points = points
-        self._stale = tuple(np.ones(len(x), bool) for x in points)
+        self._sightings, self.points, self.resting = sightings, points, RESTING
+        self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
+        self._y = tuple(np.full((len(x), 2), np.nan) for x in points)
+        self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
@@ -35,16 +36,12 @@ class Tangents:
         Which stretches (C,) now read otherwise.
         """
         touched = np.zeros(fold.count, bool)
-        for index, (sighting, events) in enumerate(
-            zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
-        ):
+        for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
             stale = self._stale[index]
             if stale.any():
-                x = self.points[index][stale]
-                mean, jac, self._model_var[index][stale] = sighting.model.predict(x)
-                y = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
-                fold.put(readings.y[:, index], events[stale], y)
-                fold.put(readings.jac[:, index], events[stale], jac)
+                self._predict(index, sighting, stale)
+                fold.put(readings.y[:, index], events[stale], self._y[index][stale])
+                fold.put(readings.jac[:, index], events[stale], self._jac[index][stale])
                 touched |= fold.sees(events[stale])
             scale = problem.precision.scale.get(sighting.name, 1.0)
             var = scale * sighting.var + self._own(index, sighting)
@@ -53,17 +50,39 @@ class Tangents:
             touched |= fold.sees(events[other])
         return touched
 
+    def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
+        x = self.points[index][stale]
+        mean, jac, self._model_var[index][stale] = sighting.model.predict(x)
+        self._y[index][stale] = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
+        self._jac[index][stale] = jac
+
     def _own(self, index: int, sighting: Sighting) -> Array:
         """The model's variance (F,D), 2n − 1 times in the n-th frame from one place."""
         var, seen = self._model_var[index].copy(), np.isfinite(sighting.values).all(axis=1)
         var[seen] *= 2.0 * repeats(self.points[index][seen])[:, None] - 1.0
         return np.asarray(var)
 
-    def follow(self, wanted: tuple[Array, ...]) -> None:
-        """Move to the wanted points where they are further away than rest allows."""
+    def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
+        """What is drawn by now, written into other readings of the same log."""
+        for index, events in enumerate(problem.timeline.sightings):
+            fold.put(readings.y[:, index], events, self._y[index])
+            fold.put(readings.jac[:, index], events, self._jac[index])
+
+    def again(self) -> "Tangents":
+        """The same, to be moved on by itself."""
+        other = Tangents(self._sightings, self.points)
+        other._stale = self._stale
+        for mine, other_parts in ((self._y, other._y), (self._jac, other._jac), (self._model_var, other._model_var)):
+            for part, other_part in zip(mine, other_parts, strict=True):
+                other_part[:] = part
+        return other
+
+    def follow(self, problem: "Problem", fold: Fold, means: Array) -> None:
+        """Move to the angles of folded states (L,K,C) where they are further away than rest allows."""
+        wanted = [fold.pick(means, events)[:, : len(problem.start)] for events in problem.timeline.sightings]
         pairs = list(zip(wanted, self.points, strict=True))
         moves = [np.abs(new - old).max(axis=1) for new, old in pairs]
-        self._stale = tuple(move > self._resting for move in moves)
+        self._stale = tuple(move > self.resting for move in moves)
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )

@@ -9,7 +9,7 @@ from .laplace import Problem, Solution, solve
 from .motion import floor
 from .outset import handed_over, priors
 from .precision import Precision
-from .scan import Dynamics, Readings, scan
+from .scan import Leaps, scan
 from .senses import Encoders, Evidence, Sighting
 from .timeline import timeline
 
@@ -40,7 +40,7 @@ def tune(problem: Problem) -> tuple[Precision, Solution | None]:
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
         solution = solve(part, solution, rest=ROUGHLY)
-        nats = costs(part, solution, np.exp(candidates), names)
+        nats = costs(solution, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     return part.precision, solution if part.timeline is problem.timeline else None
@@ -73,11 +73,12 @@ def _step(nats: Array, half: float) -> Array:
     return np.where(bend > 0, np.clip(newton, -2.0 * half, 2.0 * half), downhill)
 
 
-def costs(part: Problem, solution: Solution, candidates: Array, names: list[str]) -> Array:
+def costs(solution: Solution, candidates: Array, names: list[str]) -> Array:
     """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors."""
-    m, g = len(part.start), len(candidates)
-    readings, fold = solution.readings, solution.fold
-    z, p = handed_over(*priors(part, fold), solution.trace, fold)
+    assert solution.brief is not None
+    (brief, first), g = solution.brief, len(candidates)
+    part, readings, fold, m = brief.problem, first.readings, first.fold, len(brief.problem.start)
+    z, p = handed_over(*priors(part, fold), first.trace.z[-1], first.trace.p[-1])
     var = np.repeat(readings.var[..., None], g, axis=-1)
     for index, (sighting, events) in enumerate(zip(part.evidence.sightings, part.timeline.sightings, strict=True)):
         if sighting.name in names:
@@ -85,13 +86,12 @@ def costs(part: Problem, solution: Solution, candidates: Array, names: list[str]
             fold.put(pixels, events, sighting.var)
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
             var[:, index] += pixels[..., None] * more
-    dt, encoders, encoder_var = (_tile(a, g) for a in (readings.dt, readings.encoders, readings.encoder_var))
+    said = _tile(readings.dt, g), _tile(readings.encoders, g), _tile(readings.encoder_var, g)
     lines = _tile(readings.y, g), _tile(readings.jac, g), var.reshape(*var.shape[:-2], -1)
-    tiled = Readings(dt, encoders, encoder_var, *lines)
-    dynamics = Dynamics(np.tile(candidates[:, :m].T, fold.count), part.precision.drift, part.dynamics.recalled)
-    trace = scan(tiled, dynamics, _tile(z, g), _tile(p, g))
-    mine = trace.nats[fold.over : fold.over + fold.own].reshape(fold.own, fold.count, g)
-    return np.asarray(mine.sum(axis=(0, 1)))
+    dynamics = replace(part.dynamics, process=candidates[:, :m].T)
+    tiled = Leaps(*said, *lines, brief.pooled(dynamics))
+    trace = scan(tiled, replace(dynamics, process=np.tile(dynamics.process, fold.count)), _tile(z, g), _tile(p, g))
+    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0))
 
 
 def _tile(a: Array, g: int) -> Array:

@@ -4,11 +4,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from .brief import encoder_rows
 from .folds import Fold
 from .instant import RESTING, Memory, Sight, hear
-from .laplace import Problem, Solution, encoder_rows
+from .laplace import Problem, Solution
 from .outset import prior
 from .scan import Readings, Trace
+from .tangents import Tangents
 
 ROUGHLY = 1e-3
 """rad: near enough for a path that is only to be linearised along first."""
@@ -51,7 +53,7 @@ def walk(problem: Problem, remember: bool = False, resting: float = RESTING) -> 
         memory = [sight.seen_at(z[:m]) for sight in sights]
     readings, trace = _joined([r for r, _ in steps]), _joined_traces([t for _, t in steps])
     points = tuple(trace.z[events, :m, 0] for events in line.sightings)
-    return Solution(Fold(len(line.t), len(line.t), 0, 1), readings, points, trace)
+    return Solution(Fold(len(line.t), len(line.t), 1), readings, Tangents(problem.evidence.sightings, points), trace)
 
 
 def _sights(problem: Problem, rows: list[int], memory: list[Memory]) -> list[Sight]:

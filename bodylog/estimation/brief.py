@@ -1,0 +1,77 @@
+"""A log told in few instants: its pictures, and the encoder readings that must be weighed one by one."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..types import Array
+from .folds import Fold, fold_for
+from .pooling import Blocks, blocks, kept, loud, pooled
+from .scan import Dynamics, Leaps, Pooled, Readings
+from .timeline import Timeline
+
+if TYPE_CHECKING:
+    from .laplace import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Brief:
+    """The problem on few instants, which events (B,) of the log they are, what is said at them and in between."""
+
+    problem: "Problem"
+    events: Array
+    said: tuple[Array, Array]
+    blocks: Blocks
+
+    @property
+    def fold(self) -> Fold:
+        """Its stretches."""
+        return fold_for(len(self.events))
+
+    def pooled(self, dynamics: Dynamics) -> Pooled:
+        """What is said in between, folded."""
+        return pooled(self.blocks, dynamics, self.fold)
+
+    def readings(self) -> Leaps:
+        """Everything but the frames' linearisation, folded."""
+        rest = heard(self.problem, self.fold, *self.said)
+        return Leaps(*rest, pooled=self.pooled(self.problem.dynamics))
+
+
+def in_brief(problem: "Problem", gated: Array | None) -> Brief:
+    """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less."""
+    line, (said, var) = problem.timeline, encoder_rows(problem)
+    single = loud(said) if gated is None else loud(said) | gated
+    single[np.concatenate([*line.sightings, fold_for(len(line.t)).lasts()])] = True
+    events = kept(single)
+    sightings, none = tuple(np.searchsorted(events, frames) for frames in line.sightings), np.empty(0, int)
+    few = replace(problem, timeline=Timeline(line.t[events], none, sightings, none, none))
+    return Brief(few, events, (said[events], var[events]), blocks(line.t, said, var, events))
+
+
+def full(problem: "Problem", fold: Fold) -> Readings:
+    """Everything at every instant but the frames' linearisation, folded."""
+    return Readings(*heard(problem, fold, *encoder_rows(problem)))
+
+
+def heard(
+    problem: "Problem", fold: Fold, said: Array, said_var: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """The parts of `Readings`: encoder rows (E,M) with variances, and room for the frames."""
+    line, m = problem.timeline, len(problem.start)
+    shape = (fold.length, len(problem.evidence.sightings), 2)
+    y, var = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
+    jac = np.zeros((*shape, m, fold.count))
+    dt = fold.fold(np.diff(line.t, prepend=line.t[0]), 0.0)
+    return dt, fold.fold(said, np.nan), fold.fold(said_var, 1.0), y, jac, var
+
+
+def encoder_rows(problem: "Problem") -> tuple[Array, Array]:
+    """Readings (E,M) rad, NaN where silent, and their variances (E,M); of joints without an encoder, their habit."""
+    line = problem.timeline
+    encoders = np.full((len(line.t), len(problem.start)), np.nan)
+    if problem.evidence.encoders is not None:
+        encoders[line.encoders] = problem.evidence.encoders.values
+    var = np.tile(problem.precision.encoder, (len(line.t), 1))
+    return (encoders, var) if problem.habit is None else problem.habit.fill(line.t, encoders, var)

@@ -1,0 +1,107 @@
+"""Pooled readings against the same readings heard one by one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import brief as briefs
+from bodylog.estimation import estimate, pooling
+from bodylog.estimation.folds import Fold
+from bodylog.estimation.scan import Dynamics, Leaps, Readings, scan
+from bodylog.settings import Estimation
+
+
+def single(t, said, var, lines):
+    """All instants in one stretch."""
+    y, jac, noise = lines
+    dt = np.diff(t, prepend=t[0])
+    return Readings(*(np.ascontiguousarray(part[..., None]) for part in (dt, said, var, y, jac, noise)))
+
+
+@pytest.fixture(params=[(seed, drift) for seed in range(3) for drift in (False, True)])
+def heard(request):
+    """Irregular times, joints silent now and then, pictures at some of them: (t, said, var, lines, pictures, drift)."""
+    seed, drift = request.param
+    rng, count, m = np.random.default_rng(seed), 120, 3
+    t = np.cumsum(rng.uniform(0.0005, 0.02, count))
+    said = 0.02 * rng.standard_normal((count, m)) + np.sin(t)[:, None]
+    said[rng.random((count, m)) < 0.2] = np.nan
+    said[40:60, 1] = np.nan
+    pictures = np.sort(rng.choice(count, 25, replace=False))
+    y, jac, noise = np.full((count, 1, 2), np.nan), np.zeros((count, 1, 2, m)), np.ones((count, 1, 2))
+    jac[pictures] = rng.normal(0, 100, (25, 1, 2, m))
+    y[pictures] = np.einsum("ftdm,m->ftd", jac[pictures], np.ones(m)) * np.sin(t[pictures])[:, None, None]
+    said[pictures[:12]] = np.nan
+    var = np.where(np.arange(count)[:, None] % 7 == 0, 4e-3, 1e-3) * np.ones(m)
+    walk = np.array([1e-4, 0.0, 1e-5]) if drift else None
+    return t, said, var, (y, jac, noise), pictures, walk
+
+
+def test_a_scan_of_blocks_is_the_scan_of_their_readings(heard):
+    t, said, var, lines, pictures, walk = heard
+    dynamics = Dynamics(np.array([0.3, 0.1, 0.5]), walk)
+    k = dynamics.size
+    z, p = np.zeros((k, 1)), 0.5 * np.eye(k)[:, :, None]
+    one_by_one = scan(single(t, said, var, lines), dynamics, z, p)
+    wanted = np.zeros(len(t), bool)
+    wanted[pictures] = True
+    events = pooling.kept(wanted)
+    fold = Fold(len(events), len(events), 1)
+    between = pooling.pooled(pooling.blocks(t, said, var, events), dynamics, fold)
+    few = single(t[events], said[events], var[events], [part[events] for part in lines])
+    told = Leaps(few.dt, few.encoders, few.encoder_var, few.y, few.jac, few.var, between)
+    assert np.nanmax(np.abs(one_by_one.encoder_d)) < 5.0  # else the gate would close
+    together = scan(told, dynamics, z, p)
+    np.testing.assert_allclose(together.z[..., 0], one_by_one.z[events, :, 0], atol=1e-10, rtol=0)
+    np.testing.assert_allclose(together.p[..., 0], one_by_one.p[events, :, :, 0], atol=1e-10, rtol=0)
+    np.testing.assert_allclose(together.prior_cov[..., 0], one_by_one.prior_cov[events, :, :, 0], atol=1e-10, rtol=0)
+    np.testing.assert_allclose(np.cumsum(together.nats), np.cumsum(one_by_one.nats)[events], atol=1e-8, rtol=1e-11)
+
+
+def test_candidates_lie_side_by_side(heard):
+    t, said, var, _, pictures, walk = heard
+    wanted = np.zeros(len(t), bool)
+    wanted[pictures] = True
+    events = pooling.kept(wanted)
+    told, fold = pooling.blocks(t, said, var, events), Fold(len(events), 20, -(-len(events) // 20))
+    both = np.array([[0.3, 0.4], [0.1, 0.1], [0.5, 0.2]])
+    together = pooling.pooled(told, Dynamics(both, walk), fold)
+    for index, process in enumerate(both.T):
+        alone = pooling.pooled(told, Dynamics(process, walk), fold)
+        for name in ("y", "var", "lean", "move", "shift", "noise", "nats"):
+            np.testing.assert_array_equal(getattr(together, name)[..., index::2], getattr(alone, name))
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("seed", range(2))
+def test_pooling_changes_nothing(world, monkeypatch, method, seed):
+    drawn = world(seed, duration=4.0, encoder_hz=500.0, camera_hz=30.0, blunder=0.05)
+    joints, rng = drawn.features.joints, np.random.default_rng(seed)
+    values, t = joints.values.copy(), joints.t + rng.uniform(0, 0.0015, len(joints.t))
+    values[::17, 1] = np.nan
+    values[500:620, 0] = np.nan
+    values[300::400, 2] += 0.4  # spikes
+    values[900:1100, 0] += 0.3  # a lie the gate holds off
+    features = replace(drawn.features, joints=replace(joints, t=t, values=values))
+    settings = Estimation(method=method, precision="model", bias="off")
+    pooled = estimate(features, drawn.body, settings)
+    monkeypatch.setattr(pooling, "MOST", 0)
+    monkeypatch.setattr(briefs, "kept", lambda wanted: np.arange(len(wanted)))
+    single = estimate(features, drawn.body, settings)
+    assert np.nanmax(np.abs(single.errors["encoders"].values)) > 5.0
+    np.testing.assert_allclose(pooled.joints.values, single.joints.values, atol=1e-8, rtol=0)
+    np.testing.assert_allclose(pooled.cov, single.cov, atol=1e-10, rtol=0)
+    np.testing.assert_allclose(pooled.free_energy, single.free_energy, atol=1e-5, rtol=0)
+    for sense in ("encoders", "effector"):
+        np.testing.assert_allclose(pooled.errors[sense].values, single.errors[sense].values, atol=3e-6, rtol=0)
+
+
+def test_a_spike_is_heard_by_itself_and_no_more_than_most_are_pooled():
+    rng = np.random.default_rng(0)
+    said = np.sin(np.arange(400) / 50)[:, None] + rng.normal(0, 0.01, (400, 1))
+    said[123] += 0.1
+    assert pooling.loud(said)[123] and pooling.loud(said).mean() < 0.05
+    events = pooling.kept(pooling.loud(said))
+    assert 123 in events and events[-1] == 399
+    assert np.diff(events).max() <= pooling.MOST + 1
