@@ -1,11 +1,12 @@
 """Files that are either whole or absent: written beside, synced, renamed."""
 
 import hashlib
+import mmap
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import cycle
 from pathlib import Path
-from typing import BinaryIO
 
 from .errors import UsageError
 
@@ -42,12 +43,18 @@ def sync(path: Path) -> None:
 def sha256(path: Path) -> str:
     """Hex digest of a file, or of a folder's files in name order."""
     digest = hashlib.sha256()
-    for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
-        with part.open("rb") as stream:
-            _feed(digest, stream)
+    for piece in pieces(path, 1 << 20):
+        digest.update(piece)
     return digest.hexdigest()
 
 
-def _feed(digest: "hashlib._Hash", stream: BinaryIO) -> None:
-    while block := stream.read(1 << 20):
-        digest.update(block)
+def pieces(path: Path, size: int) -> Iterator[memoryview]:
+    """The bytes of a file, or of a folder's files in name order, `size` at a time; of a file only the last is shorter.
+
+    Two buffers take turns: a piece is valid until the next but one is asked for. Each begins at a page of memory.
+    """
+    buffers = cycle([memoryview(mmap.mmap(-1, size)) for _ in range(2)])
+    for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
+        with part.open("rb") as stream:
+            while count := stream.readinto(buffer := next(buffers)):
+                yield buffer[:count]

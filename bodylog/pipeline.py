@@ -56,11 +56,12 @@ def extract(
     from .logs import annotate, export
 
     distinct(log, out)
-    read, features = observe(log, settings, progress)
-    _something_seen(log, features)
-    outgoing = _feature_messages(read, features)
-    kept = [topic for role in ("joints", "truth", "skin") if (topic := topic_of(read, role)) is not None]
-    lost = annotate.annotate(log, outgoing, _provenance([log], settings), out, only=kept)
+    with annotate.begun(log, out, whole=False) as written:
+        read, features = observe(log, settings, progress)
+        _something_seen(log, features)
+        kept = [topic for role in ("joints", "truth", "skin") if (topic := topic_of(read, role)) is not None]
+        lost = written.add(_feature_messages(read, features), only=kept)
+        written.about(_provenance([(log, written.digest())], settings))
     if tables is not None:
         export.export_features(features, tables)
     health = {**read.health, **features.health}
@@ -73,17 +74,22 @@ def fit(
     """Learn a body model from exploration logs and write it as .npz; `update` is one to learn on from."""
     from . import body
     from .body import model
+    from .logs.copying import Copy
 
     for one in (*logs, *(() if update is None else (update,))):
         distinct(one, out)
     known = None if update is None else model.load(update)
-    observed = [observe(log, settings, progress) for log in logs]
+    digests, observed = [], []
+    for log in logs:
+        with Copy(log) as read_too:
+            observed.append(observe(log, settings, progress))
+            digests.append((log, read_too.digest()))
     features = [found for _, found in observed]
     for log, found in zip(logs, features, strict=True):
         if found.reference is None and (said := settings.topics.reference):
             raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
         _insist(log, {n: h for n, h in found.health.items() if n.split("/")[-1] == "effector"}, found, settings)
-    provenance = _provenance(logs, settings) | ({} if update is None else {"update_sha256": sha256(update)})
+    provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     learned = body.learn(features, settings, provenance, known)
     model.save(learned.model, out)
     findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
@@ -98,19 +104,27 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     distinct(log, out)
     distinct(body, out)
     learned = model.load(body)
-    read, features = observe(log, settings, progress)
+    with annotate.begun(log, out) as written:
+        read, features = observe(log, settings, progress)
+        found = _estimated(log, read, features, learned, settings)
+        lost = written.add(_estimate_messages(read, features, found))
+        scores = judge(found, read)
+        about = _provenance([(log, written.digest())], settings)
+        written.about(about | {"body_sha256": sha256(body)} | annotated.describe(found))
+    remarks = (*read.findings, *features.findings, *found.findings, *named(found.faults), *lost)
+    health = {**read.health, **features.health, **found.used}
+    return Result(out, scores, health, remarks, dict(found.settings), found.faults)
+
+
+def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
+    """`infer`, its refusals told of the log, with what that lost."""
     try:
         found = infer(features, learned, settings)
     except InputError as problem:
         gone = "".join(f"; {f.text.removeprefix(f'{log}: ')}" for f in read.findings if f.severity == "lost")
         raise type(problem)(f"{log}: {problem}{gone}") from problem
     _insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
-    outgoing = _estimate_messages(read, features, found)
-    provenance = _provenance([log], settings) | {"body_sha256": sha256(body)} | annotated.describe(found)
-    lost = annotate.annotate(log, outgoing, provenance, out)
-    remarks = (*read.findings, *features.findings, *found.findings, *named(found.faults), *lost)
-    health = {**read.health, **features.health, **found.used}
-    return Result(out, judge(found, read), health, remarks, dict(found.settings), found.faults)
+    return found
 
 
 def _insist(
@@ -226,8 +240,8 @@ def topic_of(read: Recording, role: str) -> str | None:
     return max((t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")), key=len, default=None)
 
 
-def _provenance(logs: Sequence[Path], settings: Settings) -> dict[str, str]:
-    inputs = [[log.name, sha256(log)] for log in logs]
+def _provenance(logs: Sequence[tuple[Path, str]], settings: Settings) -> dict[str, str]:
+    inputs = [[log.name, digest] for log, digest in logs]
     return {"version": __version__, "settings": _json(plain(settings)), "inputs": _json(inputs)}
 
 

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from bodylog import pipeline
-from bodylog.errors import UsageError
+from bodylog.errors import EvidenceError, UsageError
 from bodylog.settings import Settings
 
 
@@ -19,3 +19,24 @@ def test_what_is_read_is_never_written_to(out: str, tmp_path: Path) -> None:
         with pytest.raises(UsageError, match=f"{out}: is read here"):
             pipeline.estimate(first, body, tmp_path / out, Settings())
     assert all(path.read_bytes() == b"precious" for path in (first, second, body))
+
+
+@pytest.mark.parametrize("stage", ["observe", "infer", "judge"])
+@pytest.mark.parametrize("problem", [EvidenceError("no joints"), KeyboardInterrupt()])
+def test_an_estimate_that_ends_early_leaves_nothing(tmp_path, monkeypatch, arm, arm_body, stage, problem) -> None:
+    def ends(*_: object) -> None:
+        assert len(list(tmp_path.iterdir())) == 2  # the copy is under way
+        raise problem
+
+    log = tmp_path / "in.mcap"
+    log.write_bytes((arm / "touch.mcap").read_bytes())
+    monkeypatch.setattr(pipeline, stage, ends)
+    with pytest.raises(type(problem)):
+        pipeline.estimate(log, arm_body, tmp_path / "out.mcap", Settings())
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_an_output_that_cannot_be_is_refused_before_anything_is_read(tmp_path, monkeypatch, arm, arm_body) -> None:
+    monkeypatch.setattr(pipeline, "observe", lambda *_: pytest.fail("the log was read"))
+    with pytest.raises(UsageError, match="mkdir -p"):
+        pipeline.estimate(arm / "touch.mcap", arm_body, tmp_path / "no" / "out.mcap", Settings())

@@ -1,8 +1,7 @@
 """Write what we found beside what was recorded: the log's own bytes are copied as they are, ours follow."""
 
-import os
-from collections.abc import Collection, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
@@ -12,13 +11,11 @@ from ..errors import FormatError, LogError, UsageError
 from ..files import replacing
 from ..types import Finding, Outgoing
 from .append import NAME, Base, is_mcap, keepable, messages
+from .copying import Copy
 from .mcap_write import Messages
 from .rivals import apart
 from .transcode import LIBRARY, PROFILE, carry
 from .write import Contents, Writer
-
-_BLOCK = 1 << 20
-_PIECE = 64 << 20
 
 
 def annotate(
@@ -35,18 +32,59 @@ def annotate(
     Findings name topics that could not be carried over whole. UsageError if `out` is the source, LogError if the copy
     does not hold what it should.
     """
+    with begun(source, out, whole=only is None) as under_way:
+        findings = under_way.add(outgoing, only)
+        under_way.about(metadata)
+    return findings
+
+
+@contextmanager
+def begun(source: Path, out: Path, whole: bool = True) -> Iterator["Annotation"]:
+    """`annotate` in steps: the source is read and, where it can stay as it is, copied while the messages are made.
+
+    `add` and `about` are to follow, once each. Nothing is left of `out` when the block fails.
+    """
     if out.exists() and source.exists() and out.samefile(source):
         raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
     with replacing(out) as beside:
-        base = _base(source) if only is None else None
-        with beside.open("wb") as stream:
-            if base is not None:
-                kept, findings = _append(source, base, outgoing, metadata, stream)
-            else:
-                writer, kept, findings = carry(source, stream, only)
-                findings += _finish(writer, outgoing, metadata)
-        verify(beside, kept + sum(len(o.log_ns) for o in outgoing), out)
-    return findings
+        base = _base(source) if whole else None
+        beside.touch()
+        with Copy(source) if base is None else Copy(source, beside, base.end) as copy, beside.open("r+b") as stream:
+            under_way = Annotation(source, base, copy, stream)
+            yield under_way
+            copy.digest()
+        verify(beside, under_way.messages, out)
+
+
+class Annotation:
+    """An annotated log under way."""
+
+    def __init__(self, source: Path, base: Base | None, copy: Copy, stream: BinaryIO) -> None:
+        """Of `base`, what stays of the source and is being copied; None when all is to be rewritten."""
+        self.messages = 0
+        self.digest = copy.digest
+        self._source, self._base, self._stream = source, base, stream
+
+    def add(self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None) -> tuple[Finding, ...]:
+        """Our messages, behind all of the source's or `only` those of some topics; what could not be carried over."""
+        self._writer, kept, findings = self._behind(only)
+        readable, more = apart(outgoing, self._writer.contents.schemas.values())
+        add(self._writer, readable)
+        self.messages = kept + sum(len(o.log_ns) for o in outgoing)
+        return (*findings, *more)
+
+    def about(self, metadata: Mapping[str, str]) -> None:
+        """How it was made, and the end of the file."""
+        self._writer.about(NAME, metadata)
+        self._writer.finish()
+
+    def _behind(self, only: Collection[str] | None) -> tuple[Writer, int, tuple[Finding, ...]]:
+        if self._base is None:
+            return carry(self._source, self._stream, only)
+        end, contents = self._base.end, self._base.contents
+        kept = sum(contents.counts.values())
+        self._stream.seek(end)
+        return Writer(self._stream, contents, end, self._base.crc), kept, ()
 
 
 def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> None:
@@ -55,7 +93,9 @@ def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) 
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            _finish(writer, outgoing, metadata)
+            add(writer, outgoing)
+            writer.about(NAME, metadata)
+            writer.finish()
         verify(beside, sum(len(o.log_ns) for o in outgoing), out)
 
 
@@ -72,57 +112,6 @@ def _base(source: Path) -> Base | None:
         return keepable(source) if is_mcap(source) else None
     except FormatError:
         return None
-
-
-def _append(
-    source: Path, base: Base, outgoing: Sequence[Outgoing], metadata: Mapping[str, str], stream: BinaryIO
-) -> tuple[int, tuple[Finding, ...]]:
-    """Copy what can be kept and, meanwhile, write the rest behind it; how many messages were kept, and remarks."""
-    kept = sum(base.contents.counts.values())
-    with source.open("rb") as original, ThreadPoolExecutor(2) as pool:
-        copying = pool.submit(_copy, original.fileno(), stream.fileno(), base.end, pool)
-        stream.seek(base.end)
-        findings = _finish(Writer(stream, base.contents, base.end, base.crc), outgoing, metadata)
-        copying.result()
-    return kept, findings
-
-
-def _finish(writer: Writer, outgoing: Sequence[Outgoing], metadata: Mapping[str, str]) -> tuple[Finding, ...]:
-    readable, findings = apart(outgoing, writer.contents.schemas.values())
-    add(writer, readable)
-    writer.about(NAME, metadata)
-    writer.finish()
-    return findings
-
-
-def _copy(source: int, target: int, size: int, pool: ThreadPoolExecutor) -> None:
-    """The first `size` bytes, by the kernel where it can; what is copied goes to the disk while the rest follows."""
-    done = 0
-    flushes: list[Future[None]] = []
-    move = _by_kernel if hasattr(os, "copy_file_range") else _by_hand
-    while done < size:
-        count = move(source, target, min(_PIECE, size - done), done)
-        if not count and move is _by_hand:
-            raise LogError(f"the log ended at byte {done} of {size} while it was copied; was it still being recorded?")
-        move = move if count else _by_hand  # which takes over where the kernel stopped
-        done += count
-        if done // _PIECE > len(flushes):
-            flushes.append(pool.submit(os.fsync, target))
-    for flush in flushes:
-        flush.result()
-
-
-def _by_kernel(source: int, target: int, size: int, at: int) -> int:
-    """How many bytes were copied; none on another file system, or one that cannot."""
-    try:
-        return os.copy_file_range(source, target, size, at, at)
-    except OSError:
-        return 0
-
-
-def _by_hand(source: int, target: int, size: int, at: int) -> int:
-    block = os.pread(source, min(_BLOCK, size), at)
-    return os.pwrite(target, block, at)
 
 
 def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:

@@ -179,17 +179,6 @@ def test_pybag_decodes_everything_we_write(tmp_path, messages):
         assert sum(1 for topic in reader.get_topics() for _ in reader.messages(topic)) == amount(messages)
 
 
-@pytest.mark.parametrize("missing", ["copy_file_range", None])
-def test_the_copy_is_the_same_without_the_kernels_help(tmp_path, messages, log, monkeypatch, missing):
-    annotate(log, messages, SAID, tmp_path / "out.mcap")
-    if missing:
-        monkeypatch.delattr(module.os, missing)
-    else:
-        monkeypatch.setattr(module.os, "copy_file_range", lambda *_: (_ for _ in ()).throw(OSError("no")))
-    annotate(log, messages, SAID, tmp_path / "slow.mcap")
-    assert (tmp_path / "slow.mcap").read_bytes() == (tmp_path / "out.mcap").read_bytes()
-
-
 def test_the_log_itself_is_never_written_to(tmp_path, messages, log):
     before = log.read_bytes()
     (tmp_path / "link.mcap").symlink_to(log)

@@ -1,0 +1,102 @@
+"""A log read once, in the background, while it is looked at: digested, and what stays of it copied."""
+
+import hashlib
+import os
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from pathlib import Path
+from threading import Event
+
+from ..errors import LogError
+from ..files import pieces
+
+_PIECE = 16 << 20
+_BLOCK = 4096
+
+
+class Copy:
+    """The digest of `source` to come, and its first `end` bytes on their way to `target`, for as long as a `with`."""
+
+    def __init__(self, source: Path, target: Path | None = None, end: int = 0) -> None:
+        """Begin; without `target` nothing is copied."""
+        self._source, self._target, self._end = source, target, end
+        self._stopped, self._pool = Event(), ThreadPoolExecutor(1)
+        self._digest = self._pool.submit(self._read)
+
+    def __enter__(self) -> "Copy":
+        """The copy itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop after the piece at hand, if it is not done."""
+        self._stopped.set()
+        self._pool.shutdown()
+
+    def digest(self) -> str:
+        """Hex SHA-256 of the source, once it is read and copied; LogError when a copied one changed its size."""
+        return self._digest.result()
+
+    def _read(self) -> str:
+        if self._target is None:
+            return self._pass(None)[0]
+        size, target = self._source.stat().st_size, _Target(self._target)
+        try:
+            digest, read = self._pass(target)
+            target.wait()
+        finally:
+            target.close()
+        if not self._end <= read == size:
+            grown = f"had {size} bytes, but {read} when it was copied"
+            raise LogError(f"{self._source}: {grown}; was it still being recorded?")
+        return digest
+
+    def _pass(self, target: "_Target | None") -> tuple[str, int]:
+        """The digest, and how many bytes there were; each piece is written while it is digested and the next read."""
+        digest, read = hashlib.sha256(), 0
+        for piece in pieces(self._source, _PIECE):
+            if self._stopped.is_set():
+                raise CancelledError
+            if target is not None:
+                target.write(piece[: max(0, self._end - read)], read)
+            digest.update(piece)
+            read += len(piece)
+        return digest.hexdigest(), read
+
+
+class _Target:
+    """A file written in the background and, where its disk can, past the page cache, which is left to what is read."""
+
+    def __init__(self, path: Path) -> None:
+        self._plain = os.open(path, os.O_WRONLY)
+        try:
+            self._direct: int | None = os.open(path, os.O_WRONLY | os.O_DIRECT)
+        except (OSError, AttributeError):
+            self._direct = None
+        self._pool = ThreadPoolExecutor(1)
+        self._writing: Future[None] | None = None
+
+    def write(self, piece: memoryview, at: int) -> None:
+        """Begin to write a piece, if it has any bytes, at byte `at` when the one before is written."""
+        self.wait()
+        self._writing = self._pool.submit(self._write, piece, at)
+
+    def wait(self) -> None:
+        """Until all is written; OSError where it is not."""
+        if self._writing is not None:
+            self._writing.result()
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._pool.shutdown()
+        for handle in (self._plain, self._direct):
+            if handle is not None:
+                os.close(handle)
+
+    def _write(self, piece: memoryview, at: int) -> None:
+        """Whole blocks to the disk, what is over as in any other file."""
+        whole = 0 if self._direct is None else len(piece) // _BLOCK * _BLOCK
+        done = 0
+        while done < len(piece):
+            if self._direct is not None and done < whole:
+                done += os.pwrite(self._direct, piece[done:whole], at + done)
+            else:
+                done += os.pwrite(self._plain, piece[done:], at + done)

@@ -1,0 +1,134 @@
+"""A log copied and digested while it is looked at: the same bytes, or nothing."""
+
+import errno
+import hashlib
+import os
+import time
+from concurrent.futures import CancelledError
+
+import pytest
+from mcap.writer import CompressionType
+
+from bodylog.errors import LogError
+from bodylog.files import sha256
+from bodylog.logs import annotate, copying
+from bodylog.logs.copying import Copy
+
+from .written import outgoing, source
+
+PIECE = 8192
+
+
+@pytest.fixture(autouse=True)
+def small_pieces(monkeypatch):
+    monkeypatch.setattr(copying, "_PIECE", PIECE)
+
+
+@pytest.fixture
+def log(tmp_path):
+    return source(tmp_path / "in.mcap", padding=400, compression=CompressionType.NONE)
+
+
+def meanwhile(monkeypatch, what):
+    """Do something when the second piece of the log has been read."""
+    whole = copying.pieces
+
+    def interrupted(path, size):
+        for number, piece in enumerate(whole(path, size)):
+            yield piece
+            if number == 1:
+                what()
+
+    monkeypatch.setattr(copying, "pieces", interrupted)
+
+
+@pytest.mark.parametrize("direct", [True, False])
+@pytest.mark.parametrize("size", [1, 4095, 4096, PIECE, 3 * PIECE, 10 * PIECE + 5000])
+def test_bytes_and_digest_are_the_sources(tmp_path, monkeypatch, direct, size):
+    if not direct:
+        monkeypatch.delattr(copying.os, "O_DIRECT", raising=False)
+    raw = os.urandom(size)
+    (tmp_path / "in").write_bytes(raw)
+    for end in {0, 1, size // 2, size}:
+        (tmp_path / "out").write_bytes(b"")
+        with Copy(tmp_path / "in", tmp_path / "out", end) as copy:
+            assert copy.digest() == hashlib.sha256(raw).hexdigest()
+        assert (tmp_path / "out").read_bytes() == raw[:end]
+
+
+def test_a_folder_is_digested_file_by_file(tmp_path):
+    for name in ("b", "a"):
+        (tmp_path / name).write_bytes(os.urandom(3 * PIECE + 7))
+    with Copy(tmp_path) as copy:
+        assert copy.digest() == sha256(tmp_path)
+
+
+def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
+    (tmp_path / "in").write_bytes(bytes(100 * PIECE))
+    whole, given = copying.pieces, []
+
+    def slow(path, size):
+        for piece in whole(path, size):
+            time.sleep(0.02)
+            given.append(len(piece))
+            yield piece
+
+    monkeypatch.setattr(copying, "pieces", slow)
+    with Copy(tmp_path / "in") as copy:
+        pass
+    assert len(given) <= 2
+    with pytest.raises(CancelledError):
+        copy.digest()
+
+
+@pytest.mark.parametrize("change", [-3 * PIECE, 100])
+def test_a_log_that_changes_its_size_meanwhile_is_refused_and_leaves_nothing(tmp_path, log, monkeypatch, change):
+    size = log.stat().st_size
+    assert size > 8 * PIECE
+    meanwhile(monkeypatch, lambda: os.truncate(log, size + change))
+    with pytest.raises(LogError, match=f"had {size} bytes, but {size + change} when .* still being recorded"):
+        annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
+    assert list(tmp_path.iterdir()) == [log]
+
+
+def test_a_full_disk_is_told_and_nothing_is_left(tmp_path, log, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(copying.os, "pwrite", full)
+    with pytest.raises(OSError, match="No space left"):
+        annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
+    assert list(tmp_path.iterdir()) == [log]
+
+
+@pytest.mark.parametrize("first", ["the copy", "the messages"])
+def test_the_order_of_things_does_not_show(tmp_path, log, monkeypatch, first):
+    messages = outgoing()
+    annotate.annotate(log, messages, {"input": sha256(log)}, tmp_path / "plain.mcap")
+    if first == "the messages":
+        meanwhile(monkeypatch, lambda: time.sleep(0.3))
+    with annotate.begun(log, tmp_path / "out.mcap") as under_way:
+        if first == "the copy":
+            under_way.digest()
+        under_way.add(messages)
+        under_way.about({"input": under_way.digest()})
+    assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes()
+
+
+@pytest.mark.parametrize("problem", [LogError("no joints"), KeyboardInterrupt(), MemoryError()])
+def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
+    (tmp_path / "out.mcap").write_bytes(b"of an earlier run")
+    with pytest.raises(type(problem)), annotate.begun(log, tmp_path / "out.mcap") as under_way:
+        assert len(list(tmp_path.iterdir())) == 3
+        under_way.add(outgoing())
+        raise problem
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.mcap", "out.mcap"]
+    assert (tmp_path / "out.mcap").read_bytes() == b"of an earlier run"
+
+
+@pytest.mark.parametrize("done", ["nothing", "the messages alone"])
+def test_what_was_not_finished_takes_nobodys_place(tmp_path, log, done):
+    with pytest.raises(LogError, match="not written soundly"), annotate.begun(log, tmp_path / "out.mcap") as under_way:
+        if done != "nothing":
+            under_way.add(outgoing())
+    assert list(tmp_path.iterdir()) == [log]
