@@ -1,11 +1,11 @@
 """One instant at a time: the same filter kernel, linearised anew until the belief of this instant rests."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..types import Array, ForwardModel
+from ..types import Array
+from .alike import Sight
 from .scan import Dynamics, Readings, Trace, scan
 
 ITERATIONS = 30
@@ -13,36 +13,6 @@ HASTY = 8
 """Full Gauss–Newton steps before half ones: where the tangents overshoot, these close in."""
 RESTING = 1e-10
 """rad: how little the point of linearisation may still move."""
-ALIKE = 0.01
-"""rad: angles closer than this share the model's error."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sight:
-    """One track at this instant: its model, value (D,), NaN when unseen, pixel variance (D,), and its memory."""
-
-    model: ForwardModel
-    value: Array
-    var: Array
-    memory: "Memory"
-
-    def seen_at(self, x: Array) -> "Memory":
-        """The track's memory after this instant, if the belief is x."""
-        return Memory(x, self.memory.again(x)) if np.isfinite(self.value).all() else self.memory
-
-
-@dataclass(frozen=True, eq=False)
-class Memory:
-    """Where (M,) rad a track was last seen, and how many times from nearly there."""
-
-    x: Array | None = None
-    count: float = 0.0
-
-    def again(self, x: Array) -> float:
-        """The count if it is now seen at x."""
-        if self.x is None:
-            return 1.0
-        return float(1.0 + np.exp(-np.linalg.norm(x - self.x) / ALIKE) * self.count)
 
 
 def hear(
@@ -60,7 +30,7 @@ def hear(
         trace = scan(readings, dynamics, z[:, None], p[:, :, None], remember)
         move = trace.z[0, :m, 0] - x
         x = x + (move if iteration < HASTY else 0.5 * move)
-        if not any(np.isfinite(s.value).all() for s in sights) or np.abs(move).max() < resting:
+        if not any(sight.seen for sight in sights) or np.abs(move).max() < resting:
             break
     return readings, trace
 
@@ -69,10 +39,8 @@ def _readings(dt: float, encoders: Array, encoder_var: Array, sights: Sequence[S
     m, tracks = len(encoders), len(sights)
     y, jac, var = np.full((tracks, 2), np.nan), np.zeros((tracks, 2, m)), np.ones((tracks, 2))
     for index, sight in enumerate(sights):
-        if not np.isfinite(sight.value).all():
-            continue
-        mean, slope, own = sight.model.predict(x[None])
-        y[index], jac[index] = sight.value - mean[0] + slope[0] @ x, slope[0]
-        var[index] = sight.var + own[0] * (2.0 * sight.memory.again(x) - 1.0)
+        if sight.seen:
+            mean, jac[index], var[index], _ = sight.at(x)
+            y[index] = sight.value - mean + jac[index] @ x
     parts = (np.array(dt), encoders, encoder_var, y, jac, var)
     return Readings(*(part[None, ..., None] for part in parts))

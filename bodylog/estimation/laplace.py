@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..types import Array
+from .alike import PAST
 from .brief import Brief, full, in_brief
 from .conditioning import GATE
 from .folds import Fold, fold_for
@@ -77,7 +78,7 @@ def solve(
     """
     brief = in_brief(problem, None if warm is None else warm.gated())
     readings, tangents, z, p = begun(brief, warm)
-    tangents.resting = RESTING * rest / SETTLED
+    tangents.resting, tangents.share = RESTING * rest / SETTLED, PAST
     first = swept(brief.problem, brief.fold, readings, tangents, z, p, at, rest)
     fold = fold_for(len(problem.timeline.t))
     z, p = starts(problem, fold, first, np.searchsorted(brief.events, fold.lasts()))

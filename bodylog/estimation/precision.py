@@ -1,7 +1,7 @@
 """Variances of the senses and of the motion: learned from this log's evidence, the body's, or the paper's."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -9,17 +9,22 @@ import numpy as np
 from ..settings import Estimation
 from ..types import Array, BodyModel
 from . import motion
+from .alike import NEAR
 from .senses import Evidence
 
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}."""
+    """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
+
+    near {sighting: px} within which its errors are alike; other sightings' errors are white.
+    """
 
     encoder: Array
     process: Array
     drift: Array | None
     scale: Mapping[str, float]
+    near: Mapping[str, float] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
         """As plain numbers, to be written beside the estimate."""
@@ -38,9 +43,11 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precis
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
     if settings.precision == "fixed":
         return Precision(np.full(len(encoder), PAPER[0]), process, None, _fixed(evidence))
-    if settings.precision == "auto" and evidence.encoders is not None:
+    if settings.precision != "auto":
+        return Precision(encoder, process, None, scale)
+    if evidence.encoders is not None:
         encoder, process = motion.learn(evidence.encoders, encoder, process)
-    return Precision(encoder, process, None, scale)
+    return Precision(encoder, process, None, scale, {name: NEAR for name in scale if name != "touch"})
 
 
 def _fixed(evidence: Evidence) -> dict[str, float]:

@@ -150,16 +150,17 @@ def _sighting(name: str, track: Series, body: BodyModel, used: dict[str, Health]
     reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
     gap = _gap(track.t[rising & seen])
     used[name] = Health(len(track.t), use, {k: v for k, v in reasons.items() if v}, gap)
-    var = _pixel_variance(track, np.asarray(body.noise.senses.get(name, (1.0, 1.0))))
+    var = _pixel_variance(track, body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0))))
     values = np.where(seen[:, None], track.values, np.nan)
     return Sighting(name, body.senses[name], track.t[rising], values[rising], var[rising], track.source_ns[rising])
 
 
-def _pixel_variance(track: Series, fallback: Array) -> Array:
-    """Variance (N,D) px² by the track's own word, or the body's where it gives none."""
+def _pixel_variance(track: Series, model: ForwardModel, fallback: Array) -> Array:
+    """Variance (N,D) px² by the track's word and what learning found beyond it, or the body's where it gives none."""
     var = np.broadcast_to(fallback, track.values.shape)
     if track.std is not None:
-        var = np.where(np.isfinite(track.std) & (track.std > 0), track.std**2, var)
+        beyond = getattr(model, "noise", 0.0)
+        var = np.where(np.isfinite(track.std) & (track.std > 0), track.std**2 + beyond, var)
     return np.array(var, float)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import adjoint, results
+from .alike import WHOLE
 from .brief import full, in_brief
 from .filtering import drifts, pose, settled
 from .folds import Fold, fold_for
@@ -65,7 +66,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path, first in brief, then in full; Restless when the rounds do not settle."""
     brief = in_brief(problem, None if warm is None else warm.gated())
     readings, tangents, z, p = begun(brief, warm)
-    tangents.resting = STILL
+    tangents.resting, tangents.share = STILL, WHOLE
     forth = FORTH if warm is None else 0
     first = _rounds(brief.problem, brief.fold, readings, tangents, z, p, np.zeros_like(z), forth)
     fold = fold_for(len(problem.timeline.t))

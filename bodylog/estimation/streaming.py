@@ -8,8 +8,9 @@ import numpy as np
 from ..errors import LogError, UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel
+from .alike import PAST, Memory, Sight
 from .bias import WALKS
-from .instant import Memory, Sight, hear
+from .instant import hear
 from .outset import OFFSET_STD, START_STD
 from .scan import Dynamics
 
@@ -53,12 +54,12 @@ class Estimator:
         if t < last:
             self.skipped += 1
             t, encoders, sights = last, np.full(len(encoders), np.nan), {}
-        seen = {name: self._sight(name, value) for name, value in sights.items() if value is not None}
-        seen = {name: sight for name, sight in seen.items() if np.isfinite(sight.value).all()}
+        seen = {name: self._sight(name, value, t) for name, value in sights.items() if value is not None}
+        seen = {name: sight for name, sight in seen.items() if sight.seen}
         var = np.array(self._body.noise.encoder, float)
         _, trace = hear(self._dynamics, z, p, t - last, encoders, var, list(seen.values()))
         z, p, m = trace.z[0, :, 0], trace.p[0, :, :, 0], len(encoders)
-        self._memory |= {name: sight.seen_at(z[:m]) for name, sight in seen.items()}
+        self._memory |= {name: sight.after(z[:m]) for name, sight in seen.items()}
         self._state = (t, z, p)
         return Belief(t, z[:m], z[m : 2 * m], p[:m, :m], float(trace.nats[0, 0]))
 
@@ -81,8 +82,9 @@ class Estimator:
         std[2 * len(start) :] = OFFSET_STD
         return z, np.diag(std**2)
 
-    def _sight(self, name: str, value: Sequence[float]) -> Sight:
+    def _sight(self, name: str, value: Sequence[float], t: float) -> Sight:
         if name not in self._body.senses:
             raise UsageError(f"{name}: the body has no such sense; it has {', '.join(self._body.senses)}")
         var = np.array(self._body.noise.senses.get(name, (1.0, 1.0)), float)
-        return Sight(self._body.senses[name], np.array(value, float), var, self._memory.get(name, Memory()))
+        pace, memory = PAST * self._dynamics.process, self._memory.get(name, Memory())
+        return Sight(self._body.senses[name], t, np.array(value, float), var, pace, 0.0, memory)

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..types import Array
+from .alike import PAST, variances
 from .folds import Fold
-from .instant import ALIKE
+from .precision import Precision
 from .scan import Readings
 from .senses import Sighting
 
@@ -23,15 +24,15 @@ class Tangents:
     """Where each sighting's frames are linearised, (F,M) rad each; frames that rest are not predicted anew."""
 
     def __init__(self, sightings: tuple[Sighting, ...], points: tuple[Array, ...]) -> None:
-        """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed."""
-        self._sightings, self.points, self.resting = sightings, points, RESTING
+        """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed · share: PAST, WHOLE."""
+        self._sightings, self.points, self.resting, self.share = sightings, points, RESTING, PAST
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
         self._y = tuple(np.full((len(x), 2), np.nan) for x in points)
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
-        """Write stale tangents into the readings: y = s − g + J x°, var = pixel + (2n − 1) model variance.
+        """Write stale tangents into the readings: y = s − g + J x°, var as alike frames have it.
 
         Which stretches (C,) now read otherwise.
         """
@@ -43,8 +44,7 @@ class Tangents:
                 fold.put(readings.y[:, index], events[stale], self._y[index][stale])
                 fold.put(readings.jac[:, index], events[stale], self._jac[index][stale])
                 touched |= fold.sees(events[stale])
-            scale = problem.precision.scale.get(sighting.name, 1.0)
-            var = scale * sighting.var + self._own(index, sighting)
+            var = self._variances(index, sighting, problem.precision)
             other = (np.abs(var / fold.pick(readings.var[:, index], events) - 1.0) > SAME).any(axis=1)
             fold.put(readings.var[:, index], events[other], var[other])
             touched |= fold.sees(events[other])
@@ -56,11 +56,15 @@ class Tangents:
         self._y[index][stale] = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
         self._jac[index][stale] = jac
 
-    def _own(self, index: int, sighting: Sighting) -> Array:
-        """The model's variance (F,D), 2n − 1 times in the n-th frame from one place."""
-        var, seen = self._model_var[index].copy(), np.isfinite(sighting.values).all(axis=1)
-        var[seen] *= 2.0 * repeats(self.points[index][seen])[:, None] - 1.0
-        return np.asarray(var)
+    def _variances(self, index: int, sighting: Sighting, precision: Precision) -> Array:
+        """Variances (F,D), of alike frames such that together they say no more than they know."""
+        var = precision.scale.get(sighting.name, 1.0) * sighting.var
+        seen = np.flatnonzero(np.isfinite(sighting.values).all(axis=1))
+        var[seen] = variances(
+            sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
+            self._model_var[index][seen], self.share * precision.process, precision.near.get(sighting.name, 0.0),
+        )  # fmt: skip
+        return var
 
     def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
         """What is drawn by now, written into other readings of the same log."""
@@ -71,7 +75,7 @@ class Tangents:
     def again(self) -> "Tangents":
         """The same, to be moved on by itself."""
         other = Tangents(self._sightings, self.points)
-        other._stale = self._stale
+        other._stale, other.share = self._stale, self.share
         for mine, other_parts in ((self._y, other._y), (self._jac, other._jac), (self._model_var, other._model_var)):
             for part, other_part in zip(mine, other_parts, strict=True):
                 other_part[:] = part
@@ -86,22 +90,3 @@ class Tangents:
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )
-
-
-def repeats(points: Array) -> Array:
-    """How many frames (F,) up to each were taken from nearly the same angles (F,M): there the model errs alike.
-
-    The model's error goes from frame to frame with a correlation ρ. At a steady pace n is 1 / (1 − ρ), and a mean
-    over many frames has the variance of as many independent ones with (1 + ρ) / (1 − ρ) = 2n − 1 times its variance:
-    so a slow pass counts no more than it should, and standing still adds but the logarithm of the frames.
-    """
-    if not len(points):
-        return np.empty(0)
-    apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    count, kept, reach = np.ones(len(points)), np.append(0.0, np.exp(-apart / ALIKE)), 1
-    # n[k] = 1 + kept[k] n[k−1] by doubling: after each round the sums reach twice as far back
-    while reach < len(points) and kept.any():
-        count[reach:] += kept[reach:] * count[:-reach]
-        kept[reach:] *= kept[:-reach].copy()
-        reach *= 2
-    return count

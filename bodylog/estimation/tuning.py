@@ -26,10 +26,7 @@ ROUNDS = (1.2, 0.7, 0.35)
 
 
 def tune(problem: Problem) -> tuple[Precision, Solution | None]:
-    """Process variances and pixel factors that maximise the evidence of (the middle of) the log.
-
-    With the last solution to begin from, if it was of the whole log.
-    """
+    """Process variances and pixel factors that maximise the evidence of (the middle of) the log, and its solution."""
     part = middle(problem)
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
@@ -43,7 +40,19 @@ def tune(problem: Problem) -> tuple[Precision, Solution | None]:
         nats = costs(solution, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
-    return part.precision, solution if part.timeline is problem.timeline else None
+    return part.precision, solution
+
+
+def left(problem: Problem, solution: Solution) -> Array:
+    """Share (M,) of each joint's deviation, were its encoder alone heard, that is left when pictures are as well."""
+    encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
+    if encoders is None or len(encoders.t) < 2:
+        return np.full(m, 0.5)
+    density = precision.encoder * float(np.median(np.diff(encoders.t)))
+    # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
+    alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
+    together = np.sqrt(solution.fold.unfold(np.einsum("liic->lic", solution.trace.p[:, :m, :m]))).mean(axis=0)
+    return np.asarray(np.minimum(together / np.sqrt(alone), 1.0))
 
 
 def _prior(candidates: Array, m: int) -> Array:
@@ -58,7 +67,9 @@ def _seen(sighting: Sighting) -> int:
 def _with(part: Problem, values: Array, names: list[str]) -> Precision:
     m, precision, encoders = len(part.start), part.precision, part.evidence.encoders
     least = 0.0 if encoders is None else floor(encoders, precision.encoder)
-    scale = {**precision.scale, **{name: float(v) for name, v in zip(names, values[m:], strict=True)}}
+    # frames that err alike foretell each other well: that is no reason to think perception better than it says
+    found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
+    scale = {**precision.scale, **found}
     return replace(precision, process=np.maximum(values[:m], least), scale=scale)
 
 

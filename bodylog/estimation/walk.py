@@ -4,9 +4,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from ..types import Array
+from .alike import PAST, WHOLE, Memory, Sight
 from .brief import encoder_rows
 from .folds import Fold
-from .instant import RESTING, Memory, Sight, hear
+from .instant import RESTING, hear
 from .laplace import Problem, Solution
 from .outset import prior
 from .scan import Readings, Trace
@@ -45,23 +47,25 @@ def walk(problem: Problem, remember: bool = False, resting: float = RESTING) -> 
     for row, events in zip(rows, line.sightings, strict=True):
         row[events] = np.arange(len(events))
     memory, steps = [Memory() for _ in rows], []
+    pace = problem.precision.process * (WHOLE if remember else PAST)
     z, p = prior(problem)
     for k, dt in enumerate(np.diff(line.t, prepend=line.t[0])):
-        sights = _sights(problem, [int(row[k]) for row in rows], memory)
+        sights = _sights(problem, k, [int(row[k]) for row in rows], memory, pace)
         steps.append(hear(problem.dynamics, z, p, dt, encoders[k], var[k], sights, remember, resting))
         z, p = steps[-1][1].z[0, :, 0], steps[-1][1].p[0, :, :, 0]
-        memory = [sight.seen_at(z[:m]) for sight in sights]
+        memory = [sight.after(z[:m]) for sight in sights]
     readings, trace = _joined([r for r, _ in steps]), _joined_traces([t for _, t in steps])
     points = tuple(trace.z[events, :m, 0] for events in line.sightings)
     return Solution(Fold(len(line.t), len(line.t), 1), readings, Tangents(problem.evidence.sightings, points), trace)
 
 
-def _sights(problem: Problem, rows: list[int], memory: list[Memory]) -> list[Sight]:
-    found = []
+def _sights(problem: Problem, instant: int, rows: list[int], memory: list[Memory], pace: Array) -> list[Sight]:
+    found, t = [], float(problem.timeline.t[instant])
     for sighting, row, kept in zip(problem.evidence.sightings, rows, memory, strict=True):
         value = sighting.values[row] if row >= 0 else np.full(2, np.nan)
         scale = problem.precision.scale.get(sighting.name, 1.0)
-        found.append(Sight(sighting.model, value, scale * sighting.var[max(row, 0)], kept))
+        var, near = scale * sighting.var[max(row, 0)], problem.precision.near.get(sighting.name, 0.0)
+        found.append(Sight(sighting.model, t, value, var, pace, near, kept))
     return found
 
 

@@ -1,0 +1,69 @@
+"""Frames that err alike: how many count as one, the same one by one as all at once, and error bars that hold."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import alike, estimate
+from bodylog.settings import Estimation
+from bodylog.types import Series
+
+PACE = np.array([0.02, 0.03, 0.04])
+
+
+def passed(world, seed, speed):
+    """Times (F,), places (F,2), angles (F,3), Jacobians, pixel and model variances of a pass before the camera."""
+    drawn = world(seed, duration=6.0, speed=speed, camera_hz=30.0)
+    track, model = drawn.features.tracks["effector"], drawn.body.senses["effector"]
+    points = np.column_stack([np.interp(track.t, drawn.truth.t, column) for column in drawn.truth.values.T])
+    pixel = np.random.default_rng(seed).uniform(0.001, 0.004, (len(track.t), 2))
+    return track.t, track.values, points, model.predict(points)[1], pixel, np.full_like(pixel, 0.002)
+
+
+def test_counts_are_the_recursion():
+    kept = np.random.default_rng(0).uniform(0.0, 1.0, 300)
+    expected = [1.0]
+    for share in kept:
+        expected.append(1.0 + share * expected[-1])
+    np.testing.assert_allclose(alike.counts(kept), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.02, 0.5])
+@pytest.mark.parametrize("near", [0.0, alike.NEAR])
+def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near):
+    t, places, points, jac, pixel, model = passed(world, 1, speed)
+    together = alike.variances(t, places, points, jac, pixel, model, alike.PAST * PACE, near)
+    body = replace(world(1).body.senses["effector"], blur=0.002)
+    memory, single = alike.Memory(), []
+    for k, now in enumerate(t):
+        sight = alike.Sight(body, float(now), places[k], pixel[k], alike.PAST * PACE, near, memory)
+        single.append(sight.at(points[k])[2])
+        memory = sight.after(points[k])
+    np.testing.assert_allclose(together, single, rtol=1e-9)
+
+
+def test_an_arm_under_way_tells_something_new_with_every_frame(world):
+    t, places, points, jac, pixel, model = passed(world, 2, 1.5)
+    found = alike.variances(t, places, points, jac, pixel, model, alike.PAST * PACE, alike.NEAR)
+    assert np.median(found / (pixel + model)) < 1.01
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_a_resting_arm_is_known_no_better_than_its_model(world, method):
+    inside = []
+    for seed in range(30):
+        drawn = world(seed, duration=6.0, speed=0.0, encoder_std=0.01, pixel_std=0.02, camera_hz=20.0)
+        off = np.random.default_rng([seed, 1]).normal(0.0, 0.1, 2)
+        track = drawn.features.tracks["effector"]
+        track = Series(track.t, track.values + off, track.names, track.unit, track.source_ns, track.std)
+        model = replace(drawn.body.senses["effector"], blur=0.01)
+        body = replace(drawn.body, senses={"effector": model})
+        found = estimate(replace(drawn.features, tracks={"effector": track}), body, Estimation(method=method))
+        late = found.joints.t > 3.0
+        jac = model.predict(drawn.truth.values[:1])[1][0]
+        apart = (found.joints.values - drawn.truth.values)[late] @ jac.T
+        cov = np.einsum("dj,njk,ek->nde", jac, found.cov[late], jac)
+        inside.append(np.einsum("nd,nd->n", apart, np.linalg.solve(cov, apart[..., None])[..., 0]).mean() / 2)
+    # thirty draws of a two-dimensional offset: a standard error of 0.18
+    assert 0.6 < np.mean(inside) < 1.45
