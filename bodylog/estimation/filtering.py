@@ -17,7 +17,7 @@ from .precision import resolve
 from .results import Beliefs
 from .senses import gather, start
 from .timeline import timeline
-from .tuning import MOST, ROUGHLY, left, tune
+from .tuning import ROUGHLY, tune
 from .walk import led, walk
 
 S = TypeVar("S", bound=Solution)
@@ -68,14 +68,13 @@ def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | N
     if settings.precision != "auto":
         return problem, None
     try:
-        found, solution = tune(problem)
+        found, left, warm = tune(problem)
     except Restless:
         return problem, None
-    if settings.method != "smoother" and solution is not None:
+    if settings.method != "smoother":
         # white acceleration fits no motion at all time scales: a joint has the encoders' as far as they still tell it
-        share = left(problem, solution)
-        found = replace(found, process=problem.precision.process**share * found.process ** (1.0 - share))
-    return replace(problem, precision=found), solution if len(problem.timeline.t) <= MOST else None
+        found = replace(found, process=problem.precision.process**left * found.process ** (1.0 - left))
+    return replace(problem, precision=found), warm
 
 
 def settled(

@@ -25,12 +25,16 @@ ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
-def tune(problem: Problem) -> tuple[Precision, Solution | None]:
-    """Process variances and pixel factors that maximise the evidence of (the middle of) the log, and its solution."""
+def tune(problem: Problem) -> tuple[Precision, Array, Solution | None]:
+    """Process variances and pixel factors that maximise the evidence of (the middle of) the log.
+
+    With how much (M,) of what encoders alone do not know pictures leave unknown, and the last solution to begin from,
+    if it was of the whole log.
+    """
     part = middle(problem)
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
-        return problem.precision, None
+        return problem.precision, np.ones(len(problem.start)), None
     solution = None
     for half in ROUNDS:
         m = len(part.start)
@@ -40,18 +44,19 @@ def tune(problem: Problem) -> tuple[Precision, Solution | None]:
         nats = costs(solution, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
-    return part.precision, solution
+    assert solution is not None
+    return part.precision, _left(problem, solution), solution if part.timeline is problem.timeline else None
 
 
-def left(problem: Problem, solution: Solution) -> Array:
-    """Share (M,) of each joint's deviation, were its encoder alone heard, that is left when pictures are as well."""
+def _left(problem: Problem, solution: Solution) -> Array:
+    """Ratio (M,), at most 1, of each joint's deviation by all senses to the one by its encoder alone."""
     encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
-    if encoders is None or len(encoders.t) < 2:
+    if encoders is None or len(encoders.t) < 2 or solution.brief is None:
         return np.full(m, 0.5)
-    density = precision.encoder * float(np.median(np.diff(encoders.t)))
+    density, first = precision.encoder * float(np.median(np.diff(encoders.t))), solution.brief[1]
     # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
     alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
-    together = np.sqrt(solution.fold.unfold(np.einsum("liic->lic", solution.trace.p[:, :m, :m]))).mean(axis=0)
+    together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
     return np.asarray(np.minimum(together / np.sqrt(alone), 1.0))
 
 
