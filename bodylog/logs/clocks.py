@@ -9,6 +9,8 @@ from ..types import Array
 
 _DAY = 86_400_000_000_000
 _FEW = 0.1
+BACK = 500_000_000
+"""ns: no transport delivers a message so long after its successors; a clock that says so ran backwards."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -16,6 +18,8 @@ class Dated:
     """One stream in time order: t_ns (m,) int64 · rows (m,) into what was given · which clock · rejected by reason.
 
     offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header.
+    backwards: log times (b,) ns of messages whose time is not to be believed, as it ran backwards · falls: in the file,
+    the latest come first.
     """
 
     t_ns: Array
@@ -25,23 +29,71 @@ class Dated:
     out_of_order: int
     offset_ns: int | None
     spread_s: float | None
+    backwards: Array
+    falls: bool
 
 
 def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = True) -> Dated:
     """Order one stream by "header", "log" or "auto" time; of equal stamps the first is kept if `distinct`."""
-    header = stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns)))
-    t_ns = stamp_ns if header and stamp_ns is not None else log_ns
+    t_ns, back, clock = log_ns, np.zeros(len(log_ns), bool), "log"
+    if stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns))):
+        if choice == "auto":
+            back = runs_back(log_ns, stamp_ns)
+        # a clock that is wrong for many messages is right for none; one that is wrong for few is right for the rest
+        if back.sum() <= _FEW * len(back):
+            t_ns, clock = stamp_ns, "header"
+    skipped = back.copy() if clock == "header" else np.zeros(len(back), bool)
+    skipped[~skipped] = repeats(t_ns[~skipped])
     near = _near(t_ns)
-    rows = np.flatnonzero(near)
+    rows = np.flatnonzero(near & ~skipped)
     out_of_order = int((np.diff(t_ns[rows]) < 0).sum())
     rows = rows[np.argsort(t_ns[rows], kind="stable")]
     doubled = np.zeros(len(rows), bool)
     doubled[1:] = distinct & (np.diff(t_ns[rows]) == 0)
-    counts = {"time years away": int((~near).sum()), "same stamp again": int(doubled.sum())}
+    counts = {
+        "time years away": int((~near).sum()), "time runs backwards": int((near & skipped).sum()),
+        "same stamp again": int(doubled.sum()),
+    }  # fmt: skip
     rows = rows[~doubled]
     offset, spread = _offset(log_ns, stamp_ns, near)
     rejected = {reason: n for reason, n in counts.items() if n}
-    return Dated(t_ns[rows], rows, "header" if header else "log", rejected, out_of_order, offset, spread)
+    wrong = np.sort(log_ns[near & (back | skipped)])
+    return Dated(t_ns[rows], rows, clock, rejected, out_of_order, offset, spread, wrong, falls(t_ns[near]))
+
+
+def runs_back(log_ns: Array, stamp_ns: Array) -> Array:
+    """Which messages (n,) a header clock that ran backwards has dated apart from most, seen from the log's clock."""
+    near = np.flatnonzero(_near(stamp_ns))
+    order = near[np.argsort(log_ns[near], kind="stable")]
+    behind = np.maximum.accumulate(stamp_ns[order]) - stamp_ns[order]
+    apart = np.zeros(len(stamp_ns), bool)
+    if is_sound(log_ns) and behind.max(initial=0) > BACK:
+        late = (log_ns - stamp_ns)[near]
+        apart[near] = np.abs(late - np.sort(late)[len(late) // 2]) > BACK // 2
+    return apart
+
+
+def repeats(t_ns: Array) -> Array:
+    """Which messages (n,) of a file in order of time, but where its clock was set back, fall among earlier ones."""
+    near, again = np.flatnonzero(_near(t_ns)), np.zeros(len(t_ns), bool)
+    t = t_ns[near]
+    steps, behind = np.diff(t), np.maximum.accumulate(t) - t
+    if behind.max(initial=0) <= BACK or np.mean(steps < 0) > _FEW:
+        return again
+    # all that follows a latest message, until there is a later one
+    run = np.cumsum(behind == 0) - 1
+    far = np.maximum.reduceat(behind, np.flatnonzero(np.diff(run, prepend=-1)))[run] > BACK
+    order = np.argsort(t, kind="stable")
+    between = np.full(len(t), np.iinfo(np.int64).max)
+    between[order[1:-1]] = t[order[2:]] - t[order[:-2]]
+    # a part written late stands alone among its neighbours, one that was dated twice has others in between
+    again[near] = far & (behind > 0) & (between < 1.5 * np.median(steps[steps > 0]))
+    return again
+
+
+def falls(t_ns: Array) -> bool:
+    """Whether messages stand in the file from the latest to the earliest."""
+    return len(t_ns) > 1 and bool(np.mean(np.diff(t_ns) < 0) > 1.0 - _FEW)
 
 
 def is_sound(stamp_ns: Array) -> bool:

@@ -44,7 +44,7 @@ def streams(
 
     LogError when a role named in robot.toml holds none.
     """
-    dated = {role: _stream(*source, settings, name) for role, source in _columns(log, found).items()}
+    dated = _rising({role: _stream(*source, settings, name) for role, source in _columns(log, found).items()})
     usable = {role: stream for role, stream in dated.items() if len(stream.dated.t_ns)}
     empty = (_empty(stream, settings, name) for role, stream in dated.items() if role not in usable)
     return _one_epoch(usable), tuple(empty)
@@ -132,6 +132,23 @@ def _empty(stream: Stream, settings: Settings, name: str) -> Finding:
     return Finding("warning", f"{role.role}: {role.topic} was considered, but has no usable message: {why}")
 
 
+def _rising(found: dict[str, Stream]) -> dict[str, Stream]:
+    """Of streams whose times fall while others' rise, no message can be used; where all fall, the file is turned."""
+    falling = [role for role, stream in found.items() if stream.dated.falls]
+    if len(falling) == len([stream for stream in found.values() if len(stream.rows)]):
+        return found
+    return found | {role: _without(found[role]) for role in falling}
+
+
+def _without(stream: Stream) -> Stream:
+    """The stream with all its messages rejected."""
+    none = replace(stream.dated, t_ns=stream.dated.t_ns[:0], rows=stream.dated.rows[:0])
+    rejected = Counter(stream.rejected) + Counter({"time runs backwards": len(stream.rows)})
+    return replace(
+        stream, dated=none, values=stream.values[:0], log_ns=stream.log_ns[:0], rows=stream.rows[:0], rejected=rejected
+    )
+
+
 def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
     """Bring streams whose clocks are more than a minute apart to the first one's, by way of their log times."""
     behind = {role: (s.dated.offset_ns or 0) if s.dated.clock == "header" else 0 for role, s in found.items()}
@@ -167,12 +184,26 @@ def remarks(stream: Stream) -> Iterator[Finding]:
     if stream.shifted_s:
         by = f"{stream.shifted_s:.6g} s"
         yield Finding("warning", f"{name}: its clock is not the others'; shifted by {by} to meet them")
+    if len(dated.backwards):
+        yield Finding("warning", f"{name}: {_backwards(stream)}")
     if dated.out_of_order:
         yield Finding("info", f"{name}: {dated.out_of_order} messages out of order were sorted")
     if stream.fallback:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
     if stream.rejected:
         yield Finding("warning", f"{name}: rejected {_reasons(stream)} of {sum(stream.counts)} messages")
+
+
+def _backwards(stream: Stream) -> str:
+    """How many times ran backwards, where, and what was made of it."""
+    dated = stream.dated
+    first = min(int(stream.log_ns.min()), int(dated.backwards[0]))
+    begin, end = ((int(ns) - first) / 1e9 for ns in (dated.backwards[0], dated.backwards[-1]))
+    said = f"times run backwards: {len(dated.backwards)} of {sum(stream.counts)} messages, {begin:.3f} to {end:.3f} s"
+    if "time runs backwards" in dated.rejected:
+        return f"{said} after its first, are dated apart from the rest and left out"
+    insist = f'type [time] {stream.role.role} = "header" in robot.toml to insist on header time'
+    return f"{said} after its first, are dated apart from the rest by the header; log time is used instead, {insist}"
 
 
 def _reasons(stream: Stream) -> str:

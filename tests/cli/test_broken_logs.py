@@ -55,19 +55,37 @@ def test_readings_that_are_no_numbers_are_passed_over(tmp_path, capsys, bodylog,
     assert scores["joint_rmse"] < 0.012 < 0.018 < scores["encoder_rmse"] < 0.022
 
 
-@PLACES
-def test_stamps_that_run_backwards_are_counted(tmp_path, capsys, bodylog, arm_body, made, log):
-    """Ten messages dated one second back fall on the stamps of others, which were there first."""
+def _said_of_time(result):
+    (said,) = [one["text"] for one in result["findings"] if "times run backwards" in one["text"]]
+    assert said.startswith("joints ")
+    return said
 
+
+@PLACES
+@pytest.mark.parametrize("seconds", [1.0, 1.003])
+def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, bodylog, arm_body, made, log, seconds):
     def change(count, message):
-        later(message, -1.0 if 60 <= count < 70 else 0.0)
+        later(message, -seconds if 60 <= count < 70 else 0.0)
         return True
 
     result, scores = _estimated(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
-    said = [finding["text"] for finding in result["findings"] if finding["text"].startswith("joints ")]
-    assert any("messages out of order were sorted" in text for text in said)
-    assert any("rejected 10 (same stamp again) of 150 messages" in text for text in said)
+    assert "10 of 150 messages, 1.200 to 1.380 s after its first" in _said_of_time(result)
+    assert any("rejected 10 (time runs backwards) of 150" in one["text"] for one in result["findings"])
     assert scores["used/encoders"] == 140 and scores["joint_rmse"] < scores["encoder_rmse"]
+    assert not result["faults"]
+
+
+@PLACES
+@pytest.mark.parametrize("wrong", ["reversed", "half"])
+def test_a_clock_that_runs_backwards_is_named_and_not_used(tmp_path, capsys, bodylog, arm_body, made, log, wrong):
+    def change(count, message):
+        later(message, -2.0 * (count >= 150) if wrong == "half" else -0.04 * count)
+        return True
+
+    result, scores = _estimated(capsys, bodylog, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
+    assert "log time is used instead" in _said_of_time(result)
+    assert scores["used/encoders"] == 300 and scores["joint_rmse"] < 0.6 * scores["encoder_rmse"]
+    assert not result["faults"]
 
 
 @PLACES

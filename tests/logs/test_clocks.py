@@ -94,3 +94,63 @@ def test_nanoseconds_survive_the_way_to_seconds():
 
 def test_the_largest_gap():
     assert largest_gap(T0 + MS * np.array([0, 1, 11, 12])) == pytest.approx(0.010)
+
+
+def test_a_header_clock_that_is_set_back_for_good_gives_way_to_the_log():
+    log = T0 + 20 * MS * np.arange(300) + 4 * MS
+    stamp = log - 4 * MS - 2000 * MS * (np.arange(300) >= 150)
+    dated = date(log, stamp, "auto")
+    assert (dated.clock, dated.rejected) == ("log", {})
+    np.testing.assert_array_equal(dated.t_ns, log)
+    assert len(dated.backwards) == 150
+    insisted = date(log, stamp, "header")
+    assert (insisted.clock, insisted.rejected) == ("header", {"time runs backwards": 99, "same stamp again": 1})
+
+
+def test_a_reversed_header_clock_gives_way_to_the_log():
+    log = T0 + 20 * MS * np.arange(300)
+    dated = date(log, log[::-1] - 4 * MS, "auto")
+    assert dated.clock == "log" and len(dated.backwards) > 270
+    np.testing.assert_array_equal(dated.t_ns, log)
+
+
+@pytest.mark.parametrize("astray_s", [-30.003, -1.0, 1.0, 30.003])
+def test_a_few_messages_dated_apart_from_the_rest_are_left_out(astray_s):
+    log = T0 + 20 * MS * np.arange(300)
+    wrong = (np.arange(300) >= 100) & (np.arange(300) < 110)
+    stamp = log - 4 * MS + round(astray_s * 1000) * MS * wrong
+    dated = date(log, stamp, "auto")
+    assert (dated.clock, dated.rejected) == ("header", {"time runs backwards": 10})
+    np.testing.assert_array_equal(dated.rows, np.flatnonzero(~wrong))
+    np.testing.assert_array_equal(dated.backwards, log[wrong])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_late_messages_of_one_of_two_publishers_are_sorted(seed):
+    rng = np.random.default_rng(seed)
+    stamp = np.sort(np.concatenate([T0 + 20 * MS * np.arange(300), T0 + MS + 20 * MS * np.arange(300)]))
+    log = stamp + rng.integers(0, 400 * MS, 600) * (np.arange(600) % 2)
+    order = np.argsort(log, kind="stable")
+    dated = date(log[order], stamp[order], "auto")
+    assert (dated.clock, dated.rejected, len(dated.backwards)) == ("header", {}, 0)
+    np.testing.assert_array_equal(dated.t_ns, stamp)
+
+
+@pytest.mark.parametrize("back_ms", [800, 2001])
+def test_where_the_logs_own_clock_was_set_back_what_was_dated_twice_is_left_out(back_ms):
+    t = T0 + 20 * MS * np.arange(300) - back_ms * MS * (np.arange(300) >= 150)
+    for dated in (date(t, None, "auto"), date(t, t - 3 * MS, "auto")):
+        twice = back_ms // 20
+        assert dated.rejected["time runs backwards"] in (twice - 1, twice)
+        assert dated.rows.tolist() == sorted(dated.rows) and len(dated.rows) >= 300 - twice - 1
+
+
+def test_a_part_written_late_is_no_clock_set_back():
+    t = T0 + 20 * MS * np.concatenate([np.arange(100), np.arange(200, 300), np.arange(100, 200)])
+    dated = date(t, None, "auto")
+    assert (len(dated.t_ns), dated.rejected, dated.out_of_order) == (300, {}, 1)
+
+
+def test_whether_times_fall():
+    t = T0 + 20 * MS * np.arange(50)
+    assert [date(given, None, "auto").falls for given in (t, t[::-1], t[:1], t[:0])] == [False, True, False, False]

@@ -417,3 +417,19 @@ def test_every_named_camera_is_dated_by_its_own_stamps_and_read_on_its_own(tmp_p
     silent = write(tmp_path / "b.mcap", [joints("/j", moves(20)), films[0], camera("/side/image", [])])
     with pytest.raises(LogError, match="no usable message on /side/image: it is empty"):
         read(silent, settings(topics=Topics(camera=tuple(shots))))
+
+
+def test_joints_whose_times_fall_while_others_rise_are_not_used(tmp_path):
+    skin = arrays("/skin", np.linspace(0, 1, 60).reshape(20, 3))
+    log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)[::-1]), skin], in_order=False)
+    got = read(log, PLAIN)
+    assert got.joints is None
+    assert any("/joint_states" in f.text and "10 (time runs backwards)" in f.text for f in got.findings)
+    with pytest.raises(LogError, match=r"/joint_states: 10 \(time runs backwards\)"):
+        read(log, settings(topics=Topics(joints="/joint_states")))
+
+
+def test_a_file_turned_as_a_whole_is_sorted(tmp_path):
+    log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)[::-1])], in_order=False)
+    got = read(log, PLAIN)
+    assert got.joints is not None and len(got.joints.t) == 10
