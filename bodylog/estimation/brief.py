@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Brief:
-    """The problem on few instants, which events (B,) of the log they are, what is said at them and in between."""
+    """The problem on few instants, which events (B,) of the log they are, what is said in between, and all of it."""
 
     problem: "Problem"
     events: Array
-    said: tuple[Array, Array]
     blocks: Blocks
+    readings: Leaps
 
     @property
     def fold(self) -> Fold:
@@ -33,21 +33,24 @@ class Brief:
         """What is said in between, folded."""
         return pooled(self.blocks, dynamics, self.fold)
 
-    def readings(self) -> Leaps:
-        """Everything but the frames' linearisation, folded."""
-        rest = heard(self.problem, self.fold, *self.said)
-        return Leaps(*rest, pooled=self.pooled(self.problem.dynamics))
 
+def in_brief(problem: "Problem", gated: Array | None = None, told: Brief | None = None) -> Brief:
+    """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less.
 
-def in_brief(problem: "Problem", gated: Array | None) -> Brief:
-    """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less."""
+    `told` is another brief of the log to go by, where that tells the gated ones by themselves.
+    """
     line, (said, var) = problem.timeline, encoder_rows(problem)
-    single = loud(said) if gated is None else loud(said) | gated
-    single[np.concatenate([*line.sightings, fold_for(len(line.t)).lasts()])] = True
-    events = kept(single)
+    if told is not None and gated is not None and np.isin(np.flatnonzero(gated), told.events).all():
+        events = told.events
+    else:
+        single = loud(said) if gated is None else loud(said) | gated
+        single[np.concatenate([*line.sightings, fold_for(len(line.t)).lasts()])] = True
+        events = kept(single)
     sightings, none = tuple(np.searchsorted(events, frames) for frames in line.sightings), np.empty(0, int)
     few = replace(problem, timeline=Timeline(line.t[events], none, sightings, none, none))
-    return Brief(few, events, (said[events], var[events]), blocks(line.t, said, var, events))
+    between, fold = blocks(line.t, said, var, events), fold_for(len(events))
+    rest = heard(few, fold, said[events], var[events])
+    return Brief(few, events, between, Leaps(*rest, pooled=pooled(between, few.dynamics, fold)))
 
 
 def full(problem: "Problem", fold: Fold) -> Readings:

@@ -17,7 +17,7 @@ from .folds import Fold, fold_for
 from .habit import Habit
 from .outset import handed_over, outset, starts
 from .precision import Precision
-from .scan import Dynamics, Leaps, Readings, Trace, rescan
+from .scan import Dynamics, Readings, Trace, rescan
 from .senses import Evidence
 from .tangents import RESTING, Tangents
 from .timeline import Timeline
@@ -76,22 +76,31 @@ def solve(
     First in brief; then in full, which moves nothing but where the gate closes on readings that were pooled. `warm`
     is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
     """
-    brief = in_brief(problem, None if warm is None else warm.gated())
-    readings, tangents, z, p = begun(brief, warm)
-    tangents.resting, tangents.share = RESTING * rest / SETTLED, PAST
-    first = swept(brief.problem, brief.fold, readings, tangents, z, p, at, rest)
+    brief, first = briefly(problem, warm, at, rest)
     fold = fold_for(len(problem.timeline.t))
     z, p = starts(problem, fold, first, np.searchsorted(brief.events, fold.lasts()))
-    whole = swept(problem, fold, full(problem, fold), tangents, z, p, at, rest)
+    whole = swept(problem, fold, full(problem, fold), first.tangents, z, p, at, rest)
     return replace(whole, brief=(brief, first))
 
 
-def begun(brief: Brief, warm: Solution | None) -> tuple[Leaps, Tangents, Array, Array]:
-    """The brief's readings, tangents and starts to begin with: by the encoders alone, or where `warm` ended."""
-    readings = brief.readings()
+def briefly(problem: Problem, warm: Solution | None, at: str, rest: float) -> tuple[Brief, Solution]:
+    """The log in brief and its solution: the whole log's, if the gate closes on no reading that is pooled."""
+    brief, tangents, z, p = begun(problem, warm)
+    tangents.resting, tangents.share = RESTING * rest / SETTLED, PAST
+    return brief, swept(brief.problem, brief.fold, brief.readings, tangents, z, p, at, rest)
+
+
+def begun(problem: Problem, warm: Solution | None) -> tuple[Brief, Tangents, Array, Array]:
+    """The log in brief, tangents and starts to begin with: by the encoders alone, or where `warm` ended."""
     if warm is None:
-        return readings, *outset(brief.problem, brief.fold, readings)
-    return readings, warm.tangents.again(), *starts(brief.problem, brief.fold, warm, brief.events[brief.fold.lasts()])
+        brief = in_brief(problem)
+        return brief, *outset(brief.problem, brief.fold, brief.readings)
+    told = None if warm.brief is None else warm.brief[0]
+    brief = in_brief(problem, warm.gated(), told)
+    known, lasts = warm, brief.events[brief.fold.lasts()]
+    if warm.brief is not None:
+        known, lasts = warm.brief[1], np.searchsorted(warm.brief[0].events, lasts, "right") - 1
+    return brief, warm.tangents.again(), *starts(brief.problem, brief.fold, known, lasts)
 
 
 def swept(

@@ -6,7 +6,10 @@ from ..types import Array
 from .folds import Fold
 from .senses import Encoders
 
-SPREAD = 17
+SPREAD = (31, 13, 13)
+"""Ratios tried at first, over all magnitudes, and twice more between the best one's neighbours."""
+VAGUE = 1e8
+"""Noise variances: how little a filter that starts anew knows."""
 MOST = 6000
 """Readings used at most, from the middle of the log: more would not sharpen two numbers per joint."""
 STRETCH = 128
@@ -15,21 +18,22 @@ SKIP = 3
 """Readings per stretch that only start the filter and do not count."""
 BREAK = 10.0
 """Robust standard deviations: a larger second difference is a jump, where the filter starts anew."""
-
 MEMORY = 1.0
 """Seconds of readings a belief about a resting joint may average."""
 
 
 def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Array]:
     """Encoder variances (M,) rad² and acceleration densities (M,) rad²/s³; a joint too silent keeps what is given."""
-    encoder, process = encoder.copy(), process.copy()
-    for joint in range(encoders.values.shape[1]):
-        known = np.flatnonzero(np.isfinite(encoders.values[:, joint]))
+    encoder, process, joints, heard = encoder.copy(), process.copy(), [], []
+    for joint, column in enumerate(encoders.values.T):
+        known = np.flatnonzero(np.isfinite(column))
         begin = max(0, (len(known) - MOST) // 2)
         known = known[begin : begin + MOST]
-        if len(known) > 10 * SKIP:
-            found = learn_one(encoders.t[known], encoders.values[known, joint])
-            encoder[joint], process[joint] = found if found is not None else (encoder[joint], process[joint])
+        if len(known) > 10 * SKIP and np.ptp(column[known]) > 0.0:
+            joints.append(joint)
+            heard.append((encoders.t[known], column[known]))
+    if joints:
+        encoder[joints], process[joints] = likeliest(heard)
     return encoder, np.maximum(process, floor(encoders, encoder))
 
 
@@ -40,52 +44,57 @@ def floor(encoders: Encoders, encoder: Array) -> Array:
     return np.asarray(encoder * step / MEMORY**4)
 
 
-def learn_one(t: Array, y: Array) -> tuple[float, float] | None:
-    """Noise variance and acceleration density of one joint that maximise the evidence; None when it never changes."""
-    if np.ptp(y) == 0.0:
-        return None
-    fold = Fold(len(t), STRETCH, -(-len(t) // STRETCH))
-    fresh = _breaks(t, y)
-    step = float(np.median(np.diff(t)))
-    ratios = np.geomspace(1e-9, 1e6, 31) / step**3  # process / noise variance, scaled so that 1 is balanced per reading
-    for _ in range(3):
-        score, noise = evidence(t, y, fresh, ratios, fold)
-        best = int(np.argmax(score))
-        low, high = ratios[max(best - 1, 0)], ratios[min(best + 1, len(ratios) - 1)]
-        found = float(noise[best]), float(noise[best] * ratios[best])
-        ratios = np.geomspace(low, high, SPREAD)
+def likeliest(heard: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Noise variances and acceleration densities (M,) that maximise the evidence of each joint's times and readings."""
+    told = _side_by_side(heard)
+    step = np.array([float(np.median(np.diff(t))) for t, _ in heard])
+    # process / noise variance, scaled so that 1 is balanced per reading
+    ratios, joints = np.geomspace(1e-9, 1e6, SPREAD[0])[:, None] / step**3, np.arange(len(heard))
+    for count in (*SPREAD[1:], 0):
+        score, noise = evidence(*told, ratios)
+        best = score.argmax(axis=0)
+        found = noise[best, joints], noise[best, joints] * ratios[best, joints]
+        low, high = ratios[np.maximum(best - 1, 0), joints], ratios[np.minimum(best + 1, len(ratios) - 1), joints]
+        ratios = np.geomspace(low, high, count)
     return found
 
 
-def evidence(t: Array, y: Array, fresh: Array, ratios: Array, fold: Fold) -> tuple[Array, Array]:
-    """Log evidence (R,) per ratio process/noise, with the noise variance (R,) that maximises it given the ratio."""
-    dt = fold.fold(np.diff(t, prepend=t[0]), np.nan)
-    y, fresh = fold.fold(y, np.nan), fold.fold(fresh, 1.0)
-    x, v = np.zeros((2, len(ratios), fold.count))
-    pxx, pxv, pvv = np.zeros((3, len(ratios), fold.count))
-    squares, logs, count = np.zeros((3, len(ratios), fold.count))
-    age = np.zeros(fold.count)
-    q = ratios[:, None]
-    for i in range(fold.length):
-        h, anew = dt[i], (fresh[i] > 0) | (i == 0)
-        x = x + h * v
-        pxx = pxx + h * (2.0 * pxv + h * pvv) + q * h**3 / 3.0
-        pxv = pxv + h * pvv + q * h**2 / 2.0
-        pvv = pvv + q * h
-        age = np.where(anew, 0, age + 1)
-        x, v = np.where(anew, y[i], x), np.where(anew, 0.0, v)
-        pxx, pxv, pvv = np.where(anew, 1e8, pxx), np.where(anew, 0.0, pxv), np.where(anew, 1e8, pvv)
-        s, nu = pxx + 1.0, y[i] - x
-        counts = (age >= SKIP) & np.isfinite(nu)
-        squares += np.where(counts, nu * nu / s, 0.0)
-        logs += np.where(counts, np.log(s), 0.0)
-        count += counts
+def _side_by_side(heard: list[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
+    """Time steps, readings (NaN after the last) and where the filter starts anew, folded: (L,M,C) each."""
+    most = max(len(t) for t, _ in heard)
+    dt, y, fresh = np.zeros((most, len(heard))), np.full((most, len(heard)), np.nan), np.ones((most, len(heard)), bool)
+    for joint, (t, column) in enumerate(heard):
+        rows = slice(len(t)), joint
+        dt[rows], y[rows], fresh[rows] = np.diff(t, prepend=t[0]), column, _breaks(t, column)
+    fold = Fold(most, STRETCH, -(-most // STRETCH))
+    return fold.fold(dt, 0.0), fold.fold(y, np.nan), fold.fold(fresh, 1.0) > 0
+
+
+def evidence(dt: Array, y: Array, fresh: Array, ratios: Array) -> tuple[Array, Array]:
+    """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio."""
+    shape, q = (*ratios.shape, y.shape[2]), ratios[:, :, None]
+    x, v, pxx, pxv, pvv, squares, logs = np.zeros((7, *shape))
+    age, count, finite = np.zeros(y.shape[1:]), np.zeros(y.shape[1:]), np.isfinite(y)
+    for i, h in enumerate(dt):
+        anew = fresh[i] | (i == 0)
+        qh, cross = q * h, h * pvv
+        x, pxx = x + h * v, pxx + h * (pxv + pxv + cross + qh * (h / 3.0))
+        pxv, pvv = pxv + cross + qh * (0.5 * h), pvv + qh
+        age = np.where(anew, 0.0, age + 1.0)
+        if anew.any():
+            x, v, pxv = np.where(anew, y[i], x), np.where(anew, 0.0, v), np.where(anew, 0.0, pxv)
+            pxx, pvv = np.where(anew, VAGUE, pxx), np.where(anew, VAGUE, pvv)
+        s, nu = pxx + 1.0, np.where(finite[i], y[i] - x, 0.0)
+        counts = (age >= SKIP) & finite[i]
         gx, gv = pxx / s, pxv / s
+        squares += nu * nu * (counts / s)
+        logs += counts * np.log(s)
+        count += counts
         x, v = x + gx * nu, v + gv * nu
-        pvv, pxv, pxx = pvv - gv * pxv, pxv - gx * pxv, pxx - gx * pxx
+        pvv, pxv, pxx = pvv - gv * pxv, pxv - gx * pxv, gx
     n = np.maximum(count.sum(axis=1), 1.0)
-    noise = squares.sum(axis=1) / n
-    return -0.5 * (n * np.log(noise) + logs.sum(axis=1)), noise
+    noise = squares.sum(axis=2) / n
+    return -0.5 * (n * np.log(noise) + logs.sum(axis=2)), noise
 
 
 def _breaks(t: Array, y: Array) -> Array:

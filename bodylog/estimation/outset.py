@@ -1,13 +1,12 @@
 """Where a folded log's stretches start and its frames are linearised first: by the encoders alone, or as before."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..types import Array
 from .folds import Fold
-from .scan import Readings, scan
+from .scan import Dynamics, Leaps, Pooled, scan
 from .tangents import Tangents
 
 if TYPE_CHECKING:
@@ -53,19 +52,47 @@ def handed_over(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, 
     return z, p
 
 
-def outset(problem: "Problem", fold: Fold, readings: Readings) -> tuple[Tangents, Array, Array]:
+def outset(problem: "Problem", fold: Fold, readings: Leaps) -> tuple[Tangents, Array, Array]:
     """Tangents at the path, or where encoders alone have the joints, and each stretch's start z (K,C), p (K,K,C)."""
     (z, p), t = priors(problem, fold), problem.timeline.t
     path, sightings = problem.path or _said(problem), problem.evidence.sightings
     z[: len(problem.start), 1:] = _between(path, problem.start, t[fold.lasts()]).T
     points = tuple(_between(path, problem.start, sighting.t) for sighting in sightings)
     if problem.path is None and problem.evidence.encoders is not None:
-        blind = replace(readings, y=np.full_like(readings.y, np.nan))
-        for _ in range(PASSES):
-            trace = scan(blind, problem.dynamics, z, p)
-            z, p = handed_over(z, p, trace.z[-1], trace.p[-1])
-        points = tuple(fold.pick(trace.z, events)[:, : len(problem.start)] for events in problem.timeline.sightings)
+        path_z, z, p = _reckon(readings, problem.dynamics, z, p)
+        points = tuple(fold.pick(path_z, events)[:, : len(problem.start)] for events in problem.timeline.sightings)
     return Tangents(sightings, points), z, p
+
+
+def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Array, Array, Array]:
+    """States (L,K,C) by the encoders alone, and where these start each stretch, from a guess of that.
+
+    Without pictures joints know nothing of each other: each joint of a stretch is scanned as a stretch of its own.
+    """
+    length, m, c = readings.encoders.shape
+    s = len(z) // m
+
+    def apart(a: Array) -> Array:
+        """(L,…,M,C) -> (L,…,1,M·C)."""
+        return a.reshape(*a.shape[:-2], 1, m * c)
+
+    told = readings.pooled
+    unseen = np.empty((length, 0, 2, m * c)), np.empty((length, 0, 2, 1, m * c)), np.empty((length, 0, 2, m * c))
+    alone = Leaps(
+        readings.dt, apart(readings.encoders), apart(readings.encoder_var), *unseen,
+        Pooled(
+            apart(told.y), apart(told.var), apart(told.lean), apart(told.move), apart(told.shift), apart(told.noise),
+            np.zeros((length, m * c)),
+        ),
+    )  # fmt: skip
+    single = Dynamics(np.ones(1), None if s == 2 else np.zeros(1))
+    for _ in range(PASSES):
+        own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
+        trace = scan(alone, single, z.reshape(s, m * c), own)
+        whole = np.zeros((s, m, s, m, c))
+        np.einsum("ajbjc->abjc", whole)[:] = trace.p[-1].reshape(s, s, m, c)
+        z, p = handed_over(z, p, trace.z[-1].reshape(z.shape), whole.reshape(p.shape))
+    return trace.z.reshape(length, *z.shape), z, p
 
 
 def _said(problem: "Problem") -> tuple[Array, Array]:

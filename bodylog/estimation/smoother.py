@@ -12,7 +12,7 @@ from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import adjoint, results
 from .alike import WHOLE
-from .brief import full, in_brief
+from .brief import full
 from .filtering import drifts, pose, settled
 from .folds import Fold, fold_for
 from .laplace import SWEEPS, Problem, Progress, Restless, Solution, begun, far
@@ -64,11 +64,10 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path, first in brief, then in full; Restless when the rounds do not settle."""
-    brief = in_brief(problem, None if warm is None else warm.gated())
-    readings, tangents, z, p = begun(brief, warm)
+    brief, tangents, z, p = begun(problem, warm)
     tangents.resting, tangents.share = STILL, WHOLE
     forth = FORTH if warm is None else 0
-    first = _rounds(brief.problem, brief.fold, readings, tangents, z, p, np.zeros_like(z), forth)
+    first = _rounds(brief.problem, brief.fold, brief.readings, tangents, z, p, np.zeros_like(z), forth)
     fold = fold_for(len(problem.timeline.t))
     lasts = np.searchsorted(brief.events, fold.lasts())
     z, p = starts(problem, fold, first, lasts)

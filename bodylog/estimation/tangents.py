@@ -30,6 +30,7 @@ class Tangents:
         self._y = tuple(np.full((len(x), 2), np.nan) for x in points)
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
+        self._var = tuple(np.ones((len(x), 2)) for x in points)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
         """Write stale tangents into the readings: y = s − g + J x°, var as alike frames have it.
@@ -45,7 +46,8 @@ class Tangents:
                 fold.put(readings.jac[:, index], events[stale], self._jac[index][stale])
                 touched |= fold.sees(events[stale])
             var = self._variances(index, sighting, problem.precision)
-            other = (np.abs(var / fold.pick(readings.var[:, index], events) - 1.0) > SAME).any(axis=1)
+            other = (np.abs(var / self._var[index] - 1.0) > SAME).any(axis=1)
+            self._var[index][other] = var[other]
             fold.put(readings.var[:, index], events[other], var[other])
             touched |= fold.sees(events[other])
         return touched
@@ -71,14 +73,15 @@ class Tangents:
         for index, events in enumerate(problem.timeline.sightings):
             fold.put(readings.y[:, index], events, self._y[index])
             fold.put(readings.jac[:, index], events, self._jac[index])
+            fold.put(readings.var[:, index], events, self._var[index])
 
     def again(self) -> "Tangents":
         """The same, to be moved on by itself."""
         other = Tangents(self._sightings, self.points)
         other._stale, other.share = self._stale, self.share
-        for mine, other_parts in ((self._y, other._y), (self._jac, other._jac), (self._model_var, other._model_var)):
-            for part, other_part in zip(mine, other_parts, strict=True):
-                other_part[:] = part
+        for name in ("_y", "_jac", "_model_var", "_var"):
+            for mine, copied in zip(getattr(self, name), getattr(other, name), strict=True):
+                copied[:] = mine
         return other
 
     def follow(self, problem: "Problem", fold: Fold, means: Array) -> None:

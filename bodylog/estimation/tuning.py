@@ -13,8 +13,8 @@ from .scan import Leaps, scan
 from .senses import Encoders, Evidence, Sighting
 from .timeline import timeline
 
-MOST = 4000
-"""Instants used at most, from the middle of the log."""
+MOST = 1000
+"""Pictures of a track used at most, from the middle of the log."""
 FEWEST = 10
 """Sightings without which vision says nothing about its own noise."""
 ROUGHLY = 1e-2
@@ -116,13 +116,13 @@ def _tile(a: Array, g: int) -> Array:
 
 
 def middle(problem: Problem) -> Problem:
-    """The problem cut to at most MOST instants around the middle of the log."""
-    t = problem.timeline.t
+    """The problem cut to at most MOST pictures of any track, around the middle of the log."""
+    evidence, found = problem.evidence, problem.evidence.encoders
+    t = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
     if len(t) <= MOST:
         return problem
     begin = (len(t) - MOST) // 2
     low, high = t[begin], t[begin + MOST - 1]
-    evidence, found = problem.evidence, problem.evidence.encoders
     sightings = tuple(_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings)
     if found is None:
         cut = Evidence(None, sightings, problem.start, evidence.used, ())

@@ -21,6 +21,12 @@ def white(seed, noise, process, t):
     return y
 
 
+def likeliest(t, y):
+    """Noise and process of one joint."""
+    noise, process = motion.likeliest([(t, y)])
+    return noise[0], process[0]
+
+
 @pytest.mark.parametrize(("noise", "process"), [(4e-4, 0.1), (1e-6, 0.1), (1e-4, 1e-3)])
 @pytest.mark.parametrize("jitter", [0.0, 0.004])
 def test_noise_and_motion_are_told_apart(noise, process, jitter):
@@ -28,7 +34,7 @@ def test_noise_and_motion_are_told_apart(noise, process, jitter):
     for seed in range(3):
         rng = np.random.default_rng(seed)
         t = np.cumsum(0.02 + rng.uniform(-jitter, jitter, 3000))
-        found.append(motion.learn_one(t, white(seed, noise, process, t)))
+        found.append(likeliest(t, white(seed, noise, process, t)))
     assert np.mean([f[0] for f in found]) == pytest.approx(noise, rel=0.1)
     assert np.exp(np.mean([np.log(f[1]) for f in found])) == pytest.approx(process, rel=0.35)
 
@@ -36,9 +42,17 @@ def test_noise_and_motion_are_told_apart(noise, process, jitter):
 def test_a_jump_does_not_pass_for_motion():
     t = np.arange(0.0, 30.0, 0.02)
     y = white(0, 1e-4, 0.05, t)
-    plain = motion.learn_one(t, y)
-    jumped = motion.learn_one(t, y + 0.5 * (t > 15.0))
+    plain = likeliest(t, y)
+    jumped = likeliest(t, y + 0.5 * (t > 15.0))
     np.testing.assert_allclose(jumped, plain, rtol=0.3)
+
+
+def test_joints_learned_side_by_side_are_as_learned_alone():
+    rng = np.random.default_rng(0)
+    t = np.cumsum(0.02 + rng.uniform(-0.004, 0.004, 1000))
+    pieces = [(t[:900], white(0, 1e-4, 0.05, t[:900])), (t[::2], white(1, 4e-4, 0.1, t[::2]))]
+    together = np.transpose(motion.likeliest(pieces))
+    np.testing.assert_allclose(together, [likeliest(*piece) for piece in pieces], rtol=1e-9)
 
 
 def test_a_constant_or_silent_joint_keeps_what_the_body_says():
