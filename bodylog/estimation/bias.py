@@ -22,7 +22,8 @@ def choose(problem: Problem, solved: Solution, cost: Callable[[Problem], float])
 
     What is solved already says, to first order, whose lie may: a sound log costs no more than that.
     """
-    suspects = (promise(problem, solved, WALKS[0]) > GAIN) & (_given(problem) == 0)
+    gain, offset, var = promise(problem, solved, WALKS[0])
+    suspects = (gain > GAIN) & _certain(offset, var).any(axis=0) & (_given(problem) == 0)
     if not suspects.any():
         return problem
     least = cost(problem)
@@ -73,15 +74,20 @@ def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> A
     return None
 
 
+def _certain(offset: Array, var: Array) -> Array:
+    """Where offsets (N,M), of variances (N,M), are faults."""
+    return np.asarray(np.abs(offset) > np.maximum(LEAST, SIGMAS * np.sqrt(var)))
+
+
 def faults(
     names: tuple[str, ...], t: Array, offset: Array, var: Array, known: tuple[Fault, ...]
 ) -> tuple[Fault, ...]:
     """Drifting encoders from offsets and their variances (N,M): since when they are certainly off, and by how much."""
-    found = []
+    found, certain = [], _certain(offset, var)
     for joint, name in enumerate(names):
         if any(fault.name == name for fault in known):
             continue
-        off = np.abs(offset[:, joint]) > np.maximum(LEAST, SIGMAS * np.sqrt(var[:, joint]))
+        off = certain[:, joint]
         lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
         if lasting.any():
             size = offset[np.abs(offset[:, joint]).argmax(), joint]

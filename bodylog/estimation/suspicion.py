@@ -34,12 +34,15 @@ class _Frames:
     stiff: Array
 
 
-def promise(problem: Problem, solved: Solution, walk: float) -> Array:
-    """Nats (M,) that an offset of each encoder, wandering by `walk` rad²/s, would win; 0 where nothing is looked at."""
+def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
+    """Nats (M,) that an offset of each encoder, wandering by `walk` rad²/s, would win; 0 where nothing is looked at.
+
+    With what that offset would be over spans of the log (S,M) rad, and its variance (S,M).
+    """
     tracks = [_frames(problem, solved, k) for k in range(len(problem.evidence.sightings))]
     visual = [track for track, s in zip(tracks, problem.evidence.sightings, strict=True) if s.name != "touch"]
     if not visual:
-        return np.zeros(len(problem.start))
+        return np.zeros(len(problem.start)), *np.zeros((2, 1, len(problem.start)))
     shift = _shift(solved, tracks)
     score, weight = _by_encoders(solved, shift)
     for track in visual:
@@ -77,10 +80,8 @@ def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
     # what merely reminds of habits has no offset
     lied = np.where(np.isfinite(trace.encoder_d), told, 0.0)
     shift, begin = np.empty_like(stiff), _follows(lied)
-    own = fold.unfold(np.tile(np.arange(len(told))[:, None], begin.shape[-1]))
-    last = int(own.max() - own[0])
     for _ in range(PASSES):
-        end = _follow(shift, begin.copy(), readings.dt, stiff, lied, trace.p, last)
+        end = _follow(shift, begin.copy(), readings.dt, stiff, lied, trace.p)
         moved, begin[..., 1:] = np.abs(end[..., :-1] - begin[..., 1:]).max(initial=0.0), end[..., :-1]
         if moved < STILL:
             break
@@ -96,11 +97,11 @@ def _follows(lied: Array) -> Array:
 
 
 def _follow(
-    shift: Array, moved: Array, dt: Array, stiff: Array, lied: Array, p: Array, last: int
+    shift: Array, moved: Array, dt: Array, stiff: Array, lied: Array, p: Array
 ) -> Array:  # fmt: skip
-    """Carry `moved` (2M,M,C), angles and rates per unit of offset, through all stretches, and note it in `shift`."""
+    """Carry `moved` (2M,M,C), angles and rates per unit of offset, through all stretches and into `shift`; the end."""
     m = lied.shape[1]
-    own, end = np.arange(m), moved
+    own = np.arange(m)
     for i, step in enumerate(dt):
         moved[:m] += step * moved[m:]
         shift[i] = moved[:m]
@@ -108,9 +109,7 @@ def _follow(
         force[own, own] += lied[i]
         # x⁺ − x⁻ = P⁺ Hᵀ R⁻¹ ν
         moved += (p[i, : 2 * m, :m, None] * force[None]).sum(axis=1)
-        if i == last:
-            end = moved.copy()
-    return end
+    return moved
 
 
 def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
@@ -128,18 +127,19 @@ def _spread(solved: Solution) -> Array:
     return np.asarray(np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var)
 
 
-def _won(t: Array, score: Array, weight: Array, walk: float) -> Array:
-    """Nats (M,) an offset wins, filtered by itself over spans of what scores (E,M) with weights (E,M) say of it."""
+def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
+    """As `promise`: an offset filtered by itself over spans of what scores (E,M) with weights (E,M) say of it."""
     starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] + SPAN, SPAN)))
     starts = starts[starts < len(t)]
     steps = np.diff(t[starts], append=t[-1])
-    m = score.shape[1]
-    b, p, nats = np.zeros(m), np.full(m, OFFSET_STD**2), np.zeros(m)
-    for f, w, step in zip(np.add.reduceat(score, starts), np.add.reduceat(weight, starts), steps, strict=True):
+    score, weight = np.add.reduceat(score, starts), np.add.reduceat(weight, starts)
+    offsets, var = np.empty(score.shape), np.empty(score.shape)
+    b, p, nats = np.zeros(score.shape[1]), np.full(score.shape[1], OFFSET_STD**2), np.zeros(score.shape[1])
+    for k, (f, w, step) in enumerate(zip(score, weight, steps, strict=True)):
         p = p + walk * step
         more, share = f - w * b, 1.0 + w * p
         nats += b * (f - 0.5 * w * b) + 0.5 * (more * more * p / share - np.log(share))
         p = p / share
         b = b + p * more
-    return nats
-
+        offsets[k], var[k] = b, p
+    return nats, offsets, var
