@@ -1,12 +1,12 @@
 """Chunks of an MCAP: unpacked, checked against their CRC, and their messages found by index or by walking."""
 
 import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from isal.isal_zlib import crc32
 
 from ..errors import FormatError
 from ..types import Array
@@ -77,7 +77,7 @@ def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
     bring(data, chunk.start, chunk.start + chunk.length)
     _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
     content = buffer.load(compression, packed, size)
-    found = zlib.crc32(content.data) if crc else 0
+    found = crc32(content.data) if crc else 0
     if found != crc:
         raise FormatError(f"the chunk's CRC is {found:08x} where {crc:08x} is declared")
     return content
@@ -200,7 +200,7 @@ def every_record(data: memoryview) -> Iterator[Record]:
         if opcode == CHUNK:
             _, _, size, crc, compression, packed = chunk_head(data, at - HEAD.size)
             content = buffer.load(compression, packed, size).data
-            if crc and zlib.crc32(content) != crc:
+            if crc and crc32(content) != crc:
                 raise FormatError(f"byte {at - HEAD.size}: the chunk's CRC is wrong")
             for inner, start, size in walk(content, 0, len(content)):
                 yield parse(inner, content[start : start + size], start - HEAD.size)

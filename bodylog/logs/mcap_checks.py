@@ -1,6 +1,5 @@
 """What an MCAP says about itself against what it holds: statistics, indexes, CRCs, times, offsets."""
 
-import zlib
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from isal.isal_zlib import crc32
 
 from ..errors import FormatError
 from ..types import Array
@@ -131,7 +131,7 @@ def _index(data: memoryview, at: int, chunk: tuple[Chunk, Messages], say: Say) -
 
 def _attachment(at: int, body: memoryview, say: Say) -> None:
     declared = int.from_bytes(body[-4:], "little")
-    found = zlib.crc32(body[:-4])
+    found = crc32(body[:-4])
     if declared and declared != found:
         say("attachment", f"the attachment at byte {at} has CRC {found:08x} where {declared:08x} is declared")
 
@@ -142,7 +142,7 @@ def _data_end(data: memoryview, at: int, body: memoryview, say: Say) -> None:
         return
     found = 0
     for low in range(0, at, 1 << 24):
-        found = zlib.crc32(data[low : min(at, low + (1 << 24))], found)
+        found = crc32(data[low : min(at, low + (1 << 24))], found)
         forget(data, low, low + (1 << 24))
     if found != declared:
         say("data", f"the data section has CRC {found:08x} where {declared:08x} is declared")

@@ -1,9 +1,10 @@
 """What an MCAP's summary section says, believed only where it agrees with itself and with the file."""
 
-import zlib
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
+
+from isal.isal_zlib import crc32
 
 from ..errors import FormatError
 from .chunks import Chunk
@@ -44,7 +45,7 @@ def section(data: memoryview) -> tuple[int, int] | None:
     if not len(MAGIC) <= start <= footer.start:
         raise FormatError(f"it is said to start at byte {start}, outside the file")
     bring(data, start, len(data))
-    found = zlib.crc32(data[start : footer.start + HEAD.size + 16])
+    found = crc32(data[start : footer.start + HEAD.size + 16])
     if crc and found != crc:
         raise FormatError(f"its CRC is {found:08x} where {crc:08x} is declared")
     return start, footer.start

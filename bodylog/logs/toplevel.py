@@ -1,10 +1,11 @@
 """An MCAP's records outside chunks, read head by head: what is not looked at is never brought into memory."""
 
 import os
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
+
+from isal.isal_zlib import crc32
 
 from ..errors import FormatError
 from .records import FOOTER, HEAD, MAGIC, Record, parse, walk
@@ -88,7 +89,7 @@ class TopLevel:
         if not len(MAGIC) <= start < foot:
             raise FormatError("there is no summary")
         raw = self.read(start, foot - start)
-        if said["summary_crc"] not in (0, zlib.crc32(raw + tail[: HEAD.size + 16])):
+        if said["summary_crc"] not in (0, crc32(raw + tail[: HEAD.size + 16])):
             raise FormatError("the summary's CRC fails")
         view = memoryview(raw)
         records = [
@@ -101,7 +102,7 @@ class TopLevel:
         """CRC-32 of the bytes before `end`."""
         found = 0
         for at in range(0, end, 1 << 20):
-            found = zlib.crc32(self.read(at, min(1 << 20, end - at)), found)
+            found = crc32(self.read(at, min(1 << 20, end - at)), found)
         return found
 
 

@@ -1,7 +1,6 @@
 """A file of chunks under way: messages go in, chunks with their indexes come out, then one summary of everything."""
 
 import struct
-import zlib
 from collections import deque
 from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -10,6 +9,7 @@ from itertools import pairwise
 from typing import Any, BinaryIO
 
 import numpy as np
+from isal.isal_zlib import crc32
 
 from . import mcap_write as mcap
 from .mcap_write import Messages
@@ -85,7 +85,7 @@ class Writer:
             self._stream.write(part)
             self._position += len(part)
             if self._crc is not None:
-                self._crc = zlib.crc32(part, self._crc)
+                self._crc = crc32(part, self._crc)
 
     def topic(
         self, name: str, kind: str, encoding: str, definition: bytes, definition_encoding: str, about: Mapping[str, str]
@@ -163,7 +163,7 @@ def _packed(table: Messages) -> _Packed:
     stored, compression = zstandard.ZstdCompressor(_LEVEL).compress(raw.data), "zstd"
     if len(stored) >= _WORTH * raw.size:
         stored, compression = raw.tobytes(), ""
-    head, length = mcap.chunk(*span, raw.size, zlib.crc32(raw.data), compression, stored)
+    head, length = mcap.chunk(*span, raw.size, crc32(raw.data), compression, stored)
     indexes = {}
     for number in np.unique(table.channel).tolist():
         rows = np.flatnonzero(table.channel == number)
@@ -205,7 +205,7 @@ def _summary(contents: Contents, start: int) -> bytes:
             offsets += mcap.record(SUMMARY_OFFSET, place)
             body += group
     foot = body + offsets + HEAD.pack(FOOTER, 20) + struct.pack("<QQ", start, start + len(body))
-    return foot + struct.pack("<I", zlib.crc32(foot)) + MAGIC
+    return foot + struct.pack("<I", crc32(foot)) + MAGIC
 
 
 def _statistics(contents: Contents) -> bytes:
