@@ -1,5 +1,6 @@
 """Encoders that do not read the angle itself: a function of it for each joint, s_p = g_p(x) (paper, E2: x²)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,35 +57,48 @@ def understood(
     if "encoders" not in body.senses or found.joints is None or (coding and settings.start):
         return found, body, settings
     angles = _angles(found.joints, body)
-    if angles is None:
+    if coding:
+        return found, body, replace(settings, start=_first(angles, body.joints))
+    return replace(found, joints=angles), plain(body), settings
+
+
+def plain(body: BodyModel) -> BodyModel:
+    """The body as it is to those who are told angles instead of readings, with the noise these have then."""
+    if "encoders" not in body.senses:
+        return body
+    senses = {name: model for name, model in body.senses.items() if name != "encoders"}
+    slope = np.einsum("nmm->nm", body.senses["encoders"].predict(_explored(body))[1])
+    variance = np.array(body.noise.encoder) * (slope**-2.0).mean(axis=0)
+    return replace(body, senses=senses, noise=replace(body.noise, encoder=tuple(variance.tolist())))
+
+
+def teller(body: BodyModel) -> Callable[[Array], Array]:
+    """A function from readings (…,M) in the body's order to angles in rad, on the branch that was explored.
+
+    UsageError where some angles there read (almost) alike.
+    """
+    if "encoders" not in body.senses:
+        return lambda readings: readings
+    x = _explored(body)
+    grid = np.linspace(x.min(axis=0), x.max(axis=0), _GRID)
+    read = body.senses["encoders"].predict(grid)[0]
+    step = np.diff(read, axis=0) * np.sign(read[-1] - read[0])
+    if (step.min(axis=0) < _STEEP * step.max(axis=0)).any():
         raise UsageError(
             "encoders: what this body's read turns or flattens over the angles explored; type: --method "
             f"predictive-coding, and in robot.toml [estimate] start, the angles in rad of {', '.join(body.joints)}"
         )
-    if coding:
-        return found, body, replace(settings, start=_first(angles, body.joints))
-    senses = {name: model for name, model in body.senses.items() if name != "encoders"}
-    x = _explored(body)
-    slope = np.einsum("nmm->nm", body.senses["encoders"].predict(x)[1])
-    variance = np.array(body.noise.encoder) * (slope**-2.0).mean(axis=0)
-    plain = replace(body, senses=senses, noise=replace(body.noise, encoder=tuple(variance.tolist())))
-    return replace(found, joints=angles), plain, settings
+    columns = range(len(body.joints))
+    return lambda readings: np.stack([_inverse(readings[..., m], read[:, m], grid[:, m]) for m in columns], axis=-1)
 
 
-def _angles(joints: Series, body: BodyModel) -> Series | None:
-    """The readings as angles, on the branch that was explored; None where some angles there read (almost) alike."""
-    x = _explored(body)
-    low, high = x.min(axis=0), x.max(axis=0)
-    grid = np.linspace(low, high, _GRID)
-    read = body.senses["encoders"].predict(grid)[0]
-    step = np.diff(read, axis=0) * np.sign(read[-1] - read[0])
-    if (step.min(axis=0) < _STEEP * step.max(axis=0)).any():
-        return None
-    values = joints.values.astype(float)
-    for m, name in enumerate(body.joints):
-        if name in joints.names:
-            column = joints.names.index(name)
-            values[:, column] = _inverse(values[:, column], read[:, m], grid[:, m])
+def _angles(joints: Series, body: BodyModel) -> Series:
+    """The readings as angles."""
+    values, known = joints.values.astype(float), [name for name in body.joints if name in joints.names]
+    readings = np.full((len(values), len(body.joints)), np.nan)
+    places = [joints.names.index(name) for name in known], [body.joints.index(name) for name in known]
+    readings[:, places[1]] = values[:, places[0]]
+    values[:, places[0]] = teller(body)(readings)[:, places[1]]
     return replace(joints, values=values)
 
 

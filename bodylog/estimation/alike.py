@@ -75,7 +75,7 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """One track at an instant t (s): model, value (D,), NaN when unseen, pixel variance (D,), pace, near, memory."""
+    """One track seen at an instant t (s): model, value (D,), pixel variance (D,), pace, near, memory."""
 
     model: ForwardModel
     t: float
@@ -85,13 +85,8 @@ class Sight:
     near: float
     memory: Memory
 
-    @property
-    def seen(self) -> bool:
-        """Whether there is a place to hear."""
-        return bool(np.isfinite(self.value).all())
-
-    def at(self, x: Array) -> tuple[Array, Array, Array, Memory]:
-        """At angles x (M,): mean (D,), Jacobian (D,M), variance (D,) as `variances` has it, and the memory after it."""
+    def at(self, x: Array) -> tuple[Array, Array, Array, Array, Memory]:
+        """At angles x (M,): mean (D,), Jacobian (D,M), model variance (D,), the whole as `variances` has it, memory."""
         mean, jac, model = (part[0] for part in self.model.predict(x[None]))
         last, spots, postures = self.memory, 1.0, 1.0
         if last.place is not None and last.point is not None:
@@ -101,8 +96,4 @@ class Sight:
             if self.near:
                 spots += fade * float(np.exp(-np.linalg.norm(self.value - last.place) / self.near)) * last.spots
         var = self.var * (2.0 * spots - 1.0) + model * (2.0 * postures - 1.0)
-        return mean, jac, var, Memory(self.t, self.value, x, spots, postures)
-
-    def after(self, x: Array) -> Memory:
-        """The track's memory after this instant, if the belief is x."""
-        return self.at(x)[3] if self.seen else self.memory
+        return mean, jac, model, var, Memory(self.t, self.value, x, spots, postures)

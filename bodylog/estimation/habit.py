@@ -1,10 +1,11 @@
 """Where the arm is wont to be: a weak prior for joints no encoder speaks of, lest pictures alone lose them."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..types import Array
+from ..types import Array, ForwardModel
 from .senses import Evidence
 
 WIDER = 2.0
@@ -29,20 +30,26 @@ class Habit:
 
 
 def habit(evidence: Evidence, process: Array, start: Array) -> Habit | None:
-    """The habit by what the tracks' models were learned from; None when all encoders speak or no model tells.
+    """The habit of joints that no encoder of a log speaks of, by what its tracks' models were learned from."""
+    silent: Array = np.ones(len(process), bool)
+    if evidence.encoders is not None:
+        silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
+    return usual(silent, {s.name: s.model for s in evidence.sightings}, process, start)
+
+
+def usual(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> Habit | None:
+    """The habit of the `silent` joints (M,) bool; None when all encoders speak or no track's model tells.
 
     A reminder of density R under white acceleration q alone holds a joint to the variance √2 q^¼ R^¾: R is such that
     this is the explored angles' own, widened. Seen joints are wont to be where they were explored; those only felt,
     now and then, stay where they started.
     """
-    silent: Array = np.ones(len(process), bool)
-    if evidence.encoders is not None:
-        silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
-    known = [s.model.samples for s in evidence.sightings if hasattr(s.model, "samples") and len(s.model.samples) > 1]
+    distinct = {id(model): model for model in models.values()}
+    known = [model.samples for model in distinct.values() if hasattr(model, "samples") and len(model.samples) > 1]
     if not silent.any() or not known:
         return None
-    explored, seen = np.concatenate(known), any(s.name != "touch" for s in evidence.sightings)
+    explored, seen = np.concatenate(known), any(name != "touch" for name in models)
     var = np.square(WIDER * explored.std(axis=0))
     density = (var / (np.sqrt(2.0) * process**0.25)) ** (4.0 / 3.0)
-    silent &= density > 0
+    silent = silent & (density > 0)
     return Habit(silent, explored.mean(axis=0) if seen else start, density) if silent.any() else None

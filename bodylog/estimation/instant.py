@@ -1,46 +1,186 @@
-"""One instant at a time: the same filter kernel, linearised anew until the belief of this instant rests."""
+"""One instant at a time: the same filter in plain matrices, linearised anew until the belief of this instant rests."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..types import Array
-from .alike import Sight
-from .scan import Dynamics, Readings, Trace, scan
+from .alike import Memory, Sight
+from .conditioning import GATE
+from .scan import Dynamics
 
-ITERATIONS = 30
-HASTY = 8
-"""Full Gauss–Newton steps before half ones: where the tangents overshoot, these close in."""
-RESTING = 1e-10
+ITERATIONS = 40
+RESTING = 1e-12
 """rad: how little the point of linearisation may still move."""
 
 
+@dataclass(frozen=True, eq=False)
+class Moment:
+    """After an instant: state z (K,), p (K,K) · nats · point (M,) of linearisation · what each track remembers now.
+
+    Errors in standard deviations: encoder_d (M,), NaN where silent, and `errors` (2,) of each track.
+    """
+
+    z: Array
+    p: Array
+    nats: float
+    point: Array
+    encoder_d: Array
+    errors: tuple[Array, ...]
+    memories: tuple[Memory, ...]
+
+
+class Motion:
+    """How a state moves with time: constant velocity, exact discretisation, in plain matrices."""
+
+    def __init__(self, dynamics: Dynamics) -> None:
+        """Of dynamics with process (M,)."""
+        k, m = dynamics.size, len(dynamics.process)
+        angles, rates = np.arange(m), np.arange(m, 2 * m)
+        self.joints, self.offsets, self.recalled = m, k > 2 * m, dynamics.recalled
+        self._still, self._shift, self._spread = np.eye(k), np.zeros((k, k)), np.zeros((3, k, k))
+        self._shift[angles, rates] = 1.0
+        self._spread[0, rates, rates] = dynamics.process
+        self._spread[1, angles, rates] = self._spread[1, rates, angles] = dynamics.process / 2.0
+        self._spread[2, angles, angles] = dynamics.process / 3.0
+        if dynamics.drift is not None:
+            self._spread[0, range(2 * m, k), range(2 * m, k)] = dynamics.drift
+
+    def move(self, z: Array, p: Array, dt: float) -> tuple[Array, Array]:
+        """z (K,) and p (K,K) a time dt (s) later."""
+        linear, square, cube = self._spread
+        f = self._still + dt * self._shift
+        p = f @ p @ f.T + dt * (linear + dt * (square + dt * cube))
+        return f @ z, 0.5 * (p + p.T)
+
+
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    """Tracks as straight lines about one point (M,): y (T,2) = jac (T,2,M) x with variance var (T,2); memory of it."""
+
+    point: Array
+    y: Array
+    jac: Array
+    var: Array
+    memories: tuple[Memory, ...]
+
+
 def hear(
-    dynamics: Dynamics, z: Array, p: Array, dt: float, encoders: Array, encoder_var: Array, sights: Sequence[Sight],
-    remember: bool = False, resting: float = RESTING,
-) -> tuple[Readings, Trace]:  # fmt: skip
-    """Move z (K,), p (K,K) by dt and hear encoders (M,), NaN where silent, and sights; what came of it.
+    motion: Motion, z: Array, p: Array, dt: float, encoders: Array, encoder_var: Array, sights: Sequence[Sight],
+    resting: float = RESTING,
+) -> Moment:  # fmt: skip
+    """Move z (K,), p (K,K) by dt (s) and hear encoders (M,) rad, NaN where silent, and sights; what came of it.
 
     `resting` (rad) is how little the point of linearisation may still move.
     """
-    m = len(encoders)
-    x = z[:m] + dt * z[m : 2 * m]
+    z, p = motion.move(z, p, dt)
+    encoder_var, encoder_d = _gated_encoders(motion, z, p, encoders, encoder_var)
+    told = _encoders(motion, z, p, encoders, encoder_var)
+    if not sights:
+        return Moment(*told, told[0][: motion.joints], encoder_d, (), ())
+    lines, errors = _rested(motion.joints, (z, p), told[:2], sights, resting)
+    z, p, seen = _seen(z, p, lines)
+    z, p, nats = _encoders(motion, z, p, encoders, encoder_var)
+    return Moment(z, p, seen + nats, lines.point, encoder_d, errors, lines.memories)
+
+
+def _gated_encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tuple[Array, Array]:
+    """Encoder variances (M,) after gating, and the innovations in standard deviations (M,)."""
+    m, diagonal = motion.joints, np.diagonal(p)
+    s, nu = diagonal[:m] + var, said - z[:m]
+    if motion.offsets:
+        s, nu = s + diagonal[2 * m :] + 2.0 * np.diagonal(p[:m, 2 * m :]), nu - z[2 * m :]
+    d = nu / np.sqrt(s)
+    gated, own = var + s * _excess(d * d), motion.recalled
+    return (gated, d) if own is None else (np.where(own, var, gated), np.where(own, np.nan, d))
+
+
+def _excess(d2: Array) -> Array:
+    """By how many prior variances the noise must grow: 0 inside the gate, (d/GATE)⁴ − 1 outside; NaN is inside."""
+    return np.asarray(np.square(np.fmax(d2 / GATE**2, 1.0)) - 1.0)
+
+
+def _encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tuple[Array, Array, float]:
+    """z, p given one encoder after the other, and the nats of those that are not recalled."""
+    z, p, m, nats = z.copy(), p.copy(), motion.joints, 0.0
+    for j in np.flatnonzero(np.isfinite(said)):
+        ph, nu = p[:, j].copy(), float(said[j] - z[j])
+        if motion.offsets:
+            ph += p[:, 2 * m + j]
+            nu -= float(z[2 * m + j])
+        s = float(ph[j] + (ph[2 * m + j] if motion.offsets else 0.0) + var[j])
+        gain = ph / s
+        z += gain * nu
+        p -= gain[:, None] * ph
+        if motion.recalled is None or not motion.recalled[j]:
+            nats += 0.5 * (nu * nu / s + math.log(2.0 * math.pi * s))
+    return z, p, nats
+
+
+def _rested(
+    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[Sight], resting: float
+) -> tuple[_Lines, tuple[Array, ...]]:
+    """The sights' lines about where the belief rests, or moves least, that they make of what the encoders `told`.
+
+    And their errors in standard deviations. These and the gate are by the `prior`, so that order is no matter.
+    """
+    x, p, errors = prior[0][:m], prior[1][:m, :m], np.empty((len(sights), 2))
+    went = last = np.zeros(m)
+    least, best = np.inf, None
     for iteration in range(ITERATIONS):
-        readings = _readings(dt, encoders, encoder_var, sights, x)
-        trace = scan(readings, dynamics, z[:, None], p[:, :, None], remember)
-        move = trace.z[0, :m, 0] - x
-        x = x + (move if iteration < HASTY else 0.5 * move)
-        if not any(sight.seen for sight in sights) or np.abs(move).max() < resting:
+        lines, model_var = _lines(x, sights)
+        lean, nu = lines.jac @ p @ lines.jac.transpose(0, 2, 1), lines.y - lines.jac @ prior[0][:m]
+        if iteration == 0:
+            pixels = np.array([sight.var for sight in sights])
+            errors = nu / np.sqrt(np.einsum("tdd->td", lean) + pixels + model_var)
+        lines = replace(lines, var=_gated(lean, nu, lines.var))
+        ph, cov, left = _foretold(*told, lines)
+        move = told[0][:m] + ph[:m] @ np.linalg.solve(cov, left) - x
+        size = float(np.abs(move).max())
+        if best is None or size < least:
+            least, best = size, lines
+        if size < resting:
             break
-    return readings, trace
+        went, last = _accelerated(move, last, went), move
+        x = x + went
+    assert best is not None
+    return best, tuple(errors)
 
 
-def _readings(dt: float, encoders: Array, encoder_var: Array, sights: Sequence[Sight], x: Array) -> Readings:
-    m, tracks = len(encoders), len(sights)
-    y, jac, var = np.full((tracks, 2), np.nan), np.zeros((tracks, 2, m)), np.ones((tracks, 2))
-    for index, sight in enumerate(sights):
-        if sight.seen:
-            mean, jac[index], var[index], _ = sight.at(x)
-            y[index] = sight.value - mean + jac[index] @ x
-    parts = (np.array(dt), encoders, encoder_var, y, jac, var)
-    return Readings(*(part[None, ..., None] for part in parts))
+def _accelerated(move: Array, last: Array, went: Array) -> Array:
+    """How far to go where Gauss–Newton says `move` (M,), and said `last` before one went `went`: Anderson mixing."""
+    turn = move - last
+    size = turn @ turn
+    return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
+
+
+def _lines(x: Array, sights: Sequence[Sight]) -> tuple[_Lines, Array]:
+    """The tracks' lines about x, and the model's variance (T,2) there."""
+    *found, memories = zip(*(sight.at(x) for sight in sights), strict=True)
+    mean, jac, model, var = (np.array(part) for part in found)
+    return _Lines(x, np.array([sight.value for sight in sights]) - mean + jac @ x, jac, var, memories), model
+
+
+def _gated(lean: Array, nu: Array, var: Array) -> Array:
+    """Variances (T,2) of tracks, each gated as a whole; H P Hᵀ lean (T,2,2), innovations nu (T,2)."""
+    a, b, c = lean[:, 0, 0] + var[:, 0], lean[:, 0, 1], lean[:, 1, 1] + var[:, 1]
+    d2 = (c * nu[:, 0] ** 2 - 2.0 * b * nu[:, 0] * nu[:, 1] + a * nu[:, 1] ** 2) / (a * c - b * b)
+    return np.asarray(var + np.stack([a, c], axis=1) * _excess(d2)[:, None])
+
+
+def _foretold(z: Array, p: Array, lines: _Lines) -> tuple[Array, Array, Array]:
+    """Of all rows R of the lines: P Hᵀ (K,R), H P Hᵀ + R (R,R), innovations (R,)."""
+    m = lines.jac.shape[2]
+    h = lines.jac.reshape(-1, m)
+    ph = p[:, :m] @ h.T
+    return ph, h @ ph[:m] + np.diag(lines.var.ravel()), lines.y.ravel() - h @ z[:m]
+
+
+def _seen(z: Array, p: Array, lines: _Lines) -> tuple[Array, Array, float]:
+    """z, p given the lines, and their nats."""
+    ph, s, nu = _foretold(z, p, lines)
+    gain = np.linalg.solve(s, ph.T).T
+    nats = 0.5 * (nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(2.0 * np.pi * s)[1])
+    return z + gain @ nu, p - gain @ ph.T, float(nats)

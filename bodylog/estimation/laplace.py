@@ -27,7 +27,7 @@ PATIENCE = 8
 """Sweeps without a new least move after which rest is given up."""
 STUCK = 1e-3
 """Standard deviations: smaller moves are left to die out."""
-SETTLED = 1e-8
+SETTLED = 1e-10
 """Standard deviations: how little a stretch's start may still move."""
 
 

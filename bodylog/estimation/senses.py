@@ -150,18 +150,18 @@ def _sighting(name: str, track: Series, body: BodyModel, used: dict[str, Health]
     reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
     gap = _gap(track.t[rising & seen])
     used[name] = Health(len(track.t), use, {k: v for k, v in reasons.items() if v}, gap)
-    var = _pixel_variance(track, body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0))))
+    var = pixel_variance(track.std, body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float))
+    var = np.array(np.broadcast_to(var, track.values.shape))
     values = np.where(seen[:, None], track.values, np.nan)
     return Sighting(name, body.senses[name], track.t[rising], values[rising], var[rising], track.source_ns[rising])
 
 
-def _pixel_variance(track: Series, model: ForwardModel, fallback: Array) -> Array:
-    """Variance (N,D) px² by the track's word and what learning found beyond it, or the body's where it gives none."""
-    var = np.broadcast_to(fallback, track.values.shape)
-    if track.std is not None:
-        beyond = getattr(model, "noise", 0.0)
-        var = np.where(np.isfinite(track.std) & (track.std > 0), track.std**2 + beyond, var)
-    return np.array(var, float)
+def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
+    """Variance px² by the word of std (…,D) and what learning found beyond it, or `fallback` (D,) without a word."""
+    if std is None:
+        return fallback
+    beyond = getattr(model, "noise", 0.0)
+    return np.where(np.isfinite(std) & (std > 0), np.square(std) + beyond, fallback)
 
 
 def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: bool) -> Sighting:

@@ -1,90 +1,146 @@
 """The filter beside a live robot: one step per instant, the same belief as the batch filter's."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import LogError, UsageError
 from ..settings import Estimation
-from ..types import Array, BodyModel
+from ..types import Array, BodyModel, ForwardModel, Health
 from .alike import PAST, Memory, Sight
 from .bias import WALKS
-from .instant import hear
+from .habit import Habit, usual
+from .incoming import Angles, Incoming, Place, Tell, finite
+from .instant import Motion, hear
 from .outset import OFFSET_STD, START_STD
+from .recent import Instant, Recent, State
 from .scan import Dynamics
+
+GIVEN = Estimation(precision="model", bias="off")
+"""What a filter can do that does not know the future."""
+LAG = 0.5
+"""s: how late a reading may come."""
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """At t (s): angles x (M,) rad · rates (M,) rad/s · cov (M,M) rad² of the angles · free energy (nats) of t."""
+    """At t (s): angles x (M,) rad · rates (M,) rad/s · cov (M,M) rad² of the angles · encoders' bias (M,) rad or None.
+
+    free_energy (nats) of what was told, given what was known · errors {sense: (D,) standard deviations} at its instant.
+    """
 
     t: float
     x: Array
     rate: Array
     cov: Array
     free_energy: float
+    errors: Mapping[str, Array]
+    bias: Array | None = None
 
 
 class Estimator:
     """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own."""
 
-    def __init__(self, body: BodyModel, settings: Estimation | None = None) -> None:
-        """A filter for `body`; of the settings, `bias` "on" and `start` count."""
-        settings = settings or Estimation()
-        m = len(body.joints)
-        if settings.start is not None and len(settings.start) != m:
-            raise UsageError(f"start: {len(settings.start)} angles given, the body has {m} joints")
-        drift = np.full(m, WALKS[1]) if settings.bias == "on" else None
-        self._body, self._start = body, settings.start
-        self._dynamics = Dynamics(np.array(body.noise.process, float), drift)
-        self._state: tuple[float, Array, Array] | None = None
-        self._memory: dict[str, Memory] = {}
-        self.skipped = 0
+    def __init__(
+        self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, tell: Tell = np.asarray
+    ) -> None:
+        """A filter for `body` with the senses, start and bias of `settings`; what comes up to `lag` s late is heard.
 
-    def step(
-        self, t: float, joints: Sequence[float] | Mapping[str, float] | None = None, **sights: Sequence[float] | None
-    ) -> Belief:
-        """The belief after all that is heard at t (s): joints rad, in the body's order or by name; tracks (u, v) px.
-
-        None, or NaN, is what was not heard; a time before the last is skipped and counted. LogError without a start.
+        `tell` makes angles of what encoders read. UsageError for settings that need the whole log.
         """
-        encoders = self._encoders(joints)
-        last, z, p = self._state or (t, *self._prior(encoders))
-        if t < last:
-            self.skipped += 1
-            t, encoders, sights = last, np.full(len(encoders), np.nan), {}
-        seen = {name: self._sight(name, value, t) for name, value in sights.items() if value is not None}
-        seen = {name: sight for name, sight in seen.items() if sight.seen}
-        var = np.array(self._body.noise.encoder, float)
-        _, trace = hear(self._dynamics, z, p, t - last, encoders, var, list(seen.values()))
-        z, p, m = trace.z[0, :, 0], trace.p[0, :, :, 0], len(encoders)
-        self._memory |= {name: sight.after(z[:m]) for name, sight in seen.items()}
-        self._state = (t, z, p)
-        return Belief(t, z[:m], z[m : 2 * m], p[:m, :m], float(trace.nats[0, 0]))
+        settings = settings or GIVEN
+        _needs_no_log(settings, body)
+        if not lag >= 0:
+            raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
+        self._body, self._settings, self._lag = body, settings, lag
+        self._incoming = Incoming(body, settings, tell)
+        self._recent: Recent | None = None
 
-    def _encoders(self, joints: Sequence[float] | Mapping[str, float] | None) -> Array:
-        names = self._body.joints
-        if joints is None:
-            return np.full(len(names), np.nan)
-        if isinstance(joints, Mapping):
-            return np.array([joints.get(name, np.nan) for name in names], float)
-        if len(joints) != len(names):
-            raise UsageError(f"joints: {len(joints)} angles given, the body has {', '.join(names)}")
-        return np.array(joints, float)
+    @property
+    def used(self) -> Mapping[str, Health]:
+        """What became of what was told, by sense."""
+        return self._incoming.used
 
-    def _prior(self, encoders: Array) -> tuple[Array, Array]:
-        start = encoders if self._start is None else np.array(self._start, float)
-        if not np.isfinite(start).all():
-            raise LogError("joints: no reading tells where the arm starts; give `start`, one angle in rad per joint")
-        z = np.concatenate([start, np.zeros(self._dynamics.size - len(start))])
-        std = np.full(len(z), START_STD)
-        std[2 * len(start) :] = OFFSET_STD
-        return z, np.diag(std**2)
+    def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> Belief:
+        """The belief after all that is told until t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
 
-    def _sight(self, name: str, value: Sequence[float], t: float) -> Sight:
-        if name not in self._body.senses:
-            raise UsageError(f"{name}: the body has no such sense; it has {', '.join(self._body.senses)}")
-        var = np.array(self._body.noise.senses.get(name, (1.0, 1.0)), float)
-        pace, memory = PAST * self._dynamics.process, self._memory.get(name, Memory())
-        return Sight(self._body.senses[name], t, np.array(value, float), var, pace, 0.0, memory)
+        None, or NaN, is what was not heard. What is told may come out of order by up to `lag` s; the belief is about
+        the latest instant. UsageError or ModelError for what is not the body's, LogError where no start is known.
+        """
+        t, told = finite(t), self._incoming.read(joints, places)
+        if self._recent is None:
+            self._recent = self._begin(told.angles)
+        late = self._recent.late(t)
+        heard = self._incoming.accept(t, told, late)
+        if late:
+            return self._belief(self._recent.last, 0.0, {})
+        then, now, nats = self._recent.add(t, heard)
+        names = {*heard.places, *(("encoders",) if heard.angles is not None else ())}
+        return self._belief(now, nats, {name: error for name, error in then.errors.items() if name in names})
+
+    def _belief(self, now: State, nats: float, errors: Mapping[str, Array]) -> Belief:
+        m = len(self._body.joints)
+        bias = now.z[2 * m :] if len(now.z) > 2 * m else None
+        return Belief(now.t, now.z[:m], now.z[m : 2 * m], now.p[:m, :m], nats, errors, bias)
+
+    def _begin(self, angles: Array | None) -> Recent:
+        """No instant yet, and what is known before the first."""
+        names, given, noise = self._body.joints, self._settings.start, self._body.noise
+        x = np.full(len(names), np.nan) if angles is None else angles
+        x = x if given is None else np.array(given, float)
+        if not np.isfinite(x).all():
+            unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
+            raise LogError(f"joints: no reading tells where {unknown} starts; tell all joints first, or give `start`")
+        process, drift = np.array(noise.process, float), None
+        if self._settings.bias == "on":
+            drift = np.full(len(names), WALKS[1])
+        habit = usual(self._incoming.silent, self._incoming.wanted, process, x)
+        dynamics = Dynamics(process, drift, None if habit is None else habit.joints)
+        encoder_var = np.array(noise.encoder, float)
+        one = _Filter(Motion(dynamics), habit, encoder_var, PAST * process, self._incoming.models)
+        z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
+        std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
+        return Recent(State(-np.inf, z, np.diag(std**2), {}), self._lag, one.hear)
+
+
+@dataclass(frozen=True, eq=False)
+class _Filter:
+    """From one instant to the next."""
+
+    motion: Motion
+    habit: Habit | None
+    encoder_var: Array
+    pace: Array
+    models: Mapping[str, ForwardModel]
+
+    def hear(self, before: State, at: Instant) -> State:
+        """The state after an instant, from the one before it."""
+        dt = at.t - before.t if np.isfinite(before.t) else 0.0
+        angles, var = self._encoders(at.angles, dt)
+        sights = [
+            Sight(self.models[name], at.t, value, spread, self.pace, 0.0, before.memory.get(name, Memory()))
+            for name, (value, spread) in at.places.items()
+        ]
+        found = hear(self.motion, before.z, before.p, dt, angles, var, sights)
+        errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
+        memory = {**before.memory, **dict(zip(at.places, found.memories, strict=True))}
+        return State(at.t, found.z, found.p, memory, found.nats, errors)
+
+    def _encoders(self, angles: Array | None, dt: float) -> tuple[Array, Array]:
+        """Angles and variances (M,) rad², with a reminder of where joints without an encoder are wont to be."""
+        x = np.full(len(self.encoder_var), np.nan) if angles is None else angles
+        if self.habit is None or dt == 0.0:
+            return x, self.encoder_var
+        own = self.habit.joints
+        return np.where(own, self.habit.mean, x), np.where(own, self.habit.density / dt, self.encoder_var)
+
+
+def _needs_no_log(settings: Estimation, body: BodyModel) -> None:
+    """UsageError for settings that ask for what only a whole log can tell."""
+    possible = {"method": ("laplace",), "precision": ("model",), "bias": ("off", "on")}
+    for name, values in possible.items():
+        if (found := getattr(settings, name)) not in values:
+            raise UsageError(f"{name}: {found!r} needs the whole log; beside a robot {' or '.join(values)} is possible")
+    if settings.start is not None and len(settings.start) != len(body.joints):
+        raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(body.joints)} joints")

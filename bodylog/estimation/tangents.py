@@ -14,9 +14,9 @@ from .senses import Sighting
 if TYPE_CHECKING:
     from .laplace import Problem
 
-RESTING = 2e-8
+RESTING = 2e-10
 """rad: a frame whose point of linearisation is moved less keeps its tangent."""
-SAME = 1e-7
+SAME = 1e-9
 """Relative change of a frame's variance that does not count."""
 
 

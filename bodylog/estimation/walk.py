@@ -1,17 +1,17 @@
 """The filter one instant after the other, for logs whose encoders do not say where the arm is: slower, but sure."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ..types import Array
 from .alike import PAST, WHOLE, Memory, Sight
-from .brief import encoder_rows
+from .brief import encoder_rows, full
 from .folds import Fold
-from .instant import RESTING, hear
+from .instant import RESTING, Motion, hear
 from .laplace import Problem, Solution
-from .outset import prior
-from .scan import Readings, Trace
+from .outset import prior, priors
+from .scan import scan
 from .tangents import Tangents
 
 ROUGHLY = 1e-3
@@ -35,50 +35,43 @@ def led(problem: Problem) -> Problem:
     """The problem with a path to linearise along first, where the encoders do not give one."""
     if not silent(problem):
         return problem
-    solution = walk(problem, resting=ROUGHLY)
-    return replace(problem, path=(problem.timeline.t, solution.trace.z[:, : len(problem.start), 0]))
+    return replace(problem, path=(problem.timeline.t, _points(problem, PAST, ROUGHLY)))
 
 
-def walk(problem: Problem, remember: bool = False, resting: float = RESTING) -> Solution:
-    """The filter's solution as one single stretch, each instant linearised until it moves less than `resting` rad."""
-    line, m = problem.timeline, len(problem.start)
+def walk(problem: Problem, remember: bool = False) -> Solution:
+    """The filter's solution as one single stretch; `remember` keeps gains, and counts frames, for the smoother."""
+    share, events = WHOLE if remember else PAST, len(problem.timeline.t)
+    points, fold = _points(problem, share, RESTING), Fold(events, events, 1)
+    tangents = Tangents(problem.evidence.sightings, tuple(points[frames] for frames in problem.timeline.sightings))
+    tangents.share, readings = share, full(problem, fold)
+    tangents.draw(problem, fold, readings)
+    z, p = priors(problem, fold)
+    return Solution(fold, readings, tangents, scan(readings, problem.dynamics, z, p, remember))
+
+
+def _points(problem: Problem, share: float, resting: float) -> Array:
+    """Where (E,M) rad the filter is linearised, each instant anew until that moves less than `resting` rad."""
+    line, motion = problem.timeline, Motion(problem.dynamics)
     encoders, var = encoder_rows(problem)
-    rows = [np.full(len(line.t), -1) for _ in line.sightings]
-    for row, events in zip(rows, line.sightings, strict=True):
-        row[events] = np.arange(len(events))
-    memory, steps = [Memory() for _ in rows], []
-    pace = problem.precision.process * (WHOLE if remember else PAST)
+    points, memory = np.empty(encoders.shape), dict.fromkeys(range(len(line.sightings)), Memory())
+    sights = _sights(problem, share)
     z, p = prior(problem)
     for k, dt in enumerate(np.diff(line.t, prepend=line.t[0])):
-        sights = _sights(problem, k, [int(row[k]) for row in rows], memory, pace)
-        steps.append(hear(problem.dynamics, z, p, dt, encoders[k], var[k], sights, remember, resting))
-        z, p = steps[-1][1].z[0, :, 0], steps[-1][1].p[0, :, :, 0]
-        memory = [sight.after(z[:m]) for sight in sights]
-    readings, trace = _joined([r for r, _ in steps]), _joined_traces([t for _, t in steps])
-    points = tuple(trace.z[events, :m, 0] for events in line.sightings)
-    return Solution(Fold(len(line.t), len(line.t), 1), readings, Tangents(problem.evidence.sightings, points), trace)
+        here = [(track, replace(sight, memory=memory[track])) for track, sight in sights.get(k, ())]
+        found = hear(motion, z, p, dt, encoders[k], var[k], [sight for _, sight in here], resting)
+        z, p, points[k] = found.z, found.p, found.point
+        memory |= {track: after for (track, _), after in zip(here, found.memories, strict=True)}
+    return points
 
 
-def _sights(problem: Problem, instant: int, rows: list[int], memory: list[Memory], pace: Array) -> list[Sight]:
-    found, t = [], float(problem.timeline.t[instant])
-    for sighting, row, kept in zip(problem.evidence.sightings, rows, memory, strict=True):
-        value = sighting.values[row] if row >= 0 else np.full(2, np.nan)
-        scale = problem.precision.scale.get(sighting.name, 1.0)
-        var, near = scale * sighting.var[max(row, 0)], problem.precision.near.get(sighting.name, 0.0)
-        found.append(Sight(sighting.model, t, value, var, pace, near, kept))
+def _sights(problem: Problem, share: float) -> dict[int, list[tuple[int, Sight]]]:
+    """What is seen of which track, by instant."""
+    found: dict[int, list[tuple[int, Sight]]] = {}
+    pace, precision, line = share * problem.precision.process, problem.precision, problem.timeline
+    for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
+        scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
+        for row in np.flatnonzero(np.isfinite(sighting.values).all(axis=1)):
+            value, var, k = sighting.values[row], scale * sighting.var[row], int(events[row])
+            sight = Sight(sighting.model, float(sighting.t[row]), value, var, pace, near, Memory())
+            found.setdefault(k, []).append((track, sight))
     return found
-
-
-def _joined(parts: list[Readings]) -> Readings:
-    return Readings(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Readings)))
-
-
-def _joined_traces(parts: list[Trace]) -> Trace:
-    whole = {
-        f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Trace) if f.name != "back"
-    }
-    gains = [part.back for part in parts if part.back is not None]
-    if not gains:
-        return Trace(**whole, back=None)
-    gain, weight, nu = (np.concatenate(column) for column in zip(*gains, strict=True))
-    return Trace(**whole, back=(gain, weight, nu))

@@ -38,8 +38,8 @@ def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near
     memory, single = alike.Memory(), []
     for k, now in enumerate(t):
         sight = alike.Sight(body, float(now), places[k], pixel[k], alike.PAST * PACE, near, memory)
-        single.append(sight.at(points[k])[2])
-        memory = sight.after(points[k])
+        _, _, _, var, memory = sight.at(points[k])
+        single.append(var)
     np.testing.assert_allclose(together, single, rtol=1e-9)
 
 

@@ -1,11 +1,11 @@
-"""The filter against a textbook one, against itself in a stream, and against mistakes."""
+"""The filter against a textbook one, and against mistakes."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bodylog.estimation import Estimator, estimate
+from bodylog.estimation import estimate
 from bodylog.evaluation.scores import scores
 from bodylog.settings import Estimation
 from bodylog.types import Series
@@ -59,25 +59,6 @@ def test_order_of_simultaneous_senses_does_not_matter(world):
     two = estimate(replace(drawn.features, tracks=dict(reversed(pair.items()))), body, MODEL)
     np.testing.assert_allclose(one.joints.values, two.joints.values, atol=1e-9, rtol=0)
     np.testing.assert_allclose(one.cov, two.cov, atol=1e-12, rtol=0)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_stream_gives_the_batch_filters_belief(world, seed):
-    drawn = world(seed, duration=5.0, hidden=(1.0, 2.0), blunder=0.05)
-    track, joints = drawn.features.tracks["effector"], drawn.features.joints
-    batch = estimate(replace(drawn.features, tracks={"effector": replace(track, std=None)}), drawn.body, MODEL)
-    live = Estimator(drawn.body)
-    events = sorted([(t, 0, k) for k, t in enumerate(joints.t)] + [(t, 1, k) for k, t in enumerate(track.t)])
-    beliefs = []
-    for t, seen, k in events:
-        if seen:
-            live.step(t, effector=track.values[k])
-        else:
-            beliefs.append(live.step(t, joints=dict(zip(joints.names, joints.values[k], strict=True))))
-    np.testing.assert_allclose([b.x for b in beliefs], batch.joints.values, atol=1e-8, rtol=0)
-    np.testing.assert_allclose([b.cov for b in beliefs], batch.cov, atol=1e-10, rtol=0)
-    assert live.step(1.0, joints=joints.values[0]).t == events[-1][0]
-    assert live.skipped == 1
 
 
 def test_a_mistaken_blob_does_no_harm(world):

@@ -1,0 +1,261 @@
+"""The filter fed message by message against the one that has the whole log."""
+
+import tracemalloc
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from bodylog import body as learning
+from bodylog.errors import LogError, ModelError, UsageError
+from bodylog.estimation import Belief, Estimator, estimate, touch
+from bodylog.settings import Estimation, Settings
+from bodylog.types import BodyModel, Estimate, Features, Series
+
+MODEL = Estimation(precision="model", bias="off")
+ANGLE, SPREAD, NATS = 1e-9, 1e-7, 1e-6
+"""rad · relative to the standard deviations · nats: how far stream and log may be apart."""
+Message = tuple[float, str, object]
+
+
+def told(features: Features, body: BodyModel, late: Callable[[str], float] = lambda sense: 0.0) -> list[Message]:
+    """All a log says as (time, sense, reading), in the order in which it comes when senses are `late` (s)."""
+    messages: list[tuple[float, Message]] = []
+    joints = features.joints
+    if joints is not None:
+        rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
+        messages += [(t + late("joints"), (t, "joints", row)) for t, row in zip(joints.t, rows, strict=True)]
+    for name, track in features.tracks.items():
+        if name in body.senses:
+            places = track.values if track.std is None else np.hstack([track.values, track.std])
+            messages += [(t + late(name), (t, name, place)) for t, place in zip(track.t, places, strict=True)]
+    if features.touches:
+        t, values, var, _, _ = touch.sightings(features, body)
+        places = np.hstack([values, np.sqrt(var)])
+        messages += [(at + late("touch"), (at, "touch", place)) for at, place in zip(t, places, strict=True)]
+    return [message for _, message in sorted(messages, key=lambda pair: pair[0])]
+
+
+def step(live: Estimator, messages: Iterable[Message]) -> list[Belief]:
+    return [live.step(t, **{sense: reading}) for t, sense, reading in messages]  # type: ignore[arg-type]
+
+
+def assert_same(beliefs: list[Belief], batch: Estimate) -> None:
+    """The last belief about each output time, all nats, and all errors are the log's."""
+    last = {belief.t: belief for belief in beliefs}
+    at = [k for k, t in enumerate(batch.joints.t) if t in last]
+    assert len(at) > 0.95 * len(batch.joints.t)
+    ours = [last[t] for t in batch.joints.t[at]]
+    np.testing.assert_allclose([b.x for b in ours], batch.joints.values[at], atol=ANGLE, rtol=0)
+    std = np.sqrt(np.einsum("nii->ni", batch.cov[at]))
+    apart = (np.array([b.cov for b in ours]) - batch.cov[at]) / (std[:, :, None] * std[:, None])
+    np.testing.assert_allclose(apart, 0.0, atol=SPREAD)
+    if batch.bias is not None:
+        np.testing.assert_allclose([b.bias for b in ours], batch.bias.values[at], atol=ANGLE, rtol=0)
+    end = max(batch.joints.t)
+    assert sum(b.free_energy for b in beliefs if b.t <= end) == pytest.approx(batch.free_energy.sum(), abs=NATS)
+
+
+def assert_same_errors(beliefs: list[Belief], messages: list[Message], batch: Estimate) -> None:
+    for name, errors in batch.errors.items():
+        sense = "joints" if name == "encoders" else name
+        heard = {m[0]: b.errors[name] for b, m in zip(beliefs, messages, strict=True) if m[1] == sense and b.errors}
+        ours = [heard[t] for t in errors.t]
+        np.testing.assert_allclose(ours, errors.values, atol=SPREAD)
+
+
+def check(features: Features, body: BodyModel, settings: Estimation = MODEL) -> None:
+    messages, batch = told(features, body), estimate(features, body, settings)
+    live = Estimator(body, settings)
+    beliefs = step(live, messages)
+    assert_same(beliefs, batch)
+    assert_same_errors(beliefs, messages, batch)
+    counted = {name for name in live.used if name != "touch"}
+    assert {n: live.used[n].seen for n in counted} == {n: batch.used[n].seen for n in counted}
+    assert {n: live.used[n].used for n in counted} == {n: batch.used[n].used for n in counted}
+
+
+def simultaneous(world, seed: int, **options: float) -> tuple[Features, BodyModel]:
+    """Two cameras, pictures at stamps that encoders have, too."""
+    drawn = world(seed, duration=5.0, camera_hz=12.5, **options)
+    track, rng = drawn.features.tracks["effector"], np.random.default_rng(seed)
+    track = replace(track, t=drawn.features.joints.t[::4][: len(track.t)])
+    side = replace(track, values=track.values + rng.normal(0, 1.0, track.values.shape), std=None)
+    body = replace(drawn.body, senses=dict.fromkeys(("effector", "side/effector"), drawn.body.senses["effector"]))
+    return replace(drawn.features, tracks={"effector": track, "side/effector": side}), body
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("bias", ["off", "on"])
+def test_a_stream_gives_the_batch_filters_belief(world, seed, bias):
+    drawn = world(seed, duration=8.0, hidden=(1.0, 2.0), blunder=0.05)
+    check(drawn.features, drawn.body, replace(MODEL, bias=bias))
+
+
+@pytest.mark.parametrize("encoder_hz", [10.0, 400.0])
+def test_whatever_is_the_faster(world, encoder_hz):
+    drawn = world(0, duration=6.0, encoder_hz=encoder_hz)
+    check(drawn.features, drawn.body, replace(MODEL, rate=None if encoder_hz < 100 else 100.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_without_pixel_noise_it_is_the_bodys(world, seed):
+    drawn = world(seed, duration=5.0)
+    track = drawn.features.tracks["effector"]
+    std = np.where(np.random.default_rng(seed).random(track.values.shape) < 0.5, np.nan, track.std)
+    for said in (None, std, np.zeros_like(std)):
+        check(replace(drawn.features, tracks={"effector": replace(track, std=said)}), drawn.body)
+
+
+def test_missing_joints_gaps_and_times_that_run_backwards(world):
+    drawn = world(1, duration=10.0)
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    values, t = joints.values.copy(), joints.t.copy()
+    values[50:60] = np.nan
+    values[70:150, 0] = np.nan
+    keep = (t < 4.0) | (t > 5.5)
+    t[100:110] = t[40:50]
+    spoilt = Series(t[keep], values[keep], joints.names, joints.unit, joints.source_ns[keep])
+    frames = track.t.copy()
+    frames[40] = frames[39]
+    check(replace(drawn.features, joints=spoilt, tracks={"effector": replace(track, t=frames)}), drawn.body)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_simultaneous_senses_in_any_order_and_in_one_call(world, seed):
+    features, body = simultaneous(world, seed, blunder=0.1)
+    settings = replace(MODEL, start=(-0.9, -0.9, 1.0))
+    messages, batch = told(features, body), estimate(features, body, settings)
+    order = np.random.default_rng(seed).permutation(len(messages))
+    mixed = sorted((messages[k] for k in order), key=lambda message: message[0])
+    assert [m[1] for m in mixed] != [m[1] for m in messages]
+    assert_same(step(Estimator(body, settings), mixed), batch)
+    together: dict[float, dict[str, object]] = {}
+    for t, sense, reading in mixed:
+        together.setdefault(t, {})[sense] = reading
+    live = Estimator(body, settings)
+    assert_same([live.step(t, **senses) for t, senses in together.items()], batch)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_late_pictures_are_heard_where_they_belong(world, seed):
+    features, body = simultaneous(world, seed, blunder=0.05)
+    late, rng = {"effector": 0.08, "side/effector": 0.13}, np.random.default_rng(seed)
+    messages = told(features, body, lambda sense: late.get(sense, 0.0) * rng.uniform(0.9, 1.1))
+    assert any(one[0] > next_[0] for one, next_ in pairwise(messages))
+    live, batch = Estimator(body), estimate(features, body, MODEL)
+    beliefs = step(live, messages)
+    end = batch.joints.t[-1]
+    assert beliefs[-1].t == end
+    np.testing.assert_allclose(beliefs[-1].x, batch.joints.values[-1], atol=ANGLE, rtol=0)
+    np.testing.assert_allclose(beliefs[-1].cov, batch.cov[-1], atol=1e-12)
+    assert sum(b.free_energy for b in beliefs) == pytest.approx(batch.free_energy.sum(), abs=NATS)
+    assert not any(health.rejected for health in live.used.values())
+
+
+def test_what_is_too_late_is_left_out_and_counted(world):
+    drawn = world(0, duration=2.0)
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    live = Estimator(drawn.body, lag=0.1)
+    for t, row in zip(joints.t, joints.values[:, [1, 2, 0]], strict=True):
+        now = live.step(t, joints=row)
+    after = live.step(1.0, joints=joints.values[0], effector=track.values[0])
+    assert after.t == now.t and after.free_energy == 0.0 and after.errors == {}
+    np.testing.assert_array_equal(after.x, now.x)
+    assert live.used["encoders"].rejected == {"too late": 1}
+    assert live.used["effector"].rejected == {"too late": 1}
+
+
+@pytest.mark.parametrize("weight", [1.0, 0.01])
+def test_touch_is_told_as_the_hands_place_and_its_spread(world, stroked, weight):
+    features = stroked(world(0, duration=12.0, encoder_std=0.1), weight, (3.0, -2.0))
+    check(features, world(0, encoder_std=0.1).body)
+
+
+def explored(world) -> BodyModel:
+    drawn = world(5, duration=20.0, encoder_std=0.003, pixel_std=0.2)
+    return learning.learn([drawn.features], Settings(), {}).model
+
+
+@pytest.mark.parametrize("senses", [("vision",), ("pan", "vision"), ("lift", "elbow", "vision")])
+def test_without_some_encoders_or_any(world, senses):
+    drawn, body = world(6, duration=6.0), explored(world)
+    body = replace(body, noise=replace(body.noise, encoder=(0.02**2,) * 3, process=(0.3,) * 3))
+    order = [drawn.features.joints.names.index(name) for name in body.joints]
+    start = tuple(drawn.features.joints.values[0, order])
+    check(drawn.features, body, replace(MODEL, senses=senses, start=start))
+
+
+def test_the_belief_may_be_asked_for_at_any_time(world):
+    drawn = world(2, duration=4.0)
+    batch = estimate(drawn.features, drawn.body, replace(MODEL, rate=37.0))
+    live, beliefs = Estimator(drawn.body), []
+    asked = [(t, "", None) for t in batch.joints.t]
+    for t, sense, reading in sorted([*told(drawn.features, drawn.body), *asked], key=lambda message: message[0]):
+        beliefs.append(live.step(t, **({sense: reading} if sense else {})))  # type: ignore[arg-type]
+    assert_same(beliefs, batch)
+
+
+def test_a_long_day_takes_no_more_memory_than_a_minute(world, linear_model):
+    body = world(0, duration=1.0, model=linear_model).body
+    live, x = Estimator(body), np.array([-0.9, -0.9, 1.0])
+    seen = linear_model.predict(x[None])[0][0]
+
+    def run(first: int, last: int) -> int:
+        for k in range(first, last):
+            live.step(k / 500, joints=x, effector=seen if k % 16 == 0 else None)
+        return tracemalloc.get_traced_memory()[0]
+
+    tracemalloc.start()
+    soon, late = run(0, 2_000), run(2_000, 6_000)
+    tracemalloc.stop()
+    assert late < soon + 20_000
+    assert np.linalg.eigvalsh(live.step(1e5).cov).min() > 0
+
+
+def test_what_is_not_the_bodys_is_refused_in_one_line_and_changes_nothing(world):
+    drawn = world(0, duration=1.0)
+    live, x = Estimator(drawn.body), np.array([-0.9, -0.9, 1.0])
+    with pytest.raises(LogError, match="where lift, elbow starts; tell all joints first"):
+        live.step(0.0, joints={"pan": 1.0})
+    before = live.step(0.0, joints=x)
+    refused: list[tuple[type[Exception], str, dict[str, object]]] = [
+        (UsageError, "t: nan found", {"t": np.nan}),
+        (UsageError, "t: 'now' found", {"t": "now"}),
+        (UsageError, r"joints: \[1.0, 2.0\] found, possible: one angle in rad for each of pan", {"joints": [1.0, 2.0]}),
+        (UsageError, "joints: .* found", {"joints": np.zeros((1, 3))}),
+        (UsageError, "joints: .* found", {"joints": ["a", "b", "c"]}),
+        (ModelError, "the body knows pan, lift, elbow, but told is j1, j2", {"joints": {"j1": 1.0, "j2": 2.0}}),
+        (UsageError, r"effector: .* found, possible: \(u, v\) or \(u, v, std_u, std_v\) in px", {"effector": 1.0}),
+        (UsageError, "effector: .* found", {"effector": (1.0, 2.0, 3.0)}),
+        (UsageError, r"touch: .* possible: \(u, v, std_u, std_v\)", {"touch": (1.0, 2.0)}),
+        (UsageError, "hand: the body has no such sense; it has effector, touch", {"hand": (1.0, 2.0)}),
+    ]
+    for kind, text, given in refused:
+        with pytest.raises(kind, match=text) as problem:
+            live.step(**{"t": 1.0, **given})  # type: ignore[arg-type]
+        assert "\n" not in str(problem.value)
+    assert live.used["encoders"].seen == 1 and "effector" not in live.used
+    np.testing.assert_array_equal(live.step(0.0).x, before.x)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        (Estimation(), "precision: 'auto' needs the whole log; beside a robot model is possible"),
+        (Estimation(precision="model"), "bias: 'auto' needs the whole log; beside a robot off or on is possible"),
+        (replace(MODEL, method="smoother"), "method: 'smoother' needs the whole log"),
+        (replace(MODEL, start=(1.0,)), "start: 1 angles given, the body has 3 joints"),
+        (replace(MODEL, senses=("nose",)), "senses: 'nose' is none of"),
+    ],
+)
+def test_settings_that_need_the_whole_log_are_refused(world, settings, text):
+    with pytest.raises(UsageError, match=text):
+        Estimator(world(0, duration=1.0).body, settings)
+
+
+def test_a_lag_is_no_negative_time(world):
+    with pytest.raises(UsageError, match=r"lag: -1.0 found, a time of at least 0 s is possible"):
+        Estimator(world(0, duration=1.0).body, lag=-1.0)
