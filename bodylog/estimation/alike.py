@@ -59,7 +59,7 @@ def _span(error: Array, jac: Array, pace: Array) -> Array:
 
 def _faded(dt: Array, span: Array) -> Array:
     """Share of earlier frames that still counts; (1 + κ) / (1 − κ) is span/dt for frames dt apart, dt much shorter."""
-    return np.asarray(np.exp(-2.0 * dt / np.maximum(span, np.finfo(float).tiny)))
+    return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
 
 @dataclass(frozen=True, eq=False)

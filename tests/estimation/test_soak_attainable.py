@@ -1,7 +1,8 @@
-"""How near the belief about simulated reaches comes to what could be known, over ten seeds.
+"""How near the belief comes to what could be known, and whether its error bars are true, over ten seeds.
 
-What could be known: the same filter and smoother, but with a body learned from true angles, the true encoder noise and
-the constant process noise of least error against truth.
+What could be known: a textbook filter and smoother that share no code with ours and are told everything, see textbook.
+A smooth error has few independent samples in 20 s, so that one log says little: means over seeds are judged, and
+printed with their standard errors.
 """
 
 from dataclasses import replace
@@ -9,45 +10,113 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog import body
+from bodylog import body, pipeline, sim
 from bodylog.estimation import estimate
-from bodylog.experiments.lab import Lab
-from bodylog.settings import Body, Estimation, Settings
+from bodylog.evaluation.scores import at_times, scores
+from bodylog.settings import Body, Estimation, Settings, Topics
+from tests.estimation import textbook
 
 SEEDS = range(10)
 FACTORS = {"laplace": 1.10, "smoother": 1.20}
+UR5 = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+SIZE = (320, 240)
+CAMERAS = ("/camera/image/compressed", "/side/image/compressed")
+HIDDEN = (9.0, 11.0)
+COLUMNS = ("times the attainable", "nees", "nees", "nees", "coverage", "hidden nees", "hidden coverage")
 ENCODER_STD = 0.02
-PROCESSES = np.geomspace(0.003, 3.0, 10)
+PROCESSES = np.geomspace(0.003, 3.0, 7)
 pytestmark = pytest.mark.soak
 
 
-@pytest.fixture(scope="module")
-def lab(tmp_path_factory):
+class Known:
+    """A body's model that is the truth, as the textbook asks for it."""
+
+    def __init__(self, model):
+        self.line = lambda x: model.predict(x)[:2]
+
+
+def attainable(features, truth, names, lines):
+    """{method: least error (rad)} of beliefs that are told everything but which constant noise moves the arm."""
+    joints, order = features.joints, [features.joints.names.index(name) for name in names]
+    tracks = [track for name, track in features.tracks.items() if name.endswith("effector")]
+    t = np.unique(np.concatenate([joints.t, *(track.t for track in tracks)]))
+    frames, readings = [], np.full((len(t), 3), np.nan)
+    readings[np.searchsorted(t, joints.t)] = joints.values[:, order]
+    for known, track in zip(lines, tracks, strict=True):
+        seen = np.full((len(t), 2), np.nan)
+        seen[np.searchsorted(t, track.t)] = track.values
+        off = track.values - known.line(at_times(truth, list(names), track.t))[0]
+        frames.append((known, seen, np.nanmean(off**2, axis=0)))
+    told = (t, readings, np.full(3, ENCODER_STD**2), frames, PROCESSES)
+    found = {"laplace": textbook.filtered(*told), "smoother": textbook.smoothed(*told)[1]}
+    at, true = np.searchsorted(t, joints.t), at_times(truth, list(names), joints.t)[:, None]
+    apart = {method: mean[at, :, :3] - true for method, (mean, _) in found.items()}
+    return {method: float(np.sqrt((one**2).mean(axis=(0, 2))).min()) for method, one in apart.items()}
+
+
+def within(belief, low, high):
+    """The belief between two times, all that scores against truth look at."""
+    rows = (belief.joints.t >= low) & (belief.joints.t <= high)
+    joints = replace(belief.joints, t=belief.joints.t[rows], values=belief.joints.values[rows])
+    return replace(belief, joints=joints, cov=belief.cov[rows], free_energy=belief.free_energy[rows], errors={})
+
+
+def row(features, learned, truth, lines):
+    """{method: values of COLUMNS}."""
+    found, names = {}, learned.joints
+    least = attainable(features, truth, names, lines)
+    for method in FACTORS:
+        belief = estimate(features, learned, Estimation(method=method))
+        assert not belief.faults
+        whole, hidden = (
+            {s.name: s.value for s in scores(part, truth, None)} for part in (belief, within(belief, *HIDDEN))
+        )
+        own = (whole["joint_rmse"] / least[method], *(whole[f"nees/{name}"] for name in names))
+        gap = np.mean([hidden[f"nees/{name}"] for name in names]), hidden["coverage_2sigma"]
+        found[method] = (*own, whole["coverage_2sigma"], *gap)
+    return found
+
+
+def judge(rows, least=0.85):
+    """Means over the seeds, printed with their standard errors, held to the bounds.
+
+    No white acceleration fits smooth motion at all time scales: error bars of what is known best are the widest.
+    """
+    for method, factor in FACTORS.items():
+        values = np.array([found[method] for found in rows])
+        mean, error = values.mean(axis=0), values.std(axis=0, ddof=1) / np.sqrt(len(values))
+        told = [f"{c} {m:.3f} ± {e:.3f}" for c, m, e in zip(COLUMNS, mean, error, strict=True)]
+        print(f"\n{method}: {', '.join(told)}")
+        assert mean[0] <= factor
+        assert all(least < one < 1.2 for one in (*mean[1:4], mean[5]))
+        assert 93.0 < mean[4] < (97.0 if least == 0.85 else 98.0)
+        assert 92.0 < mean[6] < 98.0
+
+
+def seen(folder, scenario, seed, cameras):
+    """A simulated log and what is found in it."""
+    settings = Settings(topics=Topics(camera=CAMERAS[:cameras]))
+    sim.record(scenario, folder / "log.mcap", seed=seed, size=SIZE, cameras=cameras)
+    return pipeline.observe(folder / "log.mcap", settings)
+
+
+@pytest.mark.parametrize("cameras", [1, 2])
+def test_simulated_reaches(tmp_path, cameras):
     pytest.importorskip("pybullet")
-    return Lab(tmp_path_factory.mktemp("reaches"))
+    from bodylog.sim.arms import ARMS
 
-
-def error(heard, found):
-    return float(np.sqrt(np.mean((found.joints.values - heard.true(found.joints.names, found.joints.t)) ** 2)))
-
-
-def attainable(heard, told, method):
-    """Least error (rad) of a belief that is told everything."""
-    settings = Estimation(method=method, precision="model", bias="off")
-    noise = [replace(told.noise, encoder=(ENCODER_STD**2,) * 3, process=(q,) * 3) for q in PROCESSES]
-    return min(error(heard, estimate(heard.features, replace(told, noise=one), settings)) for one in noise)
-
-
-@pytest.mark.parametrize("method", FACTORS)
-def test_the_error_is_close_to_the_attainable_over_the_seeds(lab, method):
-    ratios = []
+    rows, lines = [], textbook.eyes(ARMS["ur5"], UR5, SIZE)[:cameras]
     for seed in SEEDS:
-        explored, heard = lab.heard("babble", seed, duration=lab.exploration), lab.heard("reach", seed)
-        own = lab.body("default", seed)
-        settings = Settings(body=Body(joints=own.joints))
-        told = body.learn([replace(explored.features, reference=explored.truth)], settings, {}).model
-        mine = error(heard, estimate(heard.features, own, Estimation(method=method)))
-        ratios.append(mine / attainable(heard, told, method))
-        print(f"{method} {seed} {mine:.5f} rad, {ratios[-1]:.3f} times the attainable")
-    print(f"{method}: {np.mean(ratios):.3f} ({np.min(ratios):.3f} to {np.max(ratios):.3f}) times the attainable")
-    assert np.mean(ratios) <= FACTORS[method]
+        explored = seen(tmp_path, "babble", seed, cameras)[1]
+        learned = body.learn([explored], Settings(body=Body(joints=UR5)), {}).model
+        read, features = seen(tmp_path, "reach", seed, cameras)
+        rows.append(row(features, learned, read.truth, lines))
+    judge(rows, least=0.85 if cameras == 1 else 0.7)
+
+
+def test_drawn_worlds_whose_model_is_known(world):
+    rows = []
+    for seed in SEEDS:
+        drawn = world(seed, hidden=HIDDEN)
+        rows.append(row(drawn.features, drawn.body, drawn.truth, [Known(drawn.body.senses["effector"])]))
+    judge(rows, least=0.7)
