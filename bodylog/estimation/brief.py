@@ -34,22 +34,18 @@ class Brief:
         return pooled(self.blocks, dynamics, self.fold)
 
 
-def in_brief(problem: "Problem", gated: Array | None = None, told: Brief | None = None) -> Brief:
-    """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less.
-
-    `told` is another brief of the log to go by, where that tells the gated ones by themselves.
-    """
+def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
+    """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less."""
     line, (said, var) = problem.timeline, encoder_rows(problem)
-    if told is not None and gated is not None and np.isin(np.flatnonzero(gated), told.events).all():
-        events = told.events
-    else:
-        single = loud(said) if gated is None else loud(said) | gated
-        single[np.concatenate([*line.sightings, fold_for(len(line.t)).lasts()])] = True
-        events = kept(single)
+    alone = loud(said) if gated is None else loud(said) | gated
+    alone[np.concatenate([*line.sightings, np.empty(0, int)])] = True
+    wanted = alone.copy()
+    wanted[fold_for(len(line.t)).lasts()] = True
+    events = kept(wanted)
     sightings, none = tuple(np.searchsorted(events, frames) for frames in line.sightings), np.empty(0, int)
     few = replace(problem, timeline=Timeline(line.t[events], none, sightings, none, none))
-    between, fold = blocks(line.t, said, var, events), fold_for(len(events))
-    rest = heard(few, fold, said[events], var[events])
+    between, fold = blocks(line.t, said, var, events, alone), fold_for(len(events))
+    rest = heard(few, fold, np.where(alone[:, None], said, np.nan)[events], var[events])
     return Brief(few, events, between, Leaps(*rest, pooled=pooled(between, few.dynamics, fold)))
 
 

@@ -95,8 +95,7 @@ def begun(problem: Problem, warm: Solution | None) -> tuple[Brief, Tangents, Arr
     if warm is None:
         brief = in_brief(problem)
         return brief, *outset(brief.problem, brief.fold, brief.readings)
-    told = None if warm.brief is None else warm.brief[0]
-    brief = in_brief(problem, warm.gated(), told)
+    brief = in_brief(problem, warm.gated())
     known, lasts = warm, brief.events[brief.fold.lasts()]
     if warm.brief is not None:
         known, lasts = warm.brief[1], np.searchsorted(warm.brief[0].events, lasts, "right") - 1

@@ -15,7 +15,7 @@ from .scan import Dynamics, Pooled
 
 MOST = 24
 """Instants pooled into one at most."""
-LOUD = 3.5
+LOUD = 4.0
 """Robust standard deviations of the readings' bends beyond which a reading is heard by itself, for the gate's sake."""
 SINGULAR = 1e-12
 """Share of the rate's information below which it is rounding."""
@@ -48,11 +48,9 @@ def kept(wanted: Array) -> Array:
     return np.flatnonzero(wanted | (since % (MOST + 1) == 0) | (events == len(wanted) - 1))
 
 
-def blocks(t: Array, said: Array, var: Array, kept: Array) -> Blocks:
-    """What is heard between kept instants (B,), of times t (E,), readings (E,M) and their variances."""
-    between: Array = np.any(np.isfinite(said), axis=1)
-    between[kept] = False
-    events = np.flatnonzero(between)
+def blocks(t: Array, said: Array, var: Array, kept: Array, alone: Array) -> Blocks:
+    """What is heard up to kept instants (B,), but for those `alone` (E,): times t (E,), readings (E,M), variances."""
+    events = np.flatnonzero(np.isfinite(said).any(axis=1) & ~alone)
     block = np.searchsorted(kept, events)
     place = np.arange(len(events)) - np.searchsorted(block, block)
     most = int(place.max(initial=-1)) + 1
@@ -86,7 +84,7 @@ def pooled(told: Blocks, dynamics: Dynamics, fold: Fold) -> Pooled:
 
     still = np.eye(shape[0])[:, :, None, None]
     return Pooled(
-        folded(y, np.nan), folded(var, 1.0), folded(lean), folded(move, still), folded(shift), folded(noise),
+        folded(y), folded(var, np.inf), folded(lean), folded(move, still), folded(shift), folded(noise),
         folded(rest),
     )  # fmt: skip
 
@@ -129,7 +127,7 @@ def _as_readings(word: Array) -> tuple[Array, Array, Array, Array]:
     rest = vv - lean * xv
     d, e = np.stack([xx, np.where(rest > SINGULAR * vv, rest, 0.0)]), np.stack([x, v - lean * x])
     known = d > 0
-    var = np.divide(1.0, d, out=np.ones_like(d), where=known)
-    y = np.where(known, e * var, np.nan)
-    left = np.where(known, 0.5 * (e * e * var + np.log(2.0 * np.pi * var)), 0.0)
-    return y, var, lean, -left.sum(axis=0)
+    var = np.divide(1.0, d, out=np.full_like(d, np.inf), where=known)
+    y = np.multiply(e, var, out=np.zeros_like(d), where=known)
+    left = np.where(known, e * y + np.log(2.0 * np.pi / np.where(known, d, 1.0)), 0.0)
+    return y, var, lean, -0.5 * left.sum(axis=0)

@@ -9,14 +9,12 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..types import Array
-from .conditioning import leap, update
+from .conditioning import MANY, leap, update
 
 R = TypeVar("R", "Readings", "Trace", "Pooled")
 
 EVEN = 16
 """Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
-MANY = 0.6
-"""Share of stretches above which all are scanned rather than some copied out and back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +38,8 @@ class Dynamics:
 class Pooled:
     """What encoders said since the last instant, folded (L,…,C), per joint with its S = K/M states.
 
-    Two readings of the state then, y, var (L,2,M,C), NaN for none: of angle + lean (L,M,C) · rate (+ offset), and of
-    the rate. Given them it moves by move (L,S,S,M,C) and shift (L,S,M,C) with noise (L,S,S,M,C); nats (L,C) remain.
+    Two readings of the state then, y, var (L,2,M,C), infinite for none: of angle + lean (L,M,C) · rate (+ offset), and
+    of the rate. Given them it moves by move (L,S,S,M,C), shift (L,S,M,C) with noise (L,S,S,M,C); nats (L,C) remain.
     """
 
     y: Array
@@ -145,6 +143,8 @@ def rescan(
     """`scan`, but only of the stretches `moving` (C,); the others stay as they are in `trace`, which is overwritten."""
     if trace is None or moving.mean() > MANY:
         return scan(readings, dynamics, z, p, remember, into=trace)
+    if not moving.any():
+        return trace
     part = scan(columns(readings, moving), dynamics, z[:, moving], p[:, :, moving], remember)
     for field in fields(part):
         if field.name != "back":
