@@ -15,6 +15,8 @@ RATE = 20.0
 """Hz: the paper's Δt of 0.05 s."""
 PAPER = (1.0, 1.0, 5.0)
 """The paper's σ_x, σ_p (rad²) and σ_v (pixels divided by the image width, squared)."""
+GAINS = np.linspace(0.05, 0.95, 19)
+"""Shares of a reading that a static belief may take over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,13 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
     return Plan(tuple(senses), touch, t, dt, sigma_x, start(evidence, settings, body.joints)), evidence, line
 
 
+def calmest(plan: Plan) -> Array:
+    """The least σ_x (M,) that any finer grid would find; the paper's is the same on all."""
+    learned = plan.senses and plan.senses[0].name == "encoders" and (plan.sigma_x != PAPER[0]).any()
+    least = plan.senses[0].sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0]) if learned else plan.sigma_x
+    return np.asarray(np.minimum(plan.sigma_x, least))
+
+
 def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array | None) -> Sense:
     assert evidence.encoders is not None
     s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
@@ -115,8 +124,7 @@ def _wander(encoders: list[Sense], noise: Array) -> Array:
     """σ_x (M,): what a static belief must allow for motion, so that it foretells the next encoder reading best."""
     if not encoders or encoders[0].name != "encoders":
         return noise
-    gains = np.linspace(0.05, 0.95, 19)[:, None]
-    s = encoders[0].s
+    gains, s = GAINS[:, None], encoders[0].s
     x, squares = np.where(np.isfinite(s[0]), s[0], 0.0) + 0.0 * gains, np.zeros((len(gains), s.shape[1]))
     for row in s[1:]:
         nu = np.where(np.isfinite(row), row - x, 0.0)

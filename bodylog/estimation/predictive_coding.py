@@ -4,13 +4,15 @@ The explicit step integrates belief, errors and prior as printed; the linearly i
 equilibrium and divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..errors import UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features, Finding
 from . import results
-from .plan import Plan, Sense, plan_for
+from .plan import Plan, Sense, calmest, plan_for
 from .results import Beliefs
 from .senses import Evidence
 from .timeline import Timeline
@@ -19,8 +21,12 @@ __all__ = ["Plan", "Sense", "descent", "estimate", "explicitly", "implicitly", "
 
 LEARNING = 1.0
 """The paper's λ: how fast the prior follows the belief."""
+POSTURES, MARGIN = 16, 0.8
+"""Postures of the log in which stability is looked at, and the share of the largest stable Δt that is named."""
 FAR = 100.0
 """rad: a belief beyond this has diverged."""
+
+
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The belief on a grid of 20 Hz or `rate`; UsageError when an explicit step diverges."""
     plan, evidence, line = plan_for(features, body, settings)
@@ -95,27 +101,43 @@ def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
 
 
 def step_warning(plan: Plan) -> tuple[Finding, ...]:
-    """A finding when Δt exceeds what keeps Algorithm 1 stable at the start, naming the largest stable Δt."""
-    stable = stable_step(plan)
-    if plan.dt <= stable:
+    """A finding when Δt exceeds what keeps Algorithm 1 stable, naming the slowest rate at which it is."""
+    if plan.dt <= _stable_everywhere(plan):
         return ()
-    text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {stable:.2g} s; type --step implicit"
-    return (Finding("warning", f"step: {text}"),)
+    # σ_x is smaller on a finer grid, and the arm passes between the postures looked at
+    rate = _rounded_up(1.0 / (MARGIN * _stable_everywhere(replace(plan, sigma_x=calmest(plan)))))
+    text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
+    return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
+
+
+def _rounded_up(rate: float) -> float:
+    """With two digits."""
+    unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
+    return float(np.ceil(rate / unit) * unit)
+
+
+def _stable_everywhere(plan: Plan) -> float:
+    """The least of the stable steps (s) in postures the log's encoders go through."""
+    postures = [plan.start]
+    if plan.senses and plan.senses[0].name == "encoders" and plan.senses[0].model is None:
+        said = plan.senses[0].s[np.isfinite(plan.senses[0].s).all(axis=1)]
+        postures += list(said[np.linspace(0, len(said) - 1, min(POSTURES, len(said))).astype(int)])
+    return min(stable_step(replace(plan, start=x)) for x in postures)
 
 
 def stable_step(plan: Plan) -> float:
     """Largest Δt (s) for which one explicit step shrinks every mode of the linearised dynamics at the start."""
-    m = len(plan.start)
-    blocks = [(sense.predict(plan.start)[1], sense.sigma.min(axis=0)) for sense in plan.senses]
+    x, m = plan.start, len(plan.start)
+    blocks = [(sense.predict(x)[1], sense.sigma.min(axis=0)) for sense in plan.senses]
     size = 3 * m + sum(len(sigma) for _, sigma in blocks)
     a = np.zeros((size, size))  # rows: x, e_x, μ, then the senses' errors
-    x, ex, mu = slice(0, m), slice(m, 2 * m), slice(2 * m, 3 * m)
-    a[x, ex], a[ex, x], a[ex, mu] = -np.eye(m), np.eye(m), -np.eye(m)
+    own, ex, mu = slice(0, m), slice(m, 2 * m), slice(2 * m, 3 * m)
+    a[own, ex], a[ex, own], a[ex, mu] = -np.eye(m), np.eye(m), -np.eye(m)
     a[ex, ex], a[mu, ex] = -np.diag(plan.sigma_x), LEARNING * np.eye(m)
     at = 3 * m
     for jac, sigma in blocks:
         rows = slice(at, at + len(sigma))
-        a[x, rows], a[rows, x], a[rows, rows] = jac.T, -jac, -np.diag(sigma)
+        a[own, rows], a[rows, own], a[rows, rows] = jac.T, -jac, -np.diag(sigma)
         at += len(sigma)
     modes = np.linalg.eigvals(a)
     modes = modes[modes.real < -1e-9]

@@ -128,7 +128,7 @@ def test_an_unstable_step_is_warned_of_with_the_stable_one(tmp_path, capsys, bod
 
     assert not warned("--precision", "fixed")
     (text,) = warned("--with", "encoders")
-    assert "Δt 0.05 s is unstable, the largest stable Δt is " in text and text.endswith(" s; type --step implicit")
+    assert "Δt 0.05 s is unstable, the largest stable Δt is " in text and text.endswith(" or --step implicit")
     assert 0.0 < float(text.split("largest stable Δt is ")[1].split()[0]) < 0.05
 
 

@@ -70,8 +70,9 @@ def test_the_drifting_encoder_is_named_in_time_and_the_drift_is_gone(seen, learn
         assert np.sqrt(np.mean(error[late] ** 2)) < 0.015
 
 
-def test_no_fault_is_named_where_there_is_none(seen, learned):
-    assert not scored(seen, learned, "touch.mcap")[0].faults
+@pytest.mark.parametrize("name", ["touch.mcap", "touch_async.mcap", "reach_rosbag2"])
+def test_no_fault_is_named_where_there_is_none(seen, learned, name):
+    assert not scored(seen, learned, name)[0].faults
 
 
 @pytest.mark.parametrize("name", ["reach.mcap", "drift.mcap"])

@@ -1,5 +1,6 @@
 """The paper's descent: where it rests, when it is stable, and its two forms of touch."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -60,11 +61,38 @@ def test_explicit_steps_are_stable_just_below_the_named_step_and_not_above(world
 
 def test_a_step_too_long_is_refused_by_naming_the_longest(world):
     drawn = world(0, duration=10.0)
-    with pytest.raises(UsageError, match=r"largest stable Δt is \S+ s; type --step implicit"):
+    with pytest.raises(UsageError, match=r"largest stable Δt is \S+ s; type --rate \S+ or --step implicit"):
         estimate(drawn.features, drawn.body, replace(DESCENT, step="explicit"))
     short = world(0, duration=1.0)
     found = estimate(short.features, short.body, replace(DESCENT, step="explicit"))
     assert "largest stable Δt" in found.findings[0].text
+
+
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize(
+    ("over", "rate"),
+    [
+        ({}, 20.0),
+        ({}, 500.0),
+        ({"precision": "model"}, 20.0),
+        ({"senses": ("encoders",)}, 20.0),
+        ({"precision": "fixed"}, 1.0),
+        ({"preset": "paper"}, 1.0),
+    ],
+)
+def test_the_rate_that_is_named_is_stable_and_not_warned_of_again(world, seed, over, rate):
+    drawn = world(seed, duration=0.5)
+    settings = replace(DESCENT, step="explicit", **over)
+
+    def planned(rate):
+        return predictive_coding.plan_for(drawn.features, drawn.body, replace(settings, rate=rate))[0]
+
+    (warned,) = predictive_coding.step_warning(planned(rate))
+    typed = planned(float(re.search(r"type --rate (\S+) or --step implicit$", warned.text)[1]))
+    assert not predictive_coding.step_warning(typed)
+    first = tuple(replace(sense, s=sense.s[:1000], sigma=sense.sigma[:1000]) for sense in typed.senses)
+    found = predictive_coding.explicitly(replace(typed, t=typed.t[:1000], senses=first))[0]
+    assert np.abs(found - drawn.truth.values[0]).max() < 0.5
 
 
 def test_the_literal_touch_gradient_is_the_derivative(world):
