@@ -5,7 +5,7 @@ in between is a single element (A, b, C, η, J) of Särkkä & García-Fernández
 Bayesian smoothers"): here the η, J part is written as two readings of the state before.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -66,7 +66,9 @@ def blocks(t: Array, said: Array, var: Array, kept: Array, alone: Array) -> Bloc
 def pooled(told: Blocks, dynamics: Dynamics, fold: Fold) -> Pooled:
     """The blocks as a scan reads them; process variances (M,), or (M,G) of candidates that are laid side by side."""
     m = len(dynamics.process)
-    shape = (dynamics.size // m, m, dynamics.process.size // m, told.dt.shape[1])
+    levels, which = _levels(dynamics.process.reshape(m, -1))
+    dynamics = replace(dynamics, process=levels)
+    shape = (dynamics.size // m, *levels.shape, told.dt.shape[1])
     move, shift, noise = np.zeros((shape[0], *shape)), np.zeros(shape), np.zeros((shape[0], *shape))
     np.einsum("ss...->s...", move)[:] = 1.0
     word, nats = np.zeros((5, *shape[1:])), np.zeros(shape[1:])
@@ -76,17 +78,23 @@ def pooled(told: Blocks, dynamics: Dynamics, fold: Fold) -> Pooled:
     _carry(move, shift, noise, told.dt[-1], dynamics)
     y, var, lean, left = _as_readings(word)
     counted = 1.0 if dynamics.recalled is None else ~dynamics.recalled[:, None, None]
-    rest = ((nats + left) * counted).sum(axis=0)
 
     def folded(a: Array, fill: float | Array = 0.0) -> Array:
-        laid = fold.fold(np.moveaxis(a, -1, 0), fill)
+        laid = fold.fold(np.moveaxis(a, -1, 0), fill)[..., np.arange(m)[:, None], which, :]
         return np.ascontiguousarray(np.swapaxes(laid, -1, -2)).reshape(*laid.shape[:-2], -1)
 
     still = np.eye(shape[0])[:, :, None, None]
     return Pooled(
         folded(y), folded(var, np.inf), folded(lean), folded(move, still), folded(shift), folded(noise),
-        folded(rest),
+        folded((nats + left) * counted).sum(axis=1),
     )  # fmt: skip
+
+
+def _levels(process: Array) -> tuple[Array, Array]:
+    """The different values (M,U) among each joint's candidates (M,G), and which of them (M,G) each is."""
+    found = [np.unique(row, return_inverse=True) for row in process]
+    most = max(len(values) for values, _ in found)
+    return np.stack([np.pad(v, (0, most - len(v)), "edge") for v, _ in found]), np.stack([w for _, w in found])
 
 
 def _carry(move: Array, shift: Array, noise: Array, dt: Array, dynamics: Dynamics) -> None:
