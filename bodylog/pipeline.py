@@ -150,8 +150,13 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     """Where the body was, from what was found in a log and a learned body."""
     from . import estimation
     from .body import encoders
+    from .evaluation.scores import READ
 
-    return estimation.estimate(*encoders.understood(features, learned, settings.estimate))
+    found = estimation.estimate(*encoders.understood(features, learned, settings.estimate))
+    if "encoders" not in learned.senses or features.joints is None:
+        return found
+    said = Finding("info", "encoders: read what the body has learned, no angles; encoder_rmse is left out")
+    return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, said))
 
 
 def judge(found: Estimate, read: Recording) -> tuple[Score, ...]:

@@ -1,9 +1,12 @@
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bodylog import pipeline
 from bodylog.errors import EvidenceError, UsageError
+from bodylog.evaluation.scores import scores
 from bodylog.settings import Settings
 
 
@@ -40,3 +43,19 @@ def test_an_output_that_cannot_be_is_refused_before_anything_is_read(tmp_path, m
     monkeypatch.setattr(pipeline, "observe", lambda *_: pytest.fail("the log was read"))
     with pytest.raises(UsageError, match="mkdir -p"):
         pipeline.estimate(arm / "touch.mcap", arm_body, tmp_path / "no" / "out.mcap", Settings())
+
+
+def test_encoders_that_read_no_angles_are_scored_by_none():
+    from bodylog.body import Polynomial
+    from bodylog.settings import Estimation
+    from tests.estimation.conftest import draw
+
+    drawn = draw(0, duration=4.0)
+    doubled = Polynomial(drawn.body.joints, np.tile([0.0, 2.0], (3, 1)))
+    body = replace(drawn.body, senses={**drawn.body.senses, "encoders": doubled})
+    joints = drawn.features.joints
+    features = replace(drawn.features, joints=replace(joints, values=2.0 * joints.values))
+    settings = Settings(estimate=Estimation(method="predictive-coding", start=tuple(drawn.truth.values[0])))
+    found = pipeline.infer(features, body, settings)
+    assert not [score.name for score in scores(found, drawn.truth, features.joints) if score.name.startswith("encoder")]
+    assert any("encoder_rmse is left out" in finding.text for finding in found.findings)

@@ -8,6 +8,7 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
+from .faults import screen
 from .plan import RATE, on_grid
 from .results import Beliefs
 from .senses import gather, start
@@ -33,7 +34,10 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     every[line.outputs] = nats
     cov, before_cov = (v[held][:, :, None] * np.eye(s.shape[1]) for v in (var, before_var))
     used = {"process": PROCESS, "encoder": NOISE}
-    beliefs = Beliefs(np.concatenate([x, rate], axis=1)[held], cov, every, before[held], before_cov, errors, {}, used)
+    z = np.concatenate([x, rate], axis=1)[held]
+    # lies are named, but heard as printed
+    _, lies = screen(evidence.encoders, body.joints)
+    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used, lies)
     return results.estimate("kalman", body, evidence, line, beliefs)
 
 

@@ -12,6 +12,7 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features, Finding
 from . import results
+from .faults import screen
 from .plan import Plan, Sense, calmest, plan_for
 from .results import Beliefs
 from .senses import Evidence
@@ -37,6 +38,9 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {FAR:g} rad)")
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
+    if evidence.encoders is not None and "encoders" not in body.senses:
+        # lies are named, but heard as printed
+        beliefs = replace(beliefs, faults=screen(evidence.encoders, body.joints)[1])
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
 
 

@@ -10,6 +10,8 @@ SAME = 1e-6
 """s: stamps closer than this are the same but for rounding."""
 
 
+READ = "encoders_read"
+"""Setting of an estimate that says what its encoders read, where that is no angle: they are not held to true angles."""
 EVIDENT = ("laplace", "ekf", "smoother")
 """Methods whose free energy is the negative logarithm of a normalised density of all that was heard."""
 
@@ -20,7 +22,7 @@ def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> t
     if truth is not None:
         names = [name for name in estimate.joints.names if name in truth.names]
         found += against_truth(estimate, truth, names) if names else []
-        if joints is not None:
+        if joints is not None and READ not in estimate.settings:
             found += encoder_scores(estimate, truth, joints, names)
     return (*found, *own_scores(estimate))
 
@@ -78,7 +80,8 @@ def precision_scores(estimate: Estimate) -> list[Score]:
     """What was taken for noise: each joint's encoder_std and process, and by how much a track's variance was scaled."""
     names, said = estimate.joints.names, estimate.settings
     found = [Score(f"encoder_std/{n}", v**0.5, "rad") for n, v in _each(names, said.get("encoder"))]
-    found += [Score(f"encoder_std/{n}", v**0.5, "rad") for n, v in _each(names, said.get("sigma_encoders"))]
+    if READ not in said:
+        found += [Score(f"encoder_std/{n}", v**0.5, "rad") for n, v in _each(names, said.get("sigma_encoders"))]
     found += [Score(f"process/{n}", v, "rad²/s³") for n, v in _each(names, said.get("process"))]
     scale = said.get("scale")
     factors = sorted(scale.items()) if isinstance(scale, Mapping) else ()

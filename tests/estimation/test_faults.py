@@ -60,6 +60,15 @@ def test_a_lying_encoder_is_named_and_does_no_harm(world, change, kind, since, l
     assert error < 0.006
 
 
+@pytest.mark.parametrize("method", ["kalman", "predictive-coding"])
+@pytest.mark.parametrize(("change", "kind"), [(freeze, "frozen"), (die, "dead"), (jump, "jumping"), (None, None)])
+def test_methods_that_mend_nothing_name_what_readings_alone_show(world, method, change, kind):
+    drawn = world(4, duration=13.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
+    features = drawn.features if change is None else spoil(drawn, change)
+    found = estimate(features, drawn.body, Estimation(method=method))
+    assert [(f.name, f.kind) for f in found.faults] == ([("pan", kind)] if kind else [])
+
+
 def test_sharp_pictures_do_not_hide_a_drift(world):
     drawn = world(1, duration=14.0, encoder_std=0.01, pixel_std=0.05, camera_hz=20.0)
     (fault,) = estimate(spoil(drawn, drift), drawn.body, Estimation()).faults

@@ -79,6 +79,13 @@ def test_encoders_are_scored_beside_and_may_hold_nan():
     assert "encoder_rmse" not in named(found, truth)
 
 
+def test_encoders_that_read_no_angles_are_not_held_to_angles():
+    found, truth = made(np.zeros(2), 0.1)
+    learned = replace(found, settings={"encoders_read": "as learned", "sigma_encoders": [1.0, 1.0]})
+    assert not [name for name in named(learned, truth, truth) if name.startswith("encoder")]
+    assert "encoder_rmse" in named(found, truth, truth)
+
+
 def test_without_truth_only_what_needs_none():
     found, truth = made(np.zeros(2), 0.1)
     assert set(named(found, None, truth)) == {"free_energy", "log_evidence", "error_squared/effector", "used/effector"}
