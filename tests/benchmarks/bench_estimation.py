@@ -51,6 +51,19 @@ def whole_log(model: BodyModel) -> dict[str, float]:
     return {name: seconds / steps for name, seconds in medians.items()}
 
 
+def fast_encoders(model: BodyModel) -> None:
+    """A minute with encoders at 500 Hz, estimates at 100 Hz and pictures at 30 Hz: milliseconds, and µs per reading."""
+    world = draw(7, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
+    cases: dict[str, Callable[[], object]] = {
+        "laplace": partial(estimate, world.features, model, Estimation()),
+        "smoother": partial(estimate, world.features, model, Estimation(method="smoother")),
+        "laplace, the body's precisions": partial(estimate, world.features, model, GIVEN),
+    }
+    readings = len(world.features.joints.t)
+    for name, seconds in side_by_side(f"60 s of encoders at 500 Hz, {readings} readings", cases, repeats=3).items():
+        print(f"  {name}: {seconds * 1e3:.0f} ms, {seconds / readings * 1e6:.1f} µs per reading")
+
+
 def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
     """Thirty seconds by both, and by our stream; the peer's step beside ours of the long log."""
     world = draw(3, duration=30.0, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
@@ -214,6 +227,7 @@ def main() -> None:
         return
     model = learned(320)
     beside_filterpy(model, whole_log(model))
+    fast_encoders(model)
     growth()
 
 
