@@ -86,6 +86,8 @@ def fit(
             digests.append((log, read_too.digest()))
     features = [found for _, found in observed]
     for log, found in zip(logs, features, strict=True):
+        if found.joints is None or not len(found.joints.t):
+            raise LogError(f"{log}: no joint readings to learn from; type: bodylog info {log}")
         if found.reference is None and (said := settings.topics.reference):
             raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
         _insist(log, {n: h for n, h in found.health.items() if n.split("/")[-1] == "effector"}, found, settings)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bodylog import pipeline
-from bodylog.errors import EvidenceError, UsageError
+from bodylog.errors import EvidenceError, LogError, UsageError
 from bodylog.evaluation.scores import scores
 from bodylog.settings import Settings
 
@@ -59,3 +59,11 @@ def test_encoders_that_read_no_angles_are_scored_by_none():
     found = pipeline.infer(features, body, settings)
     assert not [score.name for score in scores(found, drawn.truth, features.joints) if score.name.startswith("encoder")]
     assert any("encoder_rmse is left out" in finding.text for finding in found.findings)
+
+
+def test_a_log_without_joints_is_named_when_a_body_shall_be_learned(tmp_path, monkeypatch, arm) -> None:
+    read, features = pipeline.observe(arm / "touch.mcap", Settings())
+    monkeypatch.setattr(pipeline, "observe", lambda *_: (read, replace(features, joints=None)))
+    with pytest.raises(LogError, match=r"touch\.mcap: no joint readings to learn from"):
+        pipeline.fit([arm / "touch.mcap"], tmp_path / "body.npz", Settings())
+    assert not list(tmp_path.iterdir())
