@@ -54,7 +54,7 @@ def counts(kept: Array) -> Array:
 def _span(error: Array, jac: Array, pace: Array) -> Array:
     """Seconds (F,) within which frames count as one."""
     drift = np.einsum("fdm,m->f", np.square(jac), pace)
-    return np.asarray(np.cbrt(error.sum(axis=1) / np.maximum(drift, np.finfo(float).tiny)))
+    return np.asarray(np.cbrt(error.sum(axis=1) / np.maximum(drift, 1e-9)))
 
 
 def _faded(dt: Array, span: Array) -> Array:
