@@ -32,8 +32,12 @@ def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Arra
     pixel at all. NaN where no weight is left.
     """
     inner, grown, outer = _zones(core, valid)
-    x = _powers(sheet.shape[1])
-    mixing, contrast = _mixing(sheet, inner, outer)
+    ground = _moments(sheet[:, ::2, ::2], outer[:, ::2, ::2])
+    top, left, side = _around(grown)
+    near = np.s_[:, top : top + side, left : left + side]
+    inner, grown = inner[near], grown[near]
+    x = _powers(side)
+    mixing, contrast = _mixing(sheet[near], inner, *ground)
     mean, plane, graded = _shade(mixing, inner, x, _ROUNDING / contrast**2)
     weight = _weight(mixing / plane, grown)
     mass, u, v = _centroid(weight, x)
@@ -43,7 +47,7 @@ def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Arra
         flat = _weight(mixing[graded] / mean[graded, None, None], grown[graded])
         doubt[:, graded] = _UNEVEN * (np.stack([u, v])[:, graded] - _centroid(flat, x)[1:])
     std_u, std_v = np.sqrt(variance + doubt**2)
-    return u, v, std_u, std_v, mass, contrast
+    return u + left, v + top, std_u, std_v, mass, contrast
 
 
 def _zones(core: Array, valid: Array) -> tuple[Array, Array, Array]:
@@ -57,6 +61,15 @@ def _zones(core: Array, valid: Array) -> tuple[Array, Array, Array]:
     grown = cv2.dilate(flat, _GROW)
     outer = valid & (1 - cv2.dilate(grown, _CLEAR).reshape(core.shape))
     return inner, grown.reshape(core.shape) & valid, outer
+
+
+def _around(where: Array) -> tuple[int, int, int]:
+    """Top, left and side (a multiple of 8) of the smallest square, of those in each (K,S,S), that holds all not 0."""
+    seen = np.asarray(where.any(axis=0))
+    down, right = np.flatnonzero(seen.any(axis=1)), np.flatnonzero(seen.any(axis=0))
+    side = -(-int(max(np.ptp(down), np.ptp(right)) + 1) // 8) * 8
+    most = where.shape[1] - side
+    return min(int(down[0]), most), min(int(right[0]), most), side
 
 
 def counts(where: Array) -> Array:
@@ -73,7 +86,7 @@ def _powers(size: int) -> Array:
     return np.stack([np.ones_like(x), x, x * x])
 
 
-def _mixing(sheet: Array, inner: Array, outer: Array) -> tuple[Array, Array]:
+def _mixing(sheet: Array, inner: Array, ground: Array, ground_scatter: Array) -> tuple[Array, Array]:
     """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (K,S,S); how far apart they are (K,).
 
     Fisher's discriminant: the direction in colour that tells the two apart best given how each of them scatters, so
@@ -81,14 +94,13 @@ def _mixing(sheet: Array, inner: Array, outer: Array) -> tuple[Array, Array]:
     """
     every = 2 if inner[0].size > _MANY else 1
     blob, blob_scatter = _moments(sheet[:, ::every, ::every], inner[:, ::every, ::every])
-    ground, ground_scatter = _moments(sheet[:, ::2, ::2], outer[:, ::2, ::2])
     step, scatter = blob - ground, blob_scatter + ground_scatter
     # as much again of white noise keeps the direction sane where the colours hardly scatter
     white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
     axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
     # eight lines at a time: too little for a linear algebra library to start threads of its own among ours
-    lines = sheet.reshape(len(sheet), -1, 8 * sheet.shape[1], 3).astype(np.float32)
+    lines = sheet.astype(np.float32).reshape(len(sheet), -1, 8 * sheet.shape[1], 3)
     flat = lines @ axis[:, None, :, None].astype(np.float32)
     flat -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None, None]
     return flat.reshape(inner.shape), np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))

@@ -5,7 +5,7 @@ ones, without the pieces in which the hand still comes the way of the approach, 
 retreat. Its start and end are where neighbouring pieces meet, which is finer than a frame.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -23,6 +23,7 @@ _REACH = 0.12
 _EVEN = 0.5
 _STEP = 3.0
 _SHORTEST = 0.15
+_AT_ONCE = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +87,11 @@ def _cuts(t: Array, place: Array) -> list[int]:
     variance = _noise(place) ** 2
     cost, came = np.full(count + 1, np.inf), np.zeros(count + 1, dtype=int)
     cost[0] = 0.0
-    for end in range(_FEWEST, count + 1):
-        begins = np.arange(max(0, end - longest), end - _FEWEST + 1)
-        total = cost[begins] + _squared_error(sums[end] - sums[begins]) / variance + price
-        best = int(np.argmin(total))
-        cost[end], came[end] = total[best], begins[best]
+    for end, errors in enumerate(_errors(sums, longest), _FEWEST):
+        begin = max(0, end - longest)
+        total = cost[begin : end - _FEWEST + 1] + (errors / variance + price)
+        best = int(total.argmin())
+        cost[end], came[end] = total[best], begin + best
     edges = [count]
     while edges[-1]:
         edges.append(int(came[edges[-1]]))
@@ -98,15 +99,25 @@ def _cuts(t: Array, place: Array) -> list[int]:
 
 
 def _running_sums(t: Array, place: Array) -> Array:
-    """Sums over the first k points of 1, t, t², u, v, tu, tv, u² + v²: (n + 1, 8)."""
+    """Sums over the first k points of 1, t, t², u, v, tu, tv, u² + v²: (8, n + 1)."""
     u, v = place.T
-    columns = np.column_stack([np.ones_like(t), t, t * t, u, v, t * u, t * v, u * u + v * v])
-    return np.vstack([np.zeros((1, 8)), np.cumsum(columns, axis=0)])
+    rows = np.stack([np.ones_like(t), t, t * t, u, v, t * u, t * v, u * u + v * v])
+    return np.hstack([np.zeros((8, 1)), np.cumsum(rows, axis=1)])
+
+
+def _errors(sums: Array, longest: int) -> Iterator[Array]:
+    """For each end from _FEWEST on, the squared errors of the lines from each begin that is in reach, in order."""
+    count = sums.shape[1] - 1
+    for first in range(_FEWEST, count + 1, _AT_ONCE):
+        ends = np.arange(first, min(first + _AT_ONCE, count + 1))
+        begins = np.maximum(ends[:, None] - np.arange(longest, _FEWEST - 1, -1), 0)
+        errors = _squared_error(sums[:, ends, None] - sums[:, begins])
+        yield from (row[max(0, longest - end) :] for row, end in zip(errors, ends.tolist(), strict=True))
 
 
 def _squared_error(sums: Array) -> Array:
-    """Squared error (k,) of the best line through each set of points given by its sums (k,8)."""
-    n, s, ss, u, v, su, sv, square = sums.T
+    """Squared error (…) of the best line through each set of points given by its sums (8,…)."""
+    n, s, ss, u, v, su, sv, square = sums
     spread = np.maximum(ss - s * s / n, 1e-12)
     along = (su - s * u / n) ** 2 + (sv - s * v / n) ** 2
     return np.asarray(np.maximum(square - (u * u + v * v) / n - along / spread, 0.0))
@@ -189,16 +200,14 @@ def _corner(t: Array, place: Array, about: float, until: float) -> tuple[float, 
 
 def _bends(t: Array, place: Array, corners: Array) -> Array:
     """Squared error (K,) of the best path with its corner at each of these times (K,)."""
-    before, after = np.minimum(t - corners[:, None], 0.0), np.maximum(t - corners[:, None], 0.0)
-    design = np.stack([np.ones_like(before), before, after, before**2], axis=-1)
-    curved = np.count_nonzero(before, axis=1) > _APPROACH
-    errors = np.empty(len(corners))
-    for which, columns in ((curved, 4), (~curved, 3)):
-        if which.any():
-            left = np.linalg.svd(design[which, :, :columns], full_matrices=False)
-            basis = left.U * (left.S / left.S[:, :1] > np.finfo(float).eps * len(t))[:, None]
-            errors[which] = np.square(place - basis @ (basis.swapaxes(1, 2) @ place)).sum(axis=(1, 2))
-    return errors
+    away = (t - corners[:, None]) / (t[-1] - t[0])
+    before, after = np.minimum(away, 0.0), np.maximum(away, 0.0)
+    curved = np.count_nonzero(before, axis=1, keepdims=True) > _APPROACH
+    design = np.stack([np.ones_like(away), before, after, np.where(curved, before**2, 0.0)], axis=1)
+    across, place = design.swapaxes(1, 2), place - place.mean(axis=0)
+    # so small a ridge is nothing beside any column but one without entries, whose factor it makes 0
+    normal = design @ across + 1e-12 * len(t) * np.eye(4)
+    return np.asarray(np.square(place - across @ np.linalg.solve(normal, design @ place)).sum(axis=(1, 2)))
 
 
 def _turn(t: Array, place: Array, corner: float) -> Array:
