@@ -57,7 +57,8 @@ def _left(problem: Problem, solution: Solution) -> Array:
     # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
     alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
     together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
-    return np.asarray(np.minimum(together / np.sqrt(alone), 1.0))
+    # of what a silent encoder does not know, pictures leave nothing to it
+    return np.asarray(np.isfinite(encoders.values).mean(axis=0) * np.minimum(together / np.sqrt(alone), 1.0))
 
 
 def _prior(candidates: Array, m: int) -> Array:
