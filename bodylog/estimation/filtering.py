@@ -9,7 +9,7 @@ import numpy as np
 
 from ..settings import Estimation
 from ..types import BodyModel, Estimate, Fault, Features
-from . import bias, results
+from . import bias, motion, results
 from .faults import screen
 from .habit import habit
 from .laplace import Problem, Restless, Solution, solve
@@ -98,7 +98,17 @@ def settled(
     chosen = bias.choose(problem, solved, partial(cost, warm=solved))
     if chosen is problem:
         return problem, solved
-    return chosen, sure(chosen, None)
+    chosen, begin = retuned(chosen, settings)
+    return chosen, sure(chosen, begin)
+
+
+def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
+    """The problem tuned anew, from the encoders' word on: what was laid to motion was an offset."""
+    encoders, precision = problem.evidence.encoders, problem.precision
+    if settings.precision != "auto" or encoders is None:
+        return problem, None
+    _, process = motion.learn(encoders, precision.encoder, precision.process)
+    return tuned(replace(problem, precision=replace(precision, process=process)), settings)
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:
