@@ -35,8 +35,8 @@ class TopLevel:
     def __init__(self, path: Path) -> None:
         """Open it; FormatError when it does not begin as an MCAP."""
         self._file = path.open("rb", buffering=0)
-        self.size = path.stat().st_size
-        if self.read(0, len(MAGIC)) != MAGIC:
+        self.size = os.fstat(self._file.fileno()).st_size
+        if os.pread(self._file.fileno(), len(MAGIC), 0) != MAGIC:
             self._file.close()
             raise FormatError("the file does not begin as an MCAP")
 
