@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__
-from .errors import EvidenceError, InputError, LogError, UsageError
+from .errors import InputError
 from .files import sha256
-from .settings import Colours, Settings, plain
+from .refusals import distinct, insist, something_seen, teachable
+from .settings import Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
 
 Progress = Callable[[int], None]
@@ -58,7 +59,7 @@ def extract(
     distinct(log, out)
     with annotate.begun(log, out, whole=False) as written:
         read, features = observe(log, settings, progress)
-        _something_seen(log, features)
+        something_seen(log, features)
         kept = [topic for role in ("joints", "truth", "skin") if (topic := topic_of(read, role)) is not None]
         lost = written.add(_feature_messages(read, features), only=kept)
         written.about(_provenance([(log, written.digest())], settings))
@@ -86,11 +87,7 @@ def fit(
             digests.append((log, read_too.digest()))
     features = [found for _, found in observed]
     for log, found in zip(logs, features, strict=True):
-        if found.joints is None or not len(found.joints.t):
-            raise LogError(f"{log}: no joint readings to learn from; type: bodylog info {log}")
-        if found.reference is None and (said := settings.topics.reference):
-            raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
-        _insist(log, {n: h for n, h in found.health.items() if n.split("/")[-1] == "effector"}, found, settings)
+        teachable(log, found, settings)
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     learned = body.learn(features, settings, provenance, known)
     model.save(learned.model, out)
@@ -125,21 +122,8 @@ def _estimated(log: Path, read: Recording, features: Features, learned: BodyMode
     except InputError as problem:
         gone = "".join(f"; {f.text.removeprefix(f'{log}: ')}" for f in read.findings if f.severity == "lost")
         raise type(problem)(f"{log}: {problem}{gone}") from problem
-    _insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
+    insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
-
-
-def _insist(
-    log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
-) -> None:
-    """EvidenceError when a track gave nothing though robot.toml names its camera or colour: named is not guessed."""
-    said = {"effector": settings.colours.effector != Colours().effector, **dict.fromkeys(settings.colours.shapes, True)}
-    for name, used in used_of.items():
-        explicit = said.get(name.split("/")[-1])
-        if explicit is not None and not used.used and (explicit or settings.topics.cameras):
-            seen = f"{name}: nothing usable in {used.seen} pictures of the camera or colour that robot.toml names"
-            told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
-            raise EvidenceError(f"{log}: {told}{instead.format(name)}")
 
 
 def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
@@ -228,17 +212,6 @@ def _estimate_messages(read: Recording, features: Features, found: Estimate) -> 
 def _views(read: Recording) -> dict[str, str]:
     """The topics of the cameras beside the first, by name."""
     return {role.removeprefix("camera/"): path for role, path in read.roles.items() if role.startswith("camera/")}
-
-
-def _something_seen(log: Path, features: Features) -> None:
-    if not features.tracks and not features.touches:
-        raise LogError(f"{log}: neither camera nor skin gave anything to extract; type: bodylog info {log}")
-
-
-def distinct(read: Path, out: Path) -> None:
-    """UsageError when the file to write is one that is read."""
-    if out.exists() and read.exists() and out.resolve() == read.resolve():
-        raise UsageError(f"{out}: is read here, and what is read is never written to; give another name with -o")
 
 
 def topic_of(read: Recording, role: str) -> str | None:

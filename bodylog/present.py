@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import FormatError, LogError
-from .pipeline import Progress, Result, distinct, doctor, ingest, judge, observe, topic_of
+from .pipeline import Progress, Result, doctor, ingest, judge, observe, topic_of
+from .refusals import distinct
 from .settings import Settings, plain
 from .types import Estimate, Features, Finding, Recording
 

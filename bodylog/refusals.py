@@ -1,0 +1,42 @@
+"""What the pipeline refuses, in one line each: a file onto itself, logs that show nothing, names that fit nothing."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from .errors import EvidenceError, LogError, UsageError
+from .settings import Colours, Settings
+from .types import Features, Health
+
+
+def distinct(read: Path, out: Path) -> None:
+    """UsageError when the file to write is one that is read."""
+    if out.exists() and read.exists() and out.resolve() == read.resolve():
+        raise UsageError(f"{out}: is read here, and what is read is never written to; give another name with -o")
+
+
+def something_seen(log: Path, features: Features) -> None:
+    """LogError when there is nothing to extract."""
+    if not features.tracks and not features.touches:
+        raise LogError(f"{log}: neither camera nor skin gave anything to extract; type: bodylog info {log}")
+
+
+def teachable(log: Path, found: Features, settings: Settings) -> None:
+    """LogError when a body cannot be learned from a log: no joints, no reference where one is named, no effector."""
+    if found.joints is None or not len(found.joints.t):
+        raise LogError(f"{log}: no joint readings to learn from; type: bodylog info {log}")
+    if found.reference is None and (said := settings.topics.reference):
+        raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
+    insist(log, {n: h for n, h in found.health.items() if n.split("/")[-1] == "effector"}, found, settings)
+
+
+def insist(
+    log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
+) -> None:
+    """EvidenceError when a track gave nothing though robot.toml names its camera or colour: named is not guessed."""
+    said = {"effector": settings.colours.effector != Colours().effector, **dict.fromkeys(settings.colours.shapes, True)}
+    for name, used in used_of.items():
+        explicit = said.get(name.split("/")[-1])
+        if explicit is not None and not used.used and (explicit or settings.topics.cameras):
+            seen = f"{name}: nothing usable in {used.seen} pictures of the camera or colour that robot.toml names"
+            told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
+            raise EvidenceError(f"{log}: {told}{instead.format(name)}")
