@@ -10,10 +10,12 @@ SPREAD = (31, 13, 13)
 """Ratios tried at first, over all magnitudes, and twice more between the best one's neighbours."""
 VAGUE = 1e8
 """Noise variances: how little a filter that starts anew knows."""
+SPACING = 0.01
+"""s: readings closer than this are averaged, for a stretch too short to show how a joint accelerates shows nothing."""
 MOST = 6000
-"""Readings used at most, from the middle of the log: more would not sharpen two numbers per joint."""
+"""Averages used at most, from the middle of the log: more would not sharpen two numbers per joint."""
 STRETCH = 128
-"""Readings filtered one after the other, many such stretches side by side."""
+"""Averages filtered one after the other, many such stretches side by side."""
 SKIP = 3
 """Readings per stretch that only start the filter and do not count."""
 BREAK = 10.0
@@ -27,8 +29,9 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
     encoder, process, joints, heard = encoder.copy(), process.copy(), [], []
     for joint, column in enumerate(encoders.values.T):
         known = np.flatnonzero(np.isfinite(column))
-        begin = max(0, (len(known) - MOST) // 2)
-        known = known[begin : begin + MOST]
+        most = MOST * _fellows(encoders.t[known])
+        begin = max(0, (len(known) - most) // 2)
+        known = known[begin : begin + most]
         if len(known) > 10 * SKIP and np.ptp(column[known]) > 0.0:
             joints.append(joint)
             heard.append((encoders.t[known], column[known]))
@@ -46,26 +49,46 @@ def floor(encoders: Encoders, encoder: Array) -> Array:
 
 def likeliest(heard: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     """Noise variances and acceleration densities (M,) that maximise the evidence of each joint's times and readings."""
-    told = _side_by_side(heard)
-    step = np.array([float(np.median(np.diff(t))) for t, _ in heard])
+    fellows = np.array([_fellows(t) for t, _ in heard])
+    means = [_averaged(t, y, k) for (t, y), k in zip(heard, fellows, strict=True)]
+    told = _side_by_side(means)
+    step = np.array([float(np.median(np.diff(t))) for t, *_ in means])
     # process / noise variance, scaled so that 1 is balanced per reading
     ratios, joints = np.geomspace(1e-9, 1e6, SPREAD[0])[:, None] / step**3, np.arange(len(heard))
     for count in (*SPREAD[1:], 0):
         score, noise = evidence(*told, ratios)
         best = score.argmax(axis=0)
-        found = noise[best, joints], noise[best, joints] * ratios[best, joints]
+        found = noise[best, joints] * fellows, noise[best, joints] * ratios[best, joints]
         low, high = ratios[np.maximum(best - 1, 0), joints], ratios[np.minimum(best + 1, len(ratios) - 1), joints]
         ratios = np.geomspace(low, high, count)
     return found
 
 
-def _side_by_side(heard: list[tuple[Array, Array]]) -> tuple[Array, Array, Array]:
+def _fellows(t: Array) -> int:
+    """How many readings in a row make one average."""
+    step = float(np.median(np.diff(t))) if len(t) > 1 else SPACING
+    return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // (10 * SKIP)))
+
+
+def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
+    """Means (N,) of times and of readings, and where the filter starts anew: about a break, which is in a mean."""
+    whole = len(t) // fellows * fellows
+    broken = _breaks(t, y)
+    t, y = (a[:whole].reshape(-1, fellows).mean(axis=1) for a in (t, y))
+    if fellows > 1:
+        broken = np.asarray(broken[:whole].reshape(-1, fellows).any(axis=1))
+        broken[1:] |= broken[:-1]
+        broken |= _breaks(t, y)
+    return t, y, broken
+
+
+def _side_by_side(heard: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
     """Time steps, readings (NaN after the last) and where the filter starts anew, folded: (L,M,C) each."""
-    most = max(len(t) for t, _ in heard)
+    most = max(len(t) for t, *_ in heard)
     dt, y, fresh = np.zeros((most, len(heard))), np.full((most, len(heard)), np.nan), np.ones((most, len(heard)), bool)
-    for joint, (t, column) in enumerate(heard):
+    for joint, (t, column, anew) in enumerate(heard):
         rows = slice(len(t)), joint
-        dt[rows], y[rows], fresh[rows] = np.diff(t, prepend=t[0]), column, _breaks(t, column)
+        dt[rows], y[rows], fresh[rows] = np.diff(t, prepend=t[0]), column, anew
     fold = Fold(most, STRETCH, -(-most // STRETCH))
     return fold.fold(dt, 0.0), fold.fold(y, np.nan), fold.fold(fresh, 1.0) > 0
 
@@ -98,12 +121,12 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array) -> tuple[Array, A
 
 
 def _breaks(t: Array, y: Array) -> Array:
-    """1 where the reading cannot follow from its neighbours (N,): the filter starts anew there."""
+    """Where the reading cannot follow from its neighbours (N,): the filter starts anew there."""
     bend = np.abs(np.diff(y, 2))
     typical = 1.4826 * np.median(bend) + np.finfo(float).tiny
     gap = np.diff(t) > 20.0 * np.median(np.diff(t))
-    fresh = np.zeros(len(y))
+    fresh = np.zeros(len(y), bool)
     fresh[1:-1] = bend > BREAK * typical
-    fresh[2:][bend > BREAK * typical] = 1.0
-    fresh[1:][gap] = 1.0
+    fresh[2:] |= bend > BREAK * typical
+    fresh[1:] |= gap
     return fresh

@@ -39,6 +39,16 @@ def test_noise_and_motion_are_told_apart(noise, process, jitter):
     assert np.exp(np.mean([np.log(f[1]) for f in found])) == pytest.approx(process, rel=0.35)
 
 
+def test_a_driver_a_thousand_times_a_second_tells_them_apart_as_well():
+    t = np.arange(0.0, 20.0, 0.001)
+    found = np.array([likeliest(t, white(seed, 4e-4, 0.01, t)) for seed in range(3)])
+    assert found[:, 0].mean() == pytest.approx(4e-4, rel=0.05)
+    np.testing.assert_allclose(np.exp(np.log(found[:, 1]).mean()), 0.01, rtol=0.4)
+    t = t[:8000]
+    y = white(0, 4e-4, 0.01, t)
+    np.testing.assert_allclose(likeliest(t, y + 0.5 * (t > 4.0)), likeliest(t, y), rtol=0.3)
+
+
 def test_a_jump_does_not_pass_for_motion():
     t = np.arange(0.0, 30.0, 0.02)
     y = white(0, 1e-4, 0.05, t)
