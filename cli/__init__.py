@@ -1,8 +1,10 @@
 """The bodylog command line: one file per command; errors become one line and an exit code here."""
 
 import os
+import signal
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 # Small matrices are faster on one BLAS thread, and one thread gives the same bytes on every machine size.
 for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
@@ -10,11 +12,25 @@ for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65."""
+    """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65; 128 + n for signal n."""
     from bodylog import memory
 
     memory.keep()
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _stop)
     sys.exit(run(arguments))
+
+
+class _Stopped(SystemExit):
+    """The process was told to end."""
+
+
+def _stop(number: int, _: Any) -> None:
+    """End as an interrupt does, so that nothing half-written stays; told again, go on with that."""
+    signal.signal(number, signal.SIG_IGN)
+    raise _Stopped(128 + number)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -42,6 +58,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         click.echo("bodylog: interrupted; nothing half-written was left", err=True)
         return 130
+    except _Stopped as err:
+        click.echo("bodylog: stopped; nothing half-written was left", err=True)
+        return int(err.code or 0)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
