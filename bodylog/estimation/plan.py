@@ -21,20 +21,24 @@ GAINS = np.linspace(0.05, 0.95, 19)
 
 @dataclass(frozen=True, eq=False)
 class Sense:
-    """One sense on the grid: s (N,D), NaN where absent · model (None: the angles themselves) · σ (N,D) · unit of s."""
+    """One sense on the grid: s (N,D), NaN where absent · model (None: the angles themselves) · σ (N,D) · unit of s.
+
+    `printed`: the model's own variance is dropped, as the paper drops it.
+    """
 
     name: str
     s: Array
     model: ForwardModel | None
     sigma: Array
     unit: float = 1.0
+    printed: bool = False
 
-    def predict(self, x: Array) -> tuple[Array, Array]:
-        """g (D,) and J (D,M) at x (M,), in the sense's unit."""
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """g (D,), J (D,M) and the model's own variance (D,) at x (M,), in the sense's unit."""
         if self.model is None:
-            return x, np.eye(len(x))
-        mean, jac, _ = self.model.predict(x[None])
-        return mean[0] / self.unit, jac[0] / self.unit
+            return x, np.eye(len(x)), np.zeros(len(x))
+        mean, jac, var = self.model.predict(x[None])
+        return mean[0] / self.unit, jac[0] / self.unit, var[0] * (not self.printed) / self.unit**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,7 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
         scale = 1.0 if precision is None else precision.scale.get(sighting.name, 1.0)
         own = scale * sighting.var[rows] / unit**2
         sigma = np.full(s.shape, PAPER[2]) if paper and sighting.name != "touch" else own
-        senses.append(Sense(sighting.name, s / unit, sighting.model, sigma, unit))
+        senses.append(Sense(sighting.name, s / unit, sighting.model, sigma, unit, paper))
     touch = literal(features, body, t, dt) if printed and any(s.name == "touch" for s in evidence.sightings) else None
     sigma_x = np.full(m, PAPER[0]) if precision is None else _wander(senses[:1], precision.encoder)
     return Plan(tuple(senses), touch, t, dt, sigma_x, start(evidence, settings, body.joints)), evidence, line
@@ -86,7 +90,7 @@ def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array | N
     assert evidence.encoders is not None
     s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
     sigma = np.full(s.shape, PAPER[1]) if variance is None else np.broadcast_to(variance, s.shape)
-    return Sense("encoders", s, body.senses.get("encoders"), sigma)
+    return Sense("encoders", s, body.senses.get("encoders"), sigma, printed=variance is None)
 
 
 def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:

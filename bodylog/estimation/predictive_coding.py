@@ -37,6 +37,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {FAR:g} rad)")
+    findings = (*findings, *_unheard(plan, evidence, body.joints))
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
     if evidence.encoders is not None and "encoders" not in body.senses:
         # lies are named, but heard as printed
@@ -66,8 +67,8 @@ def descent(plan: Plan, k: int, x: Array, mu: Array) -> tuple[Array, Array, floa
     for sense in plan.senses:
         here = np.isfinite(sense.s[k])
         if here.any():
-            g, jac = sense.predict(x)
-            e, jac, sigma = (sense.s[k] - g)[here], jac[here], sense.sigma[k][here]
+            g, jac, own = sense.predict(x)
+            e, jac, sigma = (sense.s[k] - g)[here], jac[here], (sense.sigma[k] + own)[here]
             force = force + jac.T @ (e / sigma)
             hessian = hessian + jac.T @ (jac / sigma[:, None])
             nats += 0.5 * float((e * e / sigma + np.log(2 * np.pi * sigma)).sum())
@@ -88,10 +89,11 @@ def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
         dx = -ex
         for i, sense in enumerate(plan.senses):
             here = np.isfinite(sense.s[k])
-            g, jac = sense.predict(x)
+            g, jac, own = sense.predict(x)
+            sigma = sense.sigma[k] + own
             errors[i] = np.where(here, errors[i], 0.0)  # absent senses contribute nothing
             dx = dx + jac.T @ errors[i]
-            errors[i] = errors[i] + plan.dt * np.where(here, sense.s[k] - g - sense.sigma[k] * errors[i], 0.0)
+            errors[i] = errors[i] + plan.dt * np.where(here, sense.s[k] - g - sigma * errors[i], 0.0)
         if plan.touch is not None and plan.touch.active[k]:
             pull, slope = plan.touch.pull(k, x)
             dx = dx + slope * pull
@@ -120,6 +122,16 @@ def _rounded_up(rate: float) -> float:
     return float(np.ceil(rate / unit) * unit)
 
 
+def _unheard(plan: Plan, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
+    """A finding for joints no encoder speaks of: σ_x, which allows for motion, is learned by encoders."""
+    said = np.empty((0, len(names))) if evidence.encoders is None else evidence.encoders.values
+    still = ", ".join(name for name, column in zip(names, said.T, strict=True) if not np.isfinite(column).any())
+    if not still or all(sense.printed for sense in plan.senses):
+        return ()
+    text = f"knows no motion of {still} without encoders: errors are far beyond its error bars; type --method laplace"
+    return (Finding("warning", f"predictive-coding: {text}"),)
+
+
 def _stable_everywhere(plan: Plan) -> float:
     """The least of the stable steps (s) in postures the log's encoders go through."""
     postures = [plan.start]
@@ -132,7 +144,7 @@ def _stable_everywhere(plan: Plan) -> float:
 def stable_step(plan: Plan) -> float:
     """Largest Δt (s) for which one explicit step shrinks every mode of the linearised dynamics at the start."""
     x, m = plan.start, len(plan.start)
-    blocks = [(sense.predict(x)[1], sense.sigma.min(axis=0)) for sense in plan.senses]
+    blocks = [(jac, sense.sigma.min(axis=0) + own) for sense in plan.senses for _, jac, own in [sense.predict(x)]]
     size = 3 * m + sum(len(sigma) for _, sigma in blocks)
     a = np.zeros((size, size))  # rows: x, e_x, μ, then the senses' errors
     own, ex, mu = slice(0, m), slice(m, 2 * m), slice(2 * m, 3 * m)
