@@ -14,4 +14,5 @@ class Estimator(streaming.Estimator):
 
         UsageError for settings that need the whole log, and where a reading does not tell the angle.
         """
-        super().__init__(encoders.plain(body), settings, lag, encoders.teller(body))
+        tell = encoders.teller(body)  # refuses where a slope vanishes, by which plain divides
+        super().__init__(encoders.plain(body), settings, lag, tell)

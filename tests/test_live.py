@@ -1,0 +1,73 @@
+"""Beside a robot whose encoders read a function of the angle: fed raw readings, the log's belief."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import Estimator, body
+from bodylog.body.encoders import Polynomial, understood
+from bodylog.errors import UsageError
+from bodylog.estimation import estimate
+from bodylog.settings import Estimation, Settings
+from tests.body.conftest import run
+
+READINGS = {"square": lambda x: np.square(x + 1.2), "falling": lambda x: 0.3 - 1.5 * x + 0.1 * x**3}
+
+
+def read(reading, seed, noise, duration, reference):
+    """Features whose encoders read `reading` of the angles, with a reference of these or without."""
+    joints, rng = run(seed, 0.0, duration).features.joints, np.random.default_rng(seed)
+    noisy = reading(joints.values) + rng.normal(0.0, noise, joints.values.shape)
+    said = replace(joints, values=noisy)
+    return replace(run(seed, 0.0, duration).features, joints=said, reference=joints if reference else None)
+
+
+@pytest.fixture(scope="module")
+def learned():
+    """A body by each kind of encoder."""
+    logs = {name: read(reading, 0, 0.003, 20.0, True) for name, reading in READINGS.items()}
+    return {name: body.learn([features], Settings(), {}).model for name, features in logs.items()}
+
+
+@pytest.mark.parametrize("name", READINGS)
+@pytest.mark.parametrize("bias", ["off", "on"])
+@pytest.mark.parametrize("seed", [0, 3])
+def test_raw_readings_as_they_come_give_the_belief_of_the_log(learned, name, bias, seed):
+    model, settings = learned[name], Estimation(precision="model", bias=bias)
+    assert isinstance(model.senses["encoders"], Polynomial)
+    features = read(READINGS[name], seed, 0.003, 6.0, False)
+    joints, track = features.joints, features.tracks["effector"]
+    batch = estimate(*understood(features, model, settings))
+    rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
+    messages = [(t, {"joints": row}) for t, row in zip(joints.t, rows, strict=True)]
+    places = np.hstack([track.values, track.std])
+    messages += [(t, {"effector": place}) for t, place in zip(track.t, places, strict=True)]
+    live = Estimator(model, settings)
+    beliefs = {t: live.step(t, **told) for t, told in sorted(messages, key=lambda message: message[0])}
+    ours = [beliefs[t] for t in batch.joints.t]
+    np.testing.assert_allclose([b.x for b in ours], batch.joints.values, atol=1e-9, rtol=0)
+    std = np.sqrt(np.einsum("nii->ni", batch.cov))
+    apart = (np.array([b.cov for b in ours]) - batch.cov) / (std[:, :, None] * std[:, None])
+    np.testing.assert_allclose(apart, 0.0, atol=2e-7)
+    if bias == "on":
+        np.testing.assert_allclose([b.bias for b in ours], batch.bias.values, atol=1e-9, rtol=0)
+
+
+def test_readings_taken_for_angles_would_be_far_off(learned):
+    """What the tests above hold is the map: without it the same readings give another posture."""
+    features = read(READINGS["square"], 0, 0.003, 0.5, False)
+    first = dict(zip(features.joints.names, features.joints.values[0], strict=True))
+    told = Estimator(learned["square"]).step(0.0, joints=first).x
+    plain = replace(learned["square"], senses={"effector": learned["square"].senses["effector"]})
+    assert np.abs(told - Estimator(plain).step(0.0, joints=first).x).max() > 0.3
+    true = dict(zip(features.joints.names, run(0, 0.0, 0.5).features.joints.values[0], strict=True))
+    assert np.abs(told - [true[joint] for joint in learned["square"].joints]).max() < 0.02
+
+
+def test_a_body_whose_readings_do_not_tell_the_angle_is_refused(learned):
+    model = learned["square"]
+    middle = np.median(model.senses["effector"].samples, axis=0)
+    turning = Polynomial(model.joints, np.column_stack([middle**2, -2.0 * middle, np.ones(len(middle))]))
+    with pytest.raises(UsageError, match="encoders: what this body's read turns or flattens over the angles explored"):
+        Estimator(replace(model, senses={**model.senses, "encoders": turning}))
