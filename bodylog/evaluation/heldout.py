@@ -9,6 +9,8 @@ from ..types import Array, BodyModel, Estimate, Features, Score, Series
 
 EVERY = 5
 """One picture in so many is withheld."""
+STATIC = ("kalman", "predictive-coding")
+"""Methods that hold the arm still until they hear of it again."""
 
 
 def withhold(features: Features, every: int = EVERY) -> tuple[Features, Mapping[str, Series]]:
@@ -50,14 +52,27 @@ def _nats(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array
 
 def _carried(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> tuple[Array, Array]:
     """Mean (F,D) px and covariance (F,D,D) by the angles, of an estimate that did not use the track."""
-    joints = estimate.joints
-    columns = [joints.names.index(joint) for joint in body.joints]
-    x = np.stack([np.interp(seen.t, joints.t, joints.values[:, j]) for j in columns], axis=1)
-    nearest = np.minimum(np.searchsorted(joints.t, seen.t), len(joints.t) - 1)
-    mean, jac, var = body.senses[name].predict(x)
-    spread = np.asarray(estimate.cov[nearest][:, columns][:, :, columns])
+    columns = [estimate.joints.names.index(joint) for joint in body.joints]
+    x, cov = _angles(estimate, seen.t)
+    mean, jac, var = body.senses[name].predict(x[:, columns])
+    spread = cov[:, columns][:, :, columns]
     cov = np.einsum("fdj,fjk,fek->fde", jac, spread, jac, optimize=True)
     noise = np.broadcast_to(body.noise.senses.get(name, (1.0,) * mean.shape[1]), mean.shape)
     noise = noise if seen.std is None else np.where(np.isfinite(seen.std), seen.std**2, noise)
     np.einsum("fdd->fd", cov)[:] += var + noise
     return mean, cov
+
+
+def _angles(estimate: Estimate, t: Array) -> tuple[Array, Array]:
+    """Angles (F,M) rad and their covariance (F,M,M) at t (F,), by the past alone unless the estimate knew the future.
+
+    The last belief is carried on by its rate; what that rate is uncertain by within one step is left out.
+    """
+    joints = estimate.joints
+    after = np.minimum(np.searchsorted(joints.t, t), len(joints.t) - 1)
+    last = np.maximum(np.searchsorted(joints.t, t, "right") - 1, 0)
+    if estimate.method == "smoother":
+        x = np.stack([np.interp(t, joints.t, column) for column in joints.values.T], axis=1)
+        return x, estimate.cov[np.where(t - joints.t[last] < joints.t[after] - t, last, after)]
+    since = np.maximum(t - joints.t[last], 0.0) * (estimate.method not in STATIC)
+    return joints.values[last] + since[:, None] * estimate.rate.values[last], estimate.cov[last]

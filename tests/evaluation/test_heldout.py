@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from bodylog.estimation import estimate
 from bodylog.evaluation.heldout import EVERY, held_out, withhold
+from bodylog.settings import Estimation
 from bodylog.types import BodyModel, Estimate, Features, Noise, Series, TouchConstants
+from tests.estimation.conftest import Linear, dense, draw
 
 
 class Twice:
@@ -82,3 +85,45 @@ def test_a_track_that_would_show_nothing_any_more_is_left(scene):
     fewer, withheld = withhold(replace(features, tracks={"effector": replace(track, values=once)}))
     assert np.isfinite(fewer.tracks["effector"].values[EVERY - 1]).all()
     assert not len(withheld["effector"].t)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    ("method", "senses", "off"),
+    [
+        ("laplace", ("encoders", "vision"), 1e-9),
+        ("ekf", ("encoders", "vision"), 1e-9),
+        ("smoother", ("encoders", "vision"), 1e-9),
+        ("laplace", ("encoders",), 0.1),
+        ("smoother", ("encoders",), 0.01),
+    ],
+)
+def test_a_linear_body_scores_as_the_textbook_filter_and_smoother(seed, method, senses, off):
+    """In nats; estimates that did not see are asked between their instants, which is nearly right."""
+    plane = Linear(np.array([[300.0, -40.0, 20.0], [15.0, 250.0, 120.0]]), np.array([160.0, 120.0]))
+    drawn = draw(seed, duration=8.0, model=plane)
+    fewer, withheld = withhold(drawn.features)
+    asked = Estimation(method=method, senses=senses, precision="model", bias="off")
+    (score,) = held_out(estimate(fewer, drawn.body, asked), withheld, drawn.body)
+    track, seen = fewer.tracks["effector"], withheld["effector"]
+    heard = track if "vision" in senses else replace(track, values=np.full_like(track.values, np.nan))
+    noise = drawn.body.noise
+    known = replace(drawn, features=replace(fewer, tracks={"effector": heard}))
+    book = dense(known, np.array(noise.process), np.array(noise.encoder), noise.senses["effector"][0])
+    mean, cov = (book.smooth, book.smooth_cov) if method == "smoother" else (book.mean, book.cov)
+    rows = np.searchsorted(book.t, seen.t)
+    spread = plane.a @ cov[rows][:, :3, :3] @ plane.a.T + noise.senses["effector"][0] * np.eye(2)
+    places = plane.predict(mean[rows][:, :3])[0]
+    expected = [multivariate_normal(*one).logpdf(v) for *one, v in zip(places, spread, seen.values, strict=True)]
+    assert score.value == pytest.approx(np.mean(expected), abs=off)
+
+
+@pytest.mark.parametrize(("method", "foretold"), [("laplace", 0.3), ("kalman", 0.0), ("smoother", 0.5)])
+def test_the_future_is_known_to_the_smoother_alone(scene, method, foretold):
+    """Beliefs 0 and 1 rad, 1 s apart, at a rate of 0.6 rad/s; a frame is asked for half-way."""
+    _, body = scene
+    seen = series(np.array([0.5]), np.zeros((1, 2)), ("u", "v"), "px", np.full((1, 2), 0.5))
+    found = believed(np.arange(2.0), np.repeat(np.arange(2.0)[:, None], 2, axis=1), np.zeros((2, 2, 2)))
+    rate = replace(found.joints, values=np.full((2, 2), 0.6))
+    (score,) = held_out(replace(found, method=method, rate=rate), {"effector": seen}, body)
+    assert score.value == pytest.approx(multivariate_normal([2 * foretold] * 2, 0.5 * np.eye(2)).logpdf([0.0, 0.0]))
