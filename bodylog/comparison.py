@@ -1,62 +1,87 @@
 """Every method with every subset of the senses on one log, with and without truth."""
 
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from .errors import InputError, UsageError
-from .pipeline import Progress, infer, judge, observe
+from .errors import EvidenceError, InputError, UsageError
+from .pipeline import Progress, infer, judge, named, observe
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Score
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One line of a comparison: what ran on which senses, how good it was, how long it took (s)."""
+    """One line of a comparison: what ran on which senses, how good it was, its processor time (s), its warnings."""
 
     method: str
     senses: tuple[str, ...]
     scores: tuple[Score, ...]
     seconds: float
+    findings: tuple[Finding, ...] = ()
 
 
 def compare(
-    log: Path, body: Path, settings: Settings, progress: Progress | None = None
+    log: Path,
+    body: Path,
+    settings: Settings,
+    progress: Progress | None = None,
+    done: Callable[[Row], None] | None = None,
 ) -> tuple[list[Row], tuple[Finding, ...]]:
     """Every method with every subset of the senses the log has; each is also asked for pictures withheld from it.
 
-    What a method refuses is a remark, and an error where all refuse.
+    `done` is told each row at once. What a method refuses is a remark, and an error where all refuse; EvidenceError
+    where no sense says anything.
     """
-    from . import estimation
     from .body import model
-    from .estimation import choices
+    from .estimation import METHODS, choices
 
     learned = model.load(body)
     read, features = observe(log, settings, progress)
-    subsets = choices.subsets(features, learned)
-    runs = [(m, senses) for m in estimation.METHODS for senses in subsets if choices.usable(m, senses)]
+    subsets, silent = choices.subsets(features, learned, settings.estimate)
+    if not subsets:
+        raise EvidenceError(f"{log}: it says nothing by any sense of {body}; type: bodylog info {log}")
     rows: list[Row] = []
     refused: dict[str, InputError | UsageError] = {}
-    for method, senses in runs:
+    for method, senses in ((m, senses) for m in METHODS for senses in subsets if choices.usable(m, senses)):
+        asked = replace(settings.estimate, method=method, senses=senses, without=silent)
         try:
-            rows.append(_row(method, senses, features, learned, settings, read))
+            rows.append(_row(features, learned, replace(settings, estimate=asked), read))
         except (InputError, UsageError) as problem:
-            refused[f"{method} {','.join(senses)}"] = problem
+            refused[_label(method, senses)] = problem
+            continue
+        if done is not None:
+            done(rows[-1])
     if refused and not rows:
         raise next(iter(refused.values()))
-    remarks = (Finding("warning", f"{what}: {problem}") for what, problem in refused.items())
-    return rows, (*read.findings, *features.findings, *remarks)
+    return rows, (*read.findings, *features.findings, *_remarks(rows, refused))
 
 
-def _row(
-    method: str, senses: tuple[str, ...], features: Features, learned: BodyModel, settings: Settings, read: Recording
-) -> Row:
+def _row(features: Features, learned: BodyModel, settings: Settings, read: Recording) -> Row:
     from .evaluation.heldout import held_out, withhold
 
-    started = time.perf_counter()
-    chosen = replace(settings, estimate=replace(settings.estimate, method=method, senses=senses, without=()))
-    found = infer(features, learned, chosen)
-    seconds = time.perf_counter() - started
     fewer, withheld = withhold(features)
-    foretold = held_out(infer(fewer, learned, chosen), withheld, learned)
-    return Row(method, senses, (*judge(found, read), *foretold), seconds)
+    # first, so that the one that is timed finds everything imported and in memory
+    foretold = held_out(infer(fewer, learned, settings), withheld, learned)
+    started = time.process_time()
+    found = infer(features, learned, settings)
+    seconds = time.process_time() - started
+    warnings = (*(f for f in found.findings if f.severity != "info"), *named(found.faults))
+    asked = settings.estimate
+    return Row(asked.method, asked.senses or (), (*judge(found, read), *foretold), seconds, warnings)
+
+
+def _remarks(rows: Sequence[Row], refused: Mapping[str, Exception]) -> list[Finding]:
+    """What was said of rows, each thing once, after the rows it was said of."""
+    said: dict[Finding, list[str]] = {}
+    for row in rows:
+        for finding in row.findings:
+            said.setdefault(finding, []).append(_label(row.method, row.senses))
+    for label, problem in refused.items():
+        said.setdefault(Finding("warning", str(problem)), []).append(label)
+    return [Finding(finding.severity, f"{'; '.join(labels)}: {finding.text}") for finding, labels in said.items()]
+
+
+def _label(method: str, senses: Sequence[str]) -> str:
+    return f"{method} {','.join(senses)}"

@@ -1,5 +1,6 @@
 """bodylog compare."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -8,6 +9,8 @@ import click
 from . import options
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from bodylog.comparison import Row
 
 COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out")
@@ -22,18 +25,18 @@ def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int
     """Every method with every subset of senses on one log, in one table.
 
     held_out, which needs no truth, is the mean log density (nats) of pictures withheld from the method, one in five.
+    log_evidence is about what a row heard: hold it against rows of the same senses. seconds are of the processor, for
+    the estimate alone.
     """
     from bodylog import comparison
 
     from .output import data, lost, progress, talk
 
     with progress("compare") as tick:
-        rows, findings = comparison.compare(log, body, common.settings(), tick)
+        rows, findings = comparison.compare(log, body, common.settings(), tick, None if as_json else _line())
     talk(findings)
     if as_json:
-        data({"rows": [_plain(row) for row in rows], "output": None})
-    else:
-        _table(rows)
+        data({"rows": [_plain(row) for row in rows], "findings": [asdict(f) for f in findings], "output": None})
     return lost(findings)
 
 
@@ -42,9 +45,15 @@ def _plain(row: "Row") -> dict[str, Any]:
     return {"method": row.method, "senses": row.senses, "seconds": row.seconds, "scores": scores}
 
 
-def _table(rows: "list[Row]") -> None:
-    click.echo(f"{'method':<18} {'senses':<24} " + " ".join(f"{name:>15}" for name in COLUMNS) + f" {'seconds':>9}")
-    for row in rows:
+def _line() -> "Callable[[Row], None]":
+    """Prints a row of the table, before the first one what its columns are."""
+    head = [f"{'method':<18} {'senses':<24} " + " ".join(f"{name:>15}" for name in COLUMNS) + f" {'seconds':>9}"]
+
+    def line(row: "Row") -> None:
         scores = {score.name: score.value for score in row.scores}
         cells = " ".join(f"{scores[name]:>15.5g}" if name in scores else f"{'-':>15}" for name in COLUMNS)
+        while head:
+            click.echo(head.pop())
         click.echo(f"{row.method:<18} {','.join(row.senses):<24} {cells} {row.seconds:>9.3f}")
+
+    return line

@@ -4,16 +4,24 @@ from itertools import combinations
 
 import numpy as np
 
+from ..settings import Estimation
 from ..types import BodyModel, Features
+from .senses import chosen
 
 ENCODERS_ONLY = ("kalman",)
 """Methods whose model has no picture in it."""
 
 
-def subsets(features: Features, body: BodyModel) -> list[tuple[str, ...]]:
-    """Every non-empty choice among the senses a log has something from, all of them first."""
-    here = [name for name, heard in _heard(features, body).items() if heard]
-    return [chosen for size in range(len(here), 0, -1) for chosen in combinations(here, size)]
+def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
+    """Every non-empty choice among the senses that may be heard and say something, all of them first.
+
+    And the joints and tracks that may not be heard by any. UsageError where the settings name what there is not.
+    """
+    visual = [name for name in features.tracks if name in body.senses]
+    wanted = chosen(visual, body, settings)
+    here = [name for name, heard in _heard(features, body, wanted).items() if heard]
+    rows = [some for size in range(len(here), 0, -1) for some in combinations(here, size)]
+    return rows, tuple(name for name in (*body.joints, *visual) if name not in wanted)
 
 
 def usable(method: str, senses: tuple[str, ...]) -> bool:
@@ -21,7 +29,12 @@ def usable(method: str, senses: tuple[str, ...]) -> bool:
     return senses == ("encoders",) if method in ENCODERS_ONLY else True
 
 
-def _heard(features: Features, body: BodyModel) -> dict[str, bool]:
-    seen = [name for name, track in features.tracks.items() if name in body.senses and np.isfinite(track.values).any()]
+def _heard(features: Features, body: BodyModel, wanted: set[str]) -> dict[str, bool]:
+    joints, visual = features.joints, wanted & set(body.senses)
+    tracks = [track for name, track in features.tracks.items() if name in visual]
+    told = joints is not None and any(
+        np.isfinite(column).any() for name, column in zip(joints.names, joints.values.T, strict=True) if name in wanted
+    )
     felt = bool(features.touches and features.synchrony and features.hand is not None and "effector" in body.senses)
-    return {"encoders": features.joints is not None, "vision": bool(seen), "touch": felt}
+    seen = any(np.isfinite(track.values).all(axis=1).any() for track in tracks)
+    return {"encoders": told, "vision": seen, "touch": felt and "touch" in wanted}

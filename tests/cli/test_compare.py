@@ -1,0 +1,83 @@
+"""What `compare` runs: which rows there are, what it says of them, and what its times are of."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+
+from bodylog import comparison
+from bodylog.body import model
+from bodylog.estimation import METHODS, choices
+from bodylog.settings import Estimation, Settings
+
+from .spoilt import spoil
+
+
+def _ran(capsys, bodylog, *typed):
+    capsys.readouterr()
+    assert bodylog("compare", *typed, "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    return {(row["method"], tuple(row["senses"])) for row in said["rows"]}, said
+
+
+def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, bodylog, robot):
+    config = tmp_path / "robot.toml"
+    config.write_text('[estimate]\nwithout = ["vision", "touch", "elbow_joint"]\n')
+    typed = (robot / "reach.mcap", "--body", robot / "body.npz", "--config", config)
+    rows, said = _ran(capsys, bodylog, *typed)
+    assert rows == {(method, ("encoders",)) for method in METHODS}
+    assert all("encoder_std/elbow_joint" in row["scores"] for row in said["rows"] if row["method"] == "laplace")
+    assert all(row["scores"]["joint_rmse/elbow_joint"] > 0.01 for row in said["rows"])
+
+
+def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, bodylog, robot):
+    body = model.load(robot / "body.npz")
+    noise = replace(body.noise, senses={}, std_error={k: v for k, v in body.noise.std_error.items() if k != "effector"})
+    model.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
+    rows, said = _ran(capsys, bodylog, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
+    assert rows == {(method, ("encoders",)) for method in METHODS}
+    assert not any("held_out" in row["scores"] for row in said["rows"])
+
+
+def test_warnings_name_the_rows_they_are_about(capsys, bodylog, robot):
+    _, said = _ran(capsys, bodylog, robot / "reach.mcap", "--body", robot / "body.npz")
+    (text,) = [f["text"] for f in said["findings"] if "many postures look alike" in f["text"]]
+    assert text.startswith("laplace vision; smoother vision; ekf vision; predictive-coding vision: vision: 2 numbers")
+    assert sum("predictive-coding: knows no motion" in f["text"] for f in said["findings"]) == 1
+
+
+def test_a_log_that_says_nothing_is_refused(tmp_path, capsys, bodylog, robot):
+    gone = ("/joint_states", "/camera/image/compressed", "/skin")
+    log = spoil(robot / "reach.mcap", tmp_path / "mute.mcap", lambda *_: None, 1.0, lambda topic: topic not in gone)
+    capsys.readouterr()
+    assert bodylog("compare", log, "--body", robot / "body.npz") == 65
+    captured = capsys.readouterr()
+    assert captured.out == "" and "says nothing by any sense of " in captured.err.splitlines()[-1]
+
+
+def test_what_is_timed_has_run_before(monkeypatch, robot):
+    """The pictures withheld first, then all of them: so no row pays for what the first one imports."""
+    asked = []
+    inner = comparison.infer
+
+    def infer(features, learned, settings):
+        asked.append((settings.estimate.senses, int(np.isfinite(features.tracks["effector"].values).sum())))
+        return inner(features, learned, settings)
+
+    monkeypatch.setattr(comparison, "infer", infer)
+    told = []
+    settings = Settings(estimate=Estimation(without=("touch",)))
+    rows, _ = comparison.compare(robot / "reach.mcap", robot / "body.npz", settings, None, told.append)
+    assert told == rows and len(asked) == 2 * len(rows)
+    for first, then in zip(asked[::2], asked[1::2], strict=True):
+        assert first[0] == then[0] and first[1] < then[1]
+
+
+def test_encoders_that_never_spoke_are_no_sense(robot):
+    from bodylog.pipeline import observe
+
+    _, features = observe(robot / "reach.mcap", Settings())
+    body = model.load(robot / "body.npz")
+    mute = replace(features, joints=replace(features.joints, values=np.full_like(features.joints.values, np.nan)))
+    assert choices.subsets(mute, body, Estimation(without=("touch",)))[0] == [("vision",)]
+    assert choices.subsets(mute, body, Estimation(senses=("encoders",)))[0] == []
