@@ -9,13 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Array
+from .alike import counts
 from .conditioning import _excess
 from .laplace import Problem, Solution
 from .outset import OFFSET_STD
 
 CLIP = 4.0
 """Standard deviations: no innovation counts for more, lest single blunders accuse an encoder."""
-SPAN = 0.25
+FAR = 0.3
+"""rad: angles closer than this share so much of a model's error that it passes for a lie, which lasts as well."""
+SPAN = 0.5
 """s over which an offset is taken for constant."""
 PASSES, STILL = 8, 0.05
 """Passes over all stretches at most, and how little a stretch's start may still move, per unit of offset."""
@@ -55,17 +58,27 @@ def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Arr
 def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
     """What the sightings of one track said to the belief."""
     fold, readings, trace = solved.fold, solved.readings, solved.trace
-    seen = np.isfinite(problem.evidence.sightings[track].values).all(axis=1)
+    seen: Array = np.all(np.isfinite(problem.evidence.sightings[track].values), axis=1)
     events = problem.timeline.sightings[track][seen]
     x, cov = fold.pick(trace.prior, events), fold.pick(trace.prior_cov, events)
     y, jac, var = (fold.pick(part[:, track], events) for part in (readings.y, readings.jac, readings.var))
     nu, s = y - (jac @ x[..., None])[..., 0], jac @ cov @ jac.swapaxes(1, 2)
     np.einsum("fdd->fd", s)[:] += var
-    pull = np.linalg.solve(s, nu[..., None])[..., 0]
-    d2 = np.einsum("fd,fd->f", nu, pull)
+    d2 = np.einsum("fd,fd->f", nu, np.linalg.solve(s, nu[..., None])[..., 0])
     noise = var + np.einsum("fdd->fd", s) * _excess(d2)[:, None]
-    clip = np.minimum(1.0, CLIP / np.sqrt(np.maximum(d2 / nu.shape[1], 1e-9)))
-    return _Frames(events, jac, s, pull * clip[:, None], jac.swapaxes(1, 2) @ (jac / noise[..., None]))
+    np.einsum("fdd->fd", s)[:] += _common(solved, track, seen)
+    pull = np.linalg.solve(s, nu[..., None])[..., 0]
+    reach = np.sqrt(np.maximum(np.einsum("fd,fd->f", nu, pull) / nu.shape[1], 1e-9))
+    return _Frames(
+        events, jac, s, pull * np.minimum(1.0, CLIP / reach)[:, None], jac.swapaxes(1, 2) @ (jac / noise[..., None])
+    )  # fmt: skip
+
+
+def _common(solved: Solution, track: int, seen: Array) -> Array:
+    """What the model's error adds to variances (F,D), so that frames of like postures say of a lie no more than one."""
+    points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
+    alike = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / FAR))
+    return np.asarray(model * (2.0 * alike - 2.0)[:, None])
 
 
 def _shift(solved: Solution, tracks: list[_Frames]) -> Array:

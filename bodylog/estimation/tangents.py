@@ -52,6 +52,10 @@ class Tangents:
             touched |= fold.sees(events[other])
         return touched
 
+    def model_var(self, index: int) -> Array:
+        """The model's own variance (F,D) where one sighting's frames are linearised."""
+        return self._model_var[index]
+
     def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
         x = self.points[index][stale]
         mean, jac, self._model_var[index][stale] = sighting.model.predict(x)

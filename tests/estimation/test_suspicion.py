@@ -6,10 +6,11 @@ from functools import partial
 import numpy as np
 import pytest
 
+from bodylog import body
 from bodylog.estimation import bias, estimate, filtering
 from bodylog.estimation.laplace import solve
 from bodylog.estimation.suspicion import promise
-from bodylog.settings import Estimation
+from bodylog.settings import Estimation, Settings
 
 WALK = bias.WALKS[0]
 
@@ -50,6 +51,15 @@ def test_a_sound_log_is_not_weighed(world):
         drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
         problem, found = solved(drawn.features, drawn.body)
         assert bias.choose(problem, found, never) is problem
+
+
+def test_a_learned_bodys_own_error_accuses_no_encoder(world):
+    explored = world(1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    learned = body.learn([explored.features], Settings(), {}).model
+    for seed in range(2, 5):
+        drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
+        gain, _, _ = promise(*solved(drawn.features, learned), WALK)
+        assert (gain < bias.GAIN).all()
 
 
 @pytest.mark.parametrize("joint", ["lift", "elbow"])
