@@ -32,12 +32,12 @@ def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Arra
     pixel at all. NaN where no weight is left.
     """
     inner, grown, outer = _zones(core, valid)
-    ground = _moments(sheet[:, ::2, ::2], outer[:, ::2, ::2])
+    ground = _moments(sheet[:, ::2, ::2], outer[:, ::2, ::2])[0]
     top, left, side = _around(grown)
     near = np.s_[:, top : top + side, left : left + side]
-    inner, grown = inner[near], grown[near]
+    inner, grown, rim = inner[near], grown[near], (grown & (1 - core))[near]
     x = _powers(side)
-    mixing, contrast = _mixing(sheet[near], inner, *ground)
+    mixing, contrast = _mixing(sheet[near], inner, rim, ground)
     mean, plane, graded = _shade(mixing, inner, x, _ROUNDING / contrast**2)
     weight = _weight(mixing / plane, grown)
     mass, u, v = _centroid(weight, x)
@@ -86,15 +86,17 @@ def _powers(size: int) -> Array:
     return np.stack([np.ones_like(x), x, x * x])
 
 
-def _mixing(sheet: Array, inner: Array, ground: Array, ground_scatter: Array) -> tuple[Array, Array]:
+def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Array, Array]:
     """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (K,S,S); how far apart they are (K,).
 
-    Fisher's discriminant: the direction in colour that tells the two apart best given how each of them scatters, so
-    that what else stands in the surround weighs little.
+    Fisher's discriminant: the direction in colour that tells the two apart best given how the blob scatters and the
+    rim round it, so that what stands beside the blob, or bleeds into it as JPEG's colours do, weighs little. Pixels
+    the edge mixes lie on the line between the two colours, and scatter along that line turns no direction.
     """
     every = 2 if inner[0].size > _MANY else 1
     blob, blob_scatter = _moments(sheet[:, ::every, ::every], inner[:, ::every, ::every])
-    step, scatter = blob - ground, blob_scatter + ground_scatter
+    rim_scatter = _moments(sheet[:, ::every, ::every], rim[:, ::every, ::every])[1]
+    step, scatter = blob - ground, blob_scatter + rim_scatter
     # as much again of white noise keeps the direction sane where the colours hardly scatter
     white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]

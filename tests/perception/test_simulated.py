@@ -148,3 +148,12 @@ def test_a_marker_on_the_arm_is_a_track_beside_the_effector(tmp_path: Path) -> N
     for found in tracks.values():
         assert found.in_view > 120
         _judge(found, moves=True)
+
+
+def test_a_hand_next_to_a_small_effector_is_as_exact_though_jpeg_mixes_their_colours(tmp_path: Path) -> None:
+    hand = _Found()
+    for seed in range(3):
+        features, start_ns, truth = _log(tmp_path, "touch", seed, duration=8.0, size=(160, 120))
+        _compare(hand, features, "hand", start_ns, truth)
+    _judge(hand, moves=True)
+    assert np.sqrt(np.square(np.concatenate(hand.errors)).mean()) < 0.055
