@@ -7,6 +7,7 @@ from pathlib import Path
 
 from .errors import EvidenceError, InputError, UsageError
 from .pipeline import Progress, infer, judge, named, observe
+from .refusals import gone
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Score
 
@@ -41,7 +42,8 @@ def compare(
     read, features = observe(log, settings, progress)
     subsets, silent = choices.subsets(features, learned, settings.estimate)
     if not subsets:
-        raise EvidenceError(f"{log}: it says nothing by any sense of {body}; type: bodylog info {log}")
+        told = f"it says nothing by any sense of {body}; type: bodylog info {log}"
+        raise EvidenceError(f"{log}: {told}{gone(log, read.findings)}")
     rows: list[Row] = []
     refused: dict[str, InputError | UsageError] = {}
     for method, senses in ((m, senses) for m in METHODS for senses in subsets if choices.usable(m, senses)):

@@ -9,7 +9,7 @@ from typing import Any
 from . import __version__
 from .errors import InputError
 from .files import sha256
-from .refusals import distinct, insist, something_seen, teachable
+from .refusals import distinct, gone, insist, something_seen, teachable
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
 
@@ -120,8 +120,7 @@ def _estimated(log: Path, read: Recording, features: Features, learned: BodyMode
     try:
         found = infer(features, learned, settings)
     except InputError as problem:
-        gone = "".join(f"; {f.text.removeprefix(f'{log}: ')}" for f in read.findings if f.severity == "lost")
-        raise type(problem)(f"{log}: {problem}{gone}") from problem
+        raise type(problem)(f"{log}: {problem}{gone(log, read.findings)}") from problem
     insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
 

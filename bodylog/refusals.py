@@ -1,11 +1,11 @@
 """What the pipeline refuses, in one line each: a file onto itself, logs that show nothing, names that fit nothing."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from .errors import EvidenceError, LogError, UsageError
 from .settings import Colours, Settings
-from .types import Features, Health
+from .types import Features, Finding, Health
 
 
 def distinct(read: Path, out: Path) -> None:
@@ -40,3 +40,8 @@ def insist(
             seen = f"{name}: nothing usable in {used.seen} pictures of the camera or colour that robot.toml names"
             told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
             raise EvidenceError(f"{log}: {told}{instead.format(name)}")
+
+
+def gone(log: Path, findings: Iterable[Finding]) -> str:
+    """What of a log is gone, for the end of a refusal that this may explain."""
+    return "".join(f"; {f.text.removeprefix(f'{log}: ')}" for f in findings if f.severity == "lost")

@@ -55,6 +55,15 @@ def test_a_log_that_says_nothing_is_refused(tmp_path, capsys, bodylog, robot):
     assert captured.out == "" and "says nothing by any sense of " in captured.err.splitlines()[-1]
 
 
+def test_a_refused_log_that_was_cut_tells_what_it_lost(tmp_path, capsys, bodylog, robot):
+    log = tmp_path / "cut.mcap"
+    log.write_bytes((robot / "reach.mcap").read_bytes()[:2000])
+    capsys.readouterr()
+    assert bodylog("compare", log, "--body", robot / "body.npz") == 65
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "says nothing by any sense of " in last and " lost: " in last
+
+
 def test_what_is_timed_has_run_before(monkeypatch, robot):
     """The pictures withheld first, then all of them: so no row pays for what the first one imports."""
     asked = []
