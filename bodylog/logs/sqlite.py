@@ -2,42 +2,23 @@
 
 import shutil
 import sqlite3
-from array import array
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
 from urllib.parse import quote
 
 import numpy as np
 
 from ..errors import LogError
-from ..types import Array, Batch, Finding, Topic
+from ..types import Batch, Finding, Topic
 from .ledger import Ledger
+from .sqlite_rows import DAMAGE, Block, Rows
 from .topics import Topics, normalised, split
 from .unpacked import unpacked
 
-_DAMAGE = (sqlite3.Error, UnicodeError)
 _ENDS = ("min", "max")
-_ROWS = 512
-_FIRST_ROWS = 16
 _FEW_TOPICS = 8
-_BYTES = 16 << 20
 _LARGEST = 1 << 30
-_LOWEST = -(1 << 63)
-_SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
-
-Row = tuple[int, int, int, bytes]
-"""rowid, topic id in the file, log time (ns), payload."""
-
-
-class Block(NamedTuple):
-    """Rows as arrays: topic id in the file (n,), log time (n,) ns, all payloads one after another, lengths (n,)."""
-
-    topic: Array
-    log_ns: Array
-    data: Array
-    length: Array
 
 
 class Db3Log:
@@ -50,10 +31,11 @@ class Db3Log:
         self.path = path
         self._ledger = Ledger(path, strict)
         self._store = _connect(path, source or path)
+        self._rows = Rows(self._store, self._ledger)
         try:
             named = _topics(self._store)
             counts, self.start_ns, self.end_ns = self._survey(list(named))
-        except _DAMAGE as problem:
+        except DAMAGE as problem:
             self._store.close()
             raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; type: bodylog doctor") from None
         topics, self._topic_of = Topics(), {}
@@ -73,7 +55,7 @@ class Db3Log:
         """Messages of the topics `ids` (None: all) in the order stored, one batch per topic and block of rows."""
         wanted = {number: topic for number, topic in self._topic_of.items() if ids is None or topic in ids}
         if wanted:
-            blocks = self._blocks(None if ids is None else wanted)
+            blocks = self._rows.blocks(None if ids is None else wanted)
             found = (batch for block in blocks for batch in _batches(block, wanted))
             yield from unpacked(found, self.topics, self._ledger)
 
@@ -103,10 +85,10 @@ class Db3Log:
                 times = self._store.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
             if all(type(value) is int for value in (*counts, *(times if counts else ()))):
                 return counts, times[0] or 0, times[1] or 0
-        except _DAMAGE as problem:
+        except DAMAGE as problem:
             self._ledger.warn(f"the table of messages is damaged: {problem}")
         counts, ends = {}, []
-        for block in self._blocks(None):
+        for block in self._rows.blocks(None):
             for topic in block.topic.tolist():
                 counts[topic] = counts.get(topic, 0) + 1
             ends += [int(block.log_ns.min()), int(block.log_ns.max())]
@@ -120,80 +102,6 @@ class Db3Log:
             if whole == sum(count or 0 for count in each):
                 return {number: count for number, count in zip(numbers, each, strict=True) if count}
         return dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
-
-    def _blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
-        """The rows of these topics in the order stored; what cannot be read is skipped and said."""
-        chosen = "" if wanted is None else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
-        count, largest, done = _FIRST_ROWS, 1, 0
-        try:
-            cursor = self._store.execute(_SELECT.format("topic_id, timestamp, data", chosen), (_LOWEST,))
-            while rows := cursor.fetchmany(count):
-                block = _block(rows)
-                if block is None:
-                    break
-                yield block
-                done += len(rows)
-                largest = max(largest, int(block.length.max()))
-                count = max(1, min(_ROWS, _BYTES // largest))
-            else:
-                return
-        except _DAMAGE:
-            pass  # read on row by row, and past the damage
-        yield from self._damaged_rows(chosen, self._rowid(chosen, done))
-
-    def _rowid(self, chosen: str, done: int) -> int:
-        """The rowid of the last of the `done` rows that were read."""
-        query = _SELECT.format("rowid", chosen) + " LIMIT 1 OFFSET ?"
-        return int(self._store.execute(query, (_LOWEST, done - 1)).fetchone()[0]) if done else _LOWEST
-
-    def _damaged_rows(self, chosen: str, low: int) -> Iterator[Block]:
-        """The sound rows after rowid `low`, one to a block."""
-        last: Row | None = None
-        query = _SELECT.format("rowid, topic_id, timestamp, data", chosen)
-        while True:
-            try:
-                for row in self._store.execute(query, (low,)):
-                    low, block = row[0], _block([row[1:]])
-                    if block is not None:
-                        last = row
-                        yield block
-                    else:
-                        self._ledger.lost(low, None, 1, None, f"row {low} of messages is damaged")
-                return
-            except _DAMAGE as problem:
-                following = self._next(low, last, problem)
-            if following is None:
-                return
-            low = following
-
-    def _next(self, low: int, last: Row | None, problem: Exception) -> int | None:
-        """The rowid after which rows can be read again, or None; what lies between is lost."""
-        base = max(low, 0)
-        step = 1
-        while step < 1 << 40 and not self._readable(base + step):
-            step *= 2
-        short, long = step // 2, step
-        while long - short > 1:
-            middle = (short + long) // 2
-            short, long = (short, middle) if self._readable(base + middle) else (middle, long)
-        row = self._first(base + long) if step < 1 << 40 else None
-        rows = row[0] - base - 1 if row else None
-        seconds = max(0, row[2] - last[2]) / 1e9 if row and last else None
-        why = f"the rows after rowid {base} cannot be read: {problem}"
-        self._ledger.lost(base, None, rows, seconds, why)
-        return base + long if row else None
-
-    def _readable(self, after: int) -> bool:
-        try:
-            self._first(after)
-            return True
-        except _DAMAGE:
-            return False
-
-    def _first(self, after: int) -> Row | None:
-        query = _SELECT.format("rowid, topic_id, timestamp, data", "") + " LIMIT 1"
-        row: Row | None = self._store.execute(query, (after,)).fetchone()
-        return row if row and type(row[2]) is int else None
 
 
 def _connect(path: Path, source: Path) -> sqlite3.Connection:
@@ -253,17 +161,6 @@ def _standard(kind: str) -> tuple[bytes, str]:
     if kind not in store.fielddefs:
         return b"", ""
     return store.generate_msgdef(kind, ros_version=2)[0].encode(), "ros2msg"
-
-
-def _block(rows: list[tuple[int, int, bytes]]) -> Block | None:
-    """The rows as arrays, or None when a value is not of the type its column must have."""
-    numbers, times, payloads = zip(*rows, strict=True)
-    try:
-        topic, log_ns = (np.frombuffer(array("q", values), np.int64) for values in (numbers, times))
-        data = np.frombuffer(b"".join(payloads), np.uint8)
-    except TypeError:
-        return None
-    return Block(topic, log_ns, data, np.fromiter(map(len, payloads), np.int64, len(payloads)))
 
 
 def _batches(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
