@@ -1,10 +1,13 @@
 """Files that are either whole or absent: written beside, synced, renamed."""
 
+import fcntl
 import hashlib
 import mmap
 import os
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from glob import escape
 from itertools import cycle
 from pathlib import Path
 
@@ -13,23 +16,52 @@ from .errors import UsageError
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A path beside `path` to write to; on success it is synced and takes `path`'s place, on failure it is removed.
+    """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
 
-    UsageError when `path` is a folder or in none.
+    What killed runs left there of `path` goes first. UsageError when `path` is a folder or in none.
     """
     if path.is_dir():
         raise UsageError(f"{path}: is a folder; give the name of a file with -o")
     if not path.parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
+    forsake(path.parent, f".{escape(path.name)}.*.part")
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    beside.unlink(missing_ok=True)  # of a process that was killed, whose number this one has
+    beside.unlink(missing_ok=True)  # of this number's earlier process, where files cannot be locked
+    beside.touch()
     try:
-        yield beside
-        sync(beside)
-        os.replace(beside, path)
-        sync(path.parent)
+        with held(beside):
+            yield beside
+            sync(beside)
+            os.replace(beside, path)
+            sync(path.parent)
     finally:
         beside.unlink(missing_ok=True)
+
+
+@contextmanager
+def held(path: Path) -> Iterator[bool]:
+    """Lock a file or folder as long as this process lives and the `with` lasts; False where it is another's."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        yield _lock(handle)
+    finally:
+        os.close(handle)
+
+
+def _lock(handle: int) -> bool:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    except OSError:
+        return False
+
+
+def forsake(folder: Path, pattern: str) -> None:
+    """Remove the files and folders of that pattern that nobody holds."""
+    for left in folder.glob(pattern):
+        with suppress(OSError), held(left) as ours:
+            if ours:
+                shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def sync(path: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
+from . import files
 from .errors import BodylogError, LogError, UsageError
 
 _MARGIN = 256 << 20
@@ -77,11 +78,13 @@ def local(source: str, folder: Path) -> Iterator[Path]:
     if not is_url(source):
         yield Path(source)
         return
-    beside = folder / f".fetched.{os.getpid()}.{hashlib.sha256(source.encode()).hexdigest()[:8]}.part"
+    name = hashlib.sha256(source.encode()).hexdigest()[:8]
+    files.forsake(folder, f".fetched.*.{name}.part")
+    beside = folder / f".fetched.{os.getpid()}.{name}.part"
     beside.mkdir(parents=True)
     path = beside / name_of(source)
     try:
-        with naming(path, source):
+        with files.held(beside), naming(path, source):
             yield _fetch(source, path)
     finally:
         shutil.rmtree(beside, ignore_errors=True)

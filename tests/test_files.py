@@ -1,7 +1,33 @@
+import subprocess
+import sys
+from contextlib import contextmanager
+
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.files import replacing, sha256
+from bodylog.files import forsake, held, replacing, sha256
+
+WRITER = """
+import sys
+from pathlib import Path
+from bodylog.files import replacing
+with replacing(Path(sys.argv[1])) as beside:
+    beside.write_bytes(b"half")
+    print("begun", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextmanager
+def writing(path):
+    """Another process that is half-way through writing `path`; killed at the end."""
+    command = [sys.executable, "-c", WRITER, path]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"begun\n"
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def test_success_replaces_and_failure_leaves_the_old_file_and_nothing_else(tmp_path):
@@ -32,3 +58,32 @@ def test_digest_of_a_folder_is_of_its_files_in_name_order(tmp_path):
 def test_a_folder_is_not_a_file_to_write(tmp_path):
     with pytest.raises(UsageError, match="is a folder"), replacing(tmp_path):
         pass
+
+
+def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path):
+    path = tmp_path / "out [1].bin"
+    with writing(path) as killed:
+        left = tmp_path / f".out [1].bin.{killed.pid}.part"
+    with writing(tmp_path / "other.bin") as elsewhere:
+        other = tmp_path / f".other.bin.{elsewhere.pid}.part"
+    assert left.read_bytes() == other.read_bytes() == b"half"
+    with writing(path) as living:
+        assert not left.exists()
+        theirs = tmp_path / f".out [1].bin.{living.pid}.part"
+        with replacing(path) as beside:
+            beside.write_bytes(b"whole")
+        assert sorted(tmp_path.iterdir()) == sorted([path, theirs, other])
+        living.communicate(timeout=60)
+    assert path.read_bytes() == b"half"
+    assert sorted(tmp_path.iterdir()) == sorted([path, other])
+
+
+def test_a_folder_is_forsaken_once_nobody_holds_it(tmp_path):
+    folder = tmp_path / "fetched.part"
+    folder.mkdir()
+    (folder / "log.mcap").touch()
+    with held(folder) as ours:
+        forsake(tmp_path, "*.part")
+        assert ours and folder.is_dir()
+    forsake(tmp_path, "*.part")
+    assert not list(tmp_path.iterdir())

@@ -48,7 +48,6 @@ def begun(source: Path, out: Path, whole: bool = True) -> Iterator["Annotation"]
         raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
     with replacing(out) as beside:
         base = _base(source) if whole else None
-        beside.touch()
         with Copy(source) if base is None else Copy(source, beside, base.end) as copy, beside.open("r+b") as stream:
             under_way = Annotation(source, base, copy, stream)
             yield under_way

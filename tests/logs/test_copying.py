@@ -127,13 +127,13 @@ def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
 
 
 @pytest.mark.parametrize("number", [os.getpid(), 1])
-def test_what_a_killed_run_left_disturbs_no_other(tmp_path, log, number):
+def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, number):
     annotate.annotate(log, outgoing(), {}, tmp_path / "plain.mcap")
     stale = tmp_path / f".out.mcap.{number}.part"
     stale.write_bytes(bytes(2 * log.stat().st_size))
     stale.chmod(0o400)
     annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
-    assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes()
+    assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes() and not stale.exists()
 
 
 @pytest.mark.parametrize("done", ["nothing", "the messages alone"])
