@@ -60,14 +60,14 @@ class Sparse:
 
 
 def inducing(kernels: Sequence[Hyper], x: Array, noise: float) -> Array:
-    """Points among x (n,M) rad that leave a tenth of `noise` / n in the roughest of the kernels; at most 400.
+    """Points among x (n,M) rad that leave a hundredth of `noise` / n in the roughest of the kernels; at most 400.
 
-    n samples of such noise are then told apart from the exact posterior by less than 0.1 nats (Burt et al. 2019).
+    n samples of such noise are then told apart from the exact posterior by less than 0.01 nats (Burt et al. 2019).
     """
     pool = x[spaced(len(x), _POOL)]
     scales = np.min([k.scales for k in kernels], axis=0)
     amplitude = max(k.amplitude for k in kernels)
-    return np.asarray(pool[pivots(pool / scales, _MOST, max(0.1 * noise / (len(x) * amplitude), _TOLERANCE))])
+    return np.asarray(pool[pivots(pool / scales, _MOST, max(0.01 * noise / (len(x) * amplitude), _TOLERANCE))])
 
 
 def basis(kernel: Hyper, centres: Array) -> Basis:

@@ -12,7 +12,10 @@ from .select import spaced
 from .sparse import Basis, basis, inducing, posterior, sums
 
 EXACT = 500
-"""Up to so many samples the posterior is exact: one prediction costs O(n²)."""
+"""Up to so many samples kernels and held-out residuals are the exact posterior's, which costs O(n³)."""
+
+FEW = 100
+"""Above so many samples predictions go by inducing points, for all of them cost more and say the same."""
 
 CANDIDATES = 12
 """How many first guesses are weighed before the search for a kernel starts from the best."""
@@ -63,9 +66,8 @@ def samples(x: Array, y: Array) -> Samples:
 
 
 def train(data: Samples, outputs: tuple[str, ...], unit: str, seed: int = 0, exact: int = EXACT) -> GP:
-    """The GP of greatest evidence, one kernel for all outputs; above `exact` samples on inducing points."""
-    found = fitted(data, FLAT, True, seed, exact)
-    return build(data, found, outputs, unit, exact)
+    """The GP of greatest evidence, one kernel for all outputs, found from at most `exact` samples."""
+    return build(data, fitted(data, FLAT, True, seed, exact), outputs, unit)
 
 
 def fitted(data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EXACT) -> Fitted:
@@ -79,9 +81,9 @@ def fitted(data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EX
     return replace(found, spreads=lifted(data, assemble(part, found, (), ""), found.groups))
 
 
-def build(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str, exact: int = EXACT) -> GP:
-    """The GP with kernels found: exact up to so many samples, above on inducing points."""
-    make = assemble if len(data.x) <= exact else condense
+def build(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str, few: int = FEW) -> GP:
+    """The GP with kernels found: exact for `few` samples, for more on inducing points."""
+    make = assemble if len(data.x) <= few else condense
     return make(data, found, outputs, unit)
 
 

@@ -26,8 +26,8 @@ def test_enough_inducing_points_give_the_exact_posterior(seed: int) -> None:
     assert len(thin.centres) < 150
     value, slope, spread = exact.predict(at)
     near = thin.predict(at)
-    assert np.abs(value - near[0]).max() < 0.1 * np.sqrt(spread.min())
-    assert np.allclose(spread, near[2], rtol=0.02)
+    assert np.abs(value - near[0]).max() < 0.03 * np.sqrt(spread.min())
+    assert np.allclose(spread, near[2], rtol=0.005)
     assert np.abs(slope - near[1]).max() < 0.2 * np.sqrt(exact.slope_variance(at).max())
 
 
