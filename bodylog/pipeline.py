@@ -44,7 +44,8 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
 
     read = recording.read(log, settings, settings.input.strict)
     if read.features is None:
-        return read, replace(perception.observe(read, settings, progress), reference=read.reference)
+        seen = perception.observe(read, settings, progress)
+        return read, replace(seen, reference=read.reference, cameras=_cameras(read))
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
     remarks = (*read.features.findings, carried)
     return read, replace(read.features, joints=read.joints, reference=read.reference, findings=remarks)
@@ -198,19 +199,19 @@ def count(log: Path) -> int:
 def _feature_messages(read: Recording, features: Features) -> list[Outgoing]:
     from .logs import messages
 
-    return messages.from_features(features, read.start_ns, read.roles.get("camera"), _views(read))
+    return messages.from_features(features, read.start_ns)
 
 
 def _estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
     from .logs import messages
 
-    topics = read.roles.get("camera"), _views(read)
-    return [*_feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns, *topics)]
+    return [*_feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns)]
 
 
-def _views(read: Recording) -> dict[str, str]:
-    """The topics of the cameras beside the first, by name."""
-    return {role.removeprefix("camera/"): path for role, path in read.roles.items() if role.startswith("camera/")}
+def _cameras(read: Recording) -> dict[str, str]:
+    """The topics of the cameras by name, "" for the first."""
+    roles = {role.partition("/"): path for role, path in read.roles.items()}
+    return {name: path for (role, _, name), path in roles.items() if role == "camera"}
 
 
 def topic_of(read: Recording, role: str) -> str | None:

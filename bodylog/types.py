@@ -144,7 +144,7 @@ class Features:
 
     `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of those names.
     `picture_size` is (width, height) in px where it is known; `reference` the true angles where a log to learn from
-    has them.
+    has them; `cameras` {camera: topic} whose pictures the tracks are of, "" the first one.
     """
 
     joints: Series | None
@@ -156,6 +156,7 @@ class Features:
     findings: tuple[Finding, ...] = ()
     picture_size: tuple[int, int] | None = None
     reference: Series | None = None
+    cameras: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def effector(self) -> Series | None:

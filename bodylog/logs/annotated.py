@@ -1,15 +1,15 @@
 """Read back what we wrote: tracks and touches for another run, the estimate for scoring and reports."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import FormatError, LogError
-from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Synchrony, Touch
+from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
 from .append import NAME, ROOT
 from .columns import columns_of
 from .containers import Log, open_log
@@ -19,10 +19,11 @@ from .toplevel import TopLevel
 
 _VECTOR = ("header.stamp", "names", "data")
 _FIELDS: Mapping[str, tuple[str, ...]] = {
-    "bodylog_msgs/msg/Vector": _VECTOR,
+    "bodylog_msgs/msg/Vector": (*_VECTOR, "header.frame_id"),
     "bodylog_msgs/msg/Covariance": _VECTOR,
     "bodylog_msgs/msg/Scalar": ("header.stamp", "data"),
     "bodylog_msgs/msg/Touch": ("header.stamp", "duration", "cells", "peak"),
+    "bodylog_msgs/msg/Stroke": ("header.stamp", "duration", "start.x", "start.y", "end.x", "end.y", "delay"),
     "bodylog_msgs/msg/Synchrony": ("header.stamp", "delay", "weight"),
     "bodylog_msgs/msg/Fault": ("header.stamp", "sense", "name", "kind", "size", "unit"),
     "sensor_msgs/msg/JointState": ("header.stamp", "name", "position", "velocity"),
@@ -82,15 +83,17 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
 
 
 def read_features(log: Log, start_ns: int) -> Features | None:
-    """Tracks, touches and synchrony a log carries from an earlier run, without joints; None when it has none."""
+    """Tracks, strokes, touches and synchrony a log carries from an earlier run, without joints; None: it has none."""
     names = {topic.name for topic in log.topics}
     if not any(name.startswith(TRACK) or name == ROOT + "touch" for name in names):
         return None
     table = _Table(log, start_ns, log.path)
     tracks = {name: _track(series) for name, series in table.under(TRACK, "px").items()}
     touches = table.touches() if ROOT + "touch" in names else None
+    strokes, paired = table.strokes()
+    pairs = table.synchrony(touches or (), paired)
     health = {name: Health(len(c.log_ns), len(c.sound)) for name, c in table.columns.items()}
-    return Features(None, tracks, touches, (), table.synchrony(touches or ()), health)
+    return Features(None, tracks, touches, strokes, pairs, health, cameras=table.cameras())
 
 
 @dataclass(frozen=True)
@@ -133,7 +136,7 @@ class _Table:
         """A vector topic (N,D), or None where there is none."""
         if topic not in self.columns:
             return None
-        t, source_ns, (names, data) = self._rows(topic)
+        t, source_ns, (names, data, *_) = self._rows(topic)
         return Series(t, data, names, unit, source_ns)
 
     def under(self, prefix: str, unit: str) -> dict[str, Series]:
@@ -170,8 +173,25 @@ class _Table:
                 found.append(Touch(onset, offset, numbers, float(peak), int(cells[0]), int(source)))
         return tuple(sorted(found, key=lambda touch: (touch.onset, touch.strongest)))
 
-    def synchrony(self, touches: tuple[Touch, ...]) -> tuple[Synchrony, ...]:
-        """One per touch that has the same onset; the stroke itself is not in the log."""
+    def cameras(self) -> dict[str, str]:
+        """The topics whose pictures the tracks are of, by the camera's name."""
+        named = ((topic, part) for topic in self.columns if topic.startswith(TRACK) for part, _ in self._parts(topic))
+        found = {unescape(topic[len(TRACK) :]).rpartition("/")[0]: part[-1][0] for topic, part in named}
+        return {name: camera for name, camera in sorted(found.items()) if camera}
+
+    def strokes(self) -> tuple[tuple[Stroke, ...], Iterator[int]]:
+        """Strokes in order, and the numbers of those a touch was paired with."""
+        found = []
+        for part, _ in self._parts(ROOT + "stroke"):
+            for stamp, lasting, u, v, to_u, to_v, delay in zip(*(column.tolist() for column in part), strict=True):
+                start, end = ((ns - self.start_ns) / 1e9 for ns in (stamp, stamp + lasting))
+                found.append((Stroke(start, end, (u, v), (to_u, to_v)), delay))
+        found.sort(key=lambda stroke: (stroke[0].start, stroke[0].end))
+        paired = (number for number, (_, delay) in enumerate(found) if np.isfinite(delay))
+        return tuple(stroke for stroke, _ in found), paired
+
+    def synchrony(self, touches: tuple[Touch, ...], paired: Iterator[int]) -> tuple[Synchrony, ...]:
+        """One per touch that has the same onset; touches have the `paired` strokes in their own order."""
         waiting: dict[int, list[int]] = {}
         for i, touch in reversed(list(enumerate(touches))):
             waiting.setdefault(round(touch.onset * 1e9), []).append(i)
@@ -180,7 +200,8 @@ class _Table:
             for s, d, w in zip(stamp.tolist(), delay.tolist(), weight.tolist(), strict=True):
                 if numbers := waiting.get(s - self.start_ns):
                     found.append(Synchrony(numbers.pop(), None, d, w))
-        return tuple(sorted(found, key=lambda s: s.touch))
+        found.sort(key=lambda pair: pair.touch)
+        return tuple(replace(p, stroke=next(paired, None)) if np.isfinite(p.delay) else p for p in found)
 
     def faults(self) -> tuple[Fault, ...]:
         """Faults in order of onset."""

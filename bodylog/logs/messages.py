@@ -32,34 +32,23 @@ def unescape(segment: str) -> str:
     return re.sub(r"_x([0-9a-f]+)_", lambda m: chr(int(m[1], 16)), segment)
 
 
-def from_features(
-    features: Features, start_ns: int, camera: str | None, views: Mapping[str, str] | None = None
-) -> list[Outgoing]:
-    """Tracks, sightings, touches and synchrony; `camera` is the frame_id of what lies in the first one's pictures.
-
-    `views` {camera's name: frame_id} is for the tracks camera/feature.
-    """
-    frames = {"": camera or "", **(views or {})}
-    frame = frames[""]
-    out = [_track(name, track, start_ns, frames.get(_camera(name), "")) for name, track in features.tracks.items()]
+def from_features(features: Features, start_ns: int) -> list[Outgoing]:
+    """Tracks, sightings, strokes, touches and synchrony; the frame_id of what lies in a picture is its camera."""
+    out = [_track(name, track, start_ns, _frame(name, features)) for name, track in features.tracks.items()]
     for name in ("effector", "hand"):
         if name in features.tracks:
-            out.append(_points(ROOT + name, features.tracks[name], start_ns, frame))
+            out.append(_points(ROOT + name, features.tracks[name], start_ns, _frame(name, features)))
+    if features.hand is not None:
+        out.append(_strokes(features, features.hand, start_ns))
     if features.touches is not None:
         out.append(_touches(features.touches, start_ns))
         out.append(_synchrony(features.synchrony, features.touches, start_ns))
     return out
 
 
-def from_estimate(
-    estimate: Estimate,
-    features: Features | None,
-    start_ns: int,
-    camera: str | None,
-    views: Mapping[str, str] | None = None,
-) -> list[Outgoing]:
+def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list[Outgoing]:
     """Belief, covariance, errors, predictions, faults, and each camera's overlay of what was seen and predicted."""
-    frames, joints = {"": camera or "", **(views or {})}, estimate.joints
+    joints = estimate.joints
     out = [
         from_joints(ROOT + "joint_states", joints, start_ns, estimate.rate.values),
         _named(ROOT + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
@@ -69,18 +58,22 @@ def from_estimate(
     if estimate.bias is not None:
         out.append(_named(ROOT + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
     for name, series in estimate.predicted.items():
-        frame = frames.get(_camera(name), "")
-        out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, frame))
-    if "effector" in estimate.predicted:
-        out.append(_points(ROOT + "effector_predicted", estimate.predicted["effector"], start_ns, frames[""]))
+        out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, _frame(name, features)))
+    if (predicted := estimate.predicted.get("effector")) is not None:
+        out.append(_points(ROOT + "effector_predicted", predicted, start_ns, _frame("effector", features)))
     if estimate.faults:
         out.append(_faults(estimate.faults, joints, start_ns))
-    return [*out, *_overlays(estimate, features.tracks if features is not None else {}, start_ns)]
+    return [*out, *_overlays(estimate, features.tracks, start_ns)]
 
 
 def _camera(name: str) -> str:
     """The camera of a track camera/feature; "" is the first one."""
     return name.rpartition("/")[0]
+
+
+def _frame(name: str, features: Features) -> str:
+    """The topic of a track's camera; "" where it is not known."""
+    return features.cameras.get(_camera(name), "")
 
 
 def _overlays(estimate: Estimate, tracks: Mapping[str, Series], start_ns: int) -> Iterator[Outgoing]:
@@ -157,6 +150,22 @@ def _vector(
 def _scalar(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
     fields: list[Field] = [*cdr.header(stamps(series.t, start_ns)), ("float64", data)]
     return _plain(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
+
+
+def _strokes(features: Features, hand: Series, start_ns: int) -> Outgoing:
+    """Strokes with the delay of the touch they are paired with, each logged with the picture in which it began."""
+    delays = {pair.stroke: pair.delay for pair in features.synchrony}
+    start, end = (np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end"))
+    begun = stamps(start, start_ns)
+    places = [(*s.start_px, 0.0, *s.end_px, 0.0) for s in features.strokes]
+    fields: list[Field] = [
+        *cdr.header(begun, _frame("hand", features)),
+        *cdr.time(stamps(end, start_ns) - begun),
+        ("float64*", np.array(places).reshape(-1, 6)),
+        ("float64", np.array([delays.get(number, np.nan) for number in range(len(begun))])),
+    ]
+    pictures = np.maximum(np.searchsorted(hand.t, start, "right") - 1, 0)
+    return _plain(ROOT + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)
 
 
 def _touches(touches: Sequence[Touch], start_ns: int) -> Outgoing:

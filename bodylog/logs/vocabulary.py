@@ -13,6 +13,12 @@ _PARTS = {
         "# One touch on the skin: the stamp is its onset; the strongest cell comes first.\n"
         "std_msgs/Header header\nbuiltin_interfaces/Duration duration\nint32[] cells\nfloat32 peak\n"
     ),
+    "bodylog_msgs/Stroke": (
+        "# One stroke of the hand as seen: the stamp is its start; start, end in px (z unused).\n"
+        "# delay = seen - felt in s (NaN: nothing felt).\n"
+        "std_msgs/Header header\nbuiltin_interfaces/Duration duration\n"
+        "geometry_msgs/Point start\ngeometry_msgs/Point end\nfloat64 delay\n"
+    ),
     "bodylog_msgs/Synchrony": (
         "# How well a touch agrees with what was seen: delay = seen - felt in s (NaN: nothing seen), weight 0..1.\n"
         "std_msgs/Header header\nfloat64 delay\nfloat64 weight\n"
@@ -53,6 +59,7 @@ _NEEDS = {
     "geometry_msgs/PointStamped": ("geometry_msgs/Point", *_HEADER),
     "sensor_msgs/JointState": _HEADER,
     "bodylog_msgs/Touch": (*_HEADER, "builtin_interfaces/Duration"),
+    "bodylog_msgs/Stroke": (*_HEADER, "builtin_interfaces/Duration", "geometry_msgs/Point"),
     "bodylog_msgs/Synchrony": _HEADER,
     "bodylog_msgs/Covariance": _HEADER,
     "bodylog_msgs/Vector": _HEADER,

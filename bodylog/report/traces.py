@@ -95,7 +95,7 @@ def _feelings(recording: Recording, features: Features | None) -> Iterator[Panel
         strongest = np.fmax.reduce(recording.skin.values, axis=1)
         yield Panel("skin, 0..1", (Trace("strongest cell", "felt", recording.skin.t, strongest),))
     touches = features.touches or () if features else ()
-    strokes = _strokes(features)
+    strokes = tuple((x.start, x.end) for x in features.strokes) if features else ()
     if touches or strokes:
         felt = Row("felt", "felt", tuple((x.onset, x.offset) for x in touches[:EVENTS]))
         seen = Row("seen", "seen", strokes[:EVENTS])
@@ -106,14 +106,6 @@ def _feelings(recording: Recording, features: Features | None) -> Iterator[Panel
         delay = np.array([pair.delay for pair in features.synchrony])
         yield Panel("synchrony, 0..1", (Trace("weight", "c4", onset, weight, "stems"),), limits=(0.0, 1.0), half=True)
         yield Panel("seen minus felt, s", (Trace("delay", "c4", onset, delay, "stems"),), floor=0.0, half=True)
-
-
-def _strokes(features: Features | None) -> tuple[tuple[float, float], ...]:
-    """Start and end of every stroke; only starts, from the delays, when a log carries no more than those."""
-    if features is None or features.strokes or not features.touches:
-        return tuple((x.start, x.end) for x in features.strokes) if features else ()
-    starts = (features.touches[pair.touch].onset + pair.delay for pair in features.synchrony)
-    return tuple((start, start) for start in starts if np.isfinite(start))
 
 
 def _columns(series: Series, kind: str = "line") -> tuple[Trace, ...]:

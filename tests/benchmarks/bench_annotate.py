@@ -111,7 +111,7 @@ def estimate(seconds: float) -> list[Outgoing]:
     rng = np.random.default_rng(1)
     joints, rate = _series(rng, seconds, _STEPS, _JOINTS), _series(rng, seconds, _STEPS, _JOINTS)
     track = _series(rng, seconds, _RATE, ("u", "v"))
-    features = Features(joints, {"effector": track, "hand": track}, (), (), (), {})
+    features = Features(joints, {"effector": track, "hand": track}, (), (), (), {}, cameras={"": "/camera/image"})
     found = Estimate(
         method="laplace",
         joints=joints,
@@ -124,7 +124,7 @@ def estimate(seconds: float) -> list[Outgoing]:
         predicted_cov={"effector": np.tile(np.eye(2), (len(track.t), 1, 1))},
         settings={},
     )
-    return from_features(features, _START, "/camera/image") + from_estimate(found, features, _START, "/camera/image")
+    return from_features(features, _START) + from_estimate(found, features, _START)
 
 
 def _series(rng: np.random.Generator, seconds: float, rate: int, names: tuple[str, ...]) -> Series:

@@ -88,7 +88,7 @@ def record_features(path: Path, seconds: float, encoder_hz: float) -> World:
     tracks = {
         name: replace(track, source_ns=messages.stamps(track.t, START_NS)) for name, track in features.tracks.items()
     }
-    outgoing = messages.from_features(replace(features, tracks=tracks), START_NS, "/camera")
+    outgoing = messages.from_features(replace(features, tracks=tracks, cameras={"": "/camera"}), START_NS)
     annotate.write([messages.from_joints("/joint_states", joints, START_NS), *outgoing], {}, path)
     return drawn
 

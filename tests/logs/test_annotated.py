@@ -13,7 +13,7 @@ from .written import START, found, source
 
 
 def log_of(path, features, estimate):
-    outgoing = from_features(features, START, "/camera") + from_estimate(estimate, features, START, "/camera")
+    outgoing = from_features(features, START) + from_estimate(estimate, features, START)
     write(outgoing, {"version": "1", **describe(estimate)}, path)
     return path
 
@@ -49,15 +49,17 @@ def test_features_come_back_as_they_were(tmp_path, seed):
     for name, track in features.tracks.items():
         same(again.tracks[name], track)
         assert np.array_equal(again.tracks[name].std, track.std)
-    assert again.touches == features.touches
+    assert again.touches == features.touches and again.cameras == features.cameras
     pairs = [(s.touch, s.weight, s.delay) for s in features.synchrony]
     assert np.array_equal([(s.touch, s.weight, s.delay) for s in again.synchrony], pairs, equal_nan=True)
+    assert again.strokes == features.strokes
+    assert [s.stroke for s in again.synchrony] == [s.stroke for s in features.synchrony] == [None, 0, 2, 3]
 
 
 def test_touches_at_the_same_moment_keep_their_synchrony(tmp_path):
     features, _ = found()
     touches = tuple(replace(touch, onset=1.0, offset=1.5) for touch in features.touches)
-    write(from_features(replace(features, touches=touches), START, None), {}, tmp_path / "log.mcap")
+    write(from_features(replace(features, touches=touches), START), {}, tmp_path / "log.mcap")
     with open_log(tmp_path / "log.mcap") as log:
         again = read_features(log, START)
     assert [(s.touch, s.weight) for s in again.synchrony] == [(i, 0.2 * i) for i in range(4)]
@@ -66,7 +68,7 @@ def test_touches_at_the_same_moment_keep_their_synchrony(tmp_path):
 @pytest.mark.parametrize("touches", [None, ()])
 def test_no_skin_and_no_touch_are_different_things(tmp_path, touches):
     features, _ = found()
-    write(from_features(replace(features, touches=touches, synchrony=()), START, None), {}, tmp_path / "log.mcap")
+    write(from_features(replace(features, touches=touches, synchrony=()), START), {}, tmp_path / "log.mcap")
     with open_log(tmp_path / "log.mcap") as log:
         assert read_features(log, START).touches == touches
 
@@ -98,7 +100,7 @@ def test_a_log_without_an_estimate_says_what_to_type(tmp_path):
 
 def test_features_without_an_estimate_are_no_estimate(tmp_path):
     features, _ = found()
-    annotate(source(tmp_path / "in.mcap"), from_features(features, START, None), {}, tmp_path / "out.mcap")
+    annotate(source(tmp_path / "in.mcap"), from_features(features, START), {}, tmp_path / "out.mcap")
     with pytest.raises(LogError, match="no /bodylog/ topics of an estimate"):
         read_estimate(tmp_path / "out.mcap", START)
 
@@ -106,7 +108,7 @@ def test_features_without_an_estimate_are_no_estimate(tmp_path):
 @pytest.mark.parametrize("lacking", ["joint_covariance", "free_energy"])
 def test_an_estimate_that_does_not_hang_together_is_refused(tmp_path, lacking):
     features, estimate = found()
-    outgoing = from_estimate(estimate, features, START, None)
+    outgoing = from_estimate(estimate, features, START)
     broken = [
         replace(o, log_ns=o.log_ns[1:], offset=o.offset[1:], length=o.length[1:]) if o.topic.endswith(lacking) else o
         for o in outgoing
@@ -128,6 +130,6 @@ DAMAGE = [{"used": '{"touch": {"sen": 1}}'}, {"findings": "["}, {"resolved": "3"
 @pytest.mark.parametrize("damage", DAMAGE)
 def test_a_damaged_metadata_record_is_said(tmp_path, damage):
     features, estimate = found()
-    write(from_estimate(estimate, features, START, None), {**describe(estimate), **damage}, tmp_path / "log.mcap")
+    write(from_estimate(estimate, features, START), {**describe(estimate), **damage}, tmp_path / "log.mcap")
     with pytest.raises(LogError, match=r"the metadata record bodylog is damaged \(.*\); type: bodylog estimate"):
         read_estimate(tmp_path / "log.mcap", START)

@@ -10,7 +10,7 @@ from pybag.mcap.record_reader import McapRecordReaderFactory
 from rosbags.highlevel import AnyReader
 
 from bodylog.logs.messages import from_estimate, from_features
-from bodylog.types import Estimate, Fault, Features, Finding, Health, Series, Synchrony, Touch
+from bodylog.types import Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
 
 START = 1_700_000_000_123_456_789
 LATE = 4_000_000
@@ -38,13 +38,15 @@ def found(seed=0, steps=300, frames=90):
         Touch(i / 2, i / 2 + 0.25, tuple(range(i, 2 * i + 1)), float(np.float32(0.8)), 2 * i, START + i * 500_000_000)
         for i in range(4)
     )
-    synchrony = tuple(Synchrony(i, None, 0.01 * i if i else float("nan"), 0.2 * i) for i in range(4))
+    strokes = tuple(Stroke(i / 2 + 0.5, i / 2 + 0.75, (i, 2.5), (i + 10.0, 3.0)) for i in range(4))
+    pairs = ((None, float("nan")), (0, 0.01), (2, 0.02), (3, -0.03))
+    synchrony = tuple(Synchrony(i, stroke, delay, 0.2 * i) for i, (stroke, delay) in enumerate(pairs))
     joints = series(rng, ticks, 3, JOINTS, "rad")
     cov = covariance(rng, frames, 2)
     std = np.sqrt(np.stack([cov[:, 0, 0], cov[:, 1, 1]], 1))
     where = rng.uniform(0, 320, (frames, 2))
     predicted = Series(pictures / 1e9, where, ("u", "v"), "px", tracks["hand"].source_ns, std)
-    features = Features(joints, tracks, touches, (), synchrony, {})
+    features = Features(joints, tracks, touches, strokes, synchrony, {}, cameras={"": "/camera"})
     estimate = Estimate(
         method="laplace",
         joints=joints,
@@ -68,7 +70,7 @@ def found(seed=0, steps=300, frames=90):
 
 def outgoing(seed=0, steps=300, frames=90):
     features, estimate = found(seed, steps, frames)
-    return from_features(features, START, "/camera") + from_estimate(estimate, features, START, "/camera")
+    return from_features(features, START) + from_estimate(estimate, features, START)
 
 
 def amount(messages):

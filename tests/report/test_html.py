@@ -121,15 +121,6 @@ def test_a_track_never_seen_is_left_out(tmp_path):
     assert "effector u, px" in titles(page) and "hand u, px" not in titles(page)
 
 
-def test_strokes_a_log_carries_only_as_delays_are_shown_by_their_starts(tmp_path):
-    found = features()
-    kept = tuple(Synchrony(pair.touch, None, pair.delay, pair.weight) for pair in found.synchrony)
-    unpaired = (*kept[:-1], replace(kept[-1], delay=np.nan, weight=0.0))
-    page = report(tmp_path / "r.html", features=replace(found, strokes=(), synchrony=unpaired))
-    felt, seen = next(p for p in plotted(page)["panels"] if p["title"].startswith("touches"))["rows"]
-    assert [a for a, _ in seen["spans"]] == pytest.approx([a + 0.05 for a, _ in felt["spans"][:-1]])
-
-
 def test_the_numbers_arrive(tmp_path):
     belief = estimate()
     data = plotted(report(tmp_path / "r.html"))

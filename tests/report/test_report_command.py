@@ -1,5 +1,7 @@
 """bodylog report on an annotated log of touches: the page within its size, figures beside it."""
 
+import json
+
 import pytest
 
 from .test_html import LIMIT, plotted, titles
@@ -24,7 +26,28 @@ def test_page_and_figures(bodylog, touched, tmp_path):
     assert {"elbow_joint, rad", "elbow_joint minus truth, rad", "free energy, nats", "effector u, px"} <= shown
     assert {"touches felt, strokes seen", "synchrony, 0..1", "seen minus felt, s", "skin, 0..1"} <= shown
     assert {f"{sense}: prediction error, standard deviations" for sense in ("encoders", "effector", "touch")} <= shown
-    assert {mark["ink"] for mark in plotted(page)["marks"]} >= {"felt"}
+    assert {mark["ink"] for mark in plotted(page)["marks"]} >= {"felt", "seen"}
     for said in ("Health of the log, per topic", "Settings", "Provenance", "body_sha256", "joint_rmse"):
         assert said in page
     assert page.count("data:image/jpeg;base64,") == 6
+
+
+def test_features_alone_tell_as_much_as_the_pictures(bodylog, touched, robot, tmp_path, capsys):
+    raw, features, told = robot / "touch.mcap", tmp_path / "features.mcap", []
+    for log, out in ((raw, features), (features, tmp_path / "again.mcap")):
+        tables = tmp_path / f"{out.stem}.tables"
+        assert bodylog("extract", log, "-o", out, "--csv", tables) == 0
+        capsys.readouterr()
+        typed = ("--body", robot / "body.npz", "-o", tmp_path / "out.mcap", "--json")
+        assert bodylog("estimate", log, *typed) == 0
+        files = {path.name: path.read_text() for path in tables.iterdir()}
+        told.append((files, json.loads(capsys.readouterr().out)["scores"]))
+    assert told[0][0]["strokes.csv"].count("\n") > 2 and told[0][0].keys() == told[1][0].keys()
+    assert told[0][1] == told[1][1]
+    for name in told[0][0]:
+        first, second = (_numbers(files[name]) for files, _ in told)
+        assert first == pytest.approx(second, abs=1e-8, nan_ok=True), name
+
+
+def _numbers(table):
+    return [float(cell or "nan") for line in table.splitlines()[1:] for cell in line.replace(" ", ",").split(",")]
