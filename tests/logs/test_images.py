@@ -3,6 +3,7 @@
 import base64
 import json
 import struct
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import cv2
@@ -145,6 +146,34 @@ def test_jpeg_is_close_and_shrinks_while_decoding(form, shape):
         assert image.shape == (-(-shape[0] // k), -(-shape[1] // k), 3)
         blocks = bgr[: shape[0] // k * k, : shape[1] // k * k].reshape(shape[0] // k, k, shape[1] // k, k, 3)
         assert np.abs(image[: shape[0] // k, : shape[1] // k] - blocks.mean(axis=(1, 3))).mean() < 4
+
+
+def _jpegs() -> Iterator[tuple[str, bytes]]:
+    smooth = cv2.resize(scene(3, 12, 16), (95, 71), interpolation=cv2.INTER_CUBIC)
+    for name, value in {"444": 0x111111, "422": 0x211111, "420": 0x221111, "440": 0x121111, "411": 0x411111}.items():
+        yield name, cv2.imencode(".jpg", smooth, [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, value])[1].tobytes()
+    yield "grey", cv2.imencode(".jpg", smooth[:, :, 0])[1].tobytes()
+    yield "progressive", cv2.imencode(".jpg", smooth, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    yield "restarts", cv2.imencode(".jpg", smooth, [cv2.IMWRITE_JPEG_RST_INTERVAL, 4])[1].tobytes()
+    whole = cv2.imencode(".jpg", smooth)[1].tobytes()
+    yield "tail", whole + bytes(20)
+    yield "no end", whole[:-2]
+    yield "bytes lost", whole[:900] + whole[940:]
+    yield "bytes changed", whole[:900] + b"\x55\xaa" + whole[902:]
+    yield "marker between", whole[:900] + b"\xff\xd0" + whole[900:]
+
+
+@pytest.mark.parametrize(("kind", "data"), list(_jpegs()), ids=lambda value: value if isinstance(value, str) else "")
+def test_jpegs_sound_or_not_are_what_opencv_makes_of_them_to_the_byte(kind, data):
+    payload = cdr(COMPRESSED, header=header(T0), format="jpeg", data=np.frombuffer(data, np.uint8))
+    flags = {1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4}
+    for k, flag in flags.items():
+        expected = cv2.imdecode(np.frombuffer(data, np.uint8), flag)
+        if expected is None:
+            with pytest.raises(FormatError, match="cannot be decoded"):
+                decoder(topic(COMPRESSED))(payload, k)
+        else:
+            np.testing.assert_array_equal(decoder(topic(COMPRESSED))(payload, k), expected)
 
 
 def test_a_colour_jpeg_keeps_red_red_and_is_not_turned_by_its_orientation_tag():
