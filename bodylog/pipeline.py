@@ -9,7 +9,7 @@ from typing import Any
 from . import __version__
 from .errors import InputError
 from .files import sha256
-from .refusals import distinct, gone, insist, something_seen, teachable
+from .refusals import distinct, gone, insist, same_camera, something_seen, teachable
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
 
@@ -63,11 +63,11 @@ def extract(
         something_seen(log, features)
         kept = [topic for role in ("joints", "truth", "skin") if (topic := topic_of(read, role)) is not None]
         lost = written.add(_feature_messages(read, features), only=kept)
-        written.about(_provenance([(log, written.digest())], settings))
+        written.about(_provenance([(log, written.digest())], read.settings))
     if tables is not None:
         export.export_features(features, tables)
     health = {**read.health, **features.health}
-    return Result(out, (), health, (*read.findings, *features.findings, *lost), plain(settings))
+    return Result(out, (), health, (*read.findings, *features.findings, *lost), plain(read.settings))
 
 
 def fit(
@@ -81,19 +81,21 @@ def fit(
     for one in (*logs, *(() if update is None else (update,))):
         distinct(one, out)
     known = None if update is None else model.load(update)
-    digests, observed = [], []
+    digests, observed, remarks = [], [], list[Finding]()
     for log in logs:
         with Copy(log) as read_too:
             observed.append(observe(log, settings, progress))
             digests.append((log, read_too.digest()))
     features = [found for _, found in observed]
+    first = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, found in zip(logs, features, strict=True):
         teachable(log, found, settings)
+        remarks += same_camera(first, found.cameras.values(), f"{log}: ")
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     learned = body.learn(features, settings, provenance, known)
     model.save(learned.model, out)
     findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
-    return Result(out, learned.scores, _merged(observed), (*findings, *learned.findings), plain(settings))
+    return Result(out, learned.scores, _merged(observed), (*findings, *remarks, *learned.findings), plain(settings))
 
 
 def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
@@ -109,7 +111,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
         found = _estimated(log, read, features, learned, settings)
         lost = written.add(_estimate_messages(read, features, found))
         scores = judge(found, read)
-        about = _provenance([(log, written.digest())], settings)
+        about = _provenance([(log, written.digest())], read.settings)
         written.about(about | {"body_sha256": sha256(body)} | annotated.describe(found))
     remarks = (*read.findings, *features.findings, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
@@ -138,7 +140,9 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     from .body import encoders
     from .evaluation.scores import READ
 
+    remarks = same_camera(learned.provenance.get("cameras", ()), features.cameras.values())
     found = estimation.estimate(*encoders.understood(features, learned, settings.estimate))
+    found = replace(found, findings=(*remarks, *found.findings))
     if "encoders" not in learned.senses or features.joints is None:
         return found
     said = Finding("info", "encoders: read what the body has learned, no angles; encoder_rmse is left out")

@@ -1,9 +1,10 @@
 """What the pipeline refuses, in one line each: a file onto itself, logs that show nothing, names that fit nothing."""
 
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from .errors import EvidenceError, LogError, UsageError
+from .errors import EvidenceError, LogError, ModelError, UsageError
 from .settings import Colours, Settings
 from .types import Features, Finding, Health
 
@@ -40,6 +41,24 @@ def insist(
             seen = f"{name}: nothing usable in {used.seen} pictures of the camera or colour that robot.toml names"
             told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
             raise EvidenceError(f"{log}: {told}{instead.format(name)}")
+
+
+def same_camera(learned: Iterable[str], seen: Iterable[str], where: str = "") -> tuple[Finding, ...]:
+    """ModelError when the first camera, whose tracks are named plainly, and the body's first one have changed places.
+
+    A warning when the two sets of cameras have no name in common; nothing where either is not known.
+    """
+    from .logs.cameras import camera_name
+
+    known, here = ({camera_name(str(topic)): str(topic) for topic in topics} for topics in (learned, seen))
+    if not known or not here or next(iter(known)) == next(iter(here)):
+        return ()
+    theirs, ours = list(known.values()), next(iter(here.values()))
+    said = f"{where}camera: {ours} comes first here, {theirs[0]} where the body was learned"
+    advice = f"type: [topics] camera = {json.dumps(theirs if len(theirs) > 1 else theirs[0])}"
+    if known.keys() & here.keys():
+        raise ModelError(f"{said}, so each would be taken for the other; {advice}, for the log as it was recorded")
+    return (Finding("warning", f"{said}; unless they are the same camera, {advice}"),)
 
 
 def gone(log: Path, findings: Iterable[Finding]) -> str:

@@ -11,6 +11,8 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
+from .settings import Settings
+
 Array = NDArray[Any]
 
 
@@ -174,7 +176,8 @@ class Recording:
     """One log: signals, and frames() as a lazy iterator in time order; `features` if the log already carries them.
 
     `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
-    what robot.toml names as the true angles to learn from; `truth` is for scores alone.
+    what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
+    read with.
     """
 
     name: str
@@ -192,6 +195,7 @@ class Recording:
     findings: tuple[Finding, ...] = ()
     reference: Series | None = None
     views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
+    settings: Settings = field(default_factory=Settings)
 
 
 class ForwardModel(Protocol):

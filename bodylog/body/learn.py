@@ -87,9 +87,11 @@ def _seen(body: BodyModel) -> dict[str, GP]:
 
 
 def _pictures(features: Sequence[Features]) -> dict[str, Any]:
-    """The pictures' width, px, where all logs that know theirs agree in it."""
+    """The cameras' topics, the first one first; the pictures' width, px, where all logs that know it agree in it."""
+    cameras = next((list(f.cameras.values()) for f in features if f.cameras), [])
     widths = {f.picture_size[0] for f in features if f.picture_size is not None}
-    return {"image_width": widths.pop()} if len(widths) == 1 else {}
+    known = {"cameras": cameras, "image_width": widths.pop() if len(widths) == 1 else None}
+    return {key: value for key, value in known.items() if value}
 
 
 def _same(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ _OURS, _VIEW = "/bodylog/", "camera/"
 def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
     """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come."""
     with open_log(path, strict) as log:
+        settings = _remembered(log, settings)
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
         heard, silent = streams(log, found, settings, str(path))
         start_ns = _start_ns(heard, log)
@@ -42,12 +43,14 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         health={stream.role.topic: health(stream) for stream in heard.values()} | _seen(sidecars),
         findings=findings,
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
+        settings=settings,
     )
 
 
 def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
     """What is in a log, as plain values: topics, rates, roles, joint names, clocks, findings."""
     with open_log(path, strict) as log:
+        settings = _remembered(log, settings)
         heard: dict[str, Stream] = {}
         found: dict[str, roles.Role] = {}
         try:
@@ -131,12 +134,25 @@ def _films(
     }
 
 
+def _remembered(log: Log, settings: Settings) -> Settings:
+    """The settings, and where they leave something to be guessed, what the run of ours was told that wrote the log."""
+    if not _is_ours(log):
+        return settings
+    from .remembered import remembered
+
+    return remembered(log, settings)
+
+
 def _features(log: Log, start_ns: int) -> Features | None:
-    if not any(topic.name.startswith(_OURS) for topic in log.topics):
+    if not _is_ours(log):
         return None
     from .annotated import read_features
 
     return read_features(log, start_ns)
+
+
+def _is_ours(log: Log) -> bool:
+    return any(topic.name.startswith(_OURS) for topic in log.topics)
 
 
 def _findings(log: Log, heard: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:

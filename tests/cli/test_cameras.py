@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+SWAPPED = '[topics]\ncamera = ["/side/image/compressed", "/camera/image/compressed"]\n'
 BOTH = '[topics]\ncamera = ["/camera/image/compressed", "/side/image/compressed"]\n'
 
 
@@ -79,15 +80,39 @@ def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_pat
         assert "\n" not in error and "effector: 'magenta' was never found in" in error and "seen: green" in error
 
 
-def test_the_page_and_the_layout_show_every_camera(tmp_path, capsys, bodylog, watched):
-    out, typed = tmp_path / "out.mcap", ("--config", watched / "both.toml")
-    _estimated(capsys, bodylog, watched, "two.npz", out, *typed)
-    assert bodylog("report", out, "-o", tmp_path / "page.html", *typed) == 0
+def test_the_page_and_the_layout_show_every_camera_the_log_was_told_of(tmp_path, capsys, bodylog, watched):
+    first, out, typed = tmp_path / "first.mcap", tmp_path / "out.mcap", ("--config", watched / "both.toml")
+    _estimated(capsys, bodylog, watched, "two.npz", first, *typed)
+    assert bodylog("estimate", first, "--body", watched / "two.npz", "-o", out) == 0
+    assert bodylog("report", out, "-o", tmp_path / "page.html") == 0
     page = (tmp_path / "page.html").read_text()
     assert "side/effector u, px" in page and page.count("<figcaption>side · ") == 6
-    assert bodylog("layout", out, "-o", tmp_path / "layout.json", *typed) == 0
+    assert bodylog("layout", out, "-o", tmp_path / "layout.json") == 0
     panels = json.loads((tmp_path / "layout.json").read_text())["configById"]
     assert panels["Image!side"]["imageMode"]["imageTopic"] == "/side/image/compressed"
+    (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
+    (said,) = _said(capsys, bodylog, "info", out, "--config", tmp_path / "side.toml")
+    assert said["roles"]["camera"] == "/side/image/compressed" and "camera/side" not in said["roles"]
+
+
+def test_cameras_in_another_order_than_learned_are_refused_and_others_are_named(tmp_path, capsys, bodylog, watched):
+    (tmp_path / "swapped.toml").write_text(SWAPPED)
+    (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
+    reach, explore, two = watched / "reach.mcap", watched / "explore.mcap", watched / "two.npz"
+    for name, *typed in (
+        ("swapped.toml", "estimate", reach, "--body", two, "-o", tmp_path / "out.mcap"),
+        ("side.toml", "compare", reach, "--body", two),
+        ("swapped.toml", "fit", explore, "--update", two, "-o", tmp_path / "body.npz"),
+    ):
+        capsys.readouterr()
+        assert bodylog(*typed, "--config", tmp_path / name) == 65, typed
+        error = capsys.readouterr().err.strip().splitlines()[-1]
+        assert "/side/image/compressed comes first here, /camera/image/compressed where the body was learned" in error
+        assert "; type: " + BOTH.strip().replace("\n", " ") in error
+    said = _said(capsys, bodylog, "estimate", reach, "--body", watched / "one.npz", "-o", tmp_path / "out.mcap",
+                 "--config", tmp_path / "side.toml")  # fmt: skip
+    (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
+    assert text.endswith('unless they are the same camera, type: [topics] camera = "/camera/image/compressed"')
 
 
 def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, bodylog, watched):
@@ -103,7 +128,7 @@ def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, bodylog, watched):
     )  # fmt: skip
     assert raw["scores"] == again["scores"]
     swapped = tmp_path / "swapped.toml"
-    swapped.write_text('[topics]\ncamera = ["/side/image/compressed", "/camera/image/compressed"]\n')
+    swapped.write_text(SWAPPED)
     capsys.readouterr()
     assert bodylog("ingest", watched / "reach.mcap", "-o", tmp_path / "s.mcap", "--config", swapped) == 65
     assert "name /camera/image/compressed first" in capsys.readouterr().err and not (tmp_path / "s.mcap").exists()

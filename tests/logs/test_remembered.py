@@ -1,0 +1,50 @@
+"""Settings an earlier run left in a log's metadata: taken where nothing else is said, and only where they fit."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from bodylog.logs.annotate import annotate
+from bodylog.logs.messages import from_features, from_joints
+from bodylog.logs.recording import info, read
+from bodylog.settings import Body, Settings, Time, Topics
+
+from .written import START, found, source
+
+JOINTS = "/joint_states"
+
+
+def annotated(folder, said):
+    features, _ = found()
+    outgoing = [from_joints(JOINTS, features.joints, START), *from_features(features, START)]
+    about = {"settings": said if isinstance(said, str) else json.dumps(said)}
+    annotate(source(folder / "in.mcap"), outgoing, about, folder / "out.mcap")
+    return folder / "out.mcap"
+
+
+def test_what_was_said_holds_until_something_else_is(tmp_path):
+    said = {"topics": {"joints": JOINTS, "skin": None}, "body": {"unit": "deg"}, "time": {"joints": "log"}}
+    log = annotated(tmp_path, said)
+    told = read(log, Settings()).settings
+    assert told == Settings(topics=Topics(joints=JOINTS), body=Body(unit="deg"), time=Time(joints="log"))
+    asked = Settings(topics=Topics(joints="/joints_of_mine"), time=Time(joints="header"))
+    assert info(log, asked)["findings"][-1]["text"].startswith('[topics] joints = "/joints_of_mine", but there is no')
+    again = read(log, replace(asked, topics=Topics())).settings
+    assert again == replace(told, time=asked.time)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "{",
+        "[]",
+        "null",
+        {"topics": []},
+        {"topics": {"joints": "/gone", "camera": ["/a", "/gone"]}},
+        {"topics": {"joints": 7, "camera": [7], "skin": [], "colour": JOINTS}},
+        {"topics": {"joints": [JOINTS]}, "body": {"unit": ["deg"], "joints": "elbow"}, "time": {"joints": {}}},
+    ],
+)
+def test_what_does_not_fit_is_left_to_be_guessed(tmp_path, said):
+    assert read(annotated(tmp_path, said), Settings()).settings == Settings()
