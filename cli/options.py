@@ -116,13 +116,13 @@ def estimation_options(function: Command) -> Command:
 
 
 ESTIMATION = (
-    click.option("--method", help="laplace (default), smoother, predictive-coding or kalman."),
+    click.option("--method", help="laplace (default), smoother, ekf, predictive-coding or kalman."),
     click.option("--preset", help="paper: the printed model with its constants."),
     click.option("--with", "senses", metavar="SENSES", help="Use just these senses, e.g. encoders,vision,touch."),
     click.option("--without", metavar="SENSES", help="Use all senses but these."),
     click.option("--rate", type=float, metavar="HZ", help="Estimates per second; default: the encoders', at most 100."),
     click.option("--precision", help="auto (default): variances from this log; model: as learned; fixed: the paper's."),
-    click.option("--bias", help="Encoder offset states: auto (default), on or off."),
+    click.option("--bias", help="Encoder offset states: auto (default), on or off; not for kalman, predictive-coding."),
     click.option("--touch", help="likelihood (default) or literal: the paper's two readings of its touch equation."),
     click.option("--step", help="predictive-coding: implicit (default) or explicit Euler."),
 )

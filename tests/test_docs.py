@@ -26,6 +26,15 @@ def test_every_command_has_help_that_ends_with_an_example(name):
     assert command.epilog is not None and command.epilog.startswith(f"Example: bodylog {name}")
 
 
+def test_the_help_names_every_method_and_the_formats_what_each_names():
+    from bodylog.estimation import METHODS
+
+    (method,) = (option for option in bodylog.commands["estimate"].params if option.name == "method")
+    assert set(re.findall(r"[a-z-]+", method.help)) >= set(METHODS)
+    (faults,) = re.findall(r"^\| `/bodylog/faults`.*$", (ROOT / "docs" / "formats.md").read_text(), re.MULTILINE)
+    assert "`kalman` and `predictive-coding` name frozen, dead and jumping encoders, but no drift" in faults
+
+
 @pytest.mark.parametrize("name", ["README.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))])
 def test_commands_in_the_pages_exist(name):
     spoken = set(re.findall(r"^(?:\$ )?bodylog (\w+)", (ROOT / name).read_text(), re.MULTILINE))
