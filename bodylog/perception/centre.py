@@ -32,7 +32,7 @@ def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Arra
     pixel at all. NaN where no weight is left.
     """
     inner, grown, outer = _zones(core, valid)
-    ground = _moments(sheet[:, ::2, ::2], outer[:, ::2, ::2])[0]
+    ground = _mean(_planes(sheet[:, ::2, ::2]), _chosen(outer[:, ::2, ::2]))
     top, left, side = _around(grown)
     near = np.s_[:, top : top + side, left : left + side]
     inner, grown, rim = inner[near], grown[near], (grown & (1 - core))[near]
@@ -93,31 +93,50 @@ def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Arra
     rim round it, so that what stands beside the blob, or bleeds into it as JPEG's colours do, weighs little. Pixels
     the edge mixes lie on the line between the two colours, and scatter along that line turns no direction.
     """
-    every = 2 if inner[0].size > _MANY else 1
-    blob, blob_scatter = _moments(sheet[:, ::every, ::every], inner[:, ::every, ::every])
-    rim_scatter = _moments(sheet[:, ::every, ::every], rim[:, ::every, ::every])[1]
+    planes, every = _planes(sheet), 2 if inner[0].size > _MANY else 1
+    blob, blob_scatter = _moments(planes[:, :, ::every, ::every], inner[:, ::every, ::every])
+    rim_scatter = _moments(planes[:, :, ::every, ::every], rim[:, ::every, ::every])[1]
     step, scatter = blob - ground, blob_scatter + rim_scatter
     # as much again of white noise keeps the direction sane where the colours hardly scatter
     white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
     axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
     # eight lines at a time: too little for a linear algebra library to start threads of its own among ours
-    lines = sheet.astype(np.float32).reshape(len(sheet), -1, 8 * sheet.shape[1], 3)
-    flat = lines @ axis[:, None, :, None].astype(np.float32)
-    flat -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None, None]
-    return flat.reshape(inner.shape), np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))
+    lines = planes.reshape(len(planes), 3, -1, 8 * planes.shape[3]).swapaxes(1, 2)
+    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(inner.shape)
+    mixing -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None]
+    return mixing, np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))
 
 
-def _moments(colours: Array, where: Array) -> tuple[Array, Array]:
-    """Mean (K,3) and covariance (K,3,3) of colours (K,s,s,3) where 1; zeros of none."""
-    chosen = where.reshape(len(where), 1, -1).astype(np.float32)
-    share = 1 / np.maximum(chosen.sum(axis=2), 1)
-    # channel by channel: the sums run along what lies together
-    away = np.ascontiguousarray(np.moveaxis(colours, 3, 1)).reshape(len(colours), 3, -1).astype(np.float32)
-    mean = (away @ chosen.transpose(0, 2, 1))[:, :, 0] * share
-    away -= mean[:, :, None]
-    scatter = (away * chosen) @ away.transpose(0, 2, 1) * share[:, :, None]
-    return mean.astype(np.float64), scatter.astype(np.float64)
+def _planes(sheet: Array) -> Array:
+    """The channels of colours (K,s,t,3) uint8, each lying together: (K,3,s,t) float32."""
+    import cv2
+
+    count, height, width, _ = sheet.shape
+    planes = np.empty((count, 3, height, width), np.float32)
+    for index, channel in enumerate(cv2.split(sheet.reshape(-1, width, 3))):
+        planes[:, index] = channel.reshape(count, height, width)
+    return planes
+
+
+def _moments(planes: Array, where: Array) -> tuple[Array, Array]:
+    """Mean (K,3) and covariance (K,3,3) of colours (K,3,s,t) where 1; zeros of none."""
+    chosen = _chosen(where)
+    away = planes.reshape(len(planes), 3, -1)
+    mean = _mean(away, chosen)
+    away = away - mean.astype(np.float32)[:, :, None]
+    scatter = (away * chosen) @ away.transpose(0, 2, 1) / np.maximum(chosen.sum(axis=2, keepdims=True), 1)
+    return mean, scatter.astype(np.float64)
+
+
+def _mean(planes: Array, chosen: Array) -> Array:
+    """Mean (K,3) of colours (K,3,…), weighted (K,1,n); zeros of none."""
+    sums = (planes.reshape(len(planes), 3, -1) @ chosen.transpose(0, 2, 1))[:, :, 0]
+    return np.asarray(sums / np.maximum(chosen.sum(axis=2), 1), dtype=np.float64)
+
+
+def _chosen(where: Array) -> Array:
+    return where.reshape(len(where), 1, -1).astype(np.float32)
 
 
 def _shade(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Array, Array, Array]:
