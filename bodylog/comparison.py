@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .errors import EvidenceError, InputError, UsageError
 from .pipeline import Progress, infer, judge, named, observe
-from .refusals import gone
+from .refusals import gone, same_camera
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Score
 
@@ -40,6 +40,7 @@ def compare(
 
     learned = model.load(body)
     read, features = observe(log, settings, progress)
+    cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
     subsets, silent = choices.subsets(features, learned, settings.estimate)
     if not subsets:
         told = f"it says nothing by any sense of {body}; type: bodylog info {log}"
@@ -57,7 +58,7 @@ def compare(
             done(rows[-1])
     if refused and not rows:
         raise next(iter(refused.values()))
-    return rows, (*read.findings, *features.findings, *_remarks(rows, refused))
+    return rows, (*read.findings, *features.findings, *cameras, *_remarks(rows, refused))
 
 
 def _row(features: Features, learned: BodyModel, settings: Settings, read: Recording) -> Row:

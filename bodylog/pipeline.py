@@ -87,10 +87,10 @@ def fit(
             observed.append(observe(log, settings, progress))
             digests.append((log, read_too.digest()))
     features = [found for _, found in observed]
-    first = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
-    for log, found in zip(logs, features, strict=True):
+    cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
+    for log, (read, found) in zip(logs, observed, strict=True):
         teachable(log, found, settings)
-        remarks += same_camera(first, found.cameras.values(), f"{log}: ")
+        remarks += same_camera(log, cameras, read, found)
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     learned = body.learn(features, settings, provenance, known)
     model.save(learned.model, out)
@@ -108,12 +108,13 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     learned = model.load(body)
     with annotate.begun(log, out) as written:
         read, features = observe(log, settings, progress)
+        cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
         found = _estimated(log, read, features, learned, settings)
         lost = written.add(_estimate_messages(read, features, found))
         scores = judge(found, read)
         about = _provenance([(log, written.digest())], read.settings)
         written.about(about | {"body_sha256": sha256(body)} | annotated.describe(found))
-    remarks = (*read.findings, *features.findings, *found.findings, *named(found.faults), *lost)
+    remarks = (*read.findings, *features.findings, *cameras, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
     return Result(out, scores, health, remarks, dict(found.settings), found.faults)
 
@@ -140,9 +141,7 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     from .body import encoders
     from .evaluation.scores import READ
 
-    remarks = same_camera(learned.provenance.get("cameras", ()), features.cameras.values())
     found = estimation.estimate(*encoders.understood(features, learned, settings.estimate))
-    found = replace(found, findings=(*remarks, *found.findings))
     if "encoders" not in learned.senses or features.joints is None:
         return found
     said = Finding("info", "encoders: read what the body has learned, no angles; encoder_rmse is left out")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from .errors import EvidenceError, LogError, ModelError, UsageError
 from .settings import Colours, Settings
-from .types import Features, Finding, Health
+from .types import Features, Finding, Health, Recording
 
 
 def distinct(read: Path, out: Path) -> None:
@@ -43,22 +43,22 @@ def insist(
             raise EvidenceError(f"{log}: {told}{instead.format(name)}")
 
 
-def same_camera(learned: Iterable[str], seen: Iterable[str], where: str = "") -> tuple[Finding, ...]:
-    """ModelError when the first camera, whose tracks are named plainly, and the body's first one have changed places.
+def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Features) -> tuple[Finding, ...]:
+    """ModelError when the first camera, whose tracks are named plainly, is not the body's though the log has that one.
 
-    A warning when the two sets of cameras have no name in common; nothing where either is not known.
+    A remark when it has another name; nothing where the cameras of body or log are not known.
     """
     from .logs.cameras import camera_name
 
-    known, here = ({camera_name(str(topic)): str(topic) for topic in topics} for topics in (learned, seen))
-    if not known or not here or next(iter(known)) == next(iter(here)):
+    known, here = ([str(topic) for topic in topics] for topics in (learned, features.cameras.values()))
+    if not known or not here or camera_name(known[0]) == camera_name(here[0]):
         return ()
-    theirs, ours = list(known.values()), next(iter(here.values()))
-    said = f"{where}camera: {ours} comes first here, {theirs[0]} where the body was learned"
-    advice = f"type: [topics] camera = {json.dumps(theirs if len(theirs) > 1 else theirs[0])}"
-    if known.keys() & here.keys():
-        raise ModelError(f"{said}, so each would be taken for the other; {advice}, for the log as it was recorded")
-    return (Finding("warning", f"{said}; unless they are the same camera, {advice}"),)
+    said = f"camera: {here[0]} comes first here, {known[0]} where the body was learned"
+    there = {camera_name(name) for name in (*here, *(topic.name for topic in read.topics))}
+    if camera_name(known[0]) in there or camera_name(here[0]) in map(camera_name, known):
+        advice = json.dumps(known if len(known) > 1 else known[0])
+        raise ModelError(f"{log}: {said}; type: [topics] camera = {advice}, for the log as it was recorded")
+    return (Finding("info", said),)
 
 
 def gone(log: Path, findings: Iterable[Finding]) -> str:

@@ -95,7 +95,7 @@ def test_the_page_and_the_layout_show_every_camera_the_log_was_told_of(tmp_path,
     assert said["roles"]["camera"] == "/side/image/compressed" and "camera/side" not in said["roles"]
 
 
-def test_cameras_in_another_order_than_learned_are_refused_and_others_are_named(tmp_path, capsys, bodylog, watched):
+def test_cameras_in_another_order_than_learned_are_refused(tmp_path, capsys, bodylog, watched):
     (tmp_path / "swapped.toml").write_text(SWAPPED)
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
     reach, explore, two = watched / "reach.mcap", watched / "explore.mcap", watched / "two.npz"
@@ -109,10 +109,22 @@ def test_cameras_in_another_order_than_learned_are_refused_and_others_are_named(
         error = capsys.readouterr().err.strip().splitlines()[-1]
         assert "/side/image/compressed comes first here, /camera/image/compressed where the body was learned" in error
         assert "; type: " + BOTH.strip().replace("\n", " ") in error
-    said = _said(capsys, bodylog, "estimate", reach, "--body", watched / "one.npz", "-o", tmp_path / "out.mcap",
-                 "--config", tmp_path / "side.toml")  # fmt: skip
+    assert {path.suffix for path in tmp_path.iterdir()} == {".toml"}
+
+
+def test_a_camera_is_taken_for_the_body_s_of_another_name_unless_that_is_there(tmp_path, capsys, bodylog, watched):
+    (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
+    side, alone, typed = tmp_path / "side.npz", tmp_path / "alone.mcap", ("--config", tmp_path / "side.toml")
+    assert bodylog("fit", watched / "explore.mcap", "-o", side, *typed) == 0
+    (learned,) = _said(capsys, bodylog, "info", side)
+    assert learned["provenance"]["cameras"] == ["/side/image/compressed"]
+    assert bodylog("estimate", watched / "reach.mcap", "--body", side, "-o", tmp_path / "out.mcap") == 65
+    advice = '; type: [topics] camera = "/side/image/compressed", for the log as it was recorded'
+    assert capsys.readouterr().err.strip().endswith(advice)
+    assert bodylog("ingest", watched / "reach.mcap", "-o", alone, *typed) == 0
+    said = _said(capsys, bodylog, "estimate", alone, "--body", side, "-o", tmp_path / "out.mcap")
     (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
-    assert text.endswith('unless they are the same camera, type: [topics] camera = "/camera/image/compressed"')
+    assert text.endswith("/camera/image/compressed comes first here, /side/image/compressed where the body was learned")
 
 
 def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, bodylog, watched):
