@@ -1,7 +1,7 @@
 """Chunks of an MCAP: unpacked, checked against their CRC, and their messages found by index or by walking."""
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -32,6 +32,7 @@ class Chunk:
     """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known.
 
     `listed`: a sound summary says so; else an index may be missing, and the chunk is opened whatever is asked for.
+    `stored`: it is said to hold its records as they are.
     """
 
     start: int
@@ -40,6 +41,7 @@ class Chunk:
     end_ns: int
     indexes: Mapping[int, int] = field(default_factory=dict)
     listed: bool = False
+    stored: bool = False
 
 
 class Loose(NamedTuple):
@@ -70,6 +72,11 @@ def chunk_head(data: memoryview, start: int) -> tuple[int, int, int, int, str, m
         raise FormatError(f"byte {start}: a chunk of {length} bytes claims {packed} bytes of records")
     compression = str(data[at - letters : at], "ascii", "replace")
     return first, last, size, crc, compression, data[at + 8 : at + 8 + packed]
+
+
+def records_at(chunk: Chunk, compression: str) -> int:
+    """The byte of the file at which a chunk's packed records begin."""
+    return chunk.start + HEAD.size + CHUNK_HEAD.size + len(compression) + _U64.size
 
 
 def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
@@ -114,7 +121,7 @@ def index_of(data: memoryview, at: int) -> Array:
 def messages(content: Array, data: memoryview, chunk: Chunk, ledger: Ledger) -> Messages:
     """All messages of a loaded chunk in its own order: by its indexes where they are right, else by walking."""
     if chunk.indexes:
-        found = _indexed(content, data, chunk.indexes)
+        found = indexed(content, [(0, len(content))], data, [chunk])
         if found is not None:
             return found
         ledger.warn(f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were walked")
@@ -131,27 +138,36 @@ def heads_at(content: Array | memoryview, starts: Array) -> Array:
     return heads_of(content).view(f"V{MESSAGE_HEAD.itemsize}")[starts].view(MESSAGE_HEAD)
 
 
-def _indexed(content: Array, data: memoryview, indexes: Mapping[int, int]) -> Messages | None:
-    offsets = [index_of(data, at)[:, 1] for at in indexes.values()]
-    starts = offsets[0] if len(offsets) == 1 else np.concatenate(offsets)
-    if not len(starts) or starts.min() < 0 or starts.max() > len(content) - MESSAGE_HEAD.itemsize:
+def indexed(
+    content: Array, places: Sequence[tuple[int, int]], data: memoryview, chunks: Sequence[Chunk]
+) -> Messages | None:
+    """All messages of chunks by their indexes, each chunk's records between two bytes of `content`; None if wrong."""
+    listed = [
+        (channel, index_of(data, at)[:, 1] + low)
+        for (low, _), chunk in zip(places, chunks, strict=True)
+        for channel, at in chunk.indexes.items()
+    ]
+    starts = np.concatenate([offsets for _, offsets in listed])
+    if not len(starts) or starts.min() < places[0][0] or starts.max() > places[-1][1] - MESSAGE_HEAD.itemsize:
         return None
     heads = heads_at(content, starts)
-    channels = np.repeat(np.array(list(indexes), np.int64), [len(part) for part in offsets])
+    channels = np.repeat([channel for channel, _ in listed], [len(offsets) for _, offsets in listed])
     if (heads["opcode"] != MESSAGE).any() or (heads["channel"] != channels).any():
         return None
     if (starts[1:] <= starts[:-1]).any():
         order = np.argsort(starts, kind="stable")
         starts, heads = starts[order], heads[order]
-    return Messages(starts, heads) if _tiled(content, starts, heads["size"]) else None
+    empty = (np.diff(np.searchsorted(starts, [low for low, _ in places]), append=len(starts)) == 0).any()
+    return None if empty or not _tiled(content, np.array(places), starts, heads["size"]) else Messages(starts, heads)
 
 
-def _tiled(content: Array, starts: Array, sizes: Array) -> bool:
-    """Whether the records follow one another with nothing but other whole records between: no message is missing."""
+def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
+    """Whether records follow one another in each place with nothing but other whole ones between: none is missing."""
     if sizes.min() < MESSAGE_HEAD.itemsize - HEAD.size or sizes.max() > len(content):
         return False
-    lows = np.concatenate(([0], starts + sizes + HEAD.size))
-    highs = np.concatenate((starts, [len(content)]))
+    # In order, what is open is one place without a message or with one: no message passes another or its place.
+    lows = np.sort(np.concatenate((places[:, 0], starts + sizes + HEAD.size)))
+    highs = np.sort(np.concatenate((starts, places[:, 1])))
     if (lows > highs).any():
         return False
     view = content.data

@@ -12,6 +12,9 @@ from ..types import Array
 NAMES = ("", "none", "lz4", "zstd", "bz2")
 """Compressions of chunks, as MCAP and ROS 1 bags name them."""
 
+STORED = ("", "none")
+"""Those that leave the bytes as they are."""
+
 _ALWAYS = 64 << 20
 _RATIO = 1024
 _PIECE = 128 << 10
@@ -26,7 +29,7 @@ class Buffer:
 
     def load(self, compression: str, packed: memoryview, size: int) -> Array:
         """The `size` bytes (size,) uint8 that `packed` unpacks to; FormatError if it does not, or claims too much."""
-        if compression in ("", "none"):
+        if compression in STORED:
             if len(packed) != size:
                 raise FormatError(f"{len(packed)} bytes stored where {size} are declared")
             return np.frombuffer(packed, np.uint8)

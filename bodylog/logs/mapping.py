@@ -7,6 +7,8 @@ from .sparse import Sparse, sparse
 
 _ADVICE = hasattr(mmap, "MADV_DONTNEED")
 _PAGE = mmap.PAGESIZE
+_ASKED = 1 << 20
+"""Asked for more than a disk reads ahead, the kernel begins with that and leaves the rest to faults, page by page."""
 _AROUND = 2 << 20
 """A page that is touched can bring its neighbours along, those before it too: a folio of the page cache at most."""
 
@@ -26,8 +28,9 @@ def fetch(data: memoryview, start: int, end: int) -> None:
     """Start reading what lies between two bytes of a mapped file: all of it is about to be touched."""
     bring(data, start, end)
     low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
-    if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
-        data.obj.madvise(mmap.MADV_WILLNEED, low, high - low)
+    if _ADVICE and isinstance(data.obj, mmap.mmap):
+        for at in range(low, high, _ASKED):
+            data.obj.madvise(mmap.MADV_WILLNEED, at, min(_ASKED, high - at))
 
 
 def bring(data: memoryview, start: int, end: int) -> None:

@@ -1,6 +1,6 @@
 """MCAP files -> undecoded batches; nothing is read that the topics asked for do not need."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,8 +14,11 @@ from .ledger import Ledger
 from .mapping import bring, fetch, forget, mapped
 from .records import HEAD, MAGIC, SCHEMA, Record, parse
 from .spans import spans_of
+from .stored import runs, together
 from .topics import Topics, split
 from .unpacked import unpacked
+
+_SOON = 16 << 20
 
 
 @dataclass
@@ -79,15 +82,19 @@ class McapLog:
 
     def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, Messages]]:
         """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
-        parts = [part for part in self.survey.parts if _holds(part, wanted)]
-        done = 0
+        for some in runs([part for part in self.survey.parts if _holds(part, wanted)]):
+            found = together(self._data, some)
+            if found is None:
+                yield from self._one_by_one(some)
+                continue
+            yield found
+            forget(self._data, some[0].start, int(found[1].starts[-1]))
+
+    def _one_by_one(self, parts: Sequence[Chunk | Loose]) -> Iterator[tuple[Array, Messages]]:
+        done = parts[0].start
         for part, content in unpacked_parts(self._data, parts):
             if isinstance(part, Loose):
-                fetch(self._data, part.start, part.end)
-                whole = np.frombuffer(self._data, np.uint8)
-                for found in loose_messages(self._data, part):
-                    yield whole, found
-                    forget(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
+                yield from self._outside(part)
                 continue
             if isinstance(content, FormatError):
                 lose(self._data, part, content, self._ledger)
@@ -95,6 +102,16 @@ class McapLog:
                 yield content, messages(content, self._data, part, self._ledger)
             forget(self._data, done, part.start + part.length)  # and what was touched since the chunk before
             done = part.start + part.length
+
+    def _outside(self, part: Loose) -> Iterator[tuple[Array, Messages]]:
+        whole = np.frombuffer(self._data, np.uint8)
+        bring(self._data, part.start, part.end)
+        fetch(self._data, part.start, min(part.start + _SOON, part.end))
+        for found in loose_messages(self._data, part):
+            yield whole, found
+            end = int(found.starts[-1] + found.heads["size"][-1])
+            forget(self._data, int(found.starts[0]), end)
+            fetch(self._data, end, min(end + _SOON, part.end))
 
     def spans(self) -> dict[int, tuple[int, int]]:
         """First and last log time (ns) by topic id, where every message is in a message index."""

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import FormatError
 from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages
-from .compression import Buffer
+from .compression import STORED, Buffer
 from .ledger import Ledger
 from .mapping import bring, forget
 from .mcap import Survey
@@ -100,8 +100,8 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
             survey.declare(parse(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
         elif opcode == CHUNK:
             run.close(at + HEAD.size + length)
-            first, last, *_ = chunk_head(data, at)
-            run.follow(Chunk(at, HEAD.size + length, first, last))
+            first, last, _, _, compression, _ = chunk_head(data, at)
+            run.follow(Chunk(at, HEAD.size + length, first, last, stored=compression in STORED))
         elif opcode == MESSAGE_INDEX:
             run.index(at)
     run.close(end)

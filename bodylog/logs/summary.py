@@ -8,6 +8,7 @@ from isal.isal_zlib import crc32
 
 from ..errors import FormatError
 from .chunks import Chunk
+from .compression import STORED
 from .ledger import Ledger
 from .mapping import bring
 from .mcap import Survey
@@ -102,6 +103,7 @@ def _chunk(said: dict[str, Any]) -> Chunk:
         said["message_end_time"],
         said["message_index_offsets"],
         listed=True,
+        stored=said["compression"] in STORED,
     )
 
 
