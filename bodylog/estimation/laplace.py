@@ -27,7 +27,7 @@ PATIENCE = 8
 """Sweeps without a new least move after which rest is given up."""
 STUCK = 1e-3
 """Standard deviations: smaller moves are left to die out."""
-SETTLED = 1e-10
+SETTLED = 1e-8
 """Standard deviations: how little a stretch's start may still move."""
 
 
@@ -64,8 +64,14 @@ class Solution:
     brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
 
     def gated(self) -> Array:
-        """Instants (E,) with an encoder reading beyond the gate."""
-        return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))
+        """Instants (E,) with an encoder reading beyond the gate, of those told one by one where it is in brief."""
+        beyond = (np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1)
+        if self.brief is None or self.fold is not self.brief[1].fold:
+            return np.asarray(beyond)
+        events = self.brief[0].events
+        found = np.zeros(events[-1] + 1, bool)
+        found[events] = beyond
+        return found
 
 
 def solve(

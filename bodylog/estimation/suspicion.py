@@ -26,13 +26,13 @@ PASSES, STILL = 8, 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Frames:
-    """One track's F sightings: at which events (F,), J (F,D,M), innovation's covariance (F,D,D), S⁻¹ν (F,D) clipped,
-    information (F,M,M) as gated.
+    """One track's F sightings: at which events (F,), J (D,M,F), S⁻¹ (D,D,F) of the innovation, S⁻¹ν (D,F) clipped,
+    information (M,M,F) as gated.
     """
 
     events: Array
     jac: Array
-    cov: Array
+    inverse: Array
     pull: Array
     stiff: Array
 
@@ -49,36 +49,48 @@ def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Arr
     shift = _shift(solved, tracks)
     score, weight = _by_encoders(solved, shift)
     for track in visual:
-        psi = -track.jac @ solved.fold.pick(shift, track.events)
-        score[track.events] += np.einsum("fdk,fd->fk", psi, track.pull)
-        weight[track.events] += np.einsum("fdk,fdk->fk", psi, np.linalg.solve(track.cov, psi))
+        psi = -np.einsum("dmf,mkf->dkf", track.jac, _at(solved, shift, track.events))
+        score[track.events] += np.einsum("dkf,df->fk", psi, track.pull)
+        weight[track.events] += np.einsum("dkf,dkf->fk", psi, np.einsum("def,ekf->dkf", track.inverse, psi))
     return _won(problem.timeline.t, score, weight, walk)
 
 
 def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
     """What the sightings of one track said to the belief."""
-    fold, readings, trace = solved.fold, solved.readings, solved.trace
+    readings, trace = solved.readings, solved.trace
     seen: Array = np.all(np.isfinite(problem.evidence.sightings[track].values), axis=1)
     events = problem.timeline.sightings[track][seen]
-    x, cov = fold.pick(trace.prior, events), fold.pick(trace.prior_cov, events)
-    y, jac, var = (fold.pick(part[:, track], events) for part in (readings.y, readings.jac, readings.var))
-    nu, s = y - (jac @ x[..., None])[..., 0], jac @ cov @ jac.swapaxes(1, 2)
-    np.einsum("fdd->fd", s)[:] += var
-    d2 = np.einsum("fd,fd->f", nu, np.linalg.solve(s, nu[..., None])[..., 0])
-    noise = var + np.einsum("fdd->fd", s) * _excess(d2)[:, None]
-    np.einsum("fdd->fd", s)[:] += _common(solved, track, seen)
-    pull = np.linalg.solve(s, nu[..., None])[..., 0]
-    reach = np.sqrt(np.maximum(np.einsum("fd,fd->f", nu, pull) / nu.shape[1], 1e-9))
-    return _Frames(
-        events, jac, s, pull * np.minimum(1.0, CLIP / reach)[:, None], jac.swapaxes(1, 2) @ (jac / noise[..., None])
-    )  # fmt: skip
+    x, cov = _at(solved, trace.prior, events), _at(solved, trace.prior_cov, events)
+    y, jac, var = (_at(solved, part[:, track], events) for part in (readings.y, readings.jac, readings.var))
+    nu, s = y - (jac * x).sum(axis=1), np.einsum("dmf,emf->def", np.einsum("dmf,mkf->dkf", jac, cov), jac)
+    own = np.einsum("ddf->df", s)
+    own += var
+    d2 = np.einsum("df,df->f", nu, np.einsum("def,ef->df", _inverse(s), nu))
+    noise = var + own * _excess(d2)
+    own += _common(solved, track, seen)
+    inverse = _inverse(s)
+    pull = np.einsum("def,ef->df", inverse, nu)
+    reach = np.sqrt(np.maximum(np.einsum("df,df->f", nu, pull) / len(nu), 1e-9))
+    told = np.einsum("dmf,dkf->mkf", jac, jac / noise[:, None])
+    return _Frames(events, jac, inverse, pull * np.minimum(1.0, CLIP / reach), told)
+
+
+def _at(solved: Solution, a: Array, events: Array) -> Array:
+    """Folded a (L,…,C) at the given events: (…,F)."""
+    return np.ascontiguousarray(np.moveaxis(solved.fold.pick(a, events), 0, -1))
+
+
+def _inverse(s: Array) -> Array:
+    """Of symmetric s (2,2,F)."""
+    (a, b), (_, c) = s
+    return np.asarray(np.stack([c, -b, -b, a]).reshape(s.shape) / (a * c - b * b))
 
 
 def _common(solved: Solution, track: int, seen: Array) -> Array:
-    """What the model's error adds to variances (F,D), so that frames of like postures say of a lie no more than one."""
+    """What the model's error adds to variances (D,F), so that frames of like postures say of a lie no more than one."""
     points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
     alike = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / FAR))
-    return np.asarray(model * (2.0 * alike - 2.0)[:, None])
+    return np.asarray((model * (2.0 * alike - 2.0)[:, None]).T)
 
 
 def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
@@ -89,7 +101,7 @@ def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
     stiff = np.zeros(trace.prior_cov.shape)
     np.einsum("liic->lic", stiff)[:] = told
     for track in tracks:
-        fold.put(stiff, track.events, fold.pick(stiff, track.events) + track.stiff)
+        fold.put(stiff, track.events, fold.pick(stiff, track.events) + np.moveaxis(track.stiff, -1, 0))
     # what merely reminds of habits has no offset
     lied = np.where(np.isfinite(trace.encoder_d), told, 0.0)
     shift, begin = np.empty_like(stiff), _follows(lied)
@@ -118,10 +130,10 @@ def _follow(
     for i, step in enumerate(dt):
         moved[:m] += step * moved[m:]
         shift[i] = moved[:m]
-        force = -(stiff[i][:, :, None] * moved[None, :m]).sum(axis=1)
-        force[own, own] += lied[i]
+        force = np.einsum("ijc,jkc->ikc", stiff[i], shift[i])
+        force[own, own] -= lied[i]
         # x⁺ − x⁻ = P⁺ Hᵀ R⁻¹ ν
-        moved += (p[i, : 2 * m, :m, None] * force[None]).sum(axis=1)
+        moved -= np.einsum("aic,ikc->akc", p[i, : 2 * m, :m], force)
     return moved
 
 
@@ -146,13 +158,14 @@ def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Arr
     starts = starts[starts < len(t)]
     steps = np.diff(t[starts], append=t[-1])
     score, weight = np.add.reduceat(score, starts), np.add.reduceat(weight, starts)
-    offsets, var = np.empty(score.shape), np.empty(score.shape)
-    b, p, nats = np.zeros(score.shape[1]), np.full(score.shape[1], OFFSET_STD**2), np.zeros(score.shape[1])
+    offsets, var, share, before = np.zeros((4, len(steps) + 1, score.shape[1]))
+    var[0] = OFFSET_STD**2
     for k, (f, w, step) in enumerate(zip(score, weight, steps, strict=True)):
-        p = p + walk * step
-        more, share = f - w * b, 1.0 + w * p
-        nats += b * (f - 0.5 * w * b) + 0.5 * (more * more * p / share - np.log(share))
-        p = p / share
-        b = b + p * more
-        offsets[k], var[k] = b, p
-    return nats, offsets, var
+        before[k] = var[k] + walk * step
+        share[k] = 1.0 + w * before[k]
+        var[k + 1] = before[k] / share[k]
+        offsets[k + 1] = offsets[k] + var[k + 1] * (f - w * offsets[k])
+    b, p, share = offsets[:-1], before[:-1], share[:-1]
+    more = score - weight * b
+    nats = b * (score - 0.5 * weight * b) + 0.5 * (more * more * p / share - np.log(share))
+    return nats.sum(axis=0), offsets[1:], var[1:]

@@ -14,8 +14,8 @@ from .senses import Sighting
 if TYPE_CHECKING:
     from .laplace import Problem
 
-RESTING = 2e-10
-"""rad: a frame whose point of linearisation is moved less keeps its tangent."""
+RESTING = 1e-9
+"""rad: a frame whose point of linearisation is moved less keeps its tangent, for beliefs move by a tenth of that."""
 SAME = 1e-9
 """Relative change of a frame's variance that does not count."""
 

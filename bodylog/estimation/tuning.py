@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..types import Array
-from .laplace import Problem, Solution, solve
+from .laplace import Problem, Solution, briefly
 from .motion import floor
 from .outset import handed_over, priors
 from .precision import Precision
@@ -19,6 +19,8 @@ FEWEST = 10
 """Sightings without which vision says nothing about its own noise."""
 ROUGHLY = 1e-2
 """Standard deviations: how still a solution must be for its evidence to be compared."""
+NEARLY = 0.25
+"""Standard deviations: how still stretches' starts must be for candidates to be compared from where these end."""
 TRUST = 0.5
 """Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""
 ROUNDS = (1.2, 0.7, 0.35)
@@ -40,7 +42,8 @@ def tune(problem: Problem) -> tuple[Precision, Array, Solution | None]:
         m = len(part.start)
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
-        solution = solve(part, solution, rest=ROUGHLY)
+        told = briefly(part, solution, "posterior", NEARLY)
+        solution = replace(told[1], brief=told)
         nats = costs(solution, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
