@@ -8,7 +8,6 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
-from itertools import cycle
 from pathlib import Path
 
 from .errors import UsageError
@@ -84,10 +83,20 @@ def sha256(path: Path) -> str:
 def pieces(path: Path, size: int) -> Iterator[memoryview]:
     """The bytes of a file, or of a folder's files in name order, `size` at a time; of a file only the last is shorter.
 
-    Two buffers take turns: a piece is valid until the next but one is asked for. Each begins at a page of memory.
+    They are where the kernel keeps the file, no copies; each begins at a page if `size` is a number of pages. What is
+    cut off the file meanwhile is missing, and so is what is put to its end.
     """
-    buffers = cycle([memoryview(mmap.mmap(-1, size)) for _ in range(2)])
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
         with part.open("rb") as stream:
-            while count := stream.readinto(buffer := next(buffers)):
-                yield buffer[:count]
+            if whole := os.fstat(stream.fileno()).st_size:
+                yield from _mapped(stream.fileno(), whole, size)
+
+
+def _mapped(handle: int, whole: int, size: int) -> Iterator[memoryview]:
+    data = mmap.mmap(handle, whole, access=mmap.ACCESS_READ)
+    data.madvise(mmap.MADV_SEQUENTIAL)
+    for at in range(0, whole, size):
+        end = min(at + size, whole, os.fstat(handle).st_size)
+        if end > at:
+            yield memoryview(data)[at:end]
+            data.madvise(mmap.MADV_DONTNEED, at, end - at)

@@ -44,13 +44,14 @@ class Copy:
             target.wait()
         finally:
             target.close()
-        if not self._end <= read == size:
-            grown = f"had {size} bytes, but {read} when it was copied"
+        now = self._source.stat().st_size
+        if not self._end <= read == size == now:
+            grown = f"had {size} bytes, but {now} when it was copied"
             raise LogError(f"{self._source}: {grown}; was it still being recorded?")
         return digest
 
     def _pass(self, target: "_Target | None") -> tuple[str, int]:
-        """The digest, and how many bytes there were; each piece is written while it is digested and the next read."""
+        """The digest, and how many bytes there were; each piece is written while it is digested."""
         digest, read = hashlib.sha256(), 0
         for piece in pieces(self._source, _PIECE):
             if self._stopped.is_set():
