@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .errors import EvidenceError, InputError, UsageError
 from .pipeline import Progress, infer, judge, named, observe
-from .refusals import gone, same_camera
+from .refusals import about, gone, same_camera
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Score
 
@@ -57,7 +57,8 @@ def compare(
         if done is not None:
             done(rows[-1])
     if refused and not rows:
-        raise next(iter(refused.values()))
+        with about(log, read.findings):
+            raise next(iter(refused.values()))
     return rows, (*read.findings, *features.findings, *cameras, *_remarks(rows, refused))
 
 

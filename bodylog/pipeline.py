@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__
-from .errors import InputError
 from .files import sha256
-from .refusals import distinct, gone, insist, same_camera, something_seen, teachable
+from .refusals import about, distinct, insist, same_camera, something_seen, teachable
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
 
@@ -92,9 +91,10 @@ def fit(
         teachable(log, found, settings)
         remarks += same_camera(log, cameras, read, found)
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
-    learned = body.learn(features, settings, provenance, known)
-    model.save(learned.model, out)
     findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
+    with about(logs[0], findings, len(logs) - 1):
+        learned = body.learn(features, settings, provenance, known)
+    model.save(learned.model, out)
     return Result(out, learned.scores, _merged(observed), (*findings, *remarks, *learned.findings), plain(settings))
 
 
@@ -112,8 +112,8 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
         found = _estimated(log, read, features, learned, settings)
         lost = written.add(_estimate_messages(read, features, found))
         scores = judge(found, read)
-        about = _provenance([(log, written.digest())], read.settings)
-        written.about(about | {"body_sha256": sha256(body)} | annotated.describe(found))
+        origin = _provenance([(log, written.digest())], read.settings)
+        written.about(origin | {"body_sha256": sha256(body)} | annotated.describe(found))
     remarks = (*read.findings, *features.findings, *cameras, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
     return Result(out, scores, health, remarks, dict(found.settings), found.faults)
@@ -121,10 +121,8 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
 
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """`infer`, its refusals told of the log, with what that lost."""
-    try:
+    with about(log, read.findings):
         found = infer(features, learned, settings)
-    except InputError as problem:
-        raise type(problem)(f"{log}: {problem}{gone(log, read.findings)}") from problem
     insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from .errors import FormatError, LogError
 from .pipeline import Progress, Result, doctor, ingest, judge, observe, topic_of
-from .refusals import distinct
+from .refusals import about, distinct
 from .settings import Settings, plain
 from .types import Estimate, Features, Finding, Recording
 
@@ -27,10 +27,13 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
     if source.suffix == ".npz":
         from .body import model
 
-        figures.body_figure(model.load(source), out)
+        learned = model.load(source)
+        with about(source):
+            figures.body_figure(learned, out)
         return Result(out)
     read, features = observe(source, settings, progress)
-    figures.recording_figure(read, features, out)
+    with about(source):
+        figures.recording_figure(read, features, out)
     health = {**read.health, **features.health}
     return Result(out, (), health, (*read.findings, *features.findings), plain(settings))
 
@@ -146,7 +149,8 @@ def colours(log: Path, out: Path | None, settings: Settings, effector: tuple[flo
     from .report import overlay
 
     read = recording.read(log, settings, settings.input.strict)
-    proposals, sheet = palette.propose(read, effector)
+    with about(log):
+        proposals, sheet = palette.propose(read, effector)
     if out is not None:
         overlay.write(sheet, out)
     return Colours([asdict(one) for one in proposals], read.findings)

@@ -1,10 +1,11 @@
 """What the pipeline refuses, in one line each: a file onto itself, logs that show nothing, names that fit nothing."""
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
-from .errors import EvidenceError, LogError, ModelError, UsageError
+from .errors import EvidenceError, InputError, LogError, ModelError, UsageError
 from .settings import Colours, Settings
 from .types import Features, Finding, Health, Recording
 
@@ -59,6 +60,16 @@ def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Fe
         advice = json.dumps(known if len(known) > 1 else known[0])
         raise ModelError(f"{log}: {said}; type: [topics] camera = {advice}, for the log as it was recorded")
     return (Finding("info", said),)
+
+
+@contextmanager
+def about(log: Path, findings: Iterable[Finding] = (), others: int = 0) -> Iterator[None]:
+    """Whatever an input is refused for in a `with`, told of the log (and of how many others), with what that lost."""
+    try:
+        yield
+    except InputError as problem:
+        logs = f"{log} and {others} more" if others else f"{log}"
+        raise type(problem)(f"{logs}: {problem}{gone(log, findings)}") from problem
 
 
 def gone(log: Path, findings: Iterable[Finding]) -> str:

@@ -48,7 +48,7 @@ def learn(
     senses = {n: sense.sense(part, chosen, settings.fit) for n, part in tracks.items() if n not in rare}
     if not senses:
         raise EvidenceError(
-            f"no track has {_LEAST_SIGHTINGS} sightings while joints were heard; type: bodylog doctor LOG"
+            f"no track has {_LEAST_SIGHTINGS} sightings while joints were heard; type: bodylog info LOG"
         )
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})

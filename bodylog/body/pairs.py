@@ -81,12 +81,12 @@ def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list
 
 def silent(features: Sequence[Features]) -> dict[str, str]:
     """Of each joint that some log names but does not hear often enough to learn it, what was found."""
-    found = {}
+    found, few = {}, f"{_FEWEST} are needed"
     for index, readings in enumerate(f.joints for f in features if f.joints is not None):
         for name, column in zip(readings.names, readings.values.T, strict=True):
             heard = len(np.unique(readings.t[np.isfinite(column)]))
             if heard < _FEWEST:
-                found[name] = f"{name}: only {heard} of {len(column)} readings in log {index + 1} are numbers"
+                found[name] = f"{name}: only {heard} of {len(column)} readings in log {index + 1} are numbers, {few}"
     return found
 
 

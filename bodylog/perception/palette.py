@@ -42,8 +42,10 @@ def propose(
     picked = _picked(recording)
     count = sum(1 for _ in picked())
     if not count:
-        raise LogError(f"{recording.name}: no pictures to take colours from; type: bodylog info {recording.name}")
+        raise LogError("no pictures to take colours from; type: bodylog info LOG")
     ranges = [_range(hue) for hue in _hues(image for _, image in picked())]
+    if not ranges:
+        raise LogError(f"nothing saturated in {count} pictures, so no colour to tell things by; type: bodylog view LOG")
     shown = set(np.linspace(0, count - 1, min(_SHEET, count)).astype(int).tolist())
     t, found, kept, width = np.zeros(count), [], {}, 0
     for index, (t[index], image) in enumerate(picked()):

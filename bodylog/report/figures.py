@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UsageError
+from ..errors import LogError, ModelError
 from ..types import Array, BodyModel, Estimate, Features, ForwardModel, Recording, Series
 from .canvas import INK, figure, label
 from .panels import belief, deviation, errors, events, free_energy, pixels, seen_tracks, signals, skin, trajectories
@@ -23,7 +23,7 @@ def recording_figure(recording: Recording, features: Features | None, out: Path)
     panels = _recording_panels(recording, features)
     tracks = seen_tracks(features)
     if not panels:
-        raise UsageError(f"{recording.name}: no joints, tracks, skin or events to draw; type: bodylog doctor LOG")
+        raise LogError("no joints, tracks, skin or events to draw; type: bodylog info LOG")
     with figure(out, 11.0 if tracks else 8.0, 0.6 + 1.75 * len(panels)) as drawing:
         grid = drawing.add_gridspec(len(panels), 2 if tracks else 1, width_ratios=(5, 3) if tracks else (1,))
         drawing.suptitle(label(recording.name, 80), x=0.01, ha="left", weight="bold")
@@ -35,10 +35,10 @@ def recording_figure(recording: Recording, features: Features | None, out: Path)
 def body_figure(body: BodyModel, out: Path) -> None:
     """Draw each output's mean and standard deviation over the two joints that moved most, with its samples."""
     if len(body.joints) < 2:
-        raise UsageError(f"body of {len(body.joints)} joint: a surface needs two; type: bodylog fit LOG --joints a,b")
+        raise ModelError(f"body of {len(body.joints)} joint: a surface needs two; type: bodylog fit LOG --joints a,b")
     rows = [(sense, model, d) for sense, model in body.senses.items() for d in range(len(model.outputs))][:_ROWS]
     if not rows:
-        raise UsageError("body model without a sense: nothing to draw; type: bodylog info body.npz")
+        raise ModelError("body model without a sense: nothing to draw; type: bodylog info body.npz")
     with figure(out, 9.0, 0.4 + 3.1 * len(rows)) as drawing:
         grid = drawing.add_gridspec(len(rows), 2)
         for row, (sense, model, d) in enumerate(rows):

@@ -42,7 +42,7 @@ def show(recorded: Path) -> None:
     """Open a window on a recording and wait until it is closed; UsageError where there is no display."""
     done = subprocess.run([*PROGRAM, str(recorded)], capture_output=True, text=True)
     if done.returncode:
-        said = _last(done.stderr)
+        said = _last(done.stderr).rpartition(": ")[2]  # before that stand places in its own source
         raise UsageError(f"view: Rerun could not open a window ({said}); type: bodylog view LOG -o out.rrd")
 
 

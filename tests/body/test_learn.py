@@ -168,7 +168,7 @@ def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
     features = _heard_as(explored(0, 0.003, 10.0).features, 2, np.nan)
     found = learn([features], Settings(), {})
     assert found.model.joints == ("pan", "lift")
-    said = "elbow: only 0 of 1000 readings in log 1 are numbers"
+    said = "elbow: only 0 of 1000 readings in log 1 are numbers, 4 are needed"
     assert any(text.startswith(f"{said}; left out") for text in _warnings(found))
     with pytest.raises(EvidenceError, match=f"{said}, but it is asked for"):
         learn([features], Settings(body=Body(joints=("pan", "elbow"))), {})

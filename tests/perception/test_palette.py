@@ -42,5 +42,5 @@ def test_where_the_effector_is_said_to_be_decides() -> None:
 
 
 def test_no_pictures_is_an_error_that_names_the_log() -> None:
-    with pytest.raises(LogError, match="test: no pictures to take colours from; type: bodylog info test"):
+    with pytest.raises(LogError, match="no pictures to take colours from; type: bodylog info"):
         propose(scenes.recording())

@@ -172,6 +172,7 @@ def test_without_a_screen_the_error_says_what_to_type(annotated, bodylog, monkey
     assert bodylog("view", annotated) == 2
     said = capsys.readouterr().err
     assert "could not open a window (" in said and "type: bodylog view LOG -o out.rrd" in said and said.count("\n") == 1
+    assert ".rs:" not in said and "DISPLAY" in said
 
 
 def test_without_rerun_the_error_says_what_to_type(monkeypatch):

@@ -1,0 +1,51 @@
+"""What cannot be used is refused in one line that begins with the file."""
+
+import numpy as np
+import pytest
+
+from ..logs.writing import T0, camera, compressed, joint_state, joints, write
+
+JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+
+
+def _log(path, names=JOINTS, count=200, picture=None):
+    """A log of `count` postures and as many pictures, none for None."""
+    times = [T0 + index * 20_000_000 for index in range(count)]
+    heard = [(ns, joint_state(ns, names, np.sin(index / 9 + np.arange(len(names))))) for index, ns in enumerate(times)]
+    seen = [] if picture is None else [camera("/camera", [(ns, compressed(ns, picture)) for ns in times])]
+    return write(path, [*([joints("/joint_states", heard)] if names else []), *seen])
+
+
+@pytest.fixture
+def logs(tmp_path):
+    """A folder of logs that lack something."""
+    grey = np.full((48, 64, 3), 90, np.uint8)
+    _log(tmp_path / "blind.mcap")
+    _log(tmp_path / "still.mcap", count=1)
+    _log(tmp_path / "other.mcap", names=(JOINTS[0], "knee"))
+    _log(tmp_path / "grey.mcap", names=(), count=9, picture=grey)
+    return tmp_path
+
+
+CASES = {
+    "fit blind.mcap -o out.npz": "{0}/blind.mcap: no track has 8 sightings while joints were heard; type: ",
+    "fit blind.mcap still.mcap -o out.npz": "{0}/blind.mcap and 1 more: no ",
+    "fit still.mcap -o out.npz": "{0}/still.mcap: no joint moved; heard: none (shoulder_pan_joint: only 1 of 1 "
+    "readings in log 1 are numbers, 4 are needed; ",
+    "compare other.mcap --body body.npz": "{0}/other.mcap: joints: the body model knows ",
+    "colours blind.mcap": "{0}/blind.mcap: no pictures to take colours from; type: ",
+    "colours grey.mcap -o out.png": "{0}/grey.mcap: nothing saturated in 9 pictures, ",
+    "plot grey.mcap -o out.png": "{0}/grey.mcap: no joints, tracks, skin or events to draw; type: ",
+    "extract blind.mcap -o out.mcap": "{0}/blind.mcap: neither camera nor skin gave anything to extract; type: ",
+}
+
+
+@pytest.mark.parametrize("typed", CASES)
+def test_the_line_begins_with_the_log(capsys, bodylog, robot, logs, typed):
+    body = robot / "body.npz"
+    words = [body if word == "body.npz" else logs / word if "." in word else word for word in typed.split()]
+    capsys.readouterr()
+    assert bodylog(*words) == 65
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and said.startswith("bodylog: " + CASES[typed].format(logs)), said
+    assert not list(logs.glob("out*"))
