@@ -22,7 +22,7 @@ _PIXELS = 1 << 19
 
 def look(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
     """Blobs of each colour in images (H,W,3) BGR: (N,colours,CANDIDATES,FIELDS) px, as `table` gives them."""
-    found = windows(images, ranges)
+    found = [window for picture, image in enumerate(images) for window in windows(picture, image, ranges)]
     tables = [
         table([window for window in found if window.colour == index], len(images), colour)
         for index, colour in enumerate(ranges)

@@ -19,7 +19,7 @@ from .search import CANDIDATES, Window
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
 """How many threads look at pictures: one where whole logs are worked on side by side."""
 # pictures looked at by one task, tasks ahead of the reader, pictures whose finds are measured together
-_BATCH, _AHEAD, _SHEET = 4, 4, 64
+_BATCH, _AHEAD, _SHEET = 4, 4, 32
 _NOTABLE = 1e-4
 
 Seen = tuple[list[Window], list[tuple[int, int]]]
@@ -116,13 +116,15 @@ def _by_sheets(looks: Iterator[Looked]) -> Iterator[Iterator[Looked]]:
 
 
 def _look(batch: Sequence[Frame], ranges: Sequence[Range], fast: bool) -> Seen:
-    scales = [2 if fast and frame.shrinks else 1 for frame in batch]
-    images = [_decoded(frame, scale) for frame, scale in zip(batch, scales, strict=True)]
-    sound = [k for k, image in enumerate(images) if image is not None]
-    found = search.windows([image for image in images if image is not None], ranges)
-    widths = [0 if image is None else image.shape[1] for image in images]
-    placed = [window._replace(picture=sound[window.picture]) for window in found]
-    return placed, list(zip(widths, scales, strict=True))
+    found: list[Window] = []
+    sizes: list[tuple[int, int]] = []
+    for picture, frame in enumerate(batch):
+        scale = 2 if fast and frame.shrinks else 1
+        image = _decoded(frame, scale)
+        sizes.append((0 if image is None else image.shape[1], scale))
+        if image is not None:
+            found += search.windows(picture, image, ranges)
+    return found, sizes
 
 
 def _decoded(frame: Frame, scale: int) -> Array | None:
