@@ -1,6 +1,6 @@
 """Marginal likelihood of an SE-ARD Gaussian process with constant mean, its gradient, and what maximises it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from math import isqrt
 from typing import Any
@@ -9,7 +9,7 @@ import numpy as np
 
 from ..types import Array
 from .descend import descend
-from .gp import se
+from .gp import se, shares
 from .select import spaced
 
 _JITTER = 1e-10
@@ -39,22 +39,27 @@ def hyper(theta: Array) -> Hyper:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Known noise covariance of n samples: diagonal (n,) and entries value (L,) at rows i > columns j, each once."""
+    """Known noise covariance of n samples: diagonal (n,) and entries value (L,) at rows i > columns j, each once.
+
+    share (G,), of mean 1: each output's own noise covariance is that many times this one.
+    """
 
     diagonal: Array
     i: Array
     j: Array
     value: Array
+    share: Array = field(default_factory=lambda: np.ones(1))
 
     def scaled(self, factor: float) -> "Spread":
         """The same in other units."""
-        return Spread(self.diagonal * factor, self.i, self.j, self.value * factor)
+        return Spread(self.diagonal * factor, self.i, self.j, self.value * factor, self.share)
 
 
 def independent(diagonal: Array) -> Spread:
-    """Noise without covariance between samples."""
-    nothing = np.zeros(0, np.int64)
-    return Spread(diagonal, nothing, nothing, np.zeros(0))
+    """Noise (n,) of all outputs, or (n,G) of each, without covariance between samples."""
+    diagonal = diagonal.reshape(len(diagonal), -1)
+    nothing, share = np.zeros(0, np.int64), shares(diagonal)
+    return Spread((diagonal / share).mean(axis=1), nothing, nothing, np.zeros(0), share)
 
 
 @dataclass(frozen=True, eq=False)

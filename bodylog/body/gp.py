@@ -21,6 +21,7 @@ class GP:
     outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² ·
     mean (D,) unit · weights (D,n) · factor (G,r,n): variance = amplitude − |factor k|² · noise (D,) unit² found
     beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
+    Outputs that share a kernel share it in units of their own noise: each one's variance is its `share` times that.
     """
 
     outputs: tuple[str, ...]
@@ -62,7 +63,10 @@ class GP:
         return value, slope
 
     def covariance(self, x: Array) -> Array:
-        """Between all pairs of x (N,M) rad: (G,N,N) unit²; model error is systematic, this says how far along."""
+        """Between all pairs of x (N,M) rad: (G,N,N) unit², each output's `share` times that of its kernel.
+
+        Model error is systematic, this says how far along.
+        """
         result = np.empty((len(self.scales), len(x), len(x)))
         for group, scales in enumerate(self.scales):
             kernel = se(x / scales, self.centres / scales, self.amplitude[group])
@@ -74,12 +78,13 @@ class GP:
         """Variance of the Jacobian at x (N,M) rad: (N,D,M) per rad squared."""
         result = np.empty((len(x), len(self.mean), x.shape[1]))
         for group, scales in enumerate(self.scales):
+            members = self._members(group)
             for rows in _blocks(len(x), len(self.centres)):
                 kernel = se(x[rows] / scales, self.centres / scales, self.amplitude[group])
                 for m, scale in enumerate(scales):
                     lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
                     left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
-                    result[rows, self._members(group), m] = np.maximum(left, 0.0)[:, None]
+                    result[rows, members, m] = np.maximum(left, 0.0)[:, None] * self.share[members]
         return result
 
     def _projected(self, group: int, kernel: Array) -> Array:
@@ -88,6 +93,11 @@ class GP:
 
     def _members(self, group: int) -> list[int]:
         return list(range(len(self.mean))) if len(self.scales) == 1 else [group]
+
+    @cached_property
+    def share(self) -> Array:
+        """What each output (D,) has of the noise, and the variance, of those that share its kernel."""
+        return shares(self.spread) if len(self.scales) == 1 else np.ones(len(self.mean))
 
     @cached_property
     def _origin(self) -> Array:
@@ -104,14 +114,14 @@ class GP:
         # amplitude here, not in the exponent: large exponents are rounded more, and the variance is what is left
         rows = amplitude * np.concatenate([self.weights[members], leans, self.factor[group]])
         near, rows = np.asfortranarray(near), np.asfortranarray(rows)
-        return _Single(near, fixed, precision, rows, self.mean[members], amplitude)
+        return _Single(near, fixed, precision, rows, self.mean[members], self.share[members], amplitude)
 
 
 @dataclass(frozen=True, eq=False)
 class _Single:
     """One kernel's D outputs at one point or at many: all that is linear in the kernel in one product.
 
-    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean (D,) ·
+    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean, share (D,) ·
     amplitude · rows (D+DM+r,n), amplitude times: weights, weights times centres times precision, factor.
     """
 
@@ -120,6 +130,7 @@ class _Single:
     precision: Array
     rows: Array
     mean: Array
+    share: Array
     amplitude: float
 
     def at(self, offset: Array) -> tuple[Array, Array, Array]:
@@ -133,14 +144,14 @@ class _Single:
         sums = self.rows.dot(np.exp(kernel, out=kernel))
         value, leans, seen = sums[:outputs], sums[outputs : outputs * (1 + inputs)], sums[outputs * (1 + inputs) :]
         slope = leans.reshape(outputs, inputs) - value[:, None] * tilt
-        return value + self.mean, slope, np.array([max(self.amplitude - float(seen.dot(seen)), 0.0)] * outputs)
+        return value + self.mean, slope, max(self.amplitude - float(seen.dot(seen)), 0.0) * self.share
 
     def many(self, offset: Array) -> tuple[Array, Array, Array]:
         """Mean (N,D), Jacobian (N,D,M) and variance (N,D) at offsets (N,M)."""
         sums = self._sums(offset, self.rows)
         value, slope = self._linear(offset, sums)
         left = self.amplitude - np.square(sums[:, value.shape[1] + slope[0].size :]).sum(axis=1)
-        return value, slope, np.repeat(np.maximum(left, 0.0)[:, None], value.shape[1], axis=1)
+        return value, slope, np.maximum(left, 0.0)[:, None] * self.share
 
     def means(self, offset: Array) -> tuple[Array, Array]:
         """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M)."""
@@ -182,6 +193,12 @@ def shortened(gp: GP) -> GP:
         short.append((values, vectors.T @ factor))
     rank = max(int((values > NEGLIGIBLE).sum()) for values, _ in short)
     return replace(gp, factor=np.array([factor[-rank:] for _, factor in short]))
+
+
+def shares(variance: Array) -> Array:
+    """What each output (D,) has of variances (n,D), their mean 1; 1 for all where one has none."""
+    means = variance.mean(axis=0)
+    return np.asarray(means / means.mean()) if means.all() else np.ones(len(means))
 
 
 def se(a: Array, b: Array, amplitude: float) -> Array:

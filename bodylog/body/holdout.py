@@ -15,7 +15,7 @@ def residuals(data: Samples, found: Fitted, block: Array) -> tuple[Array, Array]
     for index, group in enumerate(found.groups):
         left_out = _exact if len(data.x) <= EXACT else _sparse
         residual[:, group], spread = left_out(data, found, index, blocks)
-        variance[:, group] = spread[:, None]
+        variance[:, group] = spread[:, None] * found.spreads[index].share
     return residual, variance
 
 
@@ -32,6 +32,7 @@ def alone(data: Samples, found: Fitted) -> Array:
             base = inducing_bases(data, found)[index]
             fit = sparse.posterior(base, sparse.sums(base, data.x, y, spread))
             result[:, group] = sparse.deviations(base, fit, data.x, y, spread)
+        result[:, group] /= np.sqrt(spread.share)
     return result
 
 

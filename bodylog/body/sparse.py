@@ -151,4 +151,4 @@ def _rows(spread: Spread, rows: Array) -> Spread:
     place[rows] = np.arange(len(rows))
     i, j = place[spread.i], place[spread.j]
     kept = (i >= 0) & (j >= 0)
-    return Spread(spread.diagonal[rows], i[kept], j[kept], spread.value[kept])
+    return Spread(spread.diagonal[rows], i[kept], j[kept], spread.value[kept], spread.share)

@@ -77,7 +77,7 @@ def fitted(data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EX
     part = data.rows(spaced(len(data.x), exact))
     found = fit(part, prior, shared, seed)
     if data.variance is None:
-        return replace(found, spreads=tuple(independent(data.floor[:, g].mean(axis=1)) for g in found.groups))
+        return replace(found, spreads=tuple(independent(data.floor[:, g]) for g in found.groups))
     return replace(found, spreads=lifted(data, assemble(part, found, (), ""), found.groups))
 
 
@@ -91,7 +91,7 @@ def fit(data: Samples, prior: Prior, shared: bool, seed: int) -> Fitted:
     """Kernels of greatest evidence under the prior; noise of the inputs refined until it settles."""
     count = data.y.shape[1]
     groups = (slice(0, count),) if shared else tuple(slice(d, d + 1) for d in range(count))
-    spreads = tuple(independent(data.floor[:, g].mean(axis=1)) for g in groups)
+    spreads = tuple(independent(data.floor[:, g]) for g in groups)
     kernels = tuple(search(data.x, data.y[:, g], s, prior, seed) for g, s in zip(groups, spreads, strict=True))
     for _ in range(_ROUNDS):
         if data.variance is None:
@@ -108,16 +108,17 @@ def fit(data: Samples, prior: Prior, shared: bool, seed: int) -> Fitted:
 
 def search(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper:
     """Kernel of greatest evidence for outputs y (n,G) that share it: from guesses on few samples, then on all."""
-    scouts = spaced(len(x), _SCOUTS)
-    sx, sy = _deviation(x), float(np.mean(_deviation(y)))
-    few = x[scouts] / sx, y[scouts] / sy, independent(spread.diagonal[scouts] / sy**2)
+    scouts, own = spaced(len(x), _SCOUTS), y / np.sqrt(spread.share)
+    sx, sy = _deviation(x), float(np.mean(_deviation(own)))
+    few = x[scouts] / sx, own[scouts] / sy, independent(spread.diagonal[scouts] / sy**2)
     found = maximise(*few, prior.scaled(1.0 / sx), starts(few[0], seed, CANDIDATES))
     best = Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
     return polish(best, x, y, spread, prior) if len(scouts) < len(x) else best
 
 
 def polish(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior) -> Hyper:
-    """The kernel of greatest evidence near `start`."""
+    """The kernel of greatest evidence near `start`, of outputs in units of their own noise."""
+    y = y / np.sqrt(spread.share)
     sx, sy = _deviation(x), float(np.mean(_deviation(y)))
     first = Hyper(start.scales / sx, start.amplitude / sy**2, start.noise / sy**2)
     found = maximise(x / sx, y / sy, spread.scaled(1.0 / sy**2), prior.scaled(1.0 / sx), first.theta[None])
@@ -128,7 +129,7 @@ def lifted(data: Samples, gp: GP, groups: Sequence[slice]) -> tuple[Spread, ...]
     """Floor plus input noise seen through the slope of the mean: σ² + J Σₓ Jᵀ, one for each group of outputs."""
     slope = gp.means(data.x)[1]
     diagonal = data.floor + np.einsum("ndm,nm->nd", slope**2, np.asarray(data.variance))
-    return tuple(_spread(data, slope[:, g], diagonal[:, g].mean(axis=1)) for g in groups)
+    return tuple(_spread(data, slope[:, g], diagonal[:, g]) for g in groups)
 
 
 def assemble(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str) -> GP:
@@ -167,7 +168,7 @@ def _gp(
     factor: Array,
     mean: Array,
 ) -> GP:
-    owner = [index for index, g in enumerate(found.groups) for _ in range(g.stop - g.start)]
+    each = [np.ones(g.stop - g.start) * s.share for g, s in zip(found.groups, found.spreads, strict=True)]
     return GP(
         outputs,
         unit,
@@ -177,20 +178,22 @@ def _gp(
         mean=mean,
         weights=np.ascontiguousarray(weights),
         factor=factor,
-        noise=np.array([found.kernels[o].noise for o in owner]),
+        noise=np.concatenate([k.noise * share for k, share in zip(found.kernels, each, strict=True)]),
         samples=data.x,
         targets=data.y,
-        spread=np.column_stack([found.spreads[o].diagonal for o in owner]),
+        spread=np.hstack([np.outer(s.diagonal, share) for s, share in zip(found.spreads, each, strict=True)]),
     )
 
 
 def _spread(data: Samples, slope: Array, diagonal: Array) -> Spread:
+    known = independent(diagonal)
     if data.coupling is None:
-        return independent(diagonal)
+        return known
     c, count = data.coupling, len(data.x)
-    value = (slope[c.i, :, c.joint] * slope[c.j, :, c.joint]).mean(axis=1) * c.value
+    value = (slope[c.i, :, c.joint] * slope[c.j, :, c.joint] / known.share).mean(axis=1) * c.value
     place, into = np.unique(c.i * count + c.j, return_inverse=True)
-    return Spread(diagonal, place // count, place % count, np.bincount(into, value, minlength=len(place)))
+    value = np.bincount(into, value, minlength=len(place))
+    return replace(known, i=place // count, j=place % count, value=value)
 
 
 def _deviation(values: Array) -> Array:

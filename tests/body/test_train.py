@@ -42,8 +42,9 @@ def test_noise_of_a_sample_is_floor_and_slope_times_input_noise(camera) -> None:
     slope = gp.predict(data.x)[1]
     (both,) = lifted(data, gp, [slice(0, 2)])
     expected = 0.09 + 1e-4 * (slope**2).sum(axis=2)
-    assert np.allclose(both.diagonal, expected.mean(axis=1))
-    joined = (slope[1] * slope[0] * np.array([5e-5, 0, 3e-5])).sum(axis=1)
+    assert both.share == pytest.approx(expected.mean(axis=0) / expected.mean())
+    assert np.allclose(both.diagonal, (expected / both.share).mean(axis=1))
+    joined = (slope[1] * slope[0] * np.array([5e-5, 0, 3e-5])).sum(axis=1) / both.share
     assert (both.i.tolist(), both.j.tolist()) == ([1], [0]) and both.value == pytest.approx(joined.mean())
     each = lifted(data, gp, [slice(0, 1), slice(1, 2)])
     assert np.allclose(np.column_stack([s.diagonal for s in each]), expected)
@@ -102,3 +103,23 @@ def test_a_hundred_thousand_samples_fit_in_a_minute_and_little_memory(camera) ->
     q = np.random.default_rng(9).uniform([-0.8, -0.4, 0.1], [0.8, 0.9, 1.2], (2000, 3))
     many, exact = (np.sqrt(np.mean((m.means(q)[0] - camera(q)) ** 2)) for m in (gp, few))
     assert many < 1.05 * exact
+
+
+def test_an_output_that_shows_more_of_the_inputs_noise_is_as_much_less_certain() -> None:
+    far, squares = np.array([40.0, 160.0]), []
+    for seed in range(8):
+        draw = np.random.default_rng(seed)
+        true, fresh = draw.uniform(-0.5, 0.5, (120, 2)), draw.uniform(-0.4, 0.4, (200, 2))
+
+        def seen(x):
+            return far * np.column_stack([np.sin(x[:, 0]), np.sin(x[:, 0] + 0.5 * x[:, 1])])
+
+        y = seen(true) + draw.normal(0, 0.02, true.shape)
+        data = Samples(
+            true + draw.normal(0, 0.003, true.shape), y, np.full(y.shape, 0.02**2), np.full(true.shape, 0.003**2)
+        )
+        gp = assemble(data, fit(data, ROTATION, True, 0), ("u", "v"), "px")
+        assert 3.0 < np.sqrt(gp.share[1] / gp.share[0]) < 6.0
+        value, _, spread = gp.predict(fresh)
+        squares.append(np.mean((value - seen(fresh)) ** 2 / spread, axis=0))
+    assert np.all((np.mean(squares, axis=0) > 0.6) & (np.mean(squares, axis=0) < 1.6))
