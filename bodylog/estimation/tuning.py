@@ -30,8 +30,8 @@ ROUNDS = (1.2, 0.7, 0.35)
 def tune(problem: Problem) -> tuple[Precision, Array, Solution | None]:
     """Process variances and pixel factors that maximise the evidence of (the middle of) the log.
 
-    With how much (M,) of what encoders alone do not know pictures leave unknown, and the last solution to begin from,
-    if it was of the whole log.
+    With the share (M,) of each joint's process variance that a filter has from its encoder alone, and the last solution
+    to begin from, if it was of the whole log.
     """
     part = middle(problem)
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
@@ -48,11 +48,16 @@ def tune(problem: Problem) -> tuple[Precision, Array, Solution | None]:
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     assert solution is not None
-    return part.precision, _left(problem, solution), solution if part.timeline is problem.timeline else None
+    return part.precision, _alone(problem, solution), solution if part.timeline is problem.timeline else None
 
 
-def _left(problem: Problem, solution: Solution) -> Array:
-    """Ratio (M,), at most 1, of each joint's deviation by all senses to the one by its encoder alone."""
+def _alone(problem: Problem, solution: Solution) -> Array:
+    """Share (M,), at most 1, of each joint's process variance that is as its encoder alone has it.
+
+    Variance by all senses over the one by the encoder alone says what pictures leave unknown. With one camera that is
+    a direction in which joints err together, and independent ones amount to its process variance along it only with
+    as many times theirs as there are joints that take part.
+    """
     encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
     if encoders is None or len(encoders.t) < 2 or solution.brief is None:
         return np.full(m, 0.5)
@@ -61,7 +66,9 @@ def _left(problem: Problem, solution: Solution) -> Array:
     alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
     together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
     # of what a silent encoder does not know, pictures leave nothing to it
-    return np.asarray(np.isfinite(encoders.values).mean(axis=0) * np.minimum(together / np.sqrt(alone), 1.0))
+    unknown = np.isfinite(encoders.values).mean(axis=0) * np.minimum(together**2 / alone, 1.0)
+    taking_part = unknown.sum() ** 2 / max(float(np.square(unknown).sum()), 1e-12)
+    return np.asarray(np.minimum(taking_part * unknown, 1.0))
 
 
 def _prior(candidates: Array, m: int) -> Array:
