@@ -3,13 +3,14 @@
 State z (K,C) = joint angles, rates and, where drift is given, encoder offsets; the last axis C is the stretch.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any, TypeVar
 
 import numpy as np
 
 from ..types import Array
-from .conditioning import MANY, leap, update
+from .conditioning import MANY, Back, Said, leap, update
 
 R = TypeVar("R", "Readings", "Trace", "Pooled")
 
@@ -93,27 +94,28 @@ def scan(
 
     `into` is a trace of the same shape to overwrite: fresh memory costs as much as the arithmetic.
     """
-    z, p = z.copy(), p.copy()
-    length, m, _ = readings.encoders.shape
+    belief = np.empty((len(z), len(z) + 1, z.shape[1]))
+    belief[:, :-1], belief[:, -1] = p, z
+    p, z = belief[:, :-1], belief[:, -1]
+    length, m, c = readings.encoders.shape
     trace = _empty(readings, len(z), remember) if into is None else into
-    propagate = propagator(p, z, dynamics)
-    visible: Array = np.any(np.isfinite(readings.y), axis=(1, 2))
-    seen, heard = [np.flatnonzero(row) for row in visible], np.isfinite(readings.encoders)
-    shape = (length, _rows(readings), z.shape[1])
-    gains, weights, nus = (None, np.zeros(shape), np.zeros(shape)) if trace.back is None else trace.back
+    propagate = propagator(belief, dynamics)
+    said = Said.of(readings.encoders, readings.encoder_var), Said.of(readings.y, readings.var)
+    visible: Array = np.any(said[1].heard, axis=(1, 2))
+    seen = [np.flatnonzero(row) for row in visible]
+    back = Back(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
     for i in range(length):
+        rows = back.at(i)
         if isinstance(readings, Leaps):
-            back = None if gains is None else gains[i, -2 * m :], weights[i, -2 * m :], nus[i, -2 * m :]
-            leap(readings.pooled, i, z, p, back)
+            leap(readings.pooled, i, belief, rows.at(slice(-2 * m, None)))
         else:
             propagate(readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
-        back = None if gains is None else gains[i], weights[i], nus[i]
-        update(readings, i, heard[i], seen[i], dynamics.recalled, z, p, trace.encoder_d[i], back)
+        update(readings, said, i, seen[i], dynamics.recalled, belief, trace.encoder_d[i], rows)
         trace.z[i], trace.p[i] = z, p
-    trace.nats[:] = _nats(weights, nus, _counted(readings, dynamics.recalled))
+    trace.nats[:] = _nats(back.weights, back.nus, _counted(readings, dynamics.recalled))
     if isinstance(readings, Leaps):
         trace.nats[:] += readings.pooled.nats
     return trace
@@ -160,7 +162,9 @@ def columns(record: R, some: Array) -> R:
     def cut(part: Any) -> Any:
         if isinstance(part, Pooled):
             return columns(part, some)
-        return part if part is None else part[..., some] if isinstance(part, np.ndarray) else tuple(map(cut, part))
+        # not part[..., some], which lies in memory the other way round
+        whole = isinstance(part, np.ndarray)
+        return part if part is None else part.compress(some, axis=-1) if whole else tuple(map(cut, part))
 
     return type(record)(*(cut(getattr(record, field.name)) for field in fields(record)))
 
@@ -181,20 +185,18 @@ def _empty(readings: Readings, k: int, remember: bool) -> Trace:
     )  # fmt: skip
 
 
-def propagator(p: Array, z: Array, dynamics: Dynamics):  # type: ignore[no-untyped-def]
-    """A function of dt (C,) that moves z and p in place: constant velocity, exact discretisation."""
+def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array], None]:
+    """A function of dt (C,) that moves the belief in place: constant velocity, exact discretisation."""
     m = len(dynamics.process)
     q = dynamics.process.reshape(m, -1)
     walk = None if dynamics.drift is None else dynamics.drift.reshape(m, -1)
+    p = belief[:, :-1]
     diagonal = np.einsum("iic->ic", p)
     cross, mirror = np.einsum("iic->ic", p[:m, m : 2 * m]), np.einsum("iic->ic", p[m : 2 * m, :m])
-    x, v = z[:m], z[m : 2 * m]
 
     def propagate(dt: Array) -> None:
-        x_step = dt * v
-        np.add(x, x_step, out=x)
-        p[:m] += dt * p[m : 2 * m]
-        p[:, :m] += dt * p[:, m : 2 * m]
+        belief[:m] += dt * belief[m : 2 * m]
+        belief[:, :m] += dt * belief[:, m : 2 * m]
         qdt = q * dt
         half = 0.5 * dt * qdt
         diagonal[:m] += (2.0 / 3.0) * dt * half

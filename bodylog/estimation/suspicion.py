@@ -10,7 +10,7 @@ import numpy as np
 
 from ..types import Array
 from .alike import counts
-from .conditioning import _excess
+from .conditioning import raised
 from .laplace import Problem, Solution
 from .outset import OFFSET_STD
 
@@ -66,7 +66,7 @@ def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
     own = np.einsum("ddf->df", s)
     own += var
     d2 = np.einsum("df,df->f", nu, np.einsum("def,ef->df", _inverse(s), nu))
-    noise = var + own * _excess(d2)
+    noise = raised(var, own, d2)
     own += _common(solved, track, seen)
     inverse = _inverse(s)
     pull = np.einsum("def,ef->df", inverse, nu)
@@ -96,7 +96,7 @@ def _common(solved: Solution, track: int, seen: Array) -> Array:
 def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
     """How far (L,M,M,C) the belief before each instant is from the truth, per unit of each encoder's offset."""
     readings, trace, fold = solved.readings, solved.trace, solved.fold
-    gated = readings.encoder_var + _spread(solved) * _excess(trace.encoder_d**2)
+    gated = raised(readings.encoder_var, _spread(solved), trace.encoder_d**2)
     told = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
     stiff = np.zeros(trace.prior_cov.shape)
     np.einsum("liic->lic", stiff)[:] = told
