@@ -53,10 +53,13 @@ def _silences(t: Array) -> Array:
 
 def _active(level: Array, settings: Skin, gap: Array) -> Array:
     """(N,C) bool: at or above the threshold, or since then neither below release nor across a silence."""
-    order = np.arange(len(level), dtype=np.int32)[:, None]
-    risen = np.maximum.accumulate(np.where(level >= settings.threshold, order, -1), axis=0)
-    fallen = np.maximum.accumulate(np.where((level < settings.release) | gap[:, None], order, -1), axis=0)
-    return np.asarray((risen >= fallen) & (risen >= 0))
+    active = np.zeros(level.shape, dtype=bool)
+    touched = np.flatnonzero((level >= settings.threshold).any(axis=0))
+    felt, order = level[:, touched], np.arange(len(level), dtype=np.int32)[:, None]
+    risen = np.maximum.accumulate(np.where(felt >= settings.threshold, order, -1), axis=0)
+    fallen = np.maximum.accumulate(np.where((felt < settings.release) | gap[:, None], order, -1), axis=0)
+    active[:, touched] = (risen >= fallen) & (risen >= 0)
+    return active
 
 
 def _dead(level: Array) -> Array:

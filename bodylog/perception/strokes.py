@@ -23,7 +23,7 @@ _REACH = 0.12
 _EVEN = 0.5
 _STEP = 3.0
 _SHORTEST = 0.15
-_AT_ONCE = 16
+_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +51,9 @@ def strokes(hand: Series) -> tuple[Stroke, ...]:
     found: list[Stroke] = []
     for part in _stretches(t, place):
         if len(t[part]) >= 3 * _FEWEST:
+            reach = max(1.5 * float(np.median(np.diff(t[part]))), _REACH)
             for about in _contacts(_pieces(t[part], place[part])):
-                found += _stroke(t[part], place[part], about)
+                found += _stroke(t[part], place[part], about, reach)
     return tuple(found)
 
 
@@ -67,31 +68,30 @@ def _stretches(t: Array, place: Array) -> list[slice]:
 
 def _pieces(t: Array, place: Array) -> list[_Piece]:
     """The path as the fewest straight, even pieces its noise allows."""
-    edges = _cuts(t, place)
-    found = []
-    for first, last in pairwise(edges):
-        part_t, part = t[first:last], place[first:last]
-        middle = float(part_t.mean())
-        away = part_t - middle
-        velocity = away @ (part - part.mean(axis=0)) / float(away @ away)
-        found.append(_Piece(float(part_t[0]), float(part_t[-1]), middle, part.mean(axis=0), velocity))
-    return found
+    edges = np.array(_cuts(t, place))
+    begins, count = edges[:-1], np.diff(edges)
+    middle = np.add.reduceat(t, begins) / count
+    where = np.add.reduceat(place, begins) / count[:, None]
+    away = t - np.repeat(middle, count)
+    along = np.add.reduceat(away[:, None] * (place - np.repeat(where, count, axis=0)), begins)
+    velocity = along / np.add.reduceat(away * away, begins)[:, None]
+    times = zip(t[begins].tolist(), t[edges[1:] - 1].tolist(), middle.tolist(), strict=True)
+    return [_Piece(*each, w, v) for each, w, v in zip(times, where, velocity, strict=True)]
 
 
 def _cuts(t: Array, place: Array) -> list[int]:
     """Edges of the pieces (0 … n) that minimise squared error over noise plus a price per piece (Bayes' criterion)."""
     count = len(t)
-    price = 5.0 * np.log(count)
     longest = max(2 * _FEWEST, int(np.searchsorted(t - t[0], _LONGEST)))
     sums = _running_sums(t - t[0], place - place[0])
-    variance = _noise(place) ** 2
-    cost, came = np.full(count + 1, np.inf), np.zeros(count + 1, dtype=int)
-    cost[0] = 0.0
+    price, came = _noise(place) ** 2 * 5.0 * np.log(count), np.zeros(count + 1, dtype=int)
+    # the cost of all up to each edge, after as many edges that cannot be as a piece may be long
+    cost = np.full(longest + count + 1, np.inf)
+    cost[longest] = 0.0
     for end, errors in enumerate(_errors(sums, longest), _FEWEST):
-        begin = max(0, end - longest)
-        total = cost[begin : end - _FEWEST + 1] + (errors / variance + price)
+        total = cost[end : end + len(errors)] + errors
         best = int(total.argmin())
-        cost[end], came[end] = total[best], begin + best
+        cost[longest + end], came[end] = total[best] + price, end - longest + best
     edges = [count]
     while edges[-1]:
         edges.append(int(came[edges[-1]]))
@@ -106,13 +106,15 @@ def _running_sums(t: Array, place: Array) -> Array:
 
 
 def _errors(sums: Array, longest: int) -> Iterator[Array]:
-    """For each end from _FEWEST on, the squared errors of the lines from each begin that is in reach, in order."""
-    count = sums.shape[1] - 1
-    for first in range(_FEWEST, count + 1, _AT_ONCE):
-        ends = np.arange(first, min(first + _AT_ONCE, count + 1))
-        begins = np.maximum(ends[:, None] - np.arange(longest, _FEWEST - 1, -1), 0)
-        errors = _squared_error(sums[:, ends, None] - sums[:, begins])
-        yield from (row[max(0, longest - end) :] for row, end in zip(errors, ends.tolist(), strict=True))
+    """For each end from _FEWEST on, the squared errors of the lines from `longest` points before it to _FEWEST before.
+
+    Those that would begin before the first point begin there.
+    """
+    before = np.pad(sums, ((0, 0), (longest, 0)), mode="edge")
+    begins = np.lib.stride_tricks.sliding_window_view(before, longest - _FEWEST + 1, axis=1)
+    for first in range(_FEWEST, sums.shape[1], _AT_ONCE):
+        ends = slice(first, min(first + _AT_ONCE, sums.shape[1]))
+        yield from _squared_error(sums[:, ends, None] - begins[:, ends])
 
 
 def _squared_error(sums: Array) -> Array:
@@ -173,23 +175,22 @@ def _between(pieces: Sequence[_Piece], second: int) -> float:
     return 0.5 * (pieces[second - 1].end + pieces[second].start)
 
 
-def _stroke(t: Array, place: Array, about: tuple[float, float]) -> list[Stroke]:
+def _stroke(t: Array, place: Array, about: tuple[float, float], reach: float) -> list[Stroke]:
     """The stroke that begins and ends about then, with both ends found finer than a frame; none if too short."""
     middle = 0.5 * (about[0] + about[1])
-    start, start_px = _corner(t, place, about[0], middle)
-    end, end_px = _corner(-t[::-1], place[::-1], -about[1], -middle)
+    start, start_px = _corner(t, place, about[0], middle, reach)
+    end, end_px = _corner(-t[::-1], place[::-1], -about[1], -middle, reach)
     end = -end
     if end - start < _SHORTEST or float(np.hypot(*(end_px - start_px))) < _STEP:
         return []
     return [Stroke(start, end, (float(start_px[0]), float(start_px[1])), (float(end_px[0]), float(end_px[1])))]
 
 
-def _corner(t: Array, place: Array, about: float, until: float) -> tuple[float, Array]:
-    """When (s) and where (2,) px the path turns from accelerated motion to an even one, near `about`.
+def _corner(t: Array, place: Array, about: float, until: float, reach: float) -> tuple[float, Array]:
+    """When (s) and where (2,) px the path turns from accelerated motion to an even one, within `reach` of `about`.
 
     Least squares of a path that is continuous, of second order before the corner and of first order after it.
     """
-    reach = max(1.5 * float(np.median(np.diff(t))), _REACH)
     for width in (reach, reach, reach / 30):
         first, even = np.searchsorted(t, (about - reach, min(until, about + _EVEN))).tolist()
         near = slice(max(0, first - _APPROACH), max(int(np.searchsorted(t, about)) + 3, even))
@@ -203,11 +204,16 @@ def _bends(t: Array, place: Array, corners: Array) -> Array:
     away = (t - corners[:, None]) / (t[-1] - t[0])
     before, after = np.minimum(away, 0.0), np.maximum(away, 0.0)
     curved = np.count_nonzero(before, axis=1, keepdims=True) > _APPROACH
-    design = np.stack([np.ones_like(away), before, after, np.where(curved, before**2, 0.0)], axis=1)
-    across, place = design.swapaxes(1, 2), place - place.mean(axis=0)
-    # so small a ridge is nothing beside any column but one without entries, whose factor it makes 0
-    normal = design @ across + 1e-12 * len(t) * np.eye(4)
-    return np.asarray(np.square(place - across @ np.linalg.solve(normal, design @ place)).sum(axis=(1, 2)))
+    directions: list[Array] = []
+    for column in (before, after, np.where(curved, before**2, 0.0)):
+        column -= column.mean(axis=1, keepdims=True)
+        for other in directions:
+            column -= np.einsum("kn,kn->k", column, other)[:, None] * other
+        # a column without entries, or of none but what the others have, is no direction
+        column /= np.sqrt(np.einsum("kn,kn->k", column, column) + 1e-12 * len(t))[:, None]
+        directions.append(column)
+    place = place - place.mean(axis=0)
+    return np.asarray((place**2).sum() - sum(((column @ place) ** 2).sum(axis=1) for column in directions))
 
 
 def _turn(t: Array, place: Array, corner: float) -> Array:
