@@ -12,7 +12,7 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Topic
 from .columns import definition_of, is_ros1, speaks_ros1
-from .layouts import pick
+from .layouts import Picker
 from .objects import reader
 
 MOST_PIXELS = 1 << 27
@@ -84,14 +84,15 @@ def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[bytes], Mapping[
         read = reader(topic)
         return lambda payload: _with_bytes(read(payload))
     definition, paths = definition_of(topic), tuple((name,) for name in fields)
-    ros1: bool | None = True if is_ros1(topic) else None
+    pickers = {ros1: Picker(definition, paths, ros1) for ros1 in (False, True)}
+    dialect: bool | None = True if is_ros1(topic) else None
 
     def from_layout(payload: bytes) -> Mapping[str, Any]:
-        nonlocal ros1
-        speaks = speaks_ros1(definition, payload) if ros1 is None else ros1
-        found = dict(zip(fields, pick(definition, payload, paths, speaks), strict=True))
+        nonlocal dialect
+        ros1 = speaks_ros1(definition, payload) if dialect is None else dialect
+        found = dict(zip(fields, pickers[ros1](payload), strict=True))
         # Only a sound payload settles the dialect for those to come.
-        ros1 = speaks
+        dialect = ros1
         return found
 
     return from_layout

@@ -1,6 +1,7 @@
 """Where in a message's bytes each wanted field lies: one walk over one CDR or ROS 1 payload."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 from ..errors import ConfigError
@@ -75,13 +76,41 @@ def rest(definition: Definition, payload: bytes, ros1: bool) -> int:
     return len(payload) - walk(definition, payload, (), ros1).width
 
 
-def pick(
-    definition: Definition, payload: bytes, wanted: Sequence[tuple[Step, ...]], ros1: bool
-) -> tuple[str | int | float | memoryview, ...]:
-    """Single fields of one message: texts and numbers as they are, arrays as their bytes."""
-    walker = Walker(definition, payload, len(wanted), ros1)
-    walker.struct(definition.root, tuple(enumerate(wanted)), True)
-    return tuple(walker.single(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
+class Picker:
+    """Single fields of message after message: texts and numbers as they are, arrays as their bytes.
+
+    Where nothing differs from the message before but the length of the bytes that are picked last, nothing is walked.
+    """
+
+    def __init__(self, definition: Definition, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> None:
+        """For messages of one definition and dialect; ConfigError names what could have been meant."""
+        self._definition, self._wanted, self._ros1 = definition, wanted, ros1
+        self._ends = tuple(leaf_field(definition, steps) for steps in wanted)
+        self._last: Walker | None = None
+
+    def __call__(self, payload: bytes) -> tuple[str | int | float | memoryview, ...]:
+        """The wanted fields of one message; FormatError when it contradicts itself. Threads may share a picker."""
+        walker = _again(self._last, payload) if self._last else None
+        if walker is None:
+            walker = Walker(self._definition, payload, len(self._wanted), self._ros1)
+            walker.struct(self._definition.root, tuple(enumerate(self._wanted)), True)
+            self._last = walker
+        return tuple(walker.single(k, end) for k, end in enumerate(self._ends))
+
+
+def _again(last: Walker, payload: bytes) -> Walker | None:
+    """The walk over a payload unlike the last one in no constant but the length of the bytes it ended with, or None."""
+    start, stop = last.constants[-1] if last.constants else (0, 0)
+    tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]
+    if True not in tail or any(payload[a:b] != last.payload[a:b] for a, b in last.constants[:-1]):
+        return None
+    count = int.from_bytes(payload[start:stop], "big" if last.big else "little")
+    if len(payload) < stop + count:
+        return None
+    walker = copy(last)
+    walker.payload, walker.pos = payload, stop + count
+    walker.runs = [[(stop, count, 1)] if ends else runs for ends, runs in zip(tail, last.runs, strict=True)]
+    return walker
 
 
 def _merged(ranges: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:

@@ -13,7 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import FormatError
+from bodylog.logs.columns import definition_of
 from bodylog.logs.images import ENCODINGS, decoder, refusal
+from bodylog.logs.layouts import Picker
 from bodylog.types import Topic
 
 from .writing import T0, cdr, compressed, define, descriptors, header, wire
@@ -304,6 +306,38 @@ def test_damaged_payloads_are_pictures_or_refused(seed, flips):
     except FormatError:
         return
     assert image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["cam", "camera", ""]),
+            st.sampled_from(["jpeg", "png"]),
+            st.binary(max_size=9),
+            st.integers(0, 3),
+            st.integers(0, 60),
+        ),
+        min_size=2,
+        max_size=6,
+    )
+)
+def test_what_is_picked_from_a_message_does_not_depend_on_those_before(messages):
+    definition = definition_of(topic(COMPRESSED))
+    wanted = (("header", "frame_id"), ("format",), ("data",))
+    shared = Picker(definition, wanted, False)
+    for frame, form, data, more, cut in messages:
+        said = header(T0, frame)
+        whole = cdr(COMPRESSED, header=said, format=form, data=np.frombuffer(data, np.uint8)) + bytes(more)
+        payload = whole[: max(4, len(whole) - max(0, cut - 40))]
+        results = []
+        for picker in (shared, Picker(definition, wanted, False)):
+            try:
+                results.append([bytes(one) if isinstance(one, memoryview) else one for one in picker(payload)])
+            except FormatError as error:
+                results.append([str(error)])
+        assert results[0] == results[1]
+        if cut <= 40:
+            assert results[0] == [frame, form, data]
 
 
 def test_pictures_may_be_drawn_upon():
