@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..types import Array
-from .alike import PAST, variances
+from .alike import PAST, WHOLE, repeated, variances
 from .folds import Fold
 from .precision import Precision
 from .scan import Readings
@@ -27,10 +27,13 @@ class Tangents:
         """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed · share: PAST, WHOLE."""
         self._sightings, self.points, self.resting, self.share = sightings, points, RESTING, PAST
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
+        self._seen = tuple(_rows(np.all(np.isfinite(s.values), axis=1)) for s in sightings)
         self._y = tuple(np.full((len(x), 2), np.nan) for x in points)
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
         self._var = tuple(np.ones((len(x), 2)) for x in points)
+        seen = [int(np.isfinite(one.values).all(axis=1).sum()) for one in sightings]
+        self._repeated = repeated(seen, [one.common for one in sightings])
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
         """Write stale tangents into the readings: y = s − g + J x°, var as alike frames have it.
@@ -66,9 +69,12 @@ class Tangents:
         """Variances (F,D), of alike frames such that together they say no more than they know."""
         var = precision.scale.get(sighting.name, 1.0) * sighting.var
         seen = np.flatnonzero(np.isfinite(sighting.values).all(axis=1))
+        # a belief by the past alone errs by far more than models do, and pays for what is no noise in its rates
+        times = self._repeated[index] if self.share == WHOLE else 1.0
         var[seen] = variances(
             sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
-            self._model_var[index][seen], self.share * precision.process, precision.near.get(sighting.name, 0.0),
+            times * self._model_var[index][seen], self.share * precision.process,
+            precision.near.get(sighting.name, 0.0),
         )  # fmt: skip
         return var
 
@@ -90,10 +96,15 @@ class Tangents:
 
     def follow(self, problem: "Problem", fold: Fold, means: Array) -> None:
         """Move to the angles of folded states (L,K,C) where they are further away than rest allows."""
-        wanted = [fold.pick(means, events)[:, : len(problem.start)] for events in problem.timeline.sightings]
+        wanted = [fold.pick(means[:, : len(problem.start)], events) for events in problem.timeline.sightings]
         pairs = list(zip(wanted, self.points, strict=True))
         moves = [np.abs(new - old).max(axis=1) for new, old in pairs]
         self._stale = tuple(move > self.resting for move in moves)
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
         )
+
+
+def _rows(some: Array) -> Array | slice:
+    """How to take the rows some (F,) bool, without a copy if that is all."""
+    return slice(None) if some.all() else np.flatnonzero(some)
