@@ -12,10 +12,10 @@ def means(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array, A
     gains, weights, nus = trace.back
     adjoint, after, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
     jac = readings.jac.reshape(len(after), -1, m, end.shape[1])
-    push = nus * weights
+    push, heard = nus * weights, _heard(trace, m, m + jac.shape[1])
     for i in range(len(after) - 1, -1, -1):
         after[i] = adjoint
-        for row in _last_first(m, m + jac.shape[1]):
+        for row in heard[i]:
             pull = np.einsum("kc,kc->c", gains[i, row], adjoint) + push[i, row]
             if row < m:
                 adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
@@ -43,29 +43,31 @@ def _unleap(pooled: Pooled, i: int, adjoint: Array, gains: Array, push: Array) -
             parts[1, j] -= lean[j] * pull
 
 
-def covariances(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array]:
-    """Smoothed covariance (L,M,M,C) of the angles from the adjoint's information `end` (K,K,C); that before all."""
-    length, m, c = readings.encoders.shape
-    information, cov = end.copy(), np.empty((length, m, m, c))
+def covariances(readings: Readings, trace: Trace, end: Array, into: Array | None = None) -> Array:
+    """The adjoint's information (K,K,C) before all from that at the `end`; `into` takes smoothed angles' (L,M,M,C)."""
+    length, m, _ = readings.encoders.shape
+    information = end.copy()
+    heard = _heard(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
     for i in range(length - 1, -1, -1):
         p, dt = trace.p[i], readings.dt[i]
-        half = np.einsum("jkc,klc->jlc", p[:m], information)
-        cov[i] = p[:m, :m] - np.einsum("jlc,lkc->jkc", half, p[:, :m])
-        _unhear(readings, trace, i, information)
+        if into is not None:
+            half = np.einsum("jkc,klc->jlc", p[:m], information)
+            np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half, p[:, :m]), out=into[i])
+        _unhear(readings, trace, i, heard[i], information)
         information[m : 2 * m] += dt * information[:m]
         information[:, m : 2 * m] += dt * information[:, :m]
         if i % EVEN == 0:
             information[:] = 0.5 * (information + information.transpose(1, 0, 2))
-    return cov, information
+    return information
 
 
-def _unhear(readings: Readings, trace: Trace, i: int, information: Array) -> None:
-    """Carry the information (K,K,C) back over all readings of instant i, last heard first."""
+def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array) -> None:
+    """Carry the information (K,K,C) back over the rows heard at instant i, last heard first."""
     assert trace.back is not None
     gains, weights, _ = (part[i] for part in trace.back)
     m = readings.encoders.shape[1]
     jac = readings.jac[i].reshape(-1, m, information.shape[2])
-    for row in _last_first(m, len(gains)):
+    for row in rows:
         b = np.einsum("klc,lc->kc", information, gains[row])
         curve = np.einsum("kc,kc->c", gains[row], b) + weights[row]
         if row >= m:
@@ -79,9 +81,12 @@ def _unhear(readings: Readings, trace: Trace, i: int, information: Array) -> Non
         information[row :: 2 * m, row :: 2 * m] += curve
 
 
-def _last_first(m: int, rows: int) -> list[int]:
-    """Readings of one instant, last heard first: m encoders are heard after the tracks."""
-    return [*range(m - 1, -1, -1), *range(rows - 1, m - 1, -1)]
+def _heard(trace: Trace, m: int, rows: int) -> list[list[int]]:
+    """Rows that some stretch hears, by instant, last heard first: m encoders are heard after the tracks."""
+    assert trace.back is not None
+    heard: Array = np.any(trace.back[1], axis=2)
+    order = [*range(m - 1, -1, -1), *range(rows - 1, m - 1, -1)]
+    return [[row for row in order if said[row]] for said in heard]
 
 
 def before(at_start: Array) -> Array:

@@ -67,13 +67,14 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     brief, tangents, z, p = begun(problem, warm)
     tangents.resting, tangents.share = STILL, WHOLE
     forth = FORTH if warm is None else 0
-    first = _rounds(brief.problem, brief.fold, brief.readings, tangents, z, p, np.zeros_like(z), forth)
+    first = _rounds(brief.problem, brief.fold, brief.readings, tangents, z, p, np.zeros_like(z), LASTING, forth)
     fold = fold_for(len(problem.timeline.t))
     lasts = np.searchsorted(brief.events, fold.lasts())
     z, p = starts(problem, fold, first, lasts)
     ends = np.zeros_like(z)
     ends[:, :-1] = brief.fold.pick(first.after, lasts).T
-    path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 0)
+    # what brief stretches leave of moves is no news to the full ones
+    path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
     return Smooth(
         fold, path.readings, tangents, path.trace, path.z, path.after, spread(path.readings, path.trace),
         brief=(brief, first),
@@ -81,19 +82,20 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
 
 
 def _rounds(
-    problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, ends: Array, forth: int
+    problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, ends: Array,
+    lasting: float, forth: int = 0,
 ) -> Path:  # fmt: skip
     """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until all rests; `forth` sweeps only go forth."""
     tangents.write(problem, fold, readings)
     trace, back, progress, moving, rest = None, None, Progress(), np.ones(fold.count, bool), np.inf
     for sweep in range(SWEEPS):
         moving |= tangents.draw(problem, fold, readings)
-        if trace is not None and back is not None and rest < LASTING and not moving.any():
+        if trace is not None and back is not None and rest < lasting and not moving.any():
             return Path(fold, readings, tangents, trace, *back)
         trace = rescan(readings, problem.dynamics, z, p, moving, trace, remember=True)
         next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
         moves = far(z, p, next_z, next_p)
-        moving, rest = moves >= LASTING, float(moves.max())
+        moving, rest = moves >= lasting, float(moves.max())
         progress.note(rest)
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
         if sweep >= forth:
@@ -118,9 +120,10 @@ def _back(
 def spread(readings: Readings, trace: Trace) -> Array:
     """Smoothed covariance (L,M,M,C) of the angles, once what the future says at each stretch's end rests."""
     ends, std = np.zeros_like(trace.p[0]), np.sqrt(np.einsum("iic->ic", trace.p[-1]))
+    ends, cov = adjoint.before(adjoint.covariances(readings, trace, ends)), np.empty_like(trace.prior_cov)
     for _ in range(SWEEPS):
-        cov, at_start = adjoint.covariances(readings, trace, ends)
-        moved, ends = adjoint.before(at_start) - ends, adjoint.before(at_start)
+        before = adjoint.before(adjoint.covariances(readings, trace, ends, cov))
+        moved, ends = before - ends, before
         if np.abs(moved * std[:, None] * std[None]).max() < LASTING:
             return cov
     raise Restless(f"smoother: no rest of covariances after {SWEEPS} sweeps")
@@ -130,7 +133,8 @@ def once(problem: Problem) -> Smooth:
     """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
     solution, k = walk(problem, remember=True), problem.dynamics.size
     smooth, after, _ = adjoint.means(solution.readings, solution.trace, np.zeros((k, 1)))
-    cov, _ = adjoint.covariances(solution.readings, solution.trace, np.zeros((k, k, 1)))
+    cov = np.empty_like(solution.trace.prior_cov)
+    adjoint.covariances(solution.readings, solution.trace, np.zeros((k, k, 1)), cov)
     return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
 
 
