@@ -1,5 +1,6 @@
 """Files that are either whole or absent: written beside, synced, renamed."""
 
+import errno
 import fcntl
 import hashlib
 import mmap
@@ -12,29 +13,37 @@ from pathlib import Path
 
 from .errors import UsageError
 
+_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
 
-    What killed runs left there of `path` goes first. UsageError when `path` is a folder or in none.
+    What killed runs left there of `path` goes first. UsageError when `path` is in no folder, or no file; OSError, which
+    names `path`, where there is no room.
     """
-    if path.is_dir():
-        raise UsageError(f"{path}: is a folder; give the name of a file with -o")
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
     if not path.parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
     forsake(path.parent, f".{escape(path.name)}.*.part")
     beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    beside.unlink(missing_ok=True)  # of this number's earlier process, where files cannot be locked
-    beside.touch()
     try:
+        beside.unlink(missing_ok=True)  # of this number's earlier process, where files cannot be locked
+        beside.touch()
         with held(beside):
             yield beside
             sync(beside)
             os.replace(beside, path)
             sync(path.parent)
+    except OSError as problem:
+        if problem.errno not in _UNWRITABLE and problem.filename != os.fspath(beside):
+            raise
+        raise OSError(problem.errno, f"{problem.strerror}; give another name with -o", os.fspath(path)) from problem
     finally:
-        beside.unlink(missing_ok=True)
+        if beside.exists():
+            beside.unlink()
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """The bodylog command line: one file per command; errors become one line and an exit code here."""
 
+import errno
 import os
 import signal
 import sys
@@ -13,14 +14,18 @@ for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65; 128 + n for signal n."""
-    from bodylog import memory
+    try:
+        from bodylog import memory
 
-    memory.keep()
-    for name in ("SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, _stop)
-    sys.exit(run(arguments))
+        memory.keep()
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _stop)
+        code = run(arguments)
+    except KeyboardInterrupt:  # before there was anything to interrupt
+        code = 130
+    sys.exit(code)
 
 
 class _Stopped(SystemExit):
@@ -39,7 +44,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
     from bodylog.errors import BodylogError
 
-    from .commands import bodylog
+    from .commands import Unheard, bodylog
 
     try:
         code = bodylog.main(arguments, prog_name="bodylog", standalone_mode=False)
@@ -53,7 +58,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as err:
         context = getattr(err, "ctx", None)
         path = context.command_path if context else "bodylog"
-        click.echo(f"bodylog: {' '.join(err.format_message().split())}; type: {path} --help", err=True)
+        click.echo(f"bodylog: {' '.join(err.format_message().split()).rstrip('.')}; type: {path} --help", err=True)
         return err.exit_code
     except (click.Abort, KeyboardInterrupt):
         click.echo("bodylog: interrupted; nothing half-written was left", err=True)
@@ -61,11 +66,11 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except _Stopped as err:
         click.echo("bodylog: stopped; nothing half-written was left", err=True)
         return int(err.code or 0)
-    except BrokenPipeError:
+    except Unheard:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as err:
-        if err.filename is None:
+        if err.filename is None and err.errno != errno.ENOSPC:
             raise
-        click.echo(f"bodylog: {os.fsdecode(err.filename)}: {err.strerror}", err=True)
+        click.echo(f"bodylog: {os.fsdecode(err.filename or 'output')}: {err.strerror}", err=True)
         return 65

@@ -1,5 +1,7 @@
 """The table of commands."""
 
+from typing import Any
+
 import click
 
 from bodylog import __version__
@@ -45,7 +47,23 @@ COMMANDS = (
 )
 
 
+class Unheard(Exception):
+    """Nobody reads standard output any more."""
+
+
+class Commands(click.Group):
+    """A group that says so; click itself would end with 1, as after a bug."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command that was typed."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as err:
+            raise Unheard from err
+
+
 @click.group(
+    cls=Commands,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Example: bodylog fit explore.bag -o body.npz && bodylog estimate run.bag --body body.npz -o run.mcap",
 )

@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -55,9 +56,13 @@ def test_digest_of_a_folder_is_of_its_files_in_name_order(tmp_path):
     assert sha256(folder) == sha256(tmp_path / "both")
 
 
-def test_a_folder_is_not_a_file_to_write(tmp_path):
+def test_a_folder_or_a_device_is_not_a_file_to_write(tmp_path):
     with pytest.raises(UsageError, match="is a folder"), replacing(tmp_path):
         pass
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UsageError, match="is a device"), replacing(tmp_path / "pipe"):
+        pass
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path):

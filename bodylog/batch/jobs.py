@@ -2,6 +2,7 @@
 
 import glob
 import hashlib
+import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -80,4 +81,4 @@ def _file_name(log: str) -> str:
 
 
 def _digest(log: str) -> str:
-    return hashlib.sha256(log.encode()).hexdigest()[:8]
+    return hashlib.sha256(os.fsencode(log)).hexdigest()[:8]

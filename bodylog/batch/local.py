@@ -7,8 +7,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from .. import memory, stores
+from .. import stores
 from ..errors import BodylogError
+from ..workers import ready
 from . import work
 from .jobs import Job
 
@@ -123,12 +124,9 @@ class Pool:
 
 def _worker(pipe: Connection) -> None:
     """Do what comes through the pipe until it closes."""
-    import signal
-
     import cv2
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    memory.keep()
+    ready()
     cv2.setNumThreads(1)
     while True:
         try:

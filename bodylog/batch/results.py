@@ -11,12 +11,14 @@ from typing import Any
 from ..files import replacing
 
 Row = dict[str, Any]
+ODD = "backslashreplace"
+"""What becomes of a file name that is no text: in JSON what it is read back from."""
 
 
 @contextmanager
 def journal(out: Path) -> Iterator[Callable[[Row], None]]:
     """A function that appends one row to results.jsonl at once, so that an interrupted batch shows what it did."""
-    with (out / "results.jsonl").open("w", encoding="utf-8") as stream:
+    with (out / "results.jsonl").open("w", encoding="utf-8", errors=ODD) as stream:
 
         def write(row: Row) -> None:
             stream.write(line(row))
@@ -38,7 +40,7 @@ def write(out: Path, rows: Sequence[Row]) -> None:
         ("summary.html", summary(rows)),
     ):
         with replacing(out / name) as beside:
-            beside.write_text(text, encoding="utf-8")
+            beside.write_text(text, encoding="utf-8", errors=ODD)
 
 
 def junit(rows: Sequence[Row]) -> str:

@@ -17,6 +17,7 @@ from ..evaluation import bounds
 from ..files import replacing, sha256
 from . import resume
 from .jobs import Job
+from .results import ODD
 
 OUTPUTS = ("annotated.mcap", "report.html", "robot.toml")
 STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable", 2: "unusable", 1: "bug"}
@@ -124,4 +125,4 @@ def _finite(value: float) -> float | None:
 
 def _leave(path: Path, text: str) -> None:
     with replacing(path) as beside:
-        beside.write_text(text, encoding="utf-8")
+        beside.write_text(text, encoding="utf-8", errors=ODD)

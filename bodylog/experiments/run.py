@@ -1,6 +1,7 @@
 """Every experiment on every seed, each once: done by processes, kept in a folder, judged, and put on a page."""
 
 import multiprocessing
+import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
+from ..workers import ended, ready
 from . import page
 from .lab import Lab, kept
 from .records import Claim, Trial
@@ -91,12 +93,21 @@ def _finished(wish: Reproduction, tasks: list[tuple[str, int]]) -> Any:
         yield task
 
 
-def _pooled(lab: Lab, tasks: list[tuple[str, int]], jobs: int) -> Any:
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+def _worked(lab: Lab, name: str, seed: int) -> Trial:
+    """A trial in a worker, which ends when told to: the pool would take that for an answer and ask for the next."""
     try:
-        futures = {pool.submit(trial, lab, *task): task for task in tasks}
-        for future in as_completed(futures):
-            future.result()
-            yield futures[future]
+        return trial(lab, name, seed)
+    except SystemExit as told:
+        os._exit(int(told.code or 0))
+
+
+def _pooled(lab: Lab, tasks: list[tuple[str, int]], jobs: int) -> Any:
+    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), ready)
+    try:
+        with ended():
+            futures = {pool.submit(_worked, lab, *task): task for task in tasks}
+            for future in as_completed(futures):
+                future.result()
+                yield futures[future]
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

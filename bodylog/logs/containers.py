@@ -53,6 +53,8 @@ def open_log(path: Path, strict: bool = False) -> Log:
     try:
         if path.is_dir():
             return _rosbag2(path, strict)
+        if not path.is_file():
+            raise LogError(f"{path}: is a pipe or device, and a log is read from both ends; save it to a file first")
         with path.open("rb") as stream:
             first = stream.read(32)
         if first.startswith(ZSTD):

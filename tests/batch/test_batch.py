@@ -75,6 +75,18 @@ def test_what_xml_cannot_hold_is_replaced():
     assert tree.find(".//error").get("message") == "bad \ufffd[0m & worse"
 
 
+def test_a_log_whose_name_is_no_text_has_its_row_and_is_resumed(tmp_path, robot, bodylog):
+    odd, out = tmp_path / os.fsdecode(b"bad\xff.mcap"), tmp_path / "out"
+    shutil.copy(robot / "reach.mcap", odd)
+    typed = ("batch", odd, tmp_path / "gone" / ".." / odd.name, "-o", out, "--body", robot / "body.npz")
+    (tmp_path / "gone").mkdir()
+    assert bodylog(*typed) == 0
+    before = {path: path.stat().st_mtime_ns for path in out.rglob("annotated.mcap")}
+    assert len(before) == 2 and {row["log"] for row in _rows(out).values()} == {str(log) for log in typed[1:3]}
+    assert bodylog(*typed, "--resume") == 0
+    assert before == {path: path.stat().st_mtime_ns for path in before}
+
+
 def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_path, mixed, robot, bodylog):
     whole, resumed = tmp_path / "whole", tmp_path / "resumed"
     for out in (whole, resumed):
