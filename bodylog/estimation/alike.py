@@ -6,6 +6,7 @@ acceleration, q (px²/s³) as pictures see it, a filter that hears noise of dens
 √2 R^¾ q^¼, a smoother to R^¾ q^¼ / 2√2. That is E when alike frames within (E/4q)^⅓ s, or 4(E/q)^⅓ s, count as one.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,18 @@ def variances(
     postures = counts(fade * np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / ALIKE))
     spots = counts(fade * np.exp(-np.linalg.norm(np.diff(places, axis=0), axis=1) / near)) if near else postures**0.0
     return np.asarray(pixel * (2.0 * spots - 1.0)[:, None] + model * (2.0 * postures - 1.0)[:, None])
+
+
+def repeated(frames: Sequence[int], common: Sequence[float]) -> tuple[float, ...]:
+    """How many times its model's variance E each track counts with, of what share in common with other tracks' models.
+
+    T tracks as surely seen then leave c E + (1 − c) E / T between them. frames: how many each was seen in.
+    """
+    whole = sum(count for count, share in zip(frames, common, strict=True) if share > 0)
+    return tuple(
+        1.0 + share * (whole / max(count, 1) - 1.0) if share > 0 else 1.0
+        for count, share in zip(frames, common, strict=True)
+    )
 
 
 def counts(kept: Array) -> Array:

@@ -22,7 +22,10 @@ class Encoders:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """Places seen of something the body predicts: t (N,) s · values, var (N,D) unit, unit² · source_ns · its model."""
+    """Places seen of something the body predicts: t (N,) s · values, var (N,D) unit, unit² · source_ns · its model.
+
+    common: share of the model's variance that comes of exploring encoders' errors, which all tracks' models learn.
+    """
 
     name: str
     model: ForwardModel
@@ -30,6 +33,7 @@ class Sighting:
     values: Array
     var: Array
     source_ns: Array
+    common: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +154,11 @@ def _sighting(name: str, track: Series, body: BodyModel, used: dict[str, Health]
     reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
     gap = _gap(track.t[rising & seen])
     used[name] = Health(len(track.t), use, {k: v for k, v in reasons.items() if v}, gap)
-    var = pixel_variance(track.std, body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float))
-    var = np.array(np.broadcast_to(var, track.values.shape))
+    model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
+    var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
     values = np.where(seen[:, None], track.values, np.nan)
-    return Sighting(name, body.senses[name], track.t[rising], values[rising], var[rising], track.source_ns[rising])
+    shared = _common(model, noise)
+    return Sighting(name, model, track.t[rising], values[rising], var[rising], track.source_ns[rising], shared)
 
 
 def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
@@ -162,6 +167,13 @@ def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> A
         return fallback
     beyond = getattr(model, "noise", 0.0)
     return np.where(np.isfinite(std) & (std > 0), np.square(std) + beyond, fallback)
+
+
+def _common(model: ForwardModel, noise: Array) -> float:
+    """Share of a model's variance that encoders' errors brought in, of its samples' noise; pixels have `noise` (D,)."""
+    spread = float(np.mean(getattr(model, "spread", 0.0)))
+    pixels = float(np.mean(noise - getattr(model, "noise", 0.0)))
+    return max(1.0 - pixels / spread, 0.0) if spread > 0.0 else 0.0
 
 
 def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: bool) -> Sighting:
