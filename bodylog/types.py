@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
 from numpy.typing import NDArray
 
 from .settings import Settings
@@ -94,6 +95,8 @@ class Outgoing:
 class Frame:
     """One picture, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
 
+    What it gives may be the log's own bytes: in any order of memory, and not to be written to.
+
     `shrinks`: decode(2) may cost less than decode(1), and gives their means, 2 by 2.
     """
 
@@ -104,8 +107,8 @@ class Frame:
 
     @property
     def image(self) -> Array:
-        """The whole picture (H,W,3) uint8 BGR."""
-        return self.decode(1)
+        """The whole picture (H,W,3) uint8 BGR, to be drawn upon."""
+        return np.require(self.decode(1), requirements=("C", "W"))
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from .layouts import Layout, leaf_field, rest, walk
 from .paths import Step
 from .paths import steps as read_steps
 from .rows import Template, agrees, gather, template, values
-from .walker import CDR_KINDS
+from .walker import CDR_KINDS, Payload
 
 _MOST_LAYOUTS = 8
 _OBJECTS = ("json", "protobuf")
@@ -128,14 +128,14 @@ def is_ros1(topic: Topic) -> bool:
     return topic.encoding == "ros1"
 
 
-def speaks_ros1(definition: Definition, payload: bytes) -> bool:
+def speaks_ros1(definition: Definition, payload: Payload) -> bool:
     """Whether a payload declared CDR is in truth a ROS 1 one: not readable as CDR, readable to its end as ROS 1."""
     if tuple(payload[:2]) in CDR_KINDS and _left_over(definition, payload, False) is not None:
         return False
     return _left_over(definition, payload, True) == 0
 
 
-def _left_over(definition: Definition, payload: bytes, ros1: bool) -> int | None:
+def _left_over(definition: Definition, payload: Payload, ros1: bool) -> int | None:
     try:
         return rest(definition, payload, ros1)
     except FormatError:

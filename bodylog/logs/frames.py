@@ -11,6 +11,8 @@ from ..types import Array, Frame, Topic
 from . import images
 from .clocks import seconds
 from .containers import open_log, payloads
+from .mapping import lasts
+from .walker import Payload
 
 
 def frames(
@@ -51,7 +53,7 @@ def _frames(
     path: Path,
     strict: bool,
     places: dict[int, Array],
-    decoders: dict[int, Callable[[bytes, int], Array]],
+    decoders: dict[int, Callable[[Payload, int], Array]],
     shrink: dict[int, bool],
     t: Array,
 ) -> Iterator[tuple[int, Frame]]:
@@ -61,7 +63,8 @@ def _frames(
             id_ = batch.topic_id
             numbers = places[id_][seen[id_] : seen[id_] + len(batch.log_ns)].tolist()
             seen[id_] += len(batch.log_ns)
+            keep = lasts(batch.data)
             for number, log_ns, payload in zip(numbers, batch.log_ns.tolist(), payloads(batch), strict=True):
                 if number >= 0:
-                    decode = partial(decoders[id_], bytes(payload))
+                    decode = partial(decoders[id_], payload if keep else bytes(payload))
                     yield number, Frame(float(t[number]), log_ns, decode, shrink[id_])

@@ -4,8 +4,7 @@ import binascii
 import struct
 from base64 import b64decode
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from ..types import Array, Topic
 from .columns import definition_of, is_ros1, speaks_ros1
 from .layouts import Picker
 from .objects import reader
+from .walker import Payload
 
 MOST_PIXELS = 1 << 27
 COMPRESSED = ("sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage")
@@ -25,30 +25,28 @@ _FIELDS = {
 }
 
 
-@dataclass(frozen=True)
-class _Encoding:
-    """Channels and bytes per channel of one pixel, and the OpenCV conversion to BGR; whole: not pixel by pixel."""
+class _Encoding(NamedTuple):
+    """Channels and bytes per channel of one pixel, which channels are BGR; or the OpenCV conversion of the whole."""
 
     channels: int
     size: int
-    code: str | None
-    whole: bool = False
+    bgr: slice = slice(None)
+    code: str | None = None
 
 
+_RGB, _BGRA, _RGBA = slice(None, None, -1), slice(3), slice(2, None, -1)
 ENCODINGS: Mapping[str, _Encoding] = {
-    "bgr8": _Encoding(3, 1, None), "8UC3": _Encoding(3, 1, None), "bgr16": _Encoding(3, 2, None),
-    "rgb8": _Encoding(3, 1, "COLOR_RGB2BGR"), "rgb16": _Encoding(3, 2, "COLOR_RGB2BGR"),
-    "bgra8": _Encoding(4, 1, "COLOR_BGRA2BGR"), "8UC4": _Encoding(4, 1, "COLOR_BGRA2BGR"),
-    "bgra16": _Encoding(4, 2, "COLOR_BGRA2BGR"),
-    "rgba8": _Encoding(4, 1, "COLOR_RGBA2BGR"), "rgba16": _Encoding(4, 2, "COLOR_RGBA2BGR"),
-    "mono8": _Encoding(1, 1, "COLOR_GRAY2BGR"), "8UC1": _Encoding(1, 1, "COLOR_GRAY2BGR"),
-    "mono16": _Encoding(1, 2, "COLOR_GRAY2BGR"), "16UC1": _Encoding(1, 2, "COLOR_GRAY2BGR"),
+    "bgr8": _Encoding(3, 1), "8UC3": _Encoding(3, 1), "bgr16": _Encoding(3, 2),
+    "rgb8": _Encoding(3, 1, _RGB), "rgb16": _Encoding(3, 2, _RGB),
+    "bgra8": _Encoding(4, 1, _BGRA), "8UC4": _Encoding(4, 1, _BGRA), "bgra16": _Encoding(4, 2, _BGRA),
+    "rgba8": _Encoding(4, 1, _RGBA), "rgba16": _Encoding(4, 2, _RGBA),
+    "mono8": _Encoding(1, 1), "8UC1": _Encoding(1, 1), "mono16": _Encoding(1, 2), "16UC1": _Encoding(1, 2),
     **{
-        f"bayer_{pattern}{8 * size}": _Encoding(1, size, f"COLOR_Bayer{pattern.upper()}2BGR", True)
+        f"bayer_{pattern}{8 * size}": _Encoding(1, size, code=f"COLOR_Bayer{pattern.upper()}2BGR")
         for pattern in ("rggb", "bggr", "gbrg", "grbg") for size in (1, 2)
     },
-    **dict.fromkeys(("yuv422", "uyvy"), _Encoding(2, 1, "COLOR_YUV2BGR_UYVY", True)),
-    **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), _Encoding(2, 1, "COLOR_YUV2BGR_YUY2", True)),
+    **dict.fromkeys(("yuv422", "uyvy"), _Encoding(2, 1, code="COLOR_YUV2BGR_UYVY")),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), _Encoding(2, 1, code="COLOR_YUV2BGR_YUY2")),
 }  # fmt: skip
 
 
@@ -64,12 +62,15 @@ def text_field(topic: Topic) -> str:
     return "format" if topic.type in COMPRESSED else "encoding"
 
 
-def decoder(topic: Topic) -> Callable[[bytes, int], Array]:
-    """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError says what is wrong."""
+def decoder(topic: Topic) -> Callable[[Payload, int], Array]:
+    """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError says what is wrong.
+
+    What is stored raw is not copied: it is the payload's own bytes in another order, and may not be written to.
+    """
     read = _reader(topic, _FIELDS.get(topic.type, _RAW_FIELDS))
     unpack = _compressed if topic.type in COMPRESSED else _raw
 
-    def decode(payload: bytes, k: int) -> Array:
+    def decode(payload: Payload, k: int) -> Array:
         try:
             return unpack(read(payload), k)
         except (FormatError, TypeError, ValueError) as error:
@@ -79,15 +80,15 @@ def decoder(topic: Topic) -> Callable[[bytes, int], Array]:
     return decode
 
 
-def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[bytes], Mapping[str, Any]]:
+def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[Payload], Mapping[str, Any]]:
     if topic.encoding in ("json", "protobuf"):
         read = reader(topic)
-        return lambda payload: _with_bytes(read(payload))
+        return lambda payload: _with_bytes(read(bytes(payload)))
     definition, paths = definition_of(topic), tuple((name,) for name in fields)
     pickers = {ros1: Picker(definition, paths, ros1) for ros1 in (False, True)}
     dialect: bool | None = True if is_ros1(topic) else None
 
-    def from_layout(payload: bytes) -> Mapping[str, Any]:
+    def from_layout(payload: Payload) -> Mapping[str, Any]:
         nonlocal dialect
         ros1 = speaks_ros1(definition, payload) if dialect is None else dialect
         found = dict(zip(fields, pickers[ros1](payload), strict=True))
@@ -211,12 +212,10 @@ def _to_bgr(rows: Array, encoding: _Encoding, big: bool, k: int) -> Array:
     import cv2
 
     pixels = rows.reshape(len(rows), -1, encoding.channels * encoding.size)
-    if not encoding.whole:
-        pixels = pixels[::k, ::k]
     if encoding.size == 2:
         # The high byte alone: what 16 to 8 bits means to every decoder.
         pixels = pixels[:, :, 0 if big else 1 :: 2]
-    if encoding.code is None:
-        return np.array(pixels, order="C")
-    image = cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, encoding.code))
-    return np.ascontiguousarray(image[::k, ::k]) if encoding.whole and k > 1 else image
+    if encoding.code is not None:
+        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, encoding.code))
+    found = pixels[::k, ::k, encoding.bgr]
+    return np.broadcast_to(found, (*found.shape[:2], 3))

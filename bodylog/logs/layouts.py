@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from ..errors import ConfigError
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
 from .paths import Only, Step, is_index
-from .walker import Leaf, Walker
+from .walker import Leaf, Payload, Walker
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:
     return definition.types.get(type_, ())
 
 
-def walk(definition: Definition, payload: bytes, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
+def walk(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
     """The layout of `payload`, walked as far as the last wanted field; FormatError when it contradicts itself."""
     walker = Walker(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
@@ -71,7 +71,7 @@ def walk(definition: Definition, payload: bytes, wanted: Sequence[tuple[Step, ..
     return Layout(walker.pos, _merged(walker.constants), leaves)
 
 
-def rest(definition: Definition, payload: bytes, ros1: bool) -> int:
+def rest(definition: Definition, payload: Payload, ros1: bool) -> int:
     """Bytes left over after walking all of `payload`."""
     return len(payload) - walk(definition, payload, (), ros1).width
 
@@ -88,7 +88,7 @@ class Picker:
         self._ends = tuple(leaf_field(definition, steps) for steps in wanted)
         self._last: Walker | None = None
 
-    def __call__(self, payload: bytes) -> tuple[str | int | float | memoryview, ...]:
+    def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
         """The wanted fields of one message; FormatError when it contradicts itself. Threads may share a picker."""
         walker = _again(self._last, payload) if self._last else None
         if walker is None:
@@ -98,7 +98,7 @@ class Picker:
         return tuple(walker.single(k, end) for k, end in enumerate(self._ends))
 
 
-def _again(last: Walker, payload: bytes) -> Walker | None:
+def _again(last: Walker, payload: Payload) -> Walker | None:
     """The walk over a payload unlike the last one in no constant but the length of the bytes it ended with, or None."""
     start, stop = last.constants[-1] if last.constants else (0, 0)
     tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]

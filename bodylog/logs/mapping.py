@@ -3,14 +3,13 @@
 import mmap
 from pathlib import Path
 
+from ..types import Array
 from .sparse import Sparse, sparse
 
 _ADVICE = hasattr(mmap, "MADV_DONTNEED")
 _PAGE = mmap.PAGESIZE
-_ASKED = 1 << 20
-"""Asked for more than a disk reads ahead, the kernel begins with that and leaves the rest to faults, page by page."""
-_AROUND = 2 << 20
-"""A page that is touched can bring its neighbours along, those before it too: a folio of the page cache at most."""
+_BEHIND, _AROUND = 32, 2 << 20
+"""Pictures are looked at a while after they were handed out; and a page that is touched brings its neighbours along."""
 
 
 def mapped(path: Path) -> memoryview:
@@ -24,13 +23,20 @@ def mapped(path: Path) -> memoryview:
     return memoryview(found)
 
 
+def lasts(data: Array) -> bool:
+    """Whether bytes (n,) are a mapped file's, which stay what they are for whoever holds them."""
+    return isinstance(getattr(data.base, "obj", None), mmap.mmap)
+
+
 def fetch(data: memoryview, start: int, end: int) -> None:
-    """Start reading what lies between two bytes of a mapped file: all of it is about to be touched."""
+    """Have the file read ahead of where it is touched between two bytes: all of that is about to be, in order.
+
+    Read ahead so, a file is kept in large pieces, which are mapped at once; asked for by hand, page by page.
+    """
     bring(data, start, end)
     low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
-    if _ADVICE and isinstance(data.obj, mmap.mmap):
-        for at in range(low, high, _ASKED):
-            data.obj.madvise(mmap.MADV_WILLNEED, at, min(_ASKED, high - at))
+    if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
+        data.obj.madvise(mmap.MADV_SEQUENTIAL, low, high - low)
 
 
 def bring(data: memoryview, start: int, end: int) -> None:
@@ -40,7 +46,9 @@ def bring(data: memoryview, start: int, end: int) -> None:
 
 
 def forget(data: memoryview, start: int, end: int) -> None:
-    """Let go of the pages between two bytes of a mapped file and of those before; touching them reads them again."""
-    low, high = max(0, start - _AROUND) // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
+    """Let go of the pages between two bytes of a mapped file and of many before; touching them maps them again."""
+    behind = max(_AROUND, _BEHIND * (end - start))
+    low, high = max(0, start - behind) // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and type(data.obj) is mmap.mmap:
         data.obj.madvise(mmap.MADV_DONTNEED, low, high - low)
+        data.obj.madvise(mmap.MADV_RANDOM, low, high - low)

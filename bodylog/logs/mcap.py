@@ -18,8 +18,6 @@ from .stored import runs, together
 from .topics import Topics, split
 from .unpacked import unpacked
 
-_SOON = 16 << 20
-
 
 @dataclass
 class Survey:
@@ -94,7 +92,11 @@ class McapLog:
         done = parts[0].start
         for part, content in unpacked_parts(self._data, parts):
             if isinstance(part, Loose):
-                yield from self._outside(part)
+                fetch(self._data, part.start, part.end)
+                whole = np.frombuffer(self._data, np.uint8)
+                for found in loose_messages(self._data, part):
+                    yield whole, found
+                    forget(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
                 continue
             if isinstance(content, FormatError):
                 lose(self._data, part, content, self._ledger)
@@ -102,16 +104,6 @@ class McapLog:
                 yield content, messages(content, self._data, part, self._ledger)
             forget(self._data, done, part.start + part.length)  # and what was touched since the chunk before
             done = part.start + part.length
-
-    def _outside(self, part: Loose) -> Iterator[tuple[Array, Messages]]:
-        whole = np.frombuffer(self._data, np.uint8)
-        bring(self._data, part.start, part.end)
-        fetch(self._data, part.start, min(part.start + _SOON, part.end))
-        for found in loose_messages(self._data, part):
-            yield whole, found
-            end = int(found.starts[-1] + found.heads["size"][-1])
-            forget(self._data, int(found.starts[0]), end)
-            fetch(self._data, end, min(end + _SOON, part.end))
 
     def spans(self) -> dict[int, tuple[int, int]]:
         """First and last log time (ns) by topic id, where every message is in a message index."""

@@ -13,6 +13,9 @@ from .paths import Only, Range, Step, is_index
 CDR_KINDS = {(0, 0): (True, 8), (0, 1): (False, 8), (0, 6): (True, 4), (0, 7): (False, 4)}
 """First two bytes of a CDR payload -> (big endian, largest alignment)."""
 
+Payload = bytes | memoryview
+"""One message's bytes."""
+
 _SIZES = {name: int(code[1]) for name, code in PRIMITIVES.items()}
 _RANGE_ALL = Range(0, -1)
 Wanted = Sequence[tuple[int, tuple[Step, ...]]]
@@ -31,7 +34,7 @@ class Leaf:
 class Walker:
     """A cursor over one payload that notes constants and wanted places as it passes them."""
 
-    def __init__(self, definition: Definition, payload: bytes, wanted: int, ros1: bool) -> None:
+    def __init__(self, definition: Definition, payload: Payload, wanted: int, ros1: bool) -> None:
         """At the payload's first field; FormatError when it is not plain CDR."""
         self.definition, self.payload = definition, payload
         self.origin = self.pos = 0 if ros1 else 4
@@ -98,7 +101,7 @@ class Walker:
         self._need(length, f"a text of {length} bytes")
         if wanted:
             self.constants.append((self.pos, self.pos + length))
-            text = self.payload[self.pos : self.pos + length].decode(errors="replace").removesuffix("\0")
+            text = str(self.payload[self.pos : self.pos + length], "utf-8", "replace").removesuffix("\0")
             for k, _ in wanted:
                 self.texts[k].append(text)
         self.pos += length
@@ -209,7 +212,7 @@ class Walker:
         return value if single else raw
 
 
-def _cdr_kind(root: str, payload: bytes) -> tuple[bool, int]:
+def _cdr_kind(root: str, payload: Payload) -> tuple[bool, int]:
     kind = tuple(payload[:2])
     if len(payload) < 4 or kind not in CDR_KINDS:
         raise FormatError(f"{root}: the payload begins with {payload[:4].hex() or 'nothing'}, which is not plain CDR")

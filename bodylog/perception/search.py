@@ -39,19 +39,30 @@ def windows(picture: int, image: Array, ranges: Sequence[Range]) -> Iterator[Win
         for x, y, w, h in _boxes(mask(hsv, colour)):
             left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
             part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
-            yield Window(picture, index, left, top, (width, height), part.copy())
+            yield Window(picture, index, left, top, (width, height), _copy(part))
 
 
 def _every(image: Array, step: int) -> Array:
     """Every step-th pixel of every step-th row (H/step,W/step,3 or 4); a fourth byte means nothing."""
-    if step == 1:
-        return image
-    whole = np.ascontiguousarray(image)
+    import cv2
+
+    if image.strides[2] == -1:
+        every = _every(image[..., ::-1], step)
+        return np.asarray(cv2.cvtColor(every, cv2.COLOR_RGB2BGR if every.shape[2] == 3 else cv2.COLOR_RGBA2BGR))
+    height, width = max(1, image.shape[0] // step), image.shape[1] // step
+    if step == 1 or not image.flags.c_contiguous:
+        return np.ascontiguousarray(image[::step, ::step][:height, :width])
     # four bytes at a time is a third of the work; the last pixel taken has another after it, as step is above 1
-    strides = (step * whole.strides[0], step * whole.strides[1])
-    size = (max(1, whole.shape[0] // step), whole.shape[1] // step)
-    some = np.ndarray(size, np.uint32, whole.data, 0, strides)
-    return np.ascontiguousarray(some).view(np.uint8).reshape(*size, 4)
+    strides = (step * image.strides[0], step * image.strides[1])
+    some = np.ndarray((height, width), np.uint32, image.data, 0, strides)
+    return np.ascontiguousarray(some).view(np.uint8).reshape(height, width, 4)
+
+
+def _copy(image: Array) -> Array:
+    """A picture's pixels in memory of their own, BGR also where they were kept as RGB and are seen backwards."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if image.strides[2] == -1 else image.copy()
 
 
 def _boxes(seen: Array) -> Iterator[tuple[int, int, int, int]]:

@@ -5,6 +5,7 @@ import json
 import struct
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from bodylog.errors import FormatError
 from bodylog.logs.columns import definition_of
 from bodylog.logs.images import ENCODINGS, decoder, refusal
 from bodylog.logs.layouts import Picker
-from bodylog.types import Topic
+from bodylog.types import Frame, Topic
 
 from .writing import T0, cdr, compressed, define, descriptors, header, wire
 
@@ -342,7 +343,7 @@ def test_what_is_picked_from_a_message_does_not_depend_on_those_before(messages)
 
 def test_pictures_may_be_drawn_upon():
     payload = raw("bgr8", scene(11), 31)
-    image = decoder(topic(IMAGE))(payload, 1)
+    image = Frame(0.0, 0, partial(decoder(topic(IMAGE)), payload)).image
     image[:] = 0
     np.testing.assert_array_equal(decoder(topic(IMAGE))(payload, 1), scene(11))
 

@@ -3,7 +3,7 @@
 import re
 import struct
 import tracemalloc
-from collections import Counter
+from collections import Counter, deque
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,14 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from bodylog.errors import FormatError
+from bodylog.logs.cdr import Field, serialise
 from bodylog.logs.compression import Buffer
 from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.recording import read
 from bodylog.logs.records import CHANNEL, SCHEMA, parse
+from bodylog.logs.ros1 import known_definition
+from bodylog.settings import Settings
+from bodylog.types import Frame
 
 from . import peers
 
@@ -283,6 +288,35 @@ def test_pages_read_do_not_stay(tmp_path: Path) -> None:
                 resident.append(_resident_file())
     assert len(resident) == 2000
     assert max(resident) - resident[0] < 100_000 + (16 << 20)
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel does not say what is resident")
+def test_pictures_are_looked_at_where_they_are_and_do_not_stay(tmp_path: Path) -> None:
+    path, size = tmp_path / "long.mcap", 1 << 20
+    noise = np.random.default_rng(0).integers(0, 256, (1, size), np.uint8)
+    fields: list[Field] = [("uint32", 1), ("uint32", 0), ("string", ""), ("uint32", 512), ("uint32", 2048)]
+    fields += [("string", "mono8"), ("uint8", 0), ("uint32", 2048), ("uint8[]", noise)]
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE)
+        writer.start("ros2")
+        kind = "sensor_msgs/msg/Image"
+        channel = writer.register_channel("/a", "cdr", writer.register_schema(kind, "ros2msg", known_definition(kind)))
+        for time in range(0, 200_000_000_000, 1_000_000_000):
+            writer.add_message(channel, time, serialise(1, fields).data.tobytes(), time)
+        writer.finish()
+    recording = read(path, Settings())
+    assert recording.frames is not None
+    tracemalloc.start()
+    behind: deque[Frame] = deque()
+    resident = []
+    for frame in recording.frames():
+        behind.append(frame)
+        if len(behind) > 20:
+            assert behind.popleft().decode(1)[511, 2047].tolist() == [noise[0, -1]] * 3
+            resident.append(_resident_file())
+    assert tracemalloc.get_traced_memory()[1] < 4 * size
+    tracemalloc.stop()
+    assert len(resident) == 180 and max(resident) - resident[0] < 48 << 20
 
 
 def _resident_file() -> int:

@@ -1,0 +1,44 @@
+"""Where pictures lie in memory, and in which order their channels, does not show in what is found in them."""
+
+import numpy as np
+import pytest
+
+from bodylog.perception import blobs, search
+from bodylog.perception.ranges import resolve
+from bodylog.types import Array
+
+from . import scenes
+
+RANGES = [resolve("green", "effector"), resolve("red", "hand")]
+
+
+def _kept(picture: Array) -> dict[str, Array]:
+    """One picture as logs keep it."""
+    rgb = np.ascontiguousarray(picture[..., ::-1])
+    padded = np.pad(rgb, ((0, 0), (0, 7), (0, 0)))[:, : picture.shape[1]]
+    four = np.dstack([picture, np.full(picture.shape[:2], 77, np.uint8)])
+    high = np.stack([np.zeros_like(picture), picture], axis=-1).reshape(*picture.shape[:2], 6)
+    kept = {"rgb8": rgb[..., ::-1], "rgb8, padded": padded[..., ::-1], "bgra8": four[..., :3], "bgr16": high[..., 1::2]}
+    for one in kept.values():
+        one.flags.writeable = False
+    return kept
+
+
+@pytest.mark.parametrize("size", [(120, 90), (320, 240), (640, 480), (643, 37), (1, 1), (700, 2)])
+def test_blobs_are_the_same(size: tuple[int, int]) -> None:
+    rng, (width, height) = np.random.default_rng(size[0]), size
+    discs = [scenes.Disc(0.3 * width, 0.4 * height, 11.0), scenes.Disc(0.7 * width, 0.5 * height, 9.0, scenes.RED)]
+    picture = scenes.draw(scenes.wall(rng, width, height, 4.0), discs, rng)
+    expected = blobs.look([picture], RANGES)
+    for form, kept in _kept(picture).items():
+        np.testing.assert_array_equal(kept, picture, form)
+        np.testing.assert_array_equal(blobs.look([kept], RANGES), expected, form)
+    assert np.isfinite(expected[0, :, 0]).all() or min(size) < 90
+
+
+def test_windows_keep_no_picture() -> None:
+    rng = np.random.default_rng(1)
+    picture = scenes.draw(scenes.wall(rng, 320, 240, 4.0), [scenes.Disc(160, 120, 11.0)], rng)
+    for kept in (picture, *_kept(picture).values()):
+        found = list(search.windows(0, kept, RANGES))
+        assert found and not any(np.shares_memory(window.pixels, kept) for window in found)
