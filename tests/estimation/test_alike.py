@@ -67,3 +67,28 @@ def test_a_resting_arm_is_known_no_better_than_its_model(world, method):
         inside.append(np.einsum("nd,nd->n", apart, np.linalg.solve(cov, apart[..., None])[..., 0]).mean() / 2)
     # thirty draws of a two-dimensional offset: a standard error of 0.18
     assert 0.6 < np.mean(inside) < 1.45
+
+
+def test_what_models_have_in_common_is_told_once():
+    assert alike.repeated([90], [0.8]) == (1.0,)
+    for share in (0.3, 1.0):
+        times = alike.repeated([90, 90, 50, 90], [share, share, 0.0, share])
+        assert times[2] == 1.0
+        assert times[0] / 3.0 == pytest.approx(share + (1.0 - share) / 3.0)
+    assert alike.repeated([90, 0], [1.0, 1.0])[0] == 1.0
+
+
+@pytest.mark.parametrize("common", [0.0, 1.0])
+def test_a_second_camera_makes_a_smoother_surer_only_of_what_models_do_not_have_in_common(world, common):
+    drawn = world(3, pixel_std=0.01)
+    model = replace(drawn.body.senses["effector"], blur=0.2)
+    object.__setattr__(model, "spread", np.full((5, 2), 1e5 if common else 1e-4))
+    variances = []
+    for names in (("effector",), ("effector", "side/effector")):
+        features = replace(drawn.features, tracks=dict.fromkeys(names, drawn.features.tracks["effector"]))
+        noise = replace(drawn.body.noise, senses=dict.fromkeys(names, (1e-4, 1e-4)))
+        body = replace(drawn.body, senses=dict.fromkeys(names, model), noise=noise)
+        found = estimate(features, body, Estimation(method="smoother", precision="model"))
+        variances.append(np.einsum("nii->ni", found.cov).mean(axis=0))
+    ratio = variances[1] / variances[0]
+    assert np.allclose(ratio, 1.0, atol=0.01) if common else np.all(ratio < 0.95)
