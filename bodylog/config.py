@@ -1,6 +1,7 @@
 """Defaults in code, then robot.toml, then the command line: resolved once, each key checked by name and type."""
 
 import difflib
+import math
 import tomllib
 import types
 import typing
@@ -80,8 +81,8 @@ def _fit(value: Any, option: Any) -> Any:
         return tuple(value) if isinstance(value, list | tuple) and _all_fit(value, option) else _MISFIT
     if origin is not None and issubclass(origin, Mapping):
         return _fit_mapping(value, typing.get_args(option)[1])
-    if option is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+    if option is float and isinstance(value, int | float) and not isinstance(value, bool):
+        return float(value) if math.isfinite(value) else _MISFIT
     return value if isinstance(value, option) and not (option is int and isinstance(value, bool)) else _MISFIT
 
 
@@ -100,7 +101,7 @@ def _fit_mapping(value: Any, hint: Any) -> Any:
 
 
 def _names(options: tuple[Any, ...]) -> str:
-    readable = {str: "text", int: "a whole number", float: "a number", type(None): "left out"}
+    readable = {str: "text", int: "a whole number", float: "a finite number", type(None): "left out"}
     return " or ".join(readable.get(o, "a list" if typing.get_origin(o) is tuple else "a table") for o in options)
 
 

@@ -100,12 +100,14 @@ def fit(
 
 def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
     """Replay a log against a learned body and write it back with the estimate in it."""
+    from . import estimation
     from .body import model
     from .logs import annotate, annotated
 
     distinct(log, out)
     distinct(body, out)
     learned = model.load(body)
+    estimation.check(learned, settings.estimate)
     with annotate.begun(log, out) as written:
         read, features = observe(log, settings, progress)
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)

@@ -24,7 +24,8 @@ def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json:
         data([{"path": path, **as_data(result)} for path, result in results.items()])
     else:
         for path, result in results.items():
-            click.echo(f"{path}: {'sound' if not result.findings else f'{len(result.findings)} findings'}")
+            count = len(result.findings)
+            click.echo(f"{path}: {'sound' if not count else '1 finding' if count == 1 else f'{count} findings'}")
             for finding in result.findings:
                 click.echo(f"  {finding.severity}: {finding.text}")
     return max(lost(result.findings) for result in results.values())

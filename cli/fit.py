@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, clock_option, common_options, logs_argument, out_option
+from .options import PATH, Common, clock_option, common_options, listed, logs_argument, out_option
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
@@ -31,8 +31,7 @@ def fit(
 
     from .output import body, progress, show
 
-    named = tuple(joints.split(",")) if joints else None
-    chosen = common.settings(fit={"preset": preset, "every": every}, body={"joints": named})
+    chosen = common.settings(fit={"preset": preset, "every": every}, body={"joints": listed(joints)})
     with progress("fit") as tick:
         result = pipeline.fit(logs, out, chosen, tick, update)
     learned = inventory.info(out, chosen)

@@ -130,5 +130,9 @@ ESTIMATION = (
 
 def estimation(typed: dict[str, Any]) -> dict[str, Any]:
     """The [estimate] section as typed, comma lists split."""
-    lists = {key: tuple(typed[key].split(",")) if typed.get(key) else None for key in ("senses", "without")}
-    return {**typed, **lists}
+    return {**typed, **{key: listed(typed[key]) for key in ("senses", "without")}}
+
+
+def listed(text: str | None) -> tuple[str, ...] | None:
+    """What was typed as a list with commas; None when nothing was."""
+    return None if text is None else tuple(text.split(","))

@@ -65,6 +65,8 @@ def exit_code(rows: Sequence[Row]) -> int:
 
 
 def _jobs(plan: Plan, group: Group) -> list[Job]:
+    if (group.body is None) == (not group.train):
+        raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
     logs = jobs.named(group.logs, plan.shard)
     folder = plan.out / group.name
     folder.mkdir(parents=True, exist_ok=True)
@@ -87,8 +89,6 @@ def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:
 
 def _body(group: Group, folder: Path) -> Path:
     """The body model given, or the one learned from the training logs, kept when it is what would be learned again."""
-    if (group.body is None) == (not group.train):
-        raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
     if group.body is not None:
         return group.body
     with _one_at_a_time(folder):

@@ -73,7 +73,7 @@ def load(path: Path) -> BodyModel:
         with zipfile.ZipFile(path) as archive:
             return _read(path, archive)
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
-        raise ModelError(f"{path}: not a whole .npz file ({error}); type: bodylog fit LOG -o {path}") from error
+        raise ModelError(f"{path}: not a whole .npz file ({error}); type: bodylog fit LOG -o body.npz") from error
 
 
 def _header(model: BodyModel) -> dict[str, Any]:

@@ -6,10 +6,10 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
-from . import filtering, kalman, predictive_coding, smoother
+from . import filtering, kalman, predictive_coding, senses, smoother
 from .streaming import Belief, Estimator
 
-__all__ = ["METHODS", "Belief", "Estimator", "estimate"]
+__all__ = ["METHODS", "Belief", "Estimator", "check", "estimate"]
 
 METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
     "laplace": filtering.laplace,
@@ -22,9 +22,15 @@ METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The belief by `settings.method`; ModelError, EvidenceError or UsageError when it cannot be had."""
+    check(body, settings)
+    with one_thread():
+        return METHODS[settings.method](features, body, settings)
+
+
+def check(body: BodyModel, settings: Estimation) -> None:
+    """UsageError for a method, a form of touch or a sense that there is not, whatever the log may show."""
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is none of {', '.join(METHODS)}")
     if settings.touch == "literal" and settings.method != "predictive-coding":
         raise UsageError("touch: 'literal' is the paper's form, for predictive-coding alone; type --touch likelihood")
-    with one_thread():
-        return METHODS[settings.method](features, body, settings)
+    senses.chosen((), body, settings)

@@ -37,7 +37,8 @@ class Db3Log:
             counts, self.start_ns, self.end_ns = self._survey(list(named))
         except DAMAGE as problem:
             self._store.close()
-            raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; type: bodylog doctor") from None
+            advice = f"type: sqlite3 {path} .recover | sqlite3 whole.db3"
+            raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; {advice}") from None
         topics, self._topic_of = Topics(), {}
         for number, (name, kind, encoding, definition, dialect, metadata) in named.items():
             count = counts.get(number, 0)

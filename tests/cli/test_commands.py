@@ -92,6 +92,11 @@ def _wrong(robot, tmp_path):
         "unknown key": (2, "did you mean joints", ("fit", explore, "-o", out, "--config", tmp_path / "key.toml")),
         "not a model": (65, "not.npz", ("estimate", reach, "-o", out, "--body", tmp_path / "not.npz")),
         "unknown method": (2, "laplace", ("estimate", reach, *estimate, "--method", "magic")),
+        "unknown method, absent log": (2, "laplace", ("estimate", tmp_path / "no.mcap", *estimate, "--method", "magic")),
+        "empty senses": (2, "'' is none of encoders", ("estimate", reach, *estimate, "--with", "")),
+        "empty joints": (65, "names ''", ("fit", explore, "-o", out, "--joints", "")),
+        "no number": (2, "must be a finite number", ("extract", reach, "-o", out, "--clock-offset", "nan")),
+        "no body for a batch": (2, "needs either", ("batch", reach, "-o", tmp_path / "batch")),
         "unknown sense": (2, "encoders", ("estimate", reach, *estimate, "--with", "smell")),
         "unheard sense": (65, "touch", ("estimate", reach, *estimate, "--with", "encoders,touch")),
         "unknown scenario": (2, "babble", ("record", "dance", "-o", out)),
@@ -107,7 +112,8 @@ def _wrong(robot, tmp_path):
 NAMES = (
     *("empty log", "not a log", "no such log", "missing topic", "unknown joint", "unknown key", "not a model"),
     *("unknown method", "unknown sense", "unheard sense", "unknown scenario", "absent folder", "no estimate"),
-    *("onto itself", "no bound", "unknown option", "bad clock offset"),
+    *("onto itself", "no bound", "unknown option", "bad clock offset", "unknown method, absent log", "empty senses"),
+    *("empty joints", "no number", "no body for a batch"),
 )
 
 
