@@ -44,6 +44,8 @@ class GP:
             value, slope, spread = self.predict_one(x[0])
             return value[None], slope[None], spread[None]
         parts = [single.many(x - self._origin) for single in self._singles]
+        if len(parts) == 1:
+            return parts[0]
         value, slope, spread = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
         return value, slope, spread
 
@@ -59,6 +61,8 @@ class GP:
     def means(self, x: Array) -> tuple[Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance: O(N n)."""
         parts = [single.means(x - self._origin) for single in self._singles]
+        if len(parts) == 1:
+            return parts[0]
         value, slope = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
         return value, slope
 
@@ -148,30 +152,29 @@ class _Single:
 
     def many(self, offset: Array) -> tuple[Array, Array, Array]:
         """Mean (N,D), Jacobian (N,D,M) and variance (N,D) at offsets (N,M)."""
-        sums = self._sums(offset, self.rows)
-        value, slope = self._linear(offset, sums)
-        left = self.amplitude - np.square(sums[:, value.shape[1] + slope[0].size :]).sum(axis=1)
+        left = np.empty(len(offset))
+        value, slope = self.means(offset, left)
         return value, slope, np.maximum(left, 0.0)[:, None] * self.share
 
-    def means(self, offset: Array) -> tuple[Array, Array]:
-        """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M)."""
-        return self._linear(offset, self._sums(offset, self.rows[: len(self.mean) * (1 + offset.shape[1])]))
+    def means(self, offset: Array, left: Array | None = None) -> tuple[Array, Array]:
+        """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M); `left` (N,) takes what the samples leave of the amplitude.
 
-    def _sums(self, offset: Array, rows: Array) -> Array:
-        """The rows' products (N,R) with the kernel, whose logarithm is linear in [x/l², 1, −x·x/2l²]."""
-        tilt, sums = offset * self.precision, np.empty((len(offset), len(rows)))
-        left = np.column_stack([tilt, np.ones(len(offset)), -0.5 * (offset * tilt).sum(axis=1)])
-        right = np.vstack([self.near.T, self.fixed, np.ones(len(self.fixed))])
+        Block by block, lest all products go through memory; the kernel's logarithm is linear in [x/l², 1, −x·x/2l²].
+        """
+        outputs, inputs = len(self.mean), offset.shape[1]
+        linear, tilt = outputs * (1 + inputs), (offset * self.precision).T
+        rows = self.rows[:linear] if left is None else self.rows
+        below = np.vstack([tilt, np.ones(len(offset)), -0.5 * (offset.T * tilt).sum(axis=0)])
+        above = np.column_stack([self.near, self.fixed, np.ones(len(self.fixed))])
+        value, slope = np.empty((len(offset), outputs)), np.empty((len(offset), outputs, inputs))
         for block in _blocks(len(offset), len(self.fixed)):
-            kernel = left[block] @ right
-            np.matmul(np.exp(kernel, out=kernel), rows.T, out=sums[block])
-        return sums
-
-    def _linear(self, offset: Array, sums: Array) -> tuple[Array, Array]:
-        count, (outputs, inputs) = len(offset), (len(self.mean), offset.shape[1])
-        value, leans = sums[:, :outputs], sums[:, outputs : outputs * (1 + inputs)]
-        slope = leans.reshape(count, outputs, inputs) - value[:, :, None] * (offset * self.precision)[:, None]
-        return value + self.mean, slope
+            kernel = above @ below[:, block]
+            sums = rows @ np.exp(kernel, out=kernel)
+            leans = sums[outputs:linear].reshape(outputs, inputs, -1) - sums[:outputs, None] * tilt[:, block]
+            value[block], slope[block] = sums[:outputs].T + self.mean, np.moveaxis(leans, -1, 0)
+            if left is not None:
+                left[block] = self.amplitude - np.einsum("rn,rn->n", sums[linear:], sums[linear:])
+        return value, slope
 
 
 def _blocks(count: int, width: int) -> Iterator[slice]:
