@@ -81,18 +81,18 @@ def _wrong(robot, tmp_path):
     (tmp_path / "joint.toml").write_text('[body]\njoints = ["knee_joint"]\n')
     (tmp_path / "key.toml").write_text("[topics]\njoint = '/joint_states'\n")
     (tmp_path / "not.npz").write_bytes(b"PK not a model")
-    reach, explore = robot / "reach.mcap", robot / "explore.mcap"
+    reach, explore, absent = robot / "reach.mcap", robot / "explore.mcap", tmp_path / "absent.mcap"
     estimate = ("-o", out, "--body", body)
     return {
         "empty log": (65, "empty.mcap", ("estimate", tmp_path / "empty.mcap", *estimate)),
         "not a log": (65, "text.bag", ("estimate", tmp_path / "text.bag", *estimate)),
-        "no such log": (65, "absent.mcap", ("estimate", tmp_path / "absent.mcap", *estimate)),
+        "no such log": (65, "absent.mcap", ("estimate", absent, *estimate)),
         "missing topic": (65, "/nowhere", ("estimate", reach, *estimate, "--config", tmp_path / "topic.toml")),
         "unknown joint": (65, "knee_joint", ("fit", explore, "-o", out, "--config", tmp_path / "joint.toml")),
         "unknown key": (2, "did you mean joints", ("fit", explore, "-o", out, "--config", tmp_path / "key.toml")),
         "not a model": (65, "not.npz", ("estimate", reach, "-o", out, "--body", tmp_path / "not.npz")),
         "unknown method": (2, "laplace", ("estimate", reach, *estimate, "--method", "magic")),
-        "unknown method, absent log": (2, "laplace", ("estimate", tmp_path / "no.mcap", *estimate, "--method", "magic")),
+        "unknown method, absent log": (2, "laplace", ("estimate", absent, *estimate, "--method", "magic")),
         "empty senses": (2, "'' is none of encoders", ("estimate", reach, *estimate, "--with", "")),
         "empty joints": (65, "names ''", ("fit", explore, "-o", out, "--joints", "")),
         "no number": (2, "must be a finite number", ("extract", reach, "-o", out, "--clock-offset", "nan")),
