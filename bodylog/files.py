@@ -46,6 +46,15 @@ def replacing(path: Path) -> Iterator[Path]:
             beside.unlink()
 
 
+def made(path: Path) -> Path:
+    """`path` as a folder, made where it is not there yet; UsageError where it, or what it would be in, is a file."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise UsageError(f"{path}: a file is in its place; give the name of a folder") from None
+    return path
+
+
 @contextmanager
 def held(path: Path) -> Iterator[bool]:
     """Lock a file or folder as long as this process lives and the `with` lasts; False where it is another's."""

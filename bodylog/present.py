@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import FormatError, LogError
+from .files import made
 from .pipeline import Progress, Result, doctor, ingest, judge, observe, topic_of
 from .refusals import about, distinct
 from .settings import Settings, plain
@@ -161,7 +162,7 @@ def _figures(
 ) -> None:
     from .report import figures, overlay
 
-    folder.mkdir(parents=True, exist_ok=True)
+    made(folder)
     for suffix in (".png", ".svg"):
         figures.recording_figure(read, features, folder / f"recording{suffix}")
         figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")

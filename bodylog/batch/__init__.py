@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
+from ..files import made
 from ..settings import Settings
 from . import jobs, local, results, resume
 from .jobs import Job
@@ -68,8 +69,9 @@ def _jobs(plan: Plan, group: Group) -> list[Job]:
     if (group.body is None) == (not group.train):
         raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
     logs = jobs.named(group.logs, plan.shard)
-    folder = plan.out / group.name
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = made(plan.out / group.name)
+    if taken := [folder / name for name in logs if (folder / name).is_file()]:
+        raise UsageError(f"{taken[0]}: is in the place of a folder; give another one with -o")
     body = _body(group, folder)
     before = f"{group.name}/" if group.name else ""
     return [
@@ -100,6 +102,6 @@ def _one_at_a_time(folder: Path) -> Iterator[None]:
     """Shards that share an output folder learn the body once, not at the same time."""
     import fcntl
 
-    with (folder / ".lock").open("w") as lock:
+    with (folder / jobs.LOCK).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

@@ -13,6 +13,9 @@ from .. import stores
 from ..errors import LogError, UsageError
 from ..settings import Settings
 
+LOCK = ".lock"
+"""In a folder of what came of a log: nothing there is a log to begin with."""
+
 SUFFIXES = (".bag", ".bag.active", ".mcap", ".mcap.zst", ".db3", ".db3.zstd")
 
 
@@ -42,11 +45,15 @@ def named(logs: Sequence[str], shard: tuple[int, int]) -> dict[str, str]:
 
 
 def find(given: str) -> Iterator[str]:
-    """Logs behind a file, a folder (searched to the bottom), a pattern or a URL; LogError when there is none."""
+    """Logs behind a file, a folder (searched to the bottom), a pattern or a URL; LogError when there is none.
+
+    What a batch left is found only where it is named.
+    """
     if stores.is_url(given):
         yield from stores.behind(given, SUFFIXES)
         return
-    paths = [Path(given)] if Path(given).exists() else [Path(m) for m in sorted(glob.glob(given, recursive=True))]
+    matches = (Path(match) for match in sorted(glob.glob(given, recursive=True)))
+    paths = [Path(given)] if Path(given).exists() else [m for m in matches if not (m.parent / LOCK).is_file()]
     if not paths:
         raise LogError(f"{given}: no such file, folder or pattern; type: ls {given}")
     for path in paths:
@@ -54,6 +61,8 @@ def find(given: str) -> Iterator[str]:
 
 
 def _inside(folder: Path) -> Iterator[Path]:
+    if (folder / LOCK).is_file():
+        return
     if is_rosbag2(folder):
         yield folder
         return

@@ -16,7 +16,7 @@ from ..errors import BodylogError, BoundError
 from ..evaluation import bounds
 from ..files import replacing, sha256
 from . import resume
-from .jobs import Job
+from .jobs import LOCK, Job
 from .results import ODD
 
 OUTPUTS = ("annotated.mcap", "report.html", "robot.toml")
@@ -46,7 +46,7 @@ def _on_one_core() -> Iterator[None]:
 @contextmanager
 def _alone(folder: Path) -> Iterator[None]:
     """A worker that outlived its killed batch may still be at this log: wait for it rather than write beside it."""
-    with (folder / ".lock").open("w") as lock:
+    with (folder / LOCK).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 

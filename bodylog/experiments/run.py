@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
+from ..files import made
 from ..workers import ended, ready
 from . import page
 from .lab import Lab, kept
@@ -42,7 +43,7 @@ def reproduce(wish: Reproduction, tell: Tell | None = None) -> tuple[Claim, ...]
     names = chosen(wish.names)
     _ready()
     tasks = [(name, seed) for name in names for seed in range(wish.seeds)]
-    wish.lab.folder.mkdir(parents=True, exist_ok=True)
+    made(wish.lab.folder)
     for done, (name, seed) in enumerate(_finished(wish, tasks), 1):
         if tell:
             tell(f"{name} seed {seed}", done, len(tasks))

@@ -54,7 +54,7 @@ def read_metadata(path: Path) -> dict[str, str]:
                 return dict(parse(METADATA, record[HEAD.size :]).fields["metadata"])
     except (FormatError, OSError):
         pass  # no MCAP, or not a whole one: then it is none we wrote
-    raise LogError(f"{path}: no estimate in it (no metadata record {NAME}, which a cut takes first); {_again(path)}")
+    raise LogError(f"{path}: no estimate in it, unless its end was cut off; {_again(path)}")
 
 
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:

@@ -8,7 +8,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ..errors import UsageError
-from ..files import replacing
+from ..files import made, replacing
 from ..types import Array, Features, Recording, Series
 from .ingest import ALWAYS, Window, cut, signals
 
@@ -24,7 +24,7 @@ def export(recording: Recording, folder: Path, form: str, window: Window = ALWAY
     if form not in FORMATS:
         raise UsageError(f"export as {form!r}: possible are {', '.join(FORMATS)}")
     save = _csv if form == "csv" else _parquet()
-    folder.mkdir(parents=True, exist_ok=True)
+    made(folder)
     paths = []
     for role, series in signals(recording).items():
         paths.append(folder / f"{role}.{form}")
@@ -54,7 +54,7 @@ def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
             ("touch", "stroke", "delay", "weight"),
             [(pair.touch, "" if pair.stroke is None else pair.stroke, pair.delay, pair.weight) for pair in pairs],
         )
-    folder.mkdir(parents=True, exist_ok=True)
+    made(folder)
     paths = []
     for name, table in tables.items():
         paths.append(folder / f"{name}.csv")

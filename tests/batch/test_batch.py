@@ -87,6 +87,22 @@ def test_a_log_whose_name_is_no_text_has_its_row_and_is_resumed(tmp_path, robot,
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
 
+def test_what_a_batch_left_among_the_logs_is_none_of_them(tmp_path, capsys, robot, bodylog):
+    shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
+    body, found = ("--body", robot / "body.npz"), []
+    for where in (tmp_path, tmp_path, f"{tmp_path}/**/*.mcap"):
+        assert bodylog("batch", where, "-o", tmp_path / "out", *body) == 0
+        found.append(list(_rows(tmp_path / "out")))
+    assert found == [["reach.mcap"]] * 3
+    assert bodylog("batch", tmp_path / "out" / "reach.mcap" / "annotated.mcap", "-o", tmp_path / "more", *body) == 0
+    before = _tree(tmp_path)
+    for out in (tmp_path, tmp_path / "reach.mcap"):
+        capsys.readouterr()
+        assert bodylog("batch", tmp_path / "reach.mcap", "-o", out, *body) == 2
+        assert capsys.readouterr().err.startswith(f"bodylog: {tmp_path / 'reach.mcap'}: ")
+    assert _tree(tmp_path) == before
+
+
 def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_path, mixed, robot, bodylog):
     whole, resumed = tmp_path / "whole", tmp_path / "resumed"
     for out in (whole, resumed):

@@ -92,7 +92,7 @@ def test_metadata_comes_back(tmp_path):
 def test_a_log_without_an_estimate_says_what_to_type(tmp_path):
     log = source(tmp_path / "log.mcap")
     for read in (read_metadata, read_estimate):
-        with pytest.raises(LogError, match=r"log.mcap: no estimate in it .* bodylog estimate .*log.mcap --body"):
+        with pytest.raises(LogError, match=r"log.mcap: no estimate in it, .* bodylog estimate .*log.mcap --body"):
             read(log)
     with open_log(log) as opened:
         assert read_features(opened, START) is None
