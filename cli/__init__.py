@@ -45,12 +45,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from bodylog.errors import BodylogError
 
     from .commands import Unheard, bodylog
+    from .output import say
 
     try:
         code = bodylog.main(arguments, prog_name="bodylog", standalone_mode=False)
         return code if isinstance(code, int) else 0
     except BodylogError as err:
-        click.echo(f"bodylog: {' '.join(str(err).split())}", err=True)
+        say(err)
         return err.exit_code
     except click.exceptions.NoArgsIsHelpError as err:
         click.echo(err.format_message(), err=True)

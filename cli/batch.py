@@ -37,8 +37,9 @@ def batch(
     """
     from bodylog.batch import Plan, exit_code
     from bodylog.batch import batch as run
+    from bodylog.pipeline import Result
 
-    from .output import data
+    from .output import as_data, data
 
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
@@ -46,7 +47,7 @@ def batch(
     plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), **how)
     rows = run(plan, _tell)
     if as_json:
-        data({"rows": rows, "output": str(plan.out)})
+        data(as_data(Result(plan.out)) | {"rows": rows})
     else:
         _summary(rows)
     return exit_code(rows)

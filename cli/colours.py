@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 def colours(log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool) -> int:
     """Propose colour ranges from a log: the saturated blob that moves with the joints is the effector."""
     from bodylog import present
+    from bodylog.pipeline import Result
 
-    from .output import data, lost, talk
+    from .output import as_data, data, lost, talk
 
     found = present.colours(log, out, common.settings(), _place(effector))
     talk(found.findings)
     if as_json:
-        data({"proposals": found.proposals, "output": None if out is None else str(out)})
+        data(as_data(Result(out, findings=found.findings)) | {"proposals": found.proposals})
     else:
         _print(found)
     return lost(found.findings)

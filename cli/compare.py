@@ -1,6 +1,5 @@
 """bodylog compare."""
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,14 +28,15 @@ def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int
     the estimate alone.
     """
     from bodylog import comparison
+    from bodylog.pipeline import Result
 
-    from .output import data, lost, progress, talk
+    from .output import as_data, data, lost, progress, talk
 
     with progress("compare") as tick:
         rows, findings = comparison.compare(log, body, common.settings(), tick, None if as_json else _line())
     talk(findings)
     if as_json:
-        data({"rows": [_plain(row) for row in rows], "findings": [asdict(f) for f in findings], "output": None})
+        data(as_data(Result(None, findings=findings)) | {"rows": [_plain(row) for row in rows]})
     return lost(findings)
 
 

@@ -9,8 +9,16 @@ from .options import PATH
 
 @click.command(epilog="Example: bodylog config > robot.toml")
 @click.option("--config", "config_file", type=PATH, help="A robot.toml to resolve.")
-def config(config_file: Path | None) -> None:
+@click.option("--json", "as_json", is_flag=True, help="Print them as JSON.")
+def config(config_file: Path | None, as_json: bool) -> None:
     """Print every setting as a robot.toml, resolved."""
     from bodylog.config import load, toml
+    from bodylog.settings import plain
 
-    click.echo(toml(load(config_file)), nl=False)
+    from .output import data
+
+    chosen = load(config_file)
+    if as_json:
+        data({"settings": plain(chosen), "output": None})
+    else:
+        click.echo(toml(chosen), nl=False)

@@ -15,11 +15,11 @@ def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json:
     """What is wrong with a log, and what can be saved of it."""
     from bodylog import pipeline
 
-    from .output import as_data, data, lost
+    from .output import as_data, data, each, lost
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
-    results = {str(log): pipeline.doctor(log, repair) for log in logs}
+    results, code = each(logs, lambda log: pipeline.doctor(log, repair))
     if as_json:
         data([{"path": path, **as_data(result)} for path, result in results.items()])
     else:
@@ -28,4 +28,4 @@ def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json:
             click.echo(f"{path}: {'sound' if not count else '1 finding' if count == 1 else f'{count} findings'}")
             for finding in result.findings:
                 click.echo(f"  {finding.severity}: {finding.text}")
-    return max(lost(result.findings) for result in results.values())
+    return code or max(lost(result.findings) for result in results.values())

@@ -15,16 +15,16 @@ def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
     """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
     from bodylog import inventory
 
-    from .output import data
+    from .output import data, each
 
     chosen = common.settings()
-    found = [inventory.info(log, chosen) for log in logs]
+    found, code = each(logs, lambda log: inventory.info(log, chosen))
     if as_json:
-        data(found)
+        data(list(found.values()))
     else:
-        for one in found:
+        for one in found.values():
             _print(one)
-    return 3 if any(f["severity"] == "lost" for one in found for f in one["findings"]) else 0
+    return code or (3 if any(f["severity"] == "lost" for one in found.values() for f in one["findings"]) else 0)
 
 
 def _print(one: dict[str, Any]) -> None:

@@ -2,16 +2,19 @@
 
 import json
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 if TYPE_CHECKING:
     from bodylog.pipeline import Progress, Result
     from bodylog.types import Finding, Score
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 def show(result: "Result", as_json: bool, quiet: bool = False, **further: Any) -> int:
@@ -27,6 +30,27 @@ def show(result: "Result", as_json: bool, quiet: bool = False, **further: Any) -
         if result.output is not None:
             click.echo(f"wrote {result.output}", err=True)
     return lost(result.findings)
+
+
+def each(logs: Sequence[T], look: Callable[[T], R]) -> tuple[dict[str, R], int]:
+    """What there is to tell of each log, by path; of one among others that is refused its line, and its exit code."""
+    from bodylog.errors import InputError
+
+    found, code = {}, 0
+    for log in logs:
+        try:
+            found[str(log)] = look(log)
+        except InputError as problem:
+            if len(logs) == 1:
+                raise
+            say(problem)
+            code = problem.exit_code
+    return found, code
+
+
+def say(problem: Exception) -> None:
+    """A refusal, in one line on standard error."""
+    click.echo(f"bodylog: {' '.join(str(problem).split())}", err=True)
 
 
 def as_data(result: "Result") -> dict[str, Any]:

@@ -29,12 +29,13 @@ def reproduce(experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, as
 
     from bodylog.experiments import Reproduction
     from bodylog.experiments import reproduce as run
+    from bodylog.pipeline import Result
 
-    from .output import data
+    from .output import as_data, data
 
     claims = run(Reproduction(out, experiments, seeds, jobs), _teller())
     if as_json:
-        data({"claims": [asdict(claim) for claim in claims], "output": str(out / "index.html")})
+        data(as_data(Result(out / "index.html")) | {"claims": [asdict(claim) for claim in claims]})
     else:
         _table(claims)
         click.echo(f"wrote {out / 'index.html'}", err=True)

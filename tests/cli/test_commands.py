@@ -72,6 +72,42 @@ def test_compare_has_a_row_for_every_method_and_subset(capsys, bodylog, robot):
     assert foretold["smoother encoders,vision"] > foretold["smoother encoders"]
 
 
+def test_of_many_logs_one_that_is_none_hides_no_other(capsys, bodylog, robot):
+    for name, shape in (("info", "topics"), ("doctor", "findings")):
+        capsys.readouterr()
+        logs = (robot / "reach.mcap", robot / "absent.mcap", robot / "explore.mcap")
+        assert bodylog(name, *logs, "--json") == 65
+        told = capsys.readouterr()
+        assert [one["path"] for one in json.loads(told.out) if shape in one] == [str(logs[0]), str(logs[2])]
+        assert told.err == f"bodylog: {logs[1]}: there is no such file or folder; check the name\n"
+        assert bodylog(name, logs[1], robot / "nor.this") == 65
+        assert capsys.readouterr().err.count("\n") == 2
+
+
+def test_all_that_is_printed_as_json_has_the_same_keys(tmp_path, capsys, bodylog, robot):
+    reach, body, out = robot / "reach.mcap", ("--body", robot / "body.npz"), tmp_path / "out.mcap"
+    for typed in (
+        ("estimate", reach, *body, "-o", out),
+        ("evaluate", out),
+        ("extract", reach, "-o", tmp_path / "features.mcap"),
+        ("ingest", reach, "-o", tmp_path / "tidy.mcap"),
+        ("fit", robot / "explore.mcap", "-o", tmp_path / "body.npz"),
+        ("compare", tmp_path / "features.mcap", *body),
+        ("report", out, "-o", tmp_path / "report.html"),
+        ("layout", out, "-o", tmp_path / "layout.json"),
+        ("plot", out, "-o", tmp_path / "plot.png"),
+        ("colours", reach),
+        ("batch", reach, *body, "-o", tmp_path / "batch"),
+        ("record", "reach", "--duration", 1, "--size", "160x120", "-o", tmp_path / "log.mcap"),
+    ):
+        capsys.readouterr()
+        assert bodylog(*typed, "--json") == 0
+        told = json.loads(capsys.readouterr().out)
+        assert {"output", "scores", "health", "findings", "faults", "settings"} <= set(told), typed
+    assert bodylog("config", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["settings"]["estimate"]["method"] == "laplace"
+
+
 def _wrong(robot, tmp_path):
     """Name -> (exit code, what must be said, what is typed)."""
     body, out = robot / "body.npz", tmp_path / "out.mcap"
