@@ -33,6 +33,11 @@ class Brief:
         """What is said in between, folded."""
         return pooled(self.blocks, dynamics, self.fold)
 
+    def of(self, problem: "Problem") -> "Brief":
+        """The same log with another process or other pixels, told as before."""
+        few = replace(problem, timeline=self.problem.timeline)
+        return replace(self, problem=few, readings=replace(self.readings, pooled=self.pooled(few.dynamics)))
+
 
 def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
     """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less."""

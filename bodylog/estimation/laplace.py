@@ -64,14 +64,8 @@ class Solution:
     brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
 
     def gated(self) -> Array:
-        """Instants (E,) with an encoder reading beyond the gate, of those told one by one where it is in brief."""
-        beyond = (np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1)
-        if self.brief is None or self.fold is not self.brief[1].fold:
-            return np.asarray(beyond)
-        events = self.brief[0].events
-        found = np.zeros(events[-1] + 1, bool)
-        found[events] = beyond
-        return found
+        """Instants (E,) with an encoder reading beyond the gate."""
+        return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))
 
 
 def solve(
@@ -101,7 +95,8 @@ def begun(problem: Problem, warm: Solution | None) -> tuple[Brief, Tangents, Arr
     if warm is None:
         brief = in_brief(problem)
         return brief, *outset(brief.problem, brief.fold, brief.readings)
-    brief = in_brief(problem, warm.gated())
+    short = warm.brief is not None and warm.brief[1].fold is warm.fold
+    brief = warm.brief[0].of(problem) if warm.brief and short else in_brief(problem, warm.gated())
     known, lasts = warm, brief.events[brief.fold.lasts()]
     if warm.brief is not None:
         known, lasts = warm.brief[1], np.searchsorted(warm.brief[0].events, lasts, "right") - 1

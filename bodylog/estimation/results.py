@@ -53,7 +53,7 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
 def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, Series, Array]:
     """Standardised errors where seen; the place predicted before the frame; its covariance (F,D,D) with noise."""
     mean, jac, var = sighting.model.predict(beliefs.before[events])
-    cov = np.einsum("fdj,fjk,fek->fde", jac, beliefs.before_cov[events], jac, optimize=True)
+    cov = jac @ beliefs.before_cov[events] @ jac.swapaxes(1, 2)
     noise = var + beliefs.scale.get(sighting.name, 1.0) * sighting.var
     np.einsum("fdd->fd", cov)[:] += noise
     std = np.sqrt(np.einsum("fdd->fd", cov))

@@ -158,14 +158,16 @@ def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Arr
     starts = starts[starts < len(t)]
     steps = np.diff(t[starts], append=t[-1])
     score, weight = np.add.reduceat(score, starts), np.add.reduceat(weight, starts)
-    offsets, var, share, before = np.zeros((4, len(steps) + 1, score.shape[1]))
+    offsets, var = np.zeros((2, len(steps) + 1, score.shape[1]))
     var[0] = OFFSET_STD**2
-    for k, (f, w, step) in enumerate(zip(score, weight, steps, strict=True)):
-        before[k] = var[k] + walk * step
-        share[k] = 1.0 + w * before[k]
-        var[k + 1] = before[k] / share[k]
-        offsets[k + 1] = offsets[k] + var[k + 1] * (f - w * offsets[k])
-    b, p, share = offsets[:-1], before[:-1], share[:-1]
-    more = score - weight * b
-    nats = b * (score - 0.5 * weight * b) + 0.5 * (more * more * p / share - np.log(share))
+    for j, (f, w) in enumerate(zip(score.T.tolist(), weight.T.tolist(), strict=True)):
+        b, p = 0.0, OFFSET_STD**2
+        for k, (pull, stiff, step) in enumerate(zip(f, w, steps.tolist(), strict=True), 1):
+            p += walk * step
+            p /= 1.0 + stiff * p
+            b += p * (pull - stiff * b)
+            offsets[k, j], var[k, j] = b, p
+    before, grown = offsets[:-1], var[:-1] + walk * steps[:, None]
+    more, share = score - weight * before, 1.0 + weight * grown
+    nats = before * (score - 0.5 * weight * before) + 0.5 * (more * more * grown / share - np.log(share))
     return nats.sum(axis=0), offsets[1:], var[1:]

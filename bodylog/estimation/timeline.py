@@ -30,7 +30,7 @@ def timeline(evidence: Evidence, rate: float | None) -> Timeline:
     """Union of all stamps and output times; equal times become one instant, so simultaneous senses have no order."""
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
     wanted = output_times(evidence, rate)
-    t = np.unique(np.concatenate([clock, *(s.t for s in evidence.sightings), wanted]))
+    t = union(clock, *(s.t for s in evidence.sightings), wanted)
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
     outputs = np.searchsorted(t, wanted)
@@ -42,13 +42,20 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
     if rate is not None and not rate > 0:
         raise UsageError(f"rate: {rate} found, a frequency above 0 Hz is possible; type --rate 100")
     clocks = [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
-    t = np.unique(np.concatenate(clocks))
+    t = union(*clocks)
     if len(t) == 0:
         raise EvidenceError("joints: no sound time stamp to estimate at")
     if rate is None and (len(t) < 2 or np.median(np.diff(t)) > 0.99 / FASTEST):
         return t
     rate = rate or FASTEST
     return snapped(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate, t)
+
+
+def union(*clocks: Array) -> Array:
+    """All times (E,) of clocks that each ascend, once."""
+    # merges what is in order already, which np.unique sorts anew
+    t = np.sort(np.concatenate(clocks), kind="stable")
+    return t[np.append(True, t[1:] != t[:-1])] if len(t) else t
 
 
 def snapped(grid: Array, t: Array) -> Array:
