@@ -1,5 +1,7 @@
 from importlib import import_module
 
+import cv2
+import numpy as np
 import pytest
 import scipy.linalg  # noqa: F401  its BLAS can be told only once it is loaded
 from threadpoolctl import threadpool_info, threadpool_limits
@@ -7,8 +9,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from bodylog.body import learn
 from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate
+from bodylog.perception import colour
 from bodylog.settings import Estimation, Settings
 from bodylog.threads import one_thread
+from bodylog.types import Frame
 
 
 def _threads() -> list[int]:
@@ -28,6 +32,26 @@ def test_linear_algebra_has_one_thread_meanwhile_and_as_many_as_before_afterward
     with one_thread():
         assert set(_threads()) == {1}
     assert set(_threads()) == {2}
+
+
+def test_opencv_has_no_threads_of_its_own_while_pictures_are_looked_at_and_as_many_as_before_afterwards() -> None:
+    before = cv2.getNumThreads()
+    try:
+        cv2.setNumThreads(3)
+        seen: list[int] = []
+
+        def look(_k: int) -> np.ndarray:
+            seen.append(cv2.getNumThreads())
+            if len(seen) == 3:
+                raise RuntimeError("enough")
+            return np.zeros((48, 64, 3), np.uint8)
+
+        with pytest.raises(RuntimeError, match="enough"):
+            colour.track(lambda: (Frame(0.0, 0, look) for _ in range(9)), {"effector": "green"})
+        assert set(seen) == {1}
+        assert cv2.getNumThreads() == 3
+    finally:
+        cv2.setNumThreads(before)
 
 
 def _running(run, monkeypatch) -> set[int]:

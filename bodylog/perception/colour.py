@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..settings import Colour
+from ..threads import one_opencv
 from ..types import Array, Finding, Frame, Health, Series
 from . import blobs, choose, search
 from .ranges import Range, covered, nearest, resolve
@@ -39,7 +40,7 @@ def track(
     """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
 
     `progress` is told how many more pictures are done; `fast` looks at compressed ones at half scale. Raises
-    ConfigError for a colour that means nothing. OpenCV's own threads stay as they are: the pictures' are the pool's.
+    ConfigError for a colour that means nothing.
     """
     ranges = [resolve(colour, name) for name, colour in colours.items()]
     t, source_ns, found, broken, size = _look_at_all(frames(), ranges, progress, fast)
@@ -68,7 +69,7 @@ def _look_at_all(
     source_ns: list[int] = []
     sizes: list[tuple[int, int]] = []
     tables: list[list[Future[Array]]] = [[] for _ in ranges]
-    with ThreadPoolExecutor(THREADS.get()) as pool:
+    with one_opencv(), ThreadPoolExecutor(THREADS.get()) as pool:
         for some in _by_sheets(_in_order(pool, frames, ranges, fast)):
             found: list[Window] = []
             before = len(sizes)
