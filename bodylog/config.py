@@ -121,6 +121,19 @@ ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = {
 }
 
 
+LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
+    ("topics", "rate"): (1e-3, 1e6),
+    ("skin", "threshold"): (0, 1),
+    ("skin", "release"): (0, 1),
+    ("skin", "shortest"): (0, 3600),
+    ("skin", "columns"): (1, 10**6),
+    ("fit", "samples"): (1, 10**9),
+    ("fit", "every"): (1, 10**9),
+    ("fit", "seed"): (0, 2**63),
+}
+"""Of numbers, the least and the most."""
+
+
 def _allowed(section: str, key: str, value: Any, where: str) -> None:
     possible = ALLOWED.get((section, key))
     if possible and value not in possible:
@@ -128,6 +141,11 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
         raise ConfigError(
             f"{where}: {section}.{key} is {value!r}; possible: {', '.join(possible)}; did you mean {near[0]}?"
         )
+    low, high = LIMITS.get((section, key), (-math.inf, math.inf))
+    if isinstance(value, int | float) and not low <= value <= high:
+        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be from {low:g} to {high:g}")
+    if (section, key) == ("body", "joints") and value is not None and len(set(value)) < max(len(value), 1):
+        raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must name joints, each once")
     if (section, key) == ("synchrony", "clock_offset") and isinstance(value, str) and value != "auto":
         raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto or a number of seconds")
     if (section, key) == ("topics", "camera") and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):

@@ -67,6 +67,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except _Stopped as err:
         click.echo("bodylog: stopped; nothing half-written was left", err=True)
         return int(err.code or 0)
+    except MemoryError as err:
+        say(MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log"))
+        return 65
     except Unheard:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141

@@ -74,6 +74,8 @@ def _attempt(job: Job) -> dict[str, Any]:
         return _row(job, key, err.exit_code if err.exit_code != 2 else 65, str(err))
     except OSError as err:
         return _row(job, key, 65, f"{job.log}: {err.strerror or err}")
+    except MemoryError as err:
+        return _row(job, key, 65, f"{job.log}: there is not enough memory ({err})")
     except Exception:
         return _row(job, key, 1, traceback.format_exc())
 

@@ -124,6 +124,7 @@ def _wrong(robot, tmp_path):
         "not a log": (65, "text.bag", ("estimate", tmp_path / "text.bag", *estimate)),
         "no such log": (65, "absent.mcap", ("estimate", absent, *estimate)),
         "missing topic": (65, "/nowhere", ("estimate", reach, *estimate, "--config", tmp_path / "topic.toml")),
+        "too many steps": (65, "not enough memory", ("estimate", reach, *estimate, "--rate", "1e14")),
         "unknown joint": (65, "knee_joint", ("fit", explore, "-o", out, "--config", tmp_path / "joint.toml")),
         "unknown key": (2, "did you mean joints", ("fit", explore, "-o", out, "--config", tmp_path / "key.toml")),
         "not a model": (65, "not.npz", ("estimate", reach, "-o", out, "--body", tmp_path / "not.npz")),
@@ -149,7 +150,7 @@ NAMES = (
     *("empty log", "not a log", "no such log", "missing topic", "unknown joint", "unknown key", "not a model"),
     *("unknown method", "unknown sense", "unheard sense", "unknown scenario", "absent folder", "no estimate"),
     *("onto itself", "no bound", "unknown option", "bad clock offset", "unknown method, absent log", "empty senses"),
-    *("empty joints", "no number", "no body for a batch"),
+    *("empty joints", "no number", "no body for a batch", "too many steps"),
 )
 
 
