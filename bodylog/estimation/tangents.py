@@ -27,13 +27,14 @@ class Tangents:
         """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed · share: PAST, WHOLE."""
         self._sightings, self.points, self.resting, self.share = sightings, points, RESTING, PAST
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
-        self._seen = tuple(_rows(np.all(np.isfinite(s.values), axis=1)) for s in sightings)
+        seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
+        self._seen = tuple(_rows(some) for some in seen)
+        self._weighed: Precision | None = None
         self._y = tuple(np.full((len(x), 2), np.nan) for x in points)
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
         self._var = tuple(np.ones((len(x), 2)) for x in points)
-        seen = [int(np.isfinite(one.values).all(axis=1).sum()) for one in sightings]
-        self._repeated = repeated(seen, [one.common for one in sightings])
+        self._repeated = repeated([int(some.sum()) for some in seen], [one.common for one in sightings])
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
         """Write stale tangents into the readings: y = s − g + J x°, var as alike frames have it.
@@ -48,11 +49,14 @@ class Tangents:
                 fold.put(readings.y[:, index], events[stale], self._y[index][stale])
                 fold.put(readings.jac[:, index], events[stale], self._jac[index][stale])
                 touched |= fold.sees(events[stale])
+            elif self._weighed is problem.precision:
+                continue
             var = self._variances(index, sighting, problem.precision)
-            other = (np.abs(var / self._var[index] - 1.0) > SAME).any(axis=1)
+            other = np.logical_or(*(np.abs(var / self._var[index] - 1.0) > SAME).T)
             self._var[index][other] = var[other]
             fold.put(readings.var[:, index], events[other], var[other])
             touched |= fold.sees(events[other])
+        self._weighed = problem.precision
         return touched
 
     def model_var(self, index: int) -> Array:
@@ -67,8 +71,7 @@ class Tangents:
 
     def _variances(self, index: int, sighting: Sighting, precision: Precision) -> Array:
         """Variances (F,D), of alike frames such that together they say no more than they know."""
-        var = precision.scale.get(sighting.name, 1.0) * sighting.var
-        seen = np.flatnonzero(np.isfinite(sighting.values).all(axis=1))
+        var, seen = precision.scale.get(sighting.name, 1.0) * sighting.var, self._seen[index]
         # a belief by the past alone errs by far more than models do, and pays for what is no noise in its rates
         times = self._repeated[index] if self.share == WHOLE else 1.0
         var[seen] = variances(
@@ -98,7 +101,8 @@ class Tangents:
         """Move to the angles of folded states (L,K,C) where they are further away than rest allows."""
         wanted = [fold.pick(means[:, : len(problem.start)], events) for events in problem.timeline.sightings]
         pairs = list(zip(wanted, self.points, strict=True))
-        moves = [np.abs(new - old).max(axis=1) for new, old in pairs]
+        # a row of frames for each joint: numpy is slow along short axes
+        moves = [np.abs(np.ascontiguousarray((new - old).T)).max(axis=0) for new, old in pairs]
         self._stale = tuple(move > self.resting for move in moves)
         self.points = tuple(
             np.where(stale[:, None], new, old) for stale, (new, old) in zip(self._stale, pairs, strict=True)
