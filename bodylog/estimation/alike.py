@@ -32,8 +32,8 @@ def variances(
     if not len(t):
         return pixel + model
     fade = _faded(np.diff(t), _span(model + pixel * (near > 0), jac, pace)[1:])
-    postures = counts(fade * np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / ALIKE))
-    spots = counts(fade * np.exp(-np.linalg.norm(np.diff(places, axis=0), axis=1) / near)) if near else postures**0.0
+    postures = counts(fade * np.exp(-_apart(points) / ALIKE))
+    spots = counts(fade * np.exp(-_apart(places) / near)) if near else postures**0.0
     return np.asarray(pixel * (2.0 * spots - 1.0)[:, None] + model * (2.0 * postures - 1.0)[:, None])
 
 
@@ -64,10 +64,16 @@ def counts(kept: Array) -> Array:
     return count
 
 
+def _apart(rows: Array) -> Array:
+    """Distance (F−1,) from each row (F,D) to the next."""
+    step = np.diff(rows, axis=0)
+    return np.asarray(np.sqrt(np.einsum("fd,fd->f", step, step)))
+
+
 def _span(error: Array, jac: Array, pace: Array) -> Array:
     """Seconds (F,) within which frames count as one."""
     drift = np.einsum("fdm,m->f", np.square(jac), pace)
-    return np.asarray(np.cbrt(error.sum(axis=1) / np.maximum(drift, 1e-9)))
+    return np.asarray(np.cbrt(np.einsum("fd->f", error) / np.maximum(drift, 1e-9)))
 
 
 def _faded(dt: Array, span: Array) -> Array:
