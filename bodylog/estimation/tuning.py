@@ -65,10 +65,10 @@ def _alone(problem: Problem, solution: Solution) -> Array:
     # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
     alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
     together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
-    # of what a silent encoder does not know, pictures leave nothing to it
-    unknown = np.isfinite(encoders.values).mean(axis=0) * np.minimum(together**2 / alone, 1.0)
-    taking_part = unknown.sum() ** 2 / max(float(np.square(unknown).sum()), 1e-12)
-    return np.asarray(np.minimum(taking_part * unknown, 1.0))
+    unknown = np.minimum(together**2 / alone, 1.0)
+    taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
+    # for as long as an encoder is silent it has no share
+    return np.asarray(np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0))
 
 
 def _prior(candidates: Array, m: int) -> Array:
