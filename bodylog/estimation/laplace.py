@@ -79,7 +79,9 @@ def solve(
     brief, first = briefly(problem, warm, at, rest)
     fold = fold_for(len(problem.timeline.t))
     z, p = starts(problem, fold, first, np.searchsorted(brief.events, fold.lasts()))
-    whole = swept(problem, fold, full(problem, fold), first.tangents, z, p, at, rest)
+    # what rests in brief is not to move in full for the last of its moves
+    first.tangents.resting *= 2.0
+    whole = swept(problem, fold, full(problem, fold), first.tangents, z, p, at, 2.0 * rest)
     return replace(whole, brief=(brief, first))
 
 

@@ -16,8 +16,6 @@ START_STD = 1.0
 """rad and rad/s: how little is known of angles and rates before the first reading."""
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""
-PASSES = 2
-"""Once from a guess, to find where each stretch's successor starts, and once more from there."""
 
 
 def prior(problem: "Problem") -> tuple[Array, Array]:
@@ -65,7 +63,7 @@ def outset(problem: "Problem", fold: Fold, readings: Leaps) -> tuple[Tangents, A
 
 
 def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Array, Array, Array]:
-    """States (L,K,C) by the encoders alone, and where these start each stretch, from a guess of that.
+    """States (L,K,C) by the encoders alone from guesses z (K,C), p (K,K,C), and where these have stretches start.
 
     Without pictures joints know nothing of each other: each joint of a stretch is scanned as a stretch of its own.
     """
@@ -85,13 +83,11 @@ def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Ar
             np.zeros((length, m * c)),
         ),
     )  # fmt: skip
-    single = Dynamics(np.ones(1), None if s == 2 else np.zeros(1))
-    for _ in range(PASSES):
-        own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
-        trace = scan(alone, single, z.reshape(s, m * c), own)
-        whole = np.zeros((s, m, s, m, c))
-        np.einsum("ajbjc->abjc", whole)[:] = trace.p[-1].reshape(s, s, m, c)
-        z, p = handed_over(z, p, trace.z[-1].reshape(z.shape), whole.reshape(p.shape))
+    own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
+    trace = scan(alone, Dynamics(np.ones(1), None if s == 2 else np.zeros(1)), z.reshape(s, m * c), own)
+    whole = np.zeros((s, m, s, m, c))
+    np.einsum("ajbjc->abjc", whole)[:] = trace.p[-1].reshape(s, s, m, c)
+    z, p = handed_over(z, p, trace.z[-1].reshape(z.shape), whole.reshape(p.shape))
     return trace.z.reshape(length, *z.shape), z, p
 
 
