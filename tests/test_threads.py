@@ -1,4 +1,5 @@
 from importlib import import_module
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -71,5 +72,5 @@ def _running(run, monkeypatch) -> set[int]:
 
 def test_bodies_are_learned_and_logs_estimated_on_one_thread(two, monkeypatch) -> None:
     assert _running(lambda: learn([], Settings(), {}), monkeypatch) == {1}
-    assert _running(lambda: estimate(None, None, Estimation()), monkeypatch) == {1}
+    assert _running(lambda: estimate(None, SimpleNamespace(joints=(), senses={}), Estimation()), monkeypatch) == {1}
     assert set(_threads()) == {2}
