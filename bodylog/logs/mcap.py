@@ -80,13 +80,16 @@ class McapLog:
 
     def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, Messages]]:
         """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
+        done = 0
         for some in runs([part for part in self.survey.parts if _holds(part, wanted)]):
             found = together(self._data, some)
             if found is None:
                 yield from self._one_by_one(some)
                 continue
             yield found
-            forget(self._data, some[0].start, int(found[1].starts[-1]))
+            forget(self._data, done, some[0].start)  # not this run, whose pictures may still be looked at
+            done = some[0].start
+        forget(self._data, done, len(self._data))
 
     def _one_by_one(self, parts: Sequence[Chunk | Loose]) -> Iterator[tuple[Array, Messages]]:
         done = parts[0].start
