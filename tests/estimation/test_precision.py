@@ -6,6 +6,7 @@ import pytest
 from bodylog.estimation import estimate, motion
 from bodylog.estimation.senses import Encoders
 from bodylog.settings import Estimation
+from tests.estimation import conftest
 
 
 def white(seed, noise, process, t):
@@ -97,3 +98,15 @@ def test_the_bodys_own_and_the_papers_variances(world):
     assert own["encoder"] == pytest.approx([4e-4] * 3) and own["process"] == pytest.approx([0.3] * 3)
     paper = estimate(drawn.features, drawn.body, Estimation(precision="fixed")).settings
     assert paper["encoder"] == [1.0] * 3
+
+
+def test_a_joint_that_pictures_do_not_tell_moves_as_its_encoder_has_it_and_the_others_as_all_senses_have_it(world):
+    blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
+    for seed in range(3):
+        drawn = world(seed, model=blind, pixel_std=0.1)
+        asked = Estimation(method="smoother"), Estimation(without=("vision",)), Estimation()
+        beliefs = (estimate(drawn.features, drawn.body, settings) for settings in asked)
+        together, alone, found = (np.array(belief.settings["process"]) for belief in beliefs)
+        assert found[2] == pytest.approx(alone[2], rel=0.02)
+        share = (found - together)[:2] / (alone - together)[:2]
+        assert np.all(np.abs(share) < 0.1)
