@@ -32,12 +32,12 @@ def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Arra
     pixel at all. NaN where no weight is left.
     """
     inner, grown, outer = _zones(core, valid)
-    ground = _mean(_planes(sheet[:, ::2, ::2]), _chosen(outer[:, ::2, ::2]))
+    ground = _mean(_planes(sheet, 2), outer[:, ::2, ::2])
     top, left, side = _around(grown)
     near = np.s_[:, top : top + side, left : left + side]
-    inner, grown, rim = inner[near], grown[near], (grown & (1 - core))[near]
+    inner, grown, core = (each[near].astype(np.float32) for each in (inner, grown, core))
     x = _powers(side)
-    mixing, contrast = _mixing(sheet[near], inner, rim, ground)
+    mixing, contrast = _mixing(sheet[near], inner, grown * (1 - core), ground)
     mean, plane, graded = _shade(mixing, inner, x, _ROUNDING / contrast**2)
     weight = _weight(mixing / plane, grown)
     mass, u, v = _centroid(weight, x)
@@ -93,50 +93,49 @@ def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Arra
     rim round it, so that what stands beside the blob, or bleeds into it as JPEG's colours do, weighs little. Pixels
     the edge mixes lie on the line between the two colours, and scatter along that line turns no direction.
     """
-    planes, every = _planes(sheet), 2 if inner[0].size > _MANY else 1
-    blob, blob_scatter = _moments(planes[:, :, ::every, ::every], inner[:, ::every, ::every])
-    rim_scatter = _moments(planes[:, :, ::every, ::every], rim[:, ::every, ::every])[1]
-    step, scatter = blob - ground, blob_scatter + rim_scatter
+    every = 2 if inner[0].size > _MANY else 1
+    inner, rim = inner[:, ::every, ::every], rim[:, ::every, ::every]
+    away, some = _planes(sheet), np.s_[:, :, ::every, ::every]
+    blob = _mean(away[some], inner)
+    away -= blob.astype(np.float32)[:, :, None, None]
+    step, scatter = blob - ground, _scatter(away[some], inner) + _scatter(away[some], rim)
     # as much again of white noise keeps the direction sane where the colours hardly scatter
     white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
     axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
     # eight lines at a time: too little for a linear algebra library to start threads of its own among ours
-    lines = planes.reshape(len(planes), 3, -1, 8 * planes.shape[3]).swapaxes(1, 2)
-    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(inner.shape)
-    mixing -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None]
+    lines = away.reshape(len(away), 3, -1, 8 * away.shape[3]).swapaxes(1, 2)
+    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(len(away), *away.shape[2:])
+    mixing += (step * axis).sum(axis=1).astype(np.float32)[:, None, None]
     return mixing, np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))
 
 
-def _planes(sheet: Array) -> Array:
-    """The channels of colours (K,s,t,3) uint8, each lying together: (K,3,s,t) float32."""
+def _planes(sheet: Array, every: int = 1) -> Array:
+    """The channels of every so manyth colour (K,s,t,3) uint8, each lying together: (K,3,s/every,t/every) float32."""
     import cv2
 
-    count, height, width, _ = sheet.shape
-    planes = np.empty((count, 3, height, width), np.float32)
-    for index, channel in enumerate(cv2.split(sheet.reshape(-1, width, 3))):
-        planes[:, index] = channel.reshape(count, height, width)
+    lines = np.ascontiguousarray(sheet[:, ::every])
+    count, height, width, _ = lines.shape
+    planes = np.empty((count, 3, height, -(-width // every)), np.float32)
+    for index, channel in enumerate(cv2.split(lines.reshape(-1, width, 3))):
+        planes[:, index] = channel.reshape(count, height, width)[:, :, ::every]
     return planes
 
 
-def _moments(planes: Array, where: Array) -> tuple[Array, Array]:
-    """Mean (K,3) and covariance (K,3,3) of colours (K,3,s,t) where 1; zeros of none."""
-    chosen = _chosen(where)
-    away = planes.reshape(len(planes), 3, -1)
-    mean = _mean(away, chosen)
-    away = away - mean.astype(np.float32)[:, :, None]
-    scatter = (away * chosen) @ away.transpose(0, 2, 1) / np.maximum(chosen.sum(axis=2, keepdims=True), 1)
-    return mean, scatter.astype(np.float64)
+def _scatter(away: Array, where: Array) -> Array:
+    """Covariance (K,3,3) of colours (K,3,s,t), given from somewhere near, where 1; zeros of none."""
+    flat = away.reshape(len(away), 3, -1)
+    chosen = where.reshape(len(where), 1, -1)
+    share = 1 / np.maximum(chosen.sum(axis=2, keepdims=True), 1)
+    mean = (flat @ chosen.transpose(0, 2, 1)) * share
+    return np.asarray((flat * chosen) @ flat.transpose(0, 2, 1) * share - mean * mean.transpose(0, 2, 1), np.float64)
 
 
-def _mean(planes: Array, chosen: Array) -> Array:
-    """Mean (K,3) of colours (K,3,…), weighted (K,1,n); zeros of none."""
-    sums = (planes.reshape(len(planes), 3, -1) @ chosen.transpose(0, 2, 1))[:, :, 0]
-    return np.asarray(sums / np.maximum(chosen.sum(axis=2), 1), dtype=np.float64)
-
-
-def _chosen(where: Array) -> Array:
-    return where.reshape(len(where), 1, -1).astype(np.float32)
+def _mean(colours: Array, where: Array) -> Array:
+    """Mean (K,3) of colours (K,3,s,t) where 1; zeros of none."""
+    chosen = where.reshape(len(where), -1, 1).astype(np.float32)
+    sums = (colours.reshape(len(colours), 3, -1) @ chosen)[:, :, 0]
+    return np.asarray(sums / np.maximum(chosen.sum(axis=1), 1), dtype=np.float64)
 
 
 def _shade(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Array, Array, Array]:
@@ -145,7 +144,7 @@ def _shade(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Arra
     `rounding` (K,) is the variance of mixing that whole grey levels alone make.
     """
     inside = mixing * inner
-    own, graded = _sums(inner.astype(np.float32), x), _sums(inside, x)
+    own, graded = _sums(inner, x), _sums(inside, x)
     n, sx, sxx, sy, sxy, syy = own[:, 0, 0], own[:, 0, 1], own[:, 0, 2], own[:, 1, 0], own[:, 1, 1], own[:, 2, 0]
     z, zx, zy = graded[:, 0, 0], graded[:, 0, 1], graded[:, 1, 0]
     mean, mid_x, mid_y = z / n, sx / n, sy / n
