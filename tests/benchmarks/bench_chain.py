@@ -16,6 +16,8 @@ from functools import partial
 from pathlib import Path
 
 import cv2
+import numpy as np
+import simplejpeg
 from mcap.writer import CompressionType
 
 from bodylog import pipeline
@@ -65,7 +67,8 @@ def whole(work: Path, kind: str) -> None:
     cases["limit: digesting the log"] = partial(sha256, log)
     if kind == "jpeg":
         jpegs = chain_log.jpegs(log)
-        cases[f"limit: decoding the JPEGs alone, {THREADS} threads"] = partial(_decode, jpegs)
+        cases[f"limit: decoding the JPEGs alone, {THREADS} threads"] = partial(_decode, jpegs, _opencv)
+        cases["limit: the same by simplejpeg, as we decode"] = partial(_decode, jpegs, _simplejpeg)
     title = f"{SECONDS:.0f} s, {kind}, {log.stat().st_size / 1e6:.0f} MB, all of it synced"
     took = side_by_side(title, cases, REPEATS[kind])
     ours, fresh, durable, copy, digest, *decode = took.values()
@@ -75,8 +78,8 @@ def whole(work: Path, kind: str) -> None:
     print(f"  synced as ours is, {durable / ours:.1f} x our time, {durable / fresh:.1f} x a fresh process's")
     reach = f"{peer / max(copy, digest):.1f} x is what a copy and a digest side by side would reach"
     print(f"  ours is {ours / copy:.1f} x a synced copy, {ours / digest:.1f} x a digest; {reach}")
-    for alone in decode:
-        print(f"  {ours / alone:.2f} x decoding alone, {fresh / alone:.2f} x by a fresh process (bound 2)")
+    for by, alone in zip(("OpenCV (bound 2)", "simplejpeg, as we decode"), decode, strict=False):
+        print(f"  {ours / alone:.2f} x decoding alone by {by}; {fresh / alone:.2f} x by a fresh process")
 
 
 def _peer(log: Path, body: Path, out: Path, packed: CompressionType, synced: list[float]) -> None:
@@ -112,10 +115,18 @@ def _command(log: Path, body: Path, out: Path) -> None:
     subprocess.run([sys.executable, "-m", "bodylog_cli", *typed], check=True, capture_output=True, env=shell)
 
 
-def _decode(jpegs: list[Array]) -> None:
+def _decode(jpegs: list[Array], decode: Callable[[Array], Array]) -> None:
     with ThreadPoolExecutor(THREADS) as pool:
-        for _ in pool.map(lambda jpeg: cv2.imdecode(jpeg, cv2.IMREAD_COLOR).shape, jpegs):
+        for _ in pool.map(lambda jpeg: decode(jpeg).shape, jpegs):
             pass
+
+
+def _opencv(jpeg: Array) -> Array:
+    return np.asarray(cv2.imdecode(jpeg, cv2.IMREAD_COLOR))
+
+
+def _simplejpeg(jpeg: Array) -> Array:
+    return np.asarray(simplejpeg.decode_jpeg(jpeg, "BGR"))
 
 
 if __name__ == "__main__":
