@@ -112,7 +112,7 @@ def _compressed(message: Mapping[str, Any], k: int) -> Array:
     if "compresseddepth" in form.lower():
         raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not a picture")
     data = memoryview(message.get("data", b""))
-    height, width, jpeg = _size(bytes(data[: 1 << 16]), form)
+    height, width, jpeg = _size(data[: 1 << 16], form)
     _check_size(height, width)
     image = _sound_jpeg(data, height, width, k) if jpeg else None
     if image is None:
@@ -152,11 +152,12 @@ def _shrunk(image: Array, k: int) -> Array:
     return np.asarray(cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _size(head: bytes, form: str) -> tuple[int, int, bool]:
+def _size(begins: memoryview, form: str) -> tuple[int, int, bool]:
     """Height, width and whether it is JPEG, from a picture's first bytes."""
+    head = bytes(begins[:32])
     try:
         if head[:2] == b"\xff\xd8":
-            return (*_jpeg_size(head), True)
+            return (*_jpeg_size(begins), True)
         if head[:8] == b"\x89PNG\r\n\x1a\n":
             width, height = struct.unpack_from(">II", head, 16)
             return height, width, False
@@ -167,7 +168,7 @@ def _size(head: bytes, form: str) -> tuple[int, int, bool]:
     raise FormatError(f"format {form!r} beginning with {head[:4].hex() or 'nothing'}; can read jpeg, png and webp")
 
 
-def _jpeg_size(head: bytes) -> tuple[int, int]:
+def _jpeg_size(head: memoryview) -> tuple[int, int]:
     pos = 2
     while True:
         marker, length = struct.unpack_from(">HH", head, pos)
