@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..types import Array
+from .brief import Brief
 from .laplace import Problem, Solution, briefly
 from .motion import floor
 from .outset import handed_over, priors
 from .precision import Precision
-from .scan import Leaps, scan
+from .scan import Leaps, columns, scan
 from .senses import Encoders, Evidence, Sighting
 from .timeline import timeline
 
@@ -37,21 +38,18 @@ def tune(problem: Problem) -> tuple[Precision, Array, Solution | None]:
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
         return problem.precision, np.ones(len(problem.start)), None
-    solution = None
+    m, told = len(part.start), briefly(part, None, "posterior", NEARLY)
     for half in ROUNDS:
-        m = len(part.start)
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
-        told = briefly(part, solution, "posterior", NEARLY)
-        solution = replace(told[1], brief=told)
-        nats = costs(solution, np.exp(candidates), names)
+        nats, told = costs(part, told, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
-    assert solution is not None
-    return part.precision, _alone(problem, solution), solution if part.timeline is problem.timeline else None
+    warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
+    return part.precision, _alone(problem, told[1]), warm
 
 
-def _alone(problem: Problem, solution: Solution) -> Array:
+def _alone(problem: Problem, first: Solution) -> Array:
     """Share (M,), at most 1, of each joint's process variance that is as its encoder alone has it.
 
     Variance by all senses over the one by the encoder alone says what pictures leave unknown. With one camera that is
@@ -59,9 +57,9 @@ def _alone(problem: Problem, solution: Solution) -> Array:
     as many times theirs as there are joints that take part.
     """
     encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
-    if encoders is None or len(encoders.t) < 2 or solution.brief is None:
+    if encoders is None or len(encoders.t) < 2:
         return np.full(m, 0.5)
-    density, first = precision.encoder * float(np.median(np.diff(encoders.t))), solution.brief[1]
+    density = precision.encoder * float(np.median(np.diff(encoders.t)))
     # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
     alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
     together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
@@ -100,14 +98,19 @@ def _step(nats: Array, half: float) -> Array:
     return np.where(bend > 0, np.clip(newton, -2.0 * half, 2.0 * half), downhill)
 
 
-def costs(solution: Solution, candidates: Array, names: list[str]) -> Array:
-    """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors."""
-    assert solution.brief is not None
-    (brief, first), g = solution.brief, len(candidates)
-    part, readings, fold, m = brief.problem, first.readings, first.fold, len(brief.problem.start)
-    z, p = handed_over(*priors(part, fold), first.trace.z[-1], first.trace.p[-1])
+def costs(
+    part: Problem, told: tuple[Brief, Solution], candidates: Array, names: list[str]
+) -> tuple[Array, tuple[Brief, Solution]]:
+    """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
+
+    Filtered from where stretches ended as `told`; and the log as told by the first candidate, which the problem has.
+    """
+    (brief, first), g, m = told, len(candidates), len(part.start)
+    few, readings, fold = replace(part, timeline=brief.problem.timeline), brief.readings, brief.fold
+    first.tangents.draw(few, fold, readings)
+    z, p = handed_over(*priors(few, fold), first.trace.z[-1], first.trace.p[-1])
     var = np.repeat(readings.var[..., None], g, axis=-1)
-    for index, (sighting, events) in enumerate(zip(part.evidence.sightings, part.timeline.sightings, strict=True)):
+    for index, (sighting, events) in enumerate(zip(part.evidence.sightings, few.timeline.sightings, strict=True)):
         if sighting.name in names:
             pixels = np.zeros_like(readings.var[:, index])
             fold.put(pixels, events, sighting.var)
@@ -115,10 +118,11 @@ def costs(solution: Solution, candidates: Array, names: list[str]) -> Array:
             var[:, index] += pixels[..., None] * more
     said = _tile(readings.dt, g), _tile(readings.encoders, g), _tile(readings.encoder_var, g)
     lines = _tile(readings.y, g), _tile(readings.jac, g), var.reshape(*var.shape[:-2], -1)
-    dynamics = replace(part.dynamics, process=candidates[:, :m].T)
+    dynamics = replace(few.dynamics, process=candidates[:, :m].T)
     tiled = Leaps(*said, *lines, brief.pooled(dynamics))
     trace = scan(tiled, replace(dynamics, process=np.tile(dynamics.process, fold.count)), _tile(z, g), _tile(p, g))
-    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0))
+    own = columns(trace, np.arange(fold.count * g) % g == 0)
+    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (brief, replace(first, trace=own))
 
 
 def _tile(a: Array, g: int) -> Array:
