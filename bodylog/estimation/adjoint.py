@@ -3,11 +3,17 @@
 import numpy as np
 
 from ..types import Array
+from .conditioning import MANY
 from .scan import EVEN, Leaps, Pooled, Readings, Trace
 
 
-def means(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array, Array]:
-    """Smoothed state (L,K,C) from the adjoint `end` (K,C) after the last instant; adjoints after each, before all."""
+def means(trace: Trace, after: Array) -> Array:
+    """Smoothed state (L,K,C) from the adjoints `after` (L,K,C) each instant."""
+    return np.asarray(trace.z - np.einsum("iklc,ilc->ikc", trace.p, after))
+
+
+def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array]:
+    """Adjoints (L,K,C) after each instant and (K,C) before all, from that at the `end` (K,C)."""
     assert trace.back is not None
     gains, weights, nus = trace.back
     adjoint, after, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
@@ -25,7 +31,7 @@ def means(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array, A
             _unleap(readings.pooled, i, adjoint, gains[i, -2 * m :], push[i, -2 * m :])
         else:
             adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
-    return trace.z - np.einsum("iklc,ilc->ikc", trace.p, after), after, adjoint
+    return after, adjoint
 
 
 def _unleap(pooled: Pooled, i: int, adjoint: Array, gains: Array, push: Array) -> None:
@@ -66,19 +72,29 @@ def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], informati
     assert trace.back is not None
     gains, weights, _ = (part[i] for part in trace.back)
     m = readings.encoders.shape[1]
-    jac = readings.jac[i].reshape(-1, m, information.shape[2])
-    for row in rows:
-        b = np.einsum("klc,lc->kc", information, gains[row])
-        curve = np.einsum("kc,kc->c", gains[row], b) + weights[row]
-        if row >= m:
-            h = jac[row - m]
-            information[:m] -= h[:, None] * b[None]
-            information[:, :m] -= b[:, None] * h[None]
-            information[:m, :m] += (h * curve)[:, None] * h[None]
-            continue
+    tracks = [row for row in rows if row >= m]
+    for row in rows[: len(rows) - len(tracks)]:
+        b, curve = _said(information, gains[row], weights[row])
         information[row :: 2 * m] -= b
         information[:, row :: 2 * m] -= b[:, None]
         information[row :: 2 * m, row :: 2 * m] += curve
+    seen = np.flatnonzero(weights[m:].any(axis=0)) if tracks else np.empty(0, int)
+    few = len(seen) < MANY * information.shape[2]
+    some, jac = (part.take(seen, axis=-1) if few else part for part in (information, readings.jac[i]))
+    for row in tracks:
+        gain, weight = (part[row].take(seen, axis=-1) if few else part[row] for part in (gains, weights))
+        h, (b, curve) = jac.reshape(-1, m, jac.shape[-1])[row - m], _said(some, gain, weight)
+        some[:m] -= h[:, None] * b[None]
+        some[:, :m] -= b[:, None] * h[None]
+        some[:m, :m] += (h * curve)[:, None] * h[None]
+    if few:
+        information[..., seen] = some
+
+
+def _said(information: Array, gain: Array, weight: Array) -> tuple[Array, Array]:
+    """Information times the gain (K,C), and what both and the weight make of the reading's own (C,)."""
+    b = np.einsum("klc,lc->kc", information, gain)
+    return b, np.einsum("kc,kc->c", gain, b) + weight
 
 
 def _heard(trace: Trace, m: int, rows: int) -> list[list[int]]:

@@ -110,11 +110,11 @@ def _back(
 ) -> tuple[tuple[Array, Array], Array, float]:
     """Smoothed state and adjoints (L,K,C), ends (K,C), gone back again while they move more than starts; the move."""
     for _ in range(TURNS):
-        smooth, after, at_start = adjoint.means(readings, trace, ends)
+        after, at_start = adjoint.adjoints(readings, trace, ends)
         pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
         if pulled <= max(rest, LASTING):
             break
-    return (smooth, after), ends, pulled
+    return (adjoint.means(trace, after), after), ends, pulled
 
 
 def spread(readings: Readings, trace: Trace) -> Array:
@@ -132,7 +132,8 @@ def spread(readings: Readings, trace: Trace) -> Array:
 def once(problem: Problem) -> Smooth:
     """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
     solution, k = walk(problem, remember=True), problem.dynamics.size
-    smooth, after, _ = adjoint.means(solution.readings, solution.trace, np.zeros((k, 1)))
+    after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)))
+    smooth = adjoint.means(solution.trace, after)
     cov = np.empty_like(solution.trace.prior_cov)
     adjoint.covariances(solution.readings, solution.trace, np.zeros((k, k, 1)), cov)
     return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
