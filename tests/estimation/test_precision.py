@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate, motion
+from bodylog.estimation import estimate, motion, tuning
 from bodylog.estimation.senses import Encoders
 from bodylog.settings import Estimation
 from tests.estimation import conftest
@@ -110,3 +110,16 @@ def test_a_joint_that_pictures_do_not_tell_moves_as_its_encoder_has_it_and_the_o
         assert found[2] == pytest.approx(alone[2], rel=0.02)
         share = (found - together)[:2] / (alone - together)[:2]
         assert np.all(np.abs(share) < 0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, seed):
+    drawn = world(seed, duration=30.0, encoder_hz=100.0, camera_hz=20.0, pixel_std=0.6)
+    settings = Estimation(method="smoother", bias="off")
+    nearly = estimate(drawn.features, drawn.body, settings).settings
+    monkeypatch.setattr(tuning, "NEARLY", 1e-6)
+    still = estimate(drawn.features, drawn.body, settings).settings
+    # of variances that a log of this length tells to a tenth
+    np.testing.assert_allclose(nearly["process"], still["process"], rtol=0.02)
+    assert nearly["scale"]["effector"] == pytest.approx(still["scale"]["effector"], rel=0.02)
+    assert nearly["process"] != still["process"]
