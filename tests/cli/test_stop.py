@@ -16,6 +16,16 @@ def _command(*typed):
     return [*COMMAND, *map(str, typed)]
 
 
+def _begun(typed):
+    """A command that hears signals, also where these tests run in the background or under nohup, which ignore some."""
+
+    def hear():
+        for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_DFL)
+
+    return subprocess.Popen(typed, stderr=subprocess.PIPE, text=True, preexec_fn=hear)
+
+
 def _told(process, number, folder):
     """What a command says that is told to stop once there is something half-written."""
     while process.poll() is None and not list(folder.rglob(".*.part")):
@@ -28,7 +38,7 @@ def _told(process, number, folder):
 def test_a_command_told_to_stop_leaves_nothing_half_written(tmp_path, robot, number):
     out, typed = tmp_path / "out.mcap", ("estimate", robot / "reach.mcap", "--body", robot / "body.npz")
     out.write_bytes(b"of an earlier run")
-    with subprocess.Popen(_command(*typed, "-o", out), stderr=subprocess.PIPE, text=True) as process:
+    with _begun(_command(*typed, "-o", out)) as process:
         said = _told(process, number, tmp_path)
     assert process.returncode == 128 + number
     how = "interrupted" if number == signal.SIGINT else "stopped"
@@ -39,7 +49,7 @@ def test_a_command_told_to_stop_leaves_nothing_half_written(tmp_path, robot, num
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_batch_told_to_stop_ends_its_workers_without_a_trace(tmp_path, robot, number):
     typed = ("batch", robot / "reach.mcap", robot / "explore.mcap", "--body", robot / "body.npz", "--jobs", 2)
-    with subprocess.Popen(_command(*typed, "-o", tmp_path), stderr=subprocess.PIPE, text=True) as process:
+    with _begun(_command(*typed, "-o", tmp_path)) as process:
         assert "nothing half-written was left" in _told(process, number, tmp_path)
     assert process.returncode == 128 + number
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("row.json"))
@@ -48,7 +58,7 @@ def test_a_batch_told_to_stop_ends_its_workers_without_a_trace(tmp_path, robot, 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_reproduction_told_to_stop_does_not_wait_for_what_runs(tmp_path, number):
     typed = ("reproduce", "E2", "--seeds", 2, "--jobs", 2)
-    with subprocess.Popen(_command(*typed, "-o", tmp_path), stderr=subprocess.PIPE, text=True) as process:
+    with _begun(_command(*typed, "-o", tmp_path)) as process:
         assert "nothing half-written was left" in _told(process, number, tmp_path)
     assert process.returncode == 128 + number
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("trials/*.json"))
