@@ -4,7 +4,6 @@ import multiprocessing
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import FrameType
 
 from . import memory
 
@@ -16,10 +15,12 @@ def ready() -> None:
     signal.signal(signal.SIGTERM, _end)
 
 
-def _end(number: int, _: FrameType | None) -> None:
-    """Unwind, so that nothing half-written stays."""
-    signal.signal(number, signal.SIG_IGN)
-    raise SystemExit(128 + number)
+def _end(*_: object) -> None:
+    """Unwind, so that nothing half-written stays; again a second later, as a library being loaded may swallow that."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    signal.signal(signal.SIGALRM, _end)
+    signal.setitimer(signal.ITIMER_REAL, 1.0)
+    raise SystemExit(128 + signal.SIGTERM)
 
 
 @contextmanager
