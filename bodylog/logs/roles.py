@@ -16,6 +16,7 @@ from .objects import reader
 from .paths import parse
 
 ROLES = ("joints", "camera", "skin", "truth", "reference")
+_ANGLES = ("joints", "truth", "reference")
 _OURS = "/bodylog/"
 _JOINTS = "sensor_msgs/msg/JointState"
 _ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
@@ -150,17 +151,30 @@ def _same(topics: Sequence[Topic], topic: Topic) -> tuple[Topic, ...]:
 def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
     path = parse(said, [topic.name for topic in topics])
     same = [topic for topic in topics if topic.name == path.topic]
+    likely = [topic.name for topic in topics if _RANKS[role](topic) is not None]
+    others = [topic.name for topic in topics if topic.name != path.topic]
+    none = "none, the log has no other" if topics else "none, the log is empty"
+    possible = f"possible: {', '.join(sorted(likely or others)[:10]) or none}"
     if not same:
-        likely = [topic.name for topic in topics if _RANKS[role](topic) is not None] or [t.name for t in topics]
-        raise LogError(
-            f'{name}: [topics] {role} = "{said}", but there is no topic {path.topic!r}; '
-            f"possible: {', '.join(sorted(likely)[:10]) or 'none, the log is empty'}"
-        )
+        raise LogError(f'{name}: [topics] {role} = "{said}", but there is no topic {path.topic!r}; {possible}')
     best = max(same, key=lambda topic: topic.messages)
-    field = said[len(path.topic) :].removeprefix(".") or _field(role, best)
+    named = said[len(path.topic) :].removeprefix(".")
+    if not named and _mistaken(role, best):
+        raise LogError(f'{name}: [topics] {role} = "{said}", but {path.topic} is {best.type}; {possible}')
+    field = named or _field(role, best)
     if field is None:
         raise LogError(f'{name}: {said} ({best.type}) has no array; say which: [topics] {role} = "{said}.field[:]"')
     return Role(role, path.topic, field, _same(topics, best))
+
+
+def _mistaken(role: str, topic: Topic) -> bool:
+    """Whether a topic named for a role is of a type that another role reads whole, or a camera's without pictures."""
+    if role != "camera" or topic.type == _JOINTS:
+        return topic.type in (*images.COMPRESSED, *images.RAW, *(() if role in _ANGLES else (_JOINTS,)))
+    if topic.type in images.COMPRESSED + images.RAW or topic.encoding in ("json", "protobuf") or _problem(topic):
+        return False
+    definition = definition_of(topic)
+    return images.text_field(topic) not in {field.name for field in definition.types[definition.root]}
 
 
 def _joints_rank(topic: Topic) -> tuple[int, ...] | None:

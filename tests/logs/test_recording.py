@@ -190,7 +190,7 @@ def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
 
 def test_a_camera_topic_without_pictures_is_refused(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
-    with pytest.raises(ConfigError, match="has no field 'encoding'; it has header, name, position"):
+    with pytest.raises(LogError, match="but /j is sensor_msgs/msg/JointState; possible: none, the log has no other"):
         read(log, settings(topics=Topics(camera="/j")))
 
 

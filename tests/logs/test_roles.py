@@ -182,3 +182,26 @@ def test_a_reference_is_never_guessed_and_may_be_absent():
     found = roles(there, named, "x.mcap")
     assert found["reference"].path == found["truth"].path == "/truth/joint_states"
     assert "reference" not in roles(there[:1], named, "x.mcap")
+
+
+@pytest.mark.parametrize(
+    ("said", "wrong", "possible"),
+    [
+        ({"camera": "/joint_states"}, JOINTS, "/cam/color"),
+        ({"camera": "/weights"}, FLOATS, "/cam/color"),
+        ({"skin": "/joint_states"}, JOINTS, "/weights"),
+        ({"joints": "/cam/color"}, COMPRESSED, "/joint_states"),
+        ({"truth": "/cam/color"}, COMPRESSED, "/joint_states, /weights"),
+    ],
+)
+def test_a_topic_of_another_roles_type_is_a_mistake(said, wrong, possible):
+    there = topics(("/joint_states", JOINTS), ("/cam/color", COMPRESSED), ("/weights", FLOATS))
+    ((role, name),) = said.items()
+    with pytest.raises(LogError) as refused:
+        roles(there, Topics(**said), "x.mcap")
+    assert str(refused.value) == f'x.mcap: [topics] {role} = "{name}", but {name} is {wrong}; possible: {possible}'
+
+
+def test_a_field_named_may_be_of_any_type():
+    found = roles(topics(("/joint_states", JOINTS)), Topics(skin="/joint_states.effort"), "x.mcap")
+    assert found["skin"].path == "/joint_states.effort"
