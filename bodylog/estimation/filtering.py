@@ -13,7 +13,7 @@ from . import bias, motion, results
 from .faults import screen
 from .habit import habit
 from .laplace import Problem, Restless, Solution, solve
-from .precision import resolve
+from .precision import resolve, warned
 from .results import Beliefs
 from .senses import gather, start
 from .timeline import timeline
@@ -49,7 +49,7 @@ def pose(
     features: Features, body: BodyModel, settings: Estimation
 ) -> tuple[Problem, Solution | None, tuple[Fault, ...]]:
     """The log as a problem with its precisions, a solution to begin from, and the encoders that lie outright."""
-    evidence = gather(features, body, settings)
+    evidence = warned(gather(features, body, settings), body, settings)
     faults: tuple[Fault, ...] = ()
     if evidence.encoders is not None:
         sound, faults = screen(evidence.encoders, body.joints)

@@ -18,6 +18,8 @@ STRETCH = 128
 """Averages filtered one after the other, many such stretches side by side."""
 SKIP = 3
 """Readings per stretch that only start the filter and do not count."""
+FEWEST = 30
+"""Readings of a joint that say nothing certain of its noise."""
 BREAK = 10.0
 """Robust standard deviations: a larger second difference is a jump, where the filter starts anew."""
 MEMORY = 1.0
@@ -32,7 +34,7 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
         most = MOST * _fellows(encoders.t[known])
         begin = max(0, (len(known) - most) // 2)
         known = known[begin : begin + most]
-        if len(known) > 10 * SKIP and np.ptp(column[known]) > 0.0:
+        if len(known) > FEWEST and np.ptp(column[known]) > 0.0:
             joints.append(joint)
             heard.append((encoders.t[known], column[known]))
     if joints:
@@ -67,7 +69,7 @@ def likeliest(heard: list[tuple[Array, Array]]) -> tuple[Array, Array]:
 def _fellows(t: Array) -> int:
     """How many readings in a row make one average."""
     step = float(np.median(np.diff(t))) if len(t) > 1 else SPACING
-    return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // (10 * SKIP)))
+    return max(1, min(round(SPACING / max(step, 1e-9)), len(t) // FEWEST))
 
 
 def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:

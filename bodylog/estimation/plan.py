@@ -7,7 +7,7 @@ import numpy as np
 from ..settings import Estimation
 from ..types import Array, BodyModel, Features, ForwardModel
 from .literal import Literal, literal
-from .precision import resolve
+from .precision import resolve, warned
 from .senses import Evidence, gather, start
 from .timeline import Timeline, timeline
 
@@ -62,6 +62,7 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
     t, dt, m = line.t[line.outputs], 1.0 / rate, len(body.joints)
     paper = settings.preset == "paper" or settings.precision == "fixed"
     precision = None if paper else resolve(evidence, body, settings)
+    evidence = evidence if paper else warned(evidence, body, settings)
     noise = None if precision is None else precision.encoder
     senses = [] if evidence.encoders is None else [_encoders(evidence, body, t, noise)]
     width = image_width(features, body)

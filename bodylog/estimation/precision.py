@@ -1,13 +1,13 @@
 """Variances of the senses and of the motion: learned from this log's evidence, the body's, or the paper's."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from ..settings import Estimation
-from ..types import Array, BodyModel
+from ..types import Array, BodyModel, Finding
 from . import motion
 from .alike import NEAR
 from .senses import Evidence
@@ -48,6 +48,21 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precis
     if evidence.encoders is not None:
         encoder, process = motion.learn(evidence.encoders, encoder, process)
     return Precision(encoder, process, None, scale, {name: NEAR for name in scale if name != "touch"})
+
+
+def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidence:
+    """The evidence, with a warning where it was to say an encoder's noise of which there are too few readings."""
+    if settings.precision != "auto" or evidence.encoders is None:
+        return evidence
+    counts = np.isfinite(evidence.encoders.values).sum(axis=0)
+    few = [f"{name} {count}" for name, count in zip(body.joints, counts, strict=True) if 0 < count <= motion.FEWEST]
+    if not few:
+        return evidence
+    text = (
+        f"encoders: {', '.join(few)} readings, too few to learn their noise from (more than {motion.FEWEST} needed); "
+        "the body's is used, and error bars are true only if these encoders are as noisy"
+    )
+    return replace(evidence, findings=(*evidence.findings, Finding("warning", text)))
 
 
 def _fixed(evidence: Evidence) -> dict[str, float]:

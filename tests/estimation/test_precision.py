@@ -1,5 +1,7 @@
 """Variances found by evidence, against the ones the readings were drawn with."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,8 +85,6 @@ def test_the_log_at_hand_says_how_noisy_its_encoders_are(world, std):
 
 
 def test_pixels_noisier_than_claimed_are_noticed(world):
-    from dataclasses import replace
-
     drawn = world(0, pixel_std=1.5)
     track = drawn.features.tracks["effector"]
     modest = replace(drawn.features, tracks={"effector": replace(track, std=np.full_like(track.values, 0.5))})
@@ -123,3 +123,21 @@ def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, se
     np.testing.assert_allclose(nearly["process"], still["process"], rtol=0.02)
     assert nearly["scale"]["effector"] == pytest.approx(still["scale"]["effector"], rel=0.02)
     assert nearly["process"] != still["process"]
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
+@pytest.mark.parametrize(("count", "told"), [(20, True), (40, False)])
+def test_too_few_readings_to_learn_noise_from_are_told(world, method, count, told):
+    drawn = world(0)
+    joints, until = drawn.features.joints, drawn.features.joints.t[count - 1]
+    few = replace(joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count])
+    tracks = {name: _until(track, until) for name, track in drawn.features.tracks.items()}
+    found = estimate(replace(drawn.features, joints=few, tracks=tracks), drawn.body, Estimation(method=method))
+    said = [f.text for f in found.findings if f.severity == "warning" and "too few to learn their noise from" in f.text]
+    assert len(said) == told and all(f"{name} {count}" in text for text in said for name in drawn.body.joints)
+
+
+def _until(track, t):
+    rows = track.t <= t
+    std = None if track.std is None else track.std[rows]
+    return replace(track, t=track.t[rows], values=track.values[rows], source_ns=track.source_ns[rows], std=std)
