@@ -15,6 +15,8 @@ JUMP = 12.0
 """Standard deviations of the readings' scatter by which the level must shift from one reading to the next."""
 LEVEL = 5
 """Readings on each side of a jump that say how far it went."""
+PAUSE = 3.0
+"""Median steps in time: what an encoder reads after a longer silence may be where the joint has moved meanwhile."""
 
 
 def screen(encoders: Encoders, names: tuple[str, ...]) -> tuple[Encoders, tuple[Fault, ...]]:
@@ -31,7 +33,7 @@ def screen(encoders: Encoders, names: tuple[str, ...]) -> tuple[Encoders, tuple[
             column[begin:end] = np.nan
         if (since := dead(encoders.t, column)) is not None and not any(f.name == name for f in found):
             found.append(Fault("encoders", name, "dead", since, 0.0, "rad"))
-        for at, size in jumps(column):
+        for at, size in jumps(encoders.t, column):
             found.append(Fault("encoders", name, "jumping", float(encoders.t[at]), size, "rad"))
             column[at:] -= size
     return replace(encoders, values=values), tuple(sorted(found, key=lambda fault: fault.since))
@@ -64,23 +66,31 @@ def dead(t: Array, y: Array) -> float | None:
     return float(t[heard[-1]])
 
 
-def jumps(y: Array) -> list[tuple[int, float]]:
+def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
     """Where the level shifts for good from one reading to the next (first index after), and by how much (rad)."""
     known = np.flatnonzero(np.isfinite(y))
     v, found = y[known], []
     if len(v) < 4 * LEVEL:
         return []
-    steps = np.diff(v)
-    scatter = 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
-    for k in np.flatnonzero(np.abs(steps) > JUMP * scatter):
+    steps, waits = np.diff(v), np.diff(t[known])
+    bound = JUMP * _scatter(steps)
+    for k in np.flatnonzero((np.abs(steps) > bound) & (waits < PAUSE * np.median(waits))):
         before, after = v[max(0, k + 1 - LEVEL) : k + 1], v[k + 1 : k + 1 + LEVEL]
         if len(before) < LEVEL or len(after) < LEVEL:
             continue
         size = _level(after[::-1]) - _level(before)
         apart = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
-        if abs(size) > JUMP * scatter and apart < abs(size) / 2:
+        if abs(size) > bound and apart < abs(size) / 2:
             found.append((int(known[k + 1]), size))
     return found
+
+
+def _scatter(steps: Array) -> float:
+    """Robust standard deviation of steps (N,) rad; where most are none, as a coarse encoder's, the size of the others."""
+    if scatter := 1.4826 * float(np.median(np.abs(steps - np.median(steps)))):
+        return scatter
+    moved = np.abs(steps[steps != 0.0])
+    return float(np.median(moved)) if len(moved) else 0.0
 
 
 def _level(v: Array) -> float:

@@ -110,11 +110,30 @@ def test_an_ideal_encoder_at_rest_is_not_frozen():
 
 def test_a_single_spike_is_no_jump():
     y = np.random.default_rng(1).normal(0, 0.01, 400)
+    t = np.arange(400) / 50.0
     y[200] += 1.0
-    assert faults.jumps(y) == []
+    assert faults.jumps(t, y) == []
     y[250:] += 0.5
-    ((at, size),) = faults.jumps(y)
+    ((at, size),) = faults.jumps(t, y)
     assert at == 250 and size == pytest.approx(0.5, abs=0.05)
+
+
+def test_where_a_joint_is_after_a_silence_is_no_jump():
+    t = np.arange(0.0, 20.0, 0.02)
+    y = np.sin(t) + np.random.default_rng(2).normal(0, 0.01, len(t))
+    heard = (t < 6.0) | (t > 9.0)
+    assert faults.jumps(t[heard], y[heard]) == []
+    assert faults.jumps(t, np.where(heard, y, np.nan)) == []
+
+
+def test_the_steps_of_a_coarse_encoder_are_no_jumps():
+    t = np.arange(0.0, 20.0, 0.02)
+    y = np.round(0.2 * np.sin(t / 2) / 0.01) * 0.01
+    assert np.mean(np.diff(y) == 0.0) > 0.5
+    assert faults.jumps(t, y) == []
+    y[600:] += 0.3
+    ((at, size),) = faults.jumps(t, y)
+    assert at == 600 and size == pytest.approx(0.3, abs=0.02)
 
 
 def test_offsets_on_request_are_reported_for_every_joint(world):
