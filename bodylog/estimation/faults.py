@@ -86,7 +86,7 @@ def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
 
 
 def _scatter(steps: Array) -> float:
-    """Robust standard deviation of steps (N,) rad; where most are none, as a coarse encoder's, the size of the others."""
+    """Robust standard deviation of steps (N,) rad; where most are none, as a coarse encoder's, the others' size."""
     if scatter := 1.4826 * float(np.median(np.abs(steps - np.median(steps)))):
         return scatter
     moved = np.abs(steps[steps != 0.0])

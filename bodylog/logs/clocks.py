@@ -36,7 +36,7 @@ class Dated:
 def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = True) -> Dated:
     """Order one stream by "header", "log" or "auto" time; of equal stamps the first is kept if `distinct`."""
     t_ns, back, clock = log_ns, np.zeros(len(log_ns), bool), "log"
-    if stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns))):
+    if stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns, log_ns))):
         if choice == "auto":
             back = runs_back(log_ns, stamp_ns)
         # a clock that is wrong for many messages is right for none; one that is wrong for few is right for the rest
@@ -96,12 +96,21 @@ def falls(t_ns: Array) -> bool:
     return len(t_ns) > 1 and bool(np.mean(np.diff(t_ns) < 0) > 1.0 - _FEW)
 
 
-def is_sound(stamp_ns: Array) -> bool:
-    """Whether header stamps can be used: mostly set, and moving."""
+def is_sound(stamp_ns: Array, log_ns: Array | None = None) -> bool:
+    """Whether header stamps can be used: mostly set, and moving, or told twice at about the same log time."""
     if not len(stamp_ns) or np.mean(stamp_ns <= 0) > _FEW:
         return False
     different = np.count_nonzero(np.diff(np.sort(stamp_ns, kind="stable"))) + 1
-    return bool(different > len(stamp_ns) / 2)
+    return bool(different > len(stamp_ns) / 2 or (log_ns is not None and _doubled(stamp_ns, log_ns)))
+
+
+def _doubled(stamp_ns: Array, log_ns: Array) -> bool:
+    """Whether messages of one stamp come together, as those of two publishers do, and not one after the other."""
+    order = np.lexsort((log_ns, stamp_ns))
+    stamps, logged = stamp_ns[order], log_ns[order]
+    first = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
+    steps, spans = np.diff(stamps[first]), logged[np.append(first[1:], len(stamps)) - 1] - logged[first]
+    return len(steps) > 0 and bool(np.median(spans) < 0.5 * np.median(steps))
 
 
 def _near(t_ns: Array) -> Array:

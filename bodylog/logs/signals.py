@@ -10,6 +10,11 @@ from ..errors import LogError
 from ..types import Array
 from .columns import Columns
 
+_TURN = 2.0 * np.pi
+_NEAR = 1.0
+FARTHEST = 1e9
+"""rad: no joint has turned further; a reading beyond is none."""
+
 
 @dataclass(frozen=True, eq=False)
 class Signal:
@@ -86,6 +91,23 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
         if name in names:
             values[:, place] = positions[:, names.index(name)]
     return values
+
+
+def angles(values: Array) -> tuple[Array, int, Array]:
+    """Angles (N,D) rad as motions: without readings beyond FARTHEST, how many these were, and turns taken back (D,).
+
+    From one reading to the next no joint makes a whole turn, within a radian: it wraps around there.
+    """
+    beyond = np.isfinite(values) & (np.abs(values) > FARTHEST)
+    values, turns = np.where(beyond, np.nan, values), np.zeros(values.shape[1], int)
+    for column in range(values.shape[1]):
+        known = np.flatnonzero(np.isfinite(values[:, column]))
+        steps = np.diff(values[known, column])
+        wraps = np.where(np.abs(np.abs(steps) - _TURN) < _NEAR, np.sign(steps), 0.0)
+        if wraps.any():
+            values[known[1:], column] -= _TURN * np.cumsum(wraps)
+            turns[column] = np.count_nonzero(wraps)
+    return values, int(beyond.sum()), turns
 
 
 def array(found: Sequence[Block]) -> Signal:

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
@@ -35,6 +35,8 @@ class Stream:
     rejected: Mapping[str, int]
     fallback: int
     shifted_s: float = 0.0
+    beyond: int = 0
+    wraps: Mapping[str, int] = field(default_factory=dict)
 
 
 def streams(
@@ -101,15 +103,19 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
         raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
     by_name = role.role in ("joints", "truth", "reference")
     dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
-    values, idle = signal.values[dated.rows], 0
+    values, idle, beyond, wraps = signal.values[dated.rows], 0, 0, dict[str, int]()
     if by_name:
         keep, values, idle = signals.merged(dated.t_ns, np.deg2rad(values) if settings.body.unit == "deg" else values)
-        values, dated = values[keep], replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
+        dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
+        values, beyond, turns = signals.angles(values[keep])
+        wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(dated.rejected))
     rejected.update({"same stamp again": idle} if idle else {})
     rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in read)
     slow = sum(some.fallback for some in read)
-    return Stream(role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow)
+    return Stream(
+        role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond, wraps=wraps
+    )
 
 
 def _signal(role: Role, found: list[signals.Block], settings: Settings, what: str) -> signals.Signal:
@@ -190,6 +196,10 @@ def remarks(stream: Stream) -> Iterator[Finding]:
         yield Finding("info", f"{name}: {dated.out_of_order} messages out of order were sorted")
     if stream.fallback:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
+    if stream.beyond:
+        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {signals.FARTHEST:g} rad are taken for none")
+    for joint, count in stream.wraps.items():
+        yield Finding("info", f"{name}: {joint} wraps around, {count} times; read as one motion, without whole turns")
     if stream.rejected:
         yield Finding("warning", f"{name}: rejected {_reasons(stream)} of {sum(stream.counts)} messages")
 

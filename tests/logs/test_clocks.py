@@ -32,6 +32,19 @@ def test_the_log_is_used_when_the_header_is_unset_stuck_or_absent(stamp):
     np.testing.assert_array_equal(dated.t_ns, log)
 
 
+@pytest.mark.parametrize("later", [1000, 6 * MS])
+def test_messages_that_two_publish_with_one_stamp_do_not_make_the_header_worthless(later):
+    stamp = np.repeat(T0 + 20 * MS * np.arange(50), 2)
+    log = stamp + 4 * MS + np.tile([0, later], 50)
+    dated = date(log, stamp, "auto")
+    assert dated.clock == "header" and dated.rejected == {"same stamp again": 50}
+
+
+def test_a_header_clock_that_ticks_too_slowly_is_not_used():
+    log = T0 + 20 * MS * np.arange(50)
+    assert date(log, T0 + (log - T0) // (100 * MS) * (100 * MS), "auto").clock == "log"
+
+
 def test_robot_toml_has_the_last_word():
     stamp = T0 + 20 * MS * np.arange(50)
     assert date(stamp + 4 * MS, stamp, "log").t_ns[0] == T0 + 4 * MS

@@ -118,6 +118,28 @@ def test_degrees_become_radians(tmp_path):
     np.testing.assert_array_equal(got.truth.values, got.joints.values)
 
 
+def test_a_joint_that_wraps_around_moves_on(tmp_path):
+    angle = np.linspace(2.0, 9.0, 60)
+    turned = (angle + np.pi) % (2.0 * np.pi) - np.pi
+    times = T0 + 20 * MS * np.arange(60)
+    wrapped = [(int(t), joint_state(int(t), NAMES, [0.1, a, -0.2])) for t, a in zip(times, turned, strict=True)]
+    found = read(write(tmp_path / "a.mcap", [joints("/joint_states", wrapped)]), settings())
+    assert found.joints is not None
+    np.testing.assert_allclose(found.joints.values[:, 1], angle, atol=1e-12)
+    assert any("wraps around, 1 times" in f.text and NAMES[1] in f.text for f in found.findings)
+
+
+def test_readings_no_joint_can_have_are_taken_for_none(tmp_path):
+    rows = []
+    for k in range(40):
+        said = [0.1, 1e300 if k == 5 else -1e18 if k == 9 else 0.01 * k, 0.2]
+        rows.append((T0 + k * 20 * MS, joint_state(T0 + k * 20 * MS, NAMES, said)))
+    found = read(write(tmp_path / "a.mcap", [joints("/joint_states", rows)]), settings())
+    assert found.joints is not None
+    assert np.flatnonzero(np.isnan(found.joints.values[:, 1])).tolist() == [5, 9]
+    assert any("2 readings beyond 1e+09 rad" in f.text for f in found.findings)
+
+
 def test_truth_follows_the_joints_asked_for(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), joints("/truth", moves(5, ("wrist", "elbow")))])
     got = read(log, settings(body=Body(joints=("elbow", "shoulder"))))
