@@ -4,6 +4,7 @@ import numpy as np
 
 from ..types import Array
 from .folds import Fold
+from .grain import dithered
 from .senses import Encoders
 
 SPREAD = (31, 13, 13)
@@ -27,8 +28,11 @@ MEMORY = 1.0
 
 
 def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Array]:
-    """Encoder variances (M,) rad² and acceleration densities (M,) rad²/s³; a joint too silent keeps what is given."""
-    encoder, process, joints, heard = encoder.copy(), process.copy(), [], []
+    """Encoder variances (M,) rad² and acceleration densities (M,) rad²/s³; a joint too silent keeps what is given.
+
+    Readings that are counted in steps are spread over them to learn from, and are as noisy as these at least.
+    """
+    encoder, process, joints, heard, coarse = encoder.copy(), process.copy(), [], [], []
     for joint, column in enumerate(encoders.values.T):
         known = np.flatnonzero(np.isfinite(column))
         most = MOST * _fellows(encoders.t[known])
@@ -36,9 +40,12 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
         known = known[begin : begin + most]
         if len(known) > FEWEST and np.ptp(column[known]) > 0.0:
             joints.append(joint)
-            heard.append((encoders.t[known], column[known]))
+            spread, *own = dithered(encoders.t[known], column[known])
+            heard.append((encoders.t[known], spread))
+            coarse.append(own)
     if joints:
-        encoder[joints], process[joints] = likeliest(heard)
+        (found, process[joints]), (added, least) = likeliest(heard), np.transpose(coarse)
+        encoder[joints] = np.maximum(found - added, least)
     return encoder, np.maximum(process, floor(encoders, encoder))
 
 

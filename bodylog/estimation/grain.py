@@ -1,0 +1,29 @@
+"""The step an encoder counts in: readings that repeat exactly foretell each other, which is no proof of their noise."""
+
+import numpy as np
+
+from ..types import Array
+
+WHOLE, MOST = 0.02, 0.95
+"""How near to whole numbers of the least step the others must be, and which share of them."""
+ONE = 0.15
+"""s: where one reading repeats for longer, motion no longer averages its error away, and the readings share it."""
+
+
+def grain(y: Array) -> float:
+    """The step (rad) of which all steps between readings (N,) are multiples; 0 where there is none."""
+    steps = np.abs(np.diff(y))
+    steps = steps[steps > 1e-12]
+    if not len(steps):
+        return 0.0
+    counts = steps / steps.min()
+    return float(steps.min()) if np.mean(np.abs(counts - np.round(counts)) < WHOLE) > MOST else 0.0
+
+
+def dithered(t: Array, y: Array) -> tuple[Array, float, float]:
+    """Readings (N,) spread evenly over the step they were counted in, the variance (rad²) of that, and their least."""
+    step = grain(y)
+    lasting = (t[-1] - t[0]) / (1 + np.count_nonzero(np.diff(y)))
+    variance = step * step / 12.0
+    spread = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
+    return spread, variance, variance * max(1.0, float(lasting) / ONE)

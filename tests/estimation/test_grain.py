@@ -1,0 +1,50 @@
+"""Encoders that count in coarse steps: their noise is that of the step, however often a reading repeats."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate
+from bodylog.estimation.grain import dithered, grain
+from bodylog.settings import Estimation
+
+
+def test_the_step_is_found_where_there_is_one():
+    rng = np.random.default_rng(0)
+    y = np.sin(np.arange(0.0, 10.0, 0.02))
+    assert grain(y) == 0.0 and grain(y + rng.normal(0, 0.01, len(y))) == 0.0 and grain(np.full(20, 0.3)) == 0.0
+    assert grain(np.round(y / 0.01) * 0.01) == pytest.approx(0.01)
+    assert grain(np.round((y + rng.normal(0, 0.004, len(y))) / 0.0015) * 0.0015) == pytest.approx(0.0015)
+
+
+def test_dither_is_as_wide_as_the_step_and_the_same_every_time():
+    t = np.arange(0.0, 4.0, 1e-3)
+    y = np.round(t / 0.02) * 0.02
+    spread, variance, least = dithered(t, y)
+    assert least == variance == pytest.approx(0.02**2 / 12)
+    assert np.var(spread - y) == pytest.approx(variance, rel=0.1)
+    np.testing.assert_array_equal(spread, dithered(t, y)[0])
+    smooth, *none = dithered(t, np.sin(t))
+    assert none == [0.0, 0.0] and (smooth == np.sin(t)).all()
+
+
+def test_readings_that_repeat_for_long_share_an_error():
+    t = np.arange(0.0, 8.0, 0.02)
+    _, variance, least = dithered(t, np.round(t / 4.0) * 0.02)
+    assert 10 * variance < least < 30 * variance
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize(("step", "speed"), [(0.05, 0.15), (0.05, 0.5), (0.01, 0.15), (0.005, 0.05)])
+@pytest.mark.parametrize("seed", range(2))
+def test_error_bars_are_true_for_coarse_encoders(world, method, step, speed, seed):
+    drawn = world(seed, duration=12.0, encoder_std=0.0, speed=speed)
+    joints = drawn.features.joints
+    coarse = replace(joints, values=np.round(joints.values / step) * step)
+    found = estimate(replace(drawn.features, joints=coarse), drawn.body, Estimation(method=method))
+    assert not found.faults
+    error = found.joints.values - drawn.truth.values
+    ratio = error**2 / np.einsum("nii->ni", found.cov)
+    assert 0.3 < ratio.mean() < 2.5
+    assert np.sqrt(np.mean(error**2)) < step / np.sqrt(12.0)
