@@ -21,16 +21,20 @@ _PIXELS = 1 << 19
 
 
 def look(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
-    """Blobs of each colour in images (H,W,3) BGR: (N,colours,CANDIDATES,FIELDS) px, as `table` gives them."""
+    """Blobs of each colour in images (H,W,3) BGR: (N,colours,CANDIDATES,FIELDS) px, as `tables` gives them."""
     found = [window for picture, image in enumerate(images) for window in windows(picture, image, ranges)]
-    tables = [
-        table([window for window in found if window.colour == index], len(images), colour)
-        for index, colour in enumerate(ranges)
-    ]
-    return np.stack(tables, axis=1)
+    return tables(found, len(images), ranges)
 
 
-def table(found: Sequence[Window], count: int, colour: Range) -> Array:
+def tables(found: Sequence[Window], count: int, ranges: Sequence[Range]) -> Array:
+    """Blobs of each colour in the windows of `count` pictures: (count,colours,CANDIDATES,FIELDS) px."""
+    by_colour: list[list[Window]] = [[] for _ in ranges]
+    for window in found:
+        by_colour[window.colour].append(window)
+    return np.stack([_table(some, count, one) for some, one in zip(by_colour, ranges, strict=True)], axis=1)
+
+
+def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
     """One colour's blobs in the windows of `count` pictures, strongest first: (count,CANDIDATES,FIELDS) px, else NaN.
 
     MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where

@@ -1,32 +1,20 @@
-"""Pictures to colour tracks: decoding and looking on a pool of threads, in order, a bounded number ahead."""
+"""Pictures to colour tracks: where each colour was, what became of every picture, and what else there was to see."""
 
-from collections import deque
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextvars import ContextVar
-from itertools import chain, islice
 
 import numpy as np
 
 from ..errors import InputError
 from ..settings import Colour
-from ..threads import one_opencv
 from ..types import Array, Finding, Frame, Health, Series
-from . import blobs, choose, search
-from .ranges import Range, covered, nearest, resolve
-from .search import CANDIDATES, Window
+from . import choose
+from .look import look
+from .ranges import covered, nearest, resolve
 
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
 """How many threads look at pictures: one where whole logs are worked on side by side."""
-# pictures looked at by one task, tasks ahead of the reader, pictures whose finds are measured together
-_BATCH, _AHEAD, _SHEET = 4, 4, 32
 _NOTABLE = 1e-4
-
-Seen = tuple[list[Window], list[tuple[int, int]]]
-"""What a batch of pictures shows; of each its width in px as looked at (0: undecodable) and how often it is shrunk."""
-
-Looked = tuple[list[Frame], Seen]
 
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
@@ -43,7 +31,7 @@ def track(
     ConfigError for a colour that means nothing.
     """
     ranges = [resolve(colour, name) for name, colour in colours.items()]
-    t, source_ns, found, broken, size = _look_at_all(frames(), ranges, progress, fast)
+    t, source_ns, found, broken, size = look(frames(), ranges, progress, fast, THREADS.get())
     tracks, health, findings = {}, {}, []
     for index, name in enumerate(colours):
         track, reasons = choose.best(t, found[:, index], size)
@@ -59,79 +47,6 @@ def track(
     if broken.any():
         findings.append(Finding("lost", f"{int(broken.sum())} of {t.size} pictures could not be decoded"))
     return tracks, health, tuple(findings)
-
-
-def _look_at_all(
-    frames: Iterator[Frame], ranges: Sequence[Range], progress: Callable[[int], None] | None, fast: bool
-) -> tuple[Array, Array, Array, Array, float]:
-    """t (N,) · source_ns (N,) · blobs (N,colours,…) · undecodable (N,) bool · width of the widest picture in px."""
-    t: list[float] = []
-    source_ns: list[int] = []
-    sizes: list[tuple[int, int]] = []
-    tables: list[list[Future[Array]]] = [[] for _ in ranges]
-    with one_opencv(), ThreadPoolExecutor(THREADS.get()) as pool:
-        for some in _by_sheets(_in_order(pool, frames, ranges, fast)):
-            found: list[Window] = []
-            before = len(sizes)
-            for batch, (windows, measured) in some:
-                found += [window._replace(picture=window.picture + len(sizes) - before) for window in windows]
-                t += [frame.t for frame in batch]
-                source_ns += [frame.source_ns for frame in batch]
-                sizes += measured
-                if progress:
-                    progress(len(batch))
-            for index, colour in enumerate(ranges):
-                of_colour = [window for window in found if window.colour == index]
-                tables[index].append(pool.submit(blobs.table, of_colour, len(sizes) - before, colour))
-        none = np.zeros((0, CANDIDATES, blobs.FIELDS))
-        stacked = np.stack([np.concatenate([none, *(each.result() for each in some)]) for some in tables], axis=1)
-    wide, scale = np.array(sizes, dtype=np.int64).reshape(-1, 2).T
-    widest = float((wide * scale).max(initial=0))
-    return np.array(t), np.array(source_ns, dtype=np.int64), blobs.enlarged(stacked, scale), wide == 0, widest
-
-
-def _in_order(pool: Executor, frames: Iterator[Frame], ranges: Sequence[Range], fast: bool) -> Iterator[Looked]:
-    """Batches of frames and what a look at them gave, in order, a bounded number ahead of the reader."""
-    waiting: deque[tuple[list[Frame], Future[Seen]]] = deque()
-    try:
-        while batch := list(islice(frames, _BATCH)):
-            waiting.append((batch, pool.submit(_look, batch, ranges, fast)))
-            if len(waiting) > _AHEAD:
-                yield _first(waiting)
-        while waiting:
-            yield _first(waiting)
-    finally:
-        for _, future in waiting:
-            future.cancel()
-
-
-def _first(waiting: deque[tuple[list[Frame], Future[Seen]]]) -> Looked:
-    batch, future = waiting.popleft()
-    return batch, future.result()
-
-
-def _by_sheets(looks: Iterator[Looked]) -> Iterator[Iterator[Looked]]:
-    """The looks in groups whose windows are measured together."""
-    for first in looks:
-        yield chain([first], islice(looks, _SHEET // _BATCH - 1))
-
-
-def _look(batch: Sequence[Frame], ranges: Sequence[Range], fast: bool) -> Seen:
-    found: list[Window] = []
-    sizes: list[tuple[int, int]] = []
-    for picture, frame in enumerate(batch):
-        scale = 2 if fast and frame.shrinks else 1
-        image = _decoded(frame, scale)
-        sizes.append((0 if image is None else image.shape[1], scale))
-        if image is not None:
-            found += search.windows(picture, image, ranges)
-    return found, sizes
-
-
-def _decoded(frame: Frame, scale: int) -> Array | None:
-    with suppress(InputError):
-        return frame.decode(scale)
-    return None
 
 
 def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:

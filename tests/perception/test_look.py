@@ -1,0 +1,72 @@
+"""Threads that look at pictures: what they find does not depend on them, and none is left behind."""
+
+from collections.abc import Iterator
+from threading import active_count
+
+import numpy as np
+import pytest
+
+from bodylog.errors import LogError
+from bodylog.perception import ranges
+from bodylog.perception.look import look
+from bodylog.types import Frame
+from tests.perception import scenes
+from tests.perception.scenes import Disc
+
+GREEN = [ranges.resolve("green", "it")]
+
+
+def _film(count: int, seed: int) -> list[Frame]:
+    rng = np.random.default_rng(seed)
+    wall = scenes.wall(rng, 160, 120)
+    places = rng.uniform((20, 20), (140, 100), (count, 2))
+    pictures = (scenes.jpeg(scenes.draw(wall, [Disc(u, v, 6.0)], rng)) for u, v in places)
+    return [scenes.frame(index / 30.0, picture) for index, picture in enumerate(pictures)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_same_bytes_however_many_threads_look(seed: int) -> None:
+    film = _film(75, seed)
+    alone, *others = (look(iter(film), GREEN, threads=threads) for threads in (1, 2, 2, 3))
+    assert np.isfinite(alone.blobs[:, 0, 0, 0]).all()
+    for seen in others:
+        assert seen.blobs.tobytes() == alone.blobs.tobytes() and seen.t.tobytes() == alone.t.tobytes()
+        assert seen.source_ns.tobytes() == alone.source_ns.tobytes() and seen.width == alone.width == 160
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_what_is_wrong_with_the_log_ends_all_threads_and_is_told(threads: int) -> None:
+    film = _film(40, 0)
+    taken = []
+
+    def source() -> Iterator[Frame]:
+        for index, frame in enumerate(film):
+            if index == 20:
+                raise LogError("log.mcap: is damaged")
+            taken.append(index)
+            yield frame
+
+    before = active_count()
+    with pytest.raises(LogError, match="is damaged"):
+        look(source(), GREEN, threads=threads)
+    assert taken == list(range(20)) and active_count() == before
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_thread_that_fails_keeps_the_others_from_going_on(threads: int) -> None:
+    film = _film(40, 0)
+    asked = []
+
+    def failing(_: int) -> None:
+        raise ZeroDivisionError
+
+    def source() -> Iterator[Frame]:
+        yield Frame(0.0, 0, failing)
+        for _ in range(1000):
+            for frame in film:
+                asked.append(frame)
+                yield frame
+
+    with pytest.raises(ZeroDivisionError):
+        look(source(), GREEN, threads=threads)
+    assert len(asked) < 1000
