@@ -1,7 +1,7 @@
 """MCAP records as bytes, one function each (https://mcap.dev/spec), and message records by the thousand."""
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,8 +116,9 @@ def chunk(start_ns: int, end_ns: int, size: int, crc: int, compression: str, sto
 
 def message_index(number: int, log_ns: Array, offset: Array) -> bytes:
     """When and where in the chunk one channel's messages are."""
-    pairs = np.column_stack([log_ns, offset]).astype("<u8").tobytes()
-    return record(MESSAGE_INDEX, struct.pack("<HI", number, len(pairs)), pairs)
+    pairs = np.empty((len(log_ns), 2), "<u8")
+    pairs[:, 0], pairs[:, 1] = log_ns, offset
+    return record(MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes())
 
 
 def chunk_index(
@@ -162,12 +163,21 @@ def messages(table: Messages) -> tuple[Array, Array]:
     head["log_ns"], head["publish_ns"] = table.log_ns, table.publish_ns
     out = np.empty(int(size.sum()), np.uint8)
     _windows(out, MESSAGE_HEAD)[start] = head.view(f"V{MESSAGE_HEAD}")
-    first = 0
-    for data in table.data:
-        here = np.flatnonzero((table.offset >= first) & (table.offset < first + data.size))
-        _copy(data, table.offset[here] - first, out, start[here] + MESSAGE_HEAD, table.length[here])
-        first += data.size
+    edges = np.cumsum([0, *(data.size for data in table.data)])
+    for number, here in groups(np.searchsorted(edges, table.offset, "right") - 1):
+        if number < len(table.data):  # what begins behind them all is empty
+            where = table.offset[here] - edges[number]
+            _copy(table.data[number], where, out, start[here] + MESSAGE_HEAD, table.length[here])
     return out, start
+
+
+def groups(numbers: Array) -> Iterator[tuple[int, Array]]:
+    """Each of the numbers (n,), below 65,536, that there are, ascending, with the rows (m,) where it stands."""
+    numbers = numbers.astype(np.uint16)
+    order = np.argsort(numbers, kind="stable")
+    edges = np.flatnonzero(np.diff(numbers[order])) + 1
+    for rows in np.split(order, edges) if len(order) else ():
+        yield int(numbers[rows[0]]), rows
 
 
 def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
@@ -180,9 +190,11 @@ def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
 
 def _copy(source: Array, where: Array, out: Array, to: Array, length: Array) -> None:
     """Scatter pieces of `source` into `out`, those of one length at once."""
-    for size in np.unique(length[length > 0]).tolist():
-        rows = np.flatnonzero(length == size)
-        _windows(out, size)[to[rows]] = _windows(source, size)[where[rows]]
+    alike = bool(len(length)) and length.min() == length.max()
+    for size in (length[:1] if alike else np.unique(length)).tolist():
+        rows = slice(None) if alike else np.flatnonzero(length == size)
+        if size:
+            _windows(out, size)[to[rows]] = _windows(source, size)[where[rows]]
 
 
 def _windows(data: Array, size: int) -> Array:

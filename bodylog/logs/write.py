@@ -164,10 +164,10 @@ def _packed(table: Messages) -> _Packed:
     if len(stored) >= _WORTH * raw.size:
         stored, compression = raw.tobytes(), ""
     head, length = mcap.chunk(*span, raw.size, crc32(raw.data), compression, stored)
-    indexes = {}
-    for number in np.unique(table.channel).tolist():
-        rows = np.flatnonzero(table.channel == number)
-        indexes[number] = len(rows), mcap.message_index(number, table.log_ns[rows], start[rows])
+    indexes = {
+        number: (len(rows), mcap.message_index(number, table.log_ns[rows], start[rows]))
+        for number, rows in mcap.groups(table.channel)
+    }
     return _Packed(span, raw.size, compression, stored, head, length, indexes)
 
 
