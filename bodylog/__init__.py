@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .body.model import load as load_body
-    from .estimation import Belief
+    from .estimation.streaming import Belief
     from .live import Estimator
 
 __version__ = "0.1.0"
 __all__ = ["Belief", "Estimator", "__version__", "load_body"]
 
 _HOMES = {
-    "Belief": ("bodylog.estimation", "Belief"),
+    "Belief": ("bodylog.estimation.streaming", "Belief"),
     "Estimator": ("bodylog.live", "Estimator"),
     "load_body": ("bodylog.body.model", "load"),
 }

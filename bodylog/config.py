@@ -2,7 +2,6 @@
 
 import difflib
 import math
-import tomllib
 import types
 import typing
 from collections.abc import Mapping
@@ -35,6 +34,8 @@ def merge(settings: Settings, given: Mapping[str, Any], where: str) -> Settings:
 
 
 def _parse(path: Path) -> dict[str, Any]:
+    import tomllib
+
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as err:

@@ -38,11 +38,12 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
 
 def observe(log: Path, settings: Settings, progress: Progress | None = None) -> tuple[Recording, Features]:
     """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over."""
-    from . import perception
     from .logs import recording
 
     read = recording.read(log, settings, settings.input.strict)
     if read.features is None:
+        from . import perception
+
         seen = perception.observe(read, settings, progress)
         return read, replace(seen, reference=read.reference, cameras=_cameras(read))
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")

@@ -4,7 +4,6 @@ import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import gettempdir
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
@@ -32,6 +31,8 @@ class Log(click.Path):
             return Path(value)
         if self._late or ctx is None:
             return value
+        from tempfile import gettempdir
+
         return ctx.with_resource(stores.local(value, Path(gettempdir())))
 
 

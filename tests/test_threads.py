@@ -63,7 +63,7 @@ def _running(run, monkeypatch) -> set[int]:
         seen.extend(_threads())
         raise EvidenceError("enough")
 
-    monkeypatch.setattr(import_module("bodylog.body.learn"), "joints", stop)
+    monkeypatch.setattr(import_module("bodylog.body.learning"), "joints", stop)
     monkeypatch.setitem(METHODS, "laplace", stop)
     with pytest.raises(EvidenceError):
         run()

@@ -7,9 +7,8 @@ from ..settings import Estimation
 from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
 from . import filtering, kalman, predictive_coding, senses, smoother
-from .streaming import Belief, Estimator
 
-__all__ = ["METHODS", "Belief", "Estimator", "check", "estimate"]
+__all__ = ["METHODS", "check", "estimate"]
 
 METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
     "laplace": filtering.laplace,

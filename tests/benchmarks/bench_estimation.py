@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from bodylog import body
-from bodylog.estimation import Estimator, estimate
+from bodylog.estimation import estimate
+from bodylog.estimation.streaming import Estimator
 from bodylog.settings import Estimation, Settings
 from bodylog.types import BodyModel, Features, Series
 from tests.benchmarks.timing import side_by_side

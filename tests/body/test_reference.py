@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.body import learn
 from bodylog.body.encoders import Polynomial, understood
-from bodylog.body.learn import Learned
+from bodylog.body.learning import Learned
 from bodylog.body.model import load, save
 from bodylog.errors import ConfigError, EvidenceError, UsageError
 from bodylog.estimation import estimate

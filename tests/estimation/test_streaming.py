@@ -11,7 +11,8 @@ import pytest
 
 from bodylog import body as learning
 from bodylog.errors import LogError, ModelError, UsageError
-from bodylog.estimation import Belief, Estimator, estimate, touch
+from bodylog.estimation import estimate, touch
+from bodylog.estimation.streaming import Belief, Estimator
 from bodylog.settings import Estimation, Settings
 from bodylog.types import BodyModel, Estimate, Features, Series
 

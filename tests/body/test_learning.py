@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog import perception
-from bodylog.body import Learned, Polynomial, learn
+from bodylog.body import Polynomial, learn
+from bodylog.body.learning import Learned
 from bodylog.body.model import load, save
 from bodylog.body.pairs import joints, moves, pairs
 from bodylog.body.sense import sense
