@@ -166,8 +166,9 @@ def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
     if sizes.min() < MESSAGE_HEAD.itemsize - HEAD.size or sizes.max() > len(content):
         return False
     # In order, what is open is one place without a message or with one: no message passes another or its place.
-    lows = np.sort(np.concatenate((places[:, 0], starts + sizes + HEAD.size)))
-    highs = np.sort(np.concatenate((starts, places[:, 1])))
+    # Both are two runs in order, which a stable sort merges.
+    lows = np.sort(np.concatenate((places[:, 0], starts + sizes + HEAD.size)), kind="stable")
+    highs = np.sort(np.concatenate((starts, places[:, 1])), kind="stable")
     if (lows > highs).any():
         return False
     view = content.data

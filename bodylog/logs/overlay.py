@@ -58,10 +58,11 @@ def _ellipse(series: Series, cov: Array) -> Array:
 def _grouped(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloads:
     """Frames showing the same parts have the same layout: one serialisation for each such group."""
     shown = np.column_stack([np.isfinite(values).all(1) for values in [*(c[2] for c in circles), *loops]])
-    kinds, group = np.unique(shown, axis=0, return_inverse=True)
+    packed = np.packbits(shown, axis=1)
+    kind_of = packed.view(f"S{packed.shape[1]}")[:, 0]  # as one text each: rows of bits are slow to sort
     parts = []
-    for number, kind in enumerate(kinds):
-        rows = np.flatnonzero(group.reshape(-1) == number)
+    for rows in (np.flatnonzero(kind_of == number) for number in np.unique(kind_of)):
+        kind = shown[rows[0]]
         round_parts = [c for c, there in zip(circles, kind, strict=False) if there]
         loop_parts = [loop for loop, there in zip(loops, kind[len(circles) :], strict=True) if there]
         fields: list[Field] = [("uint32", len(round_parts))]
