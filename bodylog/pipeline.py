@@ -14,6 +14,8 @@ from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoi
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""
+FIRST = 1.0
+"""s: an encoder that is certainly off so soon was so before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +134,12 @@ def _estimated(log: Path, read: Recording, features: Features, learned: BodyMode
 
 def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
     """Which sensor lied, as remarks."""
-    said = (f"{f.sense} {f.name}: {f.kind} since {f.since:.3f} s, {f.size:.4g} {f.unit}" for f in faults)
+    first = "; from the first on: homed differently, or the camera has moved since the body was learned"
+    said = (
+        f"{f.sense} {f.name}: {f.kind} since {f.since:.3f} s, {f.size:.4g} {f.unit}"
+        + first * (f.kind == "drifting" and f.since < FIRST)
+        for f in faults
+    )
     return tuple(Finding("warning", text) for text in said)
 
 

@@ -1,12 +1,14 @@
 """Estimation: from features and a learned body to a belief about the joint angles, one file per method."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from ..errors import UsageError
 from ..settings import Estimation
 from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
 from . import filtering, kalman, predictive_coding, senses, smoother
+from .doubts import doubts
 
 __all__ = ["METHODS", "check", "estimate"]
 
@@ -23,7 +25,8 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     """The belief by `settings.method`; ModelError, EvidenceError or UsageError when it cannot be had."""
     check(body, settings)
     with one_thread():
-        return METHODS[settings.method](features, body, settings)
+        found = METHODS[settings.method](features, body, settings)
+    return replace(found, findings=(*found.findings, *doubts(found, settings)))
 
 
 def check(body: BodyModel, settings: Estimation) -> None:

@@ -46,7 +46,7 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
         {name: predicted for name, (_, predicted, _) in sights.items() if name != "touch"},
         {name: cov for name, (_, _, cov) in sights.items() if name != "touch"},
         beliefs.settings, series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
-        beliefs.faults, (*evidence.findings, *beliefs.findings),
+        (*evidence.faults, *beliefs.faults), (*evidence.findings, *beliefs.findings),
     )  # fmt: skip
 
 

@@ -7,8 +7,10 @@ import numpy as np
 
 from ..errors import EvidenceError, LogError, ModelError, UsageError
 from ..settings import Estimation
-from ..types import Array, BodyModel, Features, Finding, ForwardModel, Health, Series
+from ..types import Array, BodyModel, Fault, Features, Finding, ForwardModel, Health, Series
 from . import touch
+from .explored import checked
+from .stuck import unfrozen
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,13 +40,17 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Everything heard: `encoders` also when unused (then all NaN), for their clock; `first` (M,) rad, NaN if none."""
+    """Everything heard: `encoders` also when unused (then all NaN), for their clock; `first` (M,) rad, NaN if none.
+
+    faults: tracks that lied, which are not heard where they did.
+    """
 
     encoders: Encoders | None
     sightings: tuple[Sighting, ...]
     first: Array
     used: Mapping[str, Health]
     findings: tuple[Finding, ...]
+    faults: tuple[Fault, ...] = ()
 
 
 def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidence:
@@ -53,16 +59,18 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     wanted = chosen(visual, body, settings)
     encoders, used = _encoders(features.joints, body.joints, wanted)
     first = _first(features.joints, body.joints)
-    sightings = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
+    findings = () if encoders is None else tuple(checked(encoders.values, body))
+    seen = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
+    sightings, faults = unfrozen(seen, None if "encoders" in body.senses else encoders, used)
     if "touch" in wanted and "effector" in body.senses:
         # descent integrates a pull over time; a filter would take the frames of one touch for independent
         sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
-    findings = _check(used, settings.senses or (), features, _silent(body.joints, encoders), wanted)
+    findings += _check(used, settings.senses or (), features, _silent(body.joints, encoders), wanted)
     # touches out of time are a result, not a lack: they are heard, for what little they weigh
     heard = tuple(s for s in sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
-    return Evidence(encoders, heard, first, used, (*findings, *_ambiguous(body.joints, encoders, heard)))
+    return Evidence(encoders, heard, first, used, (*findings, *_ambiguous(body.joints, encoders, heard)), faults)
 
 
 def _ambiguous(names: tuple[str, ...], encoders: Encoders | None, heard: tuple[Sighting, ...]) -> Iterator[Finding]:

@@ -1,0 +1,59 @@
+"""Readings that cannot be the angles a body was learned at: of another unit, a turn off, or of another place."""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import ModelError
+from bodylog.estimation import estimate
+from bodylog.settings import Estimation
+from bodylog.types import Array
+from tests.estimation.conftest import Arm, motion
+
+
+@dataclass(frozen=True)
+class Learned(Arm):
+    """An arm that tells where it was explored."""
+
+    samples: Array = field(default_factory=lambda: motion(np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)))
+
+
+@pytest.fixture
+def drawn(world):
+    return world(1, duration=8.0, model=Learned())
+
+
+def read(drawn, change):
+    joints = drawn.features.joints
+    return replace(drawn.features, joints=replace(joints, values=change(joints.values)))
+
+
+def said(drawn, change):
+    found = estimate(read(drawn, change), drawn.body, Estimation())
+    return [f.text for f in found.findings if f.severity == "warning" and f.text.startswith("joints: ")]
+
+
+def test_angles_that_were_explored_go_without_a_word(drawn):
+    assert not said(drawn, lambda x: x)
+    assert not said(drawn, lambda x: x + 0.3)
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "kalman", "predictive-coding"])
+def test_degrees_are_refused_with_what_to_type(drawn, method):
+    with pytest.raises(ModelError, match=r'these are degrees; type \[body\] unit = "deg" in robot.toml'):
+        estimate(read(drawn, np.rad2deg), drawn.body, Estimation(method=method))
+
+
+def test_a_joint_that_is_a_turn_off_is_named(drawn):
+    (text,) = said(drawn, lambda x: x + np.array([0.0, 2.0 * np.pi, 0.0]))
+    assert text.startswith(f"joints: {drawn.features.joints.names[1]} reads ") and "+1 whole turns off" in text
+
+
+def test_a_joint_that_moves_where_it_was_not_explored_is_named(drawn):
+    (text,) = said(drawn, lambda x: x + np.array([0.0, 0.0, 3.0]))
+    assert text.startswith(f"joints: {drawn.features.joints.names[2]} reads ") and "beyond that" in text
+
+
+def test_an_encoder_that_says_nothing_is_not_accused(drawn):
+    assert not said(drawn, lambda x: np.where([False, False, True] & (np.arange(len(x)) > 0)[:, None], np.nan, x))

@@ -1,0 +1,54 @@
+"""A camera that repeats its last picture: named and not heard, where two encoders say that the arm moved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate
+from bodylog.settings import Estimation
+
+
+def freeze(drawn, begin, end=np.inf):
+    track = drawn.features.tracks["effector"]
+    values = track.values.copy()
+    rows = (track.t >= begin) & (track.t < end)
+    values[rows] = values[np.flatnonzero(rows)[0]]
+    return replace(drawn.features, tracks={"effector": replace(track, values=values)})
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf", "predictive-coding"])
+@pytest.mark.parametrize("seed", range(2))
+def test_a_camera_that_stands_still_is_named_and_does_no_harm(world, method, seed):
+    drawn = world(seed, duration=12.0, camera_hz=20.0)
+    found = estimate(freeze(drawn, 6.0), drawn.body, Estimation(method=method))
+    ((fault),) = found.faults
+    assert (fault.sense, fault.name, fault.kind, fault.unit) == ("vision", "effector", "frozen", "px")
+    assert 6.0 <= fault.since < 6.2 and fault.size > 5.0
+    health = found.used["effector"]
+    assert health.rejected["frozen"] == 119 and health.used == 121
+    if method != "predictive-coding":
+        error = found.joints.values - drawn.truth.values
+        assert np.mean(error**2 / np.einsum("nii->ni", found.cov)) < 1.6
+
+
+def test_it_may_go_on_later(world):
+    drawn = world(2, duration=12.0, camera_hz=20.0)
+    found = estimate(freeze(drawn, 4.0, 7.0), drawn.body, Estimation())
+    assert [(fault.sense, fault.kind) for fault in found.faults] == [("vision", "frozen")]
+    assert found.used["effector"].rejected["frozen"] == 59
+
+
+def test_pictures_of_an_arm_at_rest_repeat(world):
+    drawn = world(3, duration=12.0, camera_hz=20.0, speed=0.0)
+    found = estimate(freeze(drawn, 0.0), drawn.body, Estimation())
+    assert not found.faults and "frozen" not in found.used["effector"].rejected
+
+
+def test_one_encoder_that_drifts_on_an_arm_at_rest_is_not_the_cameras_fault(world):
+    drawn = world(3, duration=14.0, camera_hz=20.0, speed=0.0, encoder_std=0.005, pixel_std=0.1)
+    features = freeze(drawn, 0.0)
+    joints = features.joints
+    values = joints.values + np.outer(np.clip((joints.t - 5.0) * 0.03, 0.0, None), np.arange(3) == 0)
+    found = estimate(replace(features, joints=replace(joints, values=values)), drawn.body, Estimation())
+    assert [(fault.sense, fault.name) for fault in found.faults] == [("encoders", joints.names[0])]
