@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from .errors import ConfigError
-from .settings import Settings
+from .settings import Estimation, Settings
 
 NAMED_COLOURS = ("blue", "cyan", "green", "magenta", "orange", "red", "yellow")
 
@@ -52,6 +52,8 @@ def _section(current: Any, section: str, values: Mapping[str, Any], where: str) 
         _known(key, known, where, "key", f"{section}.{key}")
         changed[key] = _typed(value, hints[key], f"{where}: {section}.{key}")
         _allowed(section, key, changed[key], where)
+    if section == "estimate" and changed.get("preset") == "paper" and current.method == Estimation().method:
+        changed.setdefault("method", "predictive-coding")  # the printed model is that one
     return replace(current, **changed)
 
 

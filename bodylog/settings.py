@@ -103,7 +103,10 @@ class Fit:
 
 @dataclass(frozen=True)
 class Estimation:
-    """[estimate]: method, senses (None: all that are there), output rate in Hz (None: as the encoders, at most 100)."""
+    """[estimate]: method, senses (None: all that are there), output rate in Hz (None: as the encoders, at most 100).
+
+    Where robot.toml or the command line sets the preset paper and names no method, that is predictive-coding.
+    """
 
     method: str = "laplace"
     preset: str = "default"

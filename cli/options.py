@@ -118,7 +118,7 @@ def estimation_options(function: Command) -> Command:
 
 ESTIMATION = (
     click.option("--method", help="laplace (default), smoother, ekf, predictive-coding or kalman."),
-    click.option("--preset", help="paper: the printed model with its constants."),
+    click.option("--preset", help="paper: predictive-coding with the printed constants."),
     click.option("--with", "senses", metavar="SENSES", help="Use just these senses, e.g. encoders,vision,touch."),
     click.option("--without", metavar="SENSES", help="Use all senses but these."),
     click.option("--rate", type=float, metavar="HZ", help="Estimates per second; default: the encoders', at most 100."),

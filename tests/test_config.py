@@ -82,3 +82,13 @@ def test_printed_settings_read_back_as_they_were(tmp_path):
     given = '[body]\njoints = ["pan \\" lift", "b"]\n[colours]\nshapes = {elbow = {low = [1,2,3], high = [4,5,6]}}\n'
     settings = load(_file(tmp_path, given))
     assert load(_file(tmp_path, toml(settings))) == settings
+
+
+def test_the_papers_preset_is_the_papers_method(tmp_path):
+    toml = tmp_path / "robot.toml"
+    toml.write_text('[estimate]\npreset = "paper"\n')
+    assert load(toml).estimate.method == "predictive-coding"
+    assert load(None, {"estimate": {"preset": "paper"}}).estimate.method == "predictive-coding"
+    assert load(toml, {"estimate": {"method": "kalman"}}).estimate.method == "kalman"
+    assert load(None, {"estimate": {"preset": "paper", "method": "smoother"}}).estimate.method == "smoother"
+    assert load(None, {"estimate": {"preset": "default"}}).estimate.method == "laplace"

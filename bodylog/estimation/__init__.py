@@ -19,6 +19,8 @@ METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
     "kalman": kalman.estimate,
     "predictive-coding": predictive_coding.estimate,
 }
+PRINTED = ("predictive-coding", "kalman")
+"""Methods the paper has."""
 
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
@@ -30,9 +32,11 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
 
 
 def check(body: BodyModel, settings: Estimation) -> None:
-    """UsageError for a method, a form of touch or a sense that there is not, whatever the log may show."""
+    """UsageError for a method, a form of touch, a preset or a sense that there is not, whatever the log may show."""
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is none of {', '.join(METHODS)}")
     if settings.touch == "literal" and settings.method != "predictive-coding":
         raise UsageError("touch: 'literal' is the paper's form, for predictive-coding alone; type --touch likelihood")
+    if settings.preset == "paper" and settings.method not in PRINTED:
+        raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {' or --method '.join(PRINTED)}")
     senses.chosen((), body, settings)

@@ -184,3 +184,10 @@ def test_joints_without_an_encoder_are_said_to_have_no_true_error_bars(world):
     (text,) = said["pan"]
     assert text.startswith("predictive-coding: knows no motion of lift, elbow without encoders")
     assert text.endswith("type --method laplace") and said["all"] == said["paper"] == []
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+def test_methods_the_paper_has_not_refuse_its_preset(world, method):
+    drawn = world(0, duration=2.0)
+    with pytest.raises(UsageError, match=f"'paper' is not for {method}; type --method predictive-coding"):
+        estimate(drawn.features, drawn.body, Estimation(method=method, preset="paper"))
