@@ -10,7 +10,7 @@ from . import __version__
 from .files import sha256
 from .refusals import about, distinct, insist, same_camera, something_seen, teachable
 from .settings import Settings, plain
-from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score
+from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""
@@ -42,7 +42,12 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
     """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over."""
     from .logs import recording
 
-    read = recording.read(log, settings, settings.input.strict)
+    def looking() -> Watcher:
+        from . import perception
+
+        return perception.looking(settings, progress)
+
+    read = recording.read(log, settings, settings.input.strict, looking)
     if read.features is None:
         from . import perception
 

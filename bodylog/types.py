@@ -7,7 +7,8 @@ from it can be written back beside it.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from types import TracebackType
+from typing import Any, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,6 +112,31 @@ class Frame:
         return np.require(self.decode(1), requirements=("C", "W"))
 
 
+class Watcher(Protocol):
+    """Who is told, in a `with`, of each picture of a log's first camera while the log is read."""
+
+    def __call__(self, frame: Frame) -> None:
+        """The next picture in the order of the file; its time is not known yet."""
+
+    def __enter__(self) -> Self:
+        """Itself."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """There are no more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """Frames someone was told of while their log was read: t (n,) s · source_ns (n,) · which of all told they are."""
+
+    t: Array
+    source_ns: Array
+    number: Array
+    by: Watcher
+
+
 @dataclass(frozen=True)
 class Touch:
     """One touch on the skin: onset, offset (s) · cell indices · peak in 0..1 · strongest cell · log time of onset."""
@@ -180,7 +206,7 @@ class Recording:
 
     `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
     what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
-    read with.
+    read with. `watched` are the first camera's frames, if someone was told of them while the log was read.
     """
 
     name: str
@@ -199,6 +225,7 @@ class Recording:
     reference: Series | None = None
     views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
     settings: Settings = field(default_factory=Settings)
+    watched: Watched | None = None
 
 
 class ForwardModel(Protocol):

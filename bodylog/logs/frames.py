@@ -1,18 +1,48 @@
-"""The camera's frames, lazily and in time order; each holds its own bytes."""
+"""The camera's frames, told of while the log is read, or lazily and in time order; each holds its own bytes."""
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from ..types import Array, Frame, Topic
+from ..types import Array, Batch, Frame, Topic, Watched, Watcher
 from . import images
 from .clocks import seconds
-from .containers import open_log, payloads
+from .containers import Log, open_log, payloads
 from .mapping import lasts
 from .walker import Payload
+
+
+class Told:
+    """A log whose camera's pictures are told of on their way to who reads its batches."""
+
+    def __init__(self, log: Log, topics: tuple[Topic, ...], watch: Watcher) -> None:
+        """The camera's topics: one name, several ids where it has several schemas."""
+        self._log, self._watch, self._count = log, watch, 0
+        self._decoders = {topic.id: images.decoder(topic) for topic in topics}
+        self._shrinks = {topic.id: topic.type in images.COMPRESSED for topic in topics}
+        self._numbers: dict[int, list[Array]] = {topic.id: [np.empty(0, np.int64)] for topic in topics}
+
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
+        """Those of the log."""
+        for batch in self._log.batches(ids):
+            if batch.topic_id in self._decoders:
+                self._tell(batch)
+            yield batch
+
+    def watched(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> Watched:
+        """Of all told the frames, dated t_ns (n,): the messages rows (n,), counted through the topics in order."""
+        numbers = np.concatenate([number for some in self._numbers.values() for number in some])
+        return Watched(seconds(t_ns, start_ns), source_ns, numbers[rows], self._watch)
+
+    def _tell(self, batch: Batch) -> None:
+        id_ = batch.topic_id
+        self._numbers[id_].append(np.arange(self._count, self._count + len(batch.log_ns)))
+        self._count += len(batch.log_ns)
+        for log_ns, decode in zip(batch.log_ns.tolist(), _decodes(batch, self._decoders[id_]), strict=True):
+            self._watch(Frame(float("nan"), log_ns, decode, self._shrinks[id_]))
 
 
 def frames(
@@ -63,8 +93,13 @@ def _frames(
             id_ = batch.topic_id
             numbers = places[id_][seen[id_] : seen[id_] + len(batch.log_ns)].tolist()
             seen[id_] += len(batch.log_ns)
-            keep = lasts(batch.data)
-            for number, log_ns, payload in zip(numbers, batch.log_ns.tolist(), payloads(batch), strict=True):
+            decodes = _decodes(batch, decoders[id_])
+            for number, log_ns, decode in zip(numbers, batch.log_ns.tolist(), decodes, strict=True):
                 if number >= 0:
-                    decode = partial(decoders[id_], payload if keep else bytes(payload))
                     yield number, Frame(float(t[number]), log_ns, decode, shrink[id_])
+
+
+def _decodes(batch: Batch, decode: Callable[[Payload, int], Array]) -> Iterator[Callable[[int], Array]]:
+    """What decodes each message of a batch, from bytes of its own unless the batch's stay."""
+    keep = lasts(batch.data)
+    return (partial(decode, payload if keep else bytes(payload)) for payload in payloads(batch))

@@ -1,12 +1,13 @@
 """A log -> one Recording: roles, dated signals, lazy frames, and what became of every message."""
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
 from ..errors import BodylogError
 from ..settings import Settings
-from ..types import Features, Finding, Frame, Health, Recording, Topic
+from ..types import Features, Finding, Frame, Health, Recording, Topic, Watched, Watcher
 from . import cameras, roles, video
 from . import frames as camera
 from .containers import Log, open_log
@@ -15,12 +16,20 @@ from .streams import Stream, health, joints_of, remarks, series, streams
 _OURS, _VIEW = "/bodylog/", "camera/"
 
 
-def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
-    """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come."""
+def read(
+    path: Path, settings: Settings, strict: bool = False, watching: Callable[[], Watcher] | None = None
+) -> Recording:
+    """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come.
+
+    Who is `watching` is told of the first camera's pictures on the way, unless the log may tell what they show.
+    """
     with open_log(path, strict) as log:
         settings = _remembered(log, settings)
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
-        heard, silent = streams(log, found, settings, str(path))
+        to_be_seen = "camera" in found and not _is_ours(log)
+        with watching() if watching and to_be_seen else nullcontext() as watch:
+            told = camera.Told(log, found["camera"].topics, watch) if watch else None
+            heard, silent = streams(told or log, found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
         findings = (*log.findings, *silent, *_findings(log, heard, settings))
@@ -44,6 +53,7 @@ def read(path: Path, settings: Settings, strict: bool = False) -> Recording:
         findings=findings,
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
         settings=settings,
+        watched=_watched(told, heard.get("camera"), start_ns),
     )
 
 
@@ -149,6 +159,12 @@ def _features(log: Log, start_ns: int) -> Features | None:
     from .annotated import read_features
 
     return read_features(log, start_ns)
+
+
+def _watched(told: camera.Told | None, seen: Stream | None, start_ns: int) -> Watched | None:
+    if told is None or seen is None:
+        return None
+    return told.watched(seen.rows, seen.dated.t_ns, seen.log_ns, start_ns)
 
 
 def _is_ours(log: Log) -> bool:

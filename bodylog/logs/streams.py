@@ -12,7 +12,7 @@ from ..settings import Settings
 from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import images, signals
 from .clocks import Dated, date, largest_gap, seconds
-from .columns import Columns, columns, columns_of
+from .columns import Columns, Source, columns, columns_of
 from .containers import Log
 from .roles import Role
 from .stamps import stamp_field
@@ -40,7 +40,7 @@ class Stream:
 
 
 def streams(
-    log: Log, found: Mapping[str, Role], settings: Settings, name: str
+    log: Source, found: Mapping[str, Role], settings: Settings, name: str
 ) -> tuple[dict[str, Stream], tuple[Finding, ...]]:
     """The roles of a log that hold usable messages, and remarks on guesses that do not.
 
@@ -75,7 +75,7 @@ class _Beginning:
         return islice(self.log.batches(ids), 1)
 
 
-def _columns(log: Log, found: Mapping[str, Role]) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
+def _columns(log: Source, found: Mapping[str, Role]) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
     fields: dict[int, dict[str, None]] = {}
     topics = {topic.id: topic for role in found.values() for topic in role.topics}
     for role in found.values():

@@ -8,11 +8,20 @@ from ..errors import FormatError
 from ..settings import Colour, Colours, Settings
 from ..types import Features, Finding, Health, Recording, Series, Stroke
 from . import colour, skin, strokes, synchrony
+from .look import Looking
 
-__all__ = ["observe"]
+__all__ = ["Looking", "looking", "observe"]
+
+Progress = Callable[[int], None]
+"""Told how many more pictures are done."""
 
 
-def observe(recording: Recording, settings: Settings, progress: Callable[[int], None] | None = None) -> Features:
+def looking(settings: Settings, progress: Progress | None = None) -> Looking:
+    """To watch a log's first camera while the log is read, so that `observe` need not read it again. ConfigError."""
+    return colour.looking(_wanted(settings.colours), progress, settings.colours.fast)
+
+
+def observe(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
     """Everything a recording shows; `progress` is told how many more pictures are done. Raises ConfigError.
 
     What an earlier run wrote into the log is taken over. Health is kept per track, and for "touch".
@@ -39,12 +48,16 @@ def _size(recording: Recording) -> tuple[int, int] | None:
 
 
 def _tracks(
-    recording: Recording, settings: Settings, progress: Callable[[int], None] | None
+    recording: Recording, settings: Settings, progress: Progress | None
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]:
     if recording.frames is None:
         return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),)
     fast = settings.colours.fast
-    tracks, health, findings = colour.track(recording.frames, _wanted(settings.colours), progress, fast)
+    wanted, watched = _wanted(settings.colours), recording.watched
+    if watched is not None and isinstance(watched.by, Looking):
+        tracks, health, findings = colour.tracks(watched.by.seen(watched), recording.frames, wanted)
+    else:
+        tracks, health, findings = colour.track(recording.frames, wanted, progress, fast)
     for camera, frames in recording.views.items():
         more = colour.track(frames, _beside(settings.colours, camera), progress, fast)
         tracks, health, findings = tracks | more[0], health | more[1], findings + more[2]

@@ -7,9 +7,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..settings import Colour
-from ..types import Array, Finding, Frame, Health, Series
+from ..types import Array, Finding, Frame, Health, Series, Watched
 from . import choose
-from .look import look
+from .look import Looking, Seen
 from .ranges import covered, nearest, resolve
 
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
@@ -19,19 +19,38 @@ _NOTABLE = 1e-4
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
 
+def looking(colours: Mapping[str, Colour], progress: Callable[[int], None] | None, fast: bool) -> Looking:
+    """To be told of pictures; `progress` is told how many more are done, `fast` looks at compressed ones at half scale.
+
+    Raises ConfigError for a colour that means nothing.
+    """
+    return Looking([resolve(colour, name) for name, colour in colours.items()], progress, fast, THREADS.get())
+
+
 def track(
     frames: Callable[[], Iterator[Frame]],
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None = None,
     fast: bool = False,
 ) -> Tracks:
+    """The `tracks` in pictures, which are looked at now, as by `looking`."""
+    t: list[float] = []
+    source_ns: list[int] = []
+    with looking(colours, progress, fast) as look:
+        for frame in frames():
+            t.append(frame.t)
+            source_ns.append(frame.source_ns)
+            look(frame)
+    watched = Watched(np.array(t), np.array(source_ns, dtype=np.int64), np.arange(len(t)), look)
+    return tracks(look.seen(watched), frames, colours)
+
+
+def tracks(seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[str, Colour]) -> Tracks:
     """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
 
-    `progress` is told how many more pictures are done; `fast` looks at compressed ones at half scale. Raises
-    ConfigError for a colour that means nothing.
+    Into some frames one more look is taken where a colour was never seen.
     """
-    ranges = [resolve(colour, name) for name, colour in colours.items()]
-    t, source_ns, found, broken, size = look(frames(), ranges, progress, fast, THREADS.get())
+    t, source_ns, found, broken, size = seen
     tracks, health, findings = {}, {}, []
     for index, name in enumerate(colours):
         track, reasons = choose.best(t, found[:, index], size)
@@ -42,7 +61,7 @@ def track(
         findings.append(Finding("warning", "camera: no picture in this log; no tracks, no strokes"))
     elif unseen:
         instead = _saturated(frames(), t.size)
-        taken = {other for each in ranges for other in covered(each)}
+        taken = {other for name, colour in colours.items() for other in covered(resolve(colour, name))}
         findings += [_unseen(name, colours[name], t.size, instead, taken) for name in unseen]
     if broken.any():
         findings.append(Finding("lost", f"{int(broken.sum())} of {t.size} pictures could not be decoded"))

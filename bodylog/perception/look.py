@@ -1,24 +1,24 @@
 """Pictures to blobs on several threads: each takes a few pictures in their order, looks at them and lets them go."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
-from itertools import islice
-from threading import Lock
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from threading import Condition
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from ..errors import InputError
 from ..threads import one_opencv
-from ..types import Array, Frame
+from ..types import Array, Frame, Watched
 from . import blobs, search
 from .ranges import Range
 from .search import Window
 
-# pictures a thread takes at once; takes whose finds are measured together: with more, what is worked on outgrows the
-# memory a process keeps, and is faulted in anew
-_TAKEN, _SHEET = 8, 4
+# pictures a thread takes at once; takes that wait; takes whose finds are measured together: with more, what is worked
+# on outgrows the memory a process keeps, and is faulted in anew
+_TAKEN, _AHEAD, _SHEET = 4, 4, 8
 
 
 class Seen(NamedTuple):
@@ -31,77 +31,104 @@ class Seen(NamedTuple):
     width: float
 
 
+Take = tuple[int, list[Frame]]
+"""Pictures in order, and how many such lists came before."""
+
 Look = tuple[list[Window], list[tuple[int, int]]]
 """What some pictures show; of each its width in px as looked at (0: undecodable) and how often it is shrunk."""
 
 
-def look(
-    frames: Iterator[Frame],
-    ranges: Sequence[Range],
-    progress: Callable[[int], None] | None = None,
-    fast: bool = False,
-    threads: int = 1,
-) -> Seen:
-    """What all pictures show of each colour; `progress` is told how many more are done, by whichever thread did them.
+class Looking:
+    """To be told of pictures one by one, within a `with`: this thread and `threads` - 1 others look at them.
 
-    The same bytes whichever thread takes which pictures: what is measured together depends on their order alone.
+    No more than a few wait, and the same bytes come of them whichever thread takes which: what is measured together
+    depends on their order alone. Whoever tells of a picture too many looks at some itself. `progress` may be told by
+    any of the threads.
     """
-    work = _Work(frames, ranges, progress, fast)
-    with one_opencv(), ThreadPoolExecutor(threads) as pool:
-        others = [pool.submit(work.run) for _ in range(threads - 1)]
-        work.run()
-        for other in others:
-            other.result()
-    return work.seen()
-
-
-class _Work:
-    """Pictures to be taken, and what was found in those that were."""
 
     def __init__(
-        self, frames: Iterator[Frame], ranges: Sequence[Range], progress: Callable[[int], None] | None, fast: bool
+        self, ranges: Sequence[Range], progress: Callable[[int], None] | None, fast: bool, threads: int
     ) -> None:
-        self._frames, self._ranges, self._progress, self._fast = frames, ranges, progress, fast
-        self._lock, self._takes = Lock(), 0
-        self._dates: list[tuple[float, int]] = []
+        """Nothing is loaded and no thread begins before there is a picture."""
+        self._ranges, self._progress, self._fast, self._threads = ranges, progress, fast, threads
+        self._begun, self._others = ExitStack(), list[Future[None]]()
+        self._ready, self._told, self._over = Condition(), list[Frame](), False
+        self._waiting, self._takes = deque[Take](), 0
         self._sheets: dict[int, dict[int, Look]] = {}
         self._measured: dict[int, tuple[Array, Array]] = {}
 
-    def run(self) -> None:
-        """Take pictures as long as there are any and no thread has failed."""
-        try:
-            while taken := self._take():
-                number, frames = taken
-                self._put(number, _look(frames, self._ranges, self._fast))
-        finally:
-            with self._lock:
-                self._frames = iter(())
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
 
-    def seen(self) -> Seen:
-        """All that was found, once every thread is through; the last sheet is rarely full."""
+    def __call__(self, frame: Frame) -> None:
+        """One more picture; its time does not matter. What went wrong on another thread is raised here."""
+        self._told.append(frame)
+        if len(self._told) == _TAKEN:
+            self._hand_out()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Look at what is left, unless something went wrong."""
+        with self._begun:
+            if kind is None and self._told:
+                self._hand_out()
+            with self._ready:
+                self._over = True
+                if kind is not None:
+                    self._waiting.clear()
+                self._ready.notify_all()
+            self._work()
+        for other in self._others if kind is None else ():
+            other.result()
+
+    def seen(self, watched: Watched) -> Seen:
+        """What the frames among the pictures show."""
         for sheet, looks in self._sheets.items():
             self._measured[sheet] = _measured(looks, self._ranges)
         parts = [_measured({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
-        found, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
+        found, sizes = (np.concatenate(each)[watched.number] for each in zip(*parts, strict=True))
         wide, scale = sizes.T
-        t, source_ns = np.array([t for t, _ in self._dates]), np.array([ns for _, ns in self._dates], dtype=np.int64)
-        return Seen(t, source_ns, blobs.enlarged(found, scale), wide == 0, float((wide * scale).max(initial=0)))
+        widest = float((wide * scale).max(initial=0))
+        return Seen(watched.t, watched.source_ns, blobs.enlarged(found, scale), wide == 0, widest)
 
-    def _take(self) -> tuple[int, list[Frame]] | None:
-        with self._lock:
-            frames = list(islice(self._frames, _TAKEN))
-            self._dates += [(frame.t, frame.source_ns) for frame in frames]
-            self._takes += 1
-            return (self._takes - 1, frames) if frames else None
+    def _begin(self) -> None:
+        self._begun.enter_context(one_opencv())
+        pool = self._begun.enter_context(ThreadPoolExecutor(self._threads))
+        self._others += [pool.submit(self._work) for _ in range(self._threads - 1)]
 
-    def _put(self, number: int, found: Look) -> None:
-        """Keep what was found; who brings the last look of a sheet measures it."""
+    def _hand_out(self) -> None:
+        if not self._takes:
+            self._begin()
+        with self._ready:
+            self._waiting.append((self._takes, self._told))
+            self._takes, self._told = self._takes + 1, []
+            mine = self._waiting.popleft() if len(self._waiting) > _AHEAD else None
+            self._ready.notify()
+        for other in self._others:
+            if other.done():
+                other.result()
+        if mine:
+            self._look(*mine)
+
+    def _work(self) -> None:
+        """Look at pictures until there will be no more."""
+        while True:
+            with self._ready:
+                self._ready.wait_for(lambda: self._waiting or self._over)
+                if not self._waiting:
+                    return
+                number, frames = self._waiting.popleft()
+            self._look(number, frames)
+
+    def _look(self, number: int, frames: Sequence[Frame]) -> None:
+        """Look at pictures; who brings the last look of a sheet measures it."""
+        found = _look(frames, self._ranges, self._fast)
         sheet = number // _SHEET
-        with self._lock:
+        with self._ready:
             self._sheets.setdefault(sheet, {})[number] = found
             whole = self._sheets.pop(sheet) if len(self._sheets[sheet]) == _SHEET else None
             if self._progress:
-                self._progress(len(found[1]))
+                self._progress(len(frames))
         if whole:
             self._measured[sheet] = _measured(whole, self._ranges)
 

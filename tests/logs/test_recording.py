@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from bodylog.errors import BodylogError, ConfigError, FormatError, LogError
+from bodylog.logs import ahead
 from bodylog.logs.recording import info, read
 from bodylog.settings import Body, Settings, Time, Topics
+from bodylog.types import Frame
 
 from .writing import T0, Stream, camera, cdr, compressed, define, header, joint_state, joints, register, write
 
@@ -195,6 +197,97 @@ def test_frames_are_streamed(tmp_path):
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
     assert peaks[2] < 1.1 * peaks[1], peaks
+
+
+class _Told:
+    """Remembers the pictures told of, and how it ended."""
+
+    def __init__(self) -> None:
+        self.shades: list[int] = []
+        self.ended: list[object] = []
+
+    def __call__(self, frame: Frame) -> None:
+        self.shades.append(int(frame.image[0, 0, 0]))
+
+    def __enter__(self) -> "_Told":
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        self.ended.append(kind)
+
+
+def _told_and_read_again(log: Path, said: Settings = PLAIN) -> _Told:
+    """Holds that what is told of while a log is read are the frames that are read after it."""
+    told = _Told()
+    got, plain = read(log, said, watching=lambda: told), read(log, said)
+    assert got.watched is not None and got.watched.by is told and plain.watched is None and told.ended == [None]
+    frames = list(plain.frames() if plain.frames else ())
+    assert [told.shades[n] for n in got.watched.number] == [int(f.image[0, 0, 0]) for f in frames]
+    assert got.watched.t.tolist() == [f.t for f in frames]
+    assert got.watched.source_ns.tolist() == [f.source_ns for f in frames]
+    assert got.joints is not None and plain.joints is not None
+    assert got.joints.values.tobytes() == plain.joints.values.tobytes()
+    assert got.health == plain.health
+    return told
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pictures_are_told_of_in_the_order_of_the_file_and_their_frames_named_afterwards(tmp_path, seed):
+    rng = np.random.default_rng(seed)
+    stamps = [T0 + 40 * MS * i for i in range(50)]
+    stamps[7], stamps[20] = stamps[6], 0  # one told twice, one never dated
+    rows = [(t + MS, compressed(t, np.full((8, 10, 3), 5 * i, np.uint8))) for i, t in enumerate(stamps)]
+    near = np.argsort(np.arange(len(rows)) + rng.uniform(0, 6, len(rows)))
+    streams = [camera("/cam", [rows[i] for i in near]), joints("/j", moves(5))]
+    told = _told_and_read_again(write(tmp_path / "a.mcap", streams, in_order=False, chunk=700))
+    assert told.shades == [5 * i for i in near]
+
+
+def test_pictures_of_one_camera_under_two_types_are_told_of_as_one_stream(tmp_path):
+    shades = [(T0 + 20 * MS * i, np.full((4, 4, 3), 10 * i, np.uint8)) for i in range(10)]
+    first = camera("/cam", [(t, compressed(t, shade)) for t, shade in shades[5:]])
+    kind = "sensor_msgs/msg/CompressedImage"
+    other = Stream("/cam", kind, define(kind) + b"\n# a later version", [(t, compressed(t, s)) for t, s in shades[:5]])
+    log = write(tmp_path / "a.mcap", [first, other, joints("/j", moves(10))], chunk=700)
+    assert len([topic for topic in read(log, PLAIN).topics if topic.name == "/cam"]) == 2
+    assert sorted(_told_and_read_again(log).shades) == list(range(0, 100, 10))
+
+
+def test_nobody_is_told_where_there_is_no_camera_or_what_it_shows_is_in_the_log(tmp_path):
+    never = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
+    image = camera("/cam", [(T0, compressed(T0, np.zeros((8, 8, 3), np.uint8)))])
+    ours = write(tmp_path / "b.mcap", [joints("/j", moves(3)), arrays("/bodylog/x", np.ones((3, 2))), image])
+    for log in (never, ours):
+        assert read(log, PLAIN, watching=lambda: pytest.fail("is told")).watched is None
+
+
+def test_each_chunk_is_unpacked_once_for_signals_and_pictures_and_none_is_kept(tmp_path, monkeypatch):
+    noise = np.random.default_rng(1).integers(0, 256, (80, 80, 3), np.uint8)
+    unpacked = []
+    whole = ahead.unpack
+    monkeypatch.setattr(ahead, "unpack", lambda data, chunk, to: unpacked.append(chunk.start) or whole(data, chunk, to))
+    peaks = []
+    for count in (100, 100, 500):
+        rows = [(T0 + 40 * MS * i, compressed(T0 + 40 * MS * i, noise)) for i in range(count)]
+        log = write(tmp_path / "a.mcap", [camera("/cam", rows), joints("/j", moves(20))], chunk=1 << 16)
+        told = _Told()
+        unpacked.clear()
+        tracemalloc.start()
+        assert read(log, PLAIN, watching=lambda told=told: told).watched is not None
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(told.shades) == count and len(unpacked) == len(set(unpacked)) > count / 20
+    assert peaks[2] < 1.3 * peaks[1], peaks
+
+
+def test_who_watches_hears_that_the_log_cannot_be_used(tmp_path):
+    image, kind = np.zeros((8, 8, 3), np.uint8), "std_msgs/msg/Float32MultiArray"
+    pictures = camera("/cam", [(T0 + i, compressed(T0 + i, image)) for i in range(3)])
+    log = write(tmp_path / "a.mcap", [pictures, Stream("/skin", kind, define(kind), [(T0, b"\0\1\0\0")])])
+    told = _Told()
+    with pytest.raises(LogError, match="no usable message on /skin"):
+        read(log, settings(topics=Topics(skin="/skin")), watching=lambda: told)
+    assert told.ended == [LogError] and len(told.shades) == 3
 
 
 def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):

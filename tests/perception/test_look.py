@@ -8,12 +8,22 @@ import pytest
 
 from bodylog.errors import LogError
 from bodylog.perception import ranges
-from bodylog.perception.look import look
-from bodylog.types import Frame
+from bodylog.perception.look import Looking, Seen
+from bodylog.types import Array, Frame, Watched
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
 GREEN = [ranges.resolve("green", "it")]
+
+
+def look(frames: Iterator[Frame], threads: int, number: Array | None = None) -> Seen:
+    with Looking(GREEN, None, False, threads) as told:
+        count = 0
+        for frame in frames:
+            told(frame)
+            count += 1
+    chosen = np.arange(count) if number is None else number
+    return told.seen(Watched(chosen / 30.0, chosen, chosen, told))
 
 
 def _film(count: int, seed: int) -> list[Frame]:
@@ -27,11 +37,10 @@ def _film(count: int, seed: int) -> list[Frame]:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_same_bytes_however_many_threads_look(seed: int) -> None:
     film = _film(75, seed)
-    alone, *others = (look(iter(film), GREEN, threads=threads) for threads in (1, 2, 2, 3))
+    alone, *others = (look(iter(film), threads) for threads in (1, 2, 2, 3))
     assert np.isfinite(alone.blobs[:, 0, 0, 0]).all()
     for seen in others:
-        assert seen.blobs.tobytes() == alone.blobs.tobytes() and seen.t.tobytes() == alone.t.tobytes()
-        assert seen.source_ns.tobytes() == alone.source_ns.tobytes() and seen.width == alone.width == 160
+        assert seen.blobs.tobytes() == alone.blobs.tobytes() and seen.width == alone.width == 160
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
@@ -48,7 +57,7 @@ def test_what_is_wrong_with_the_log_ends_all_threads_and_is_told(threads: int) -
 
     before = active_count()
     with pytest.raises(LogError, match="is damaged"):
-        look(source(), GREEN, threads=threads)
+        look(source(), threads)
     assert taken == list(range(20)) and active_count() == before
 
 
@@ -57,7 +66,7 @@ def test_a_thread_that_fails_keeps_the_others_from_going_on(threads: int) -> Non
     film = _film(40, 0)
     asked = []
 
-    def failing(_: int) -> None:
+    def failing(_: int) -> Array:
         raise ZeroDivisionError
 
     def source() -> Iterator[Frame]:
@@ -68,5 +77,13 @@ def test_a_thread_that_fails_keeps_the_others_from_going_on(threads: int) -> Non
                 yield frame
 
     with pytest.raises(ZeroDivisionError):
-        look(source(), GREEN, threads=threads)
+        look(source(), threads)
     assert len(asked) < 1000
+
+
+def test_of_the_pictures_told_of_those_are_kept_that_are_frames_in_their_order() -> None:
+    film = _film(40, 1)
+    whole, number = look(iter(film), 2), np.array([33, 2, 7, 39])
+    some = look(iter(film), 2, number)
+    assert some.blobs.tobytes() == whole.blobs[number].tobytes()
+    assert some.source_ns.tolist() == number.tolist()
