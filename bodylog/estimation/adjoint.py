@@ -28,56 +28,77 @@ def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array
             else:
                 adjoint[:m] -= jac[i, row - m] * pull
         if isinstance(readings, Leaps):
-            _unleap(readings.pooled, i, adjoint, gains[i, -2 * m :], push[i, -2 * m :])
+            assert trace.left is not None
+            _unleap(readings.pooled, i, adjoint, trace.left[i])
         else:
             adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
     return after, adjoint
 
 
-def _unleap(pooled: Pooled, i: int, adjoint: Array, gains: Array, push: Array) -> None:
-    """Carry the adjoint (K,C) back over what was pooled before instant i."""
-    lean, parts = pooled.lean[i], adjoint.reshape(*pooled.shift[i].shape)
+def _unleap(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
+    """Carry the adjoint λ (K,C) back over what was pooled before instant i; `left` is the belief before it moved.
+
+    Each reading y of the smoothed state z − P λ there takes Hᵀ R⁻¹ (y − H (z − P λ)) from it.
+    """
+    lean, parts = pooled.lean[i], adjoint.reshape(pooled.shift[i].shape)
     parts[:] = np.einsum("abjc,ajc->bjc", pooled.move[i], parts)
-    m = len(lean)
-    for row in range(2 * m - 1, -1, -1):
-        pull = np.einsum("kc,kc->c", gains[row], adjoint) + push[row]
-        of_rate, j = divmod(row, m)
-        if of_rate:
-            parts[1, j] -= pull
-        else:
-            parts[::2, j] -= pull
-            parts[1, j] -= lean[j] * pull
+    smooth = (left[:, -1] - np.einsum("klc,lc->kc", left[:, :-1], adjoint)).reshape(parts.shape)
+    lack = pooled.y[i] - smooth[:2]
+    lack[0] -= lean * smooth[1]
+    if len(parts) > 2:
+        lack[0] -= smooth[2]
+    lack /= pooled.var[i]
+    parts[::2] -= lack[0]
+    parts[1] -= lean * lack[0] + lack[1]
 
 
 def covariances(readings: Readings, trace: Trace, end: Array, into: Array | None = None) -> Array:
-    """The adjoint's information (K,K,C) before all from that at the `end`; `into` takes smoothed angles' (L,M,M,C)."""
+    """The adjoint's information (K,K,C) before all from that at the `end`; `into` takes smoothed angles' (L,M,M,C).
+
+    Columns beyond K are adjoints that no reading adds to.
+    """
     length, m, _ = readings.encoders.shape
-    information = end.copy()
+    information, k = end.copy(), len(end)
     heard = _heard(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
     for i in range(length - 1, -1, -1):
         p, dt = trace.p[i], readings.dt[i]
         if into is not None:
-            half = np.einsum("jkc,klc->jlc", p[:m], information)
+            half = np.einsum("jkc,klc->jlc", p[:m], information[:, :k])
             np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half, p[:, :m]), out=into[i])
         _unhear(readings, trace, i, heard[i], information)
         information[m : 2 * m] += dt * information[:m]
         information[:, m : 2 * m] += dt * information[:, :m]
         if i % EVEN == 0:
-            information[:] = 0.5 * (information + information.transpose(1, 0, 2))
+            information[:, :k] = 0.5 * (information[:, :k] + information[:, :k].transpose(1, 0, 2))
     return information
 
 
+def ends(readings: Readings, trace: Trace) -> Array:
+    """The adjoint's information (K,K,C) at each stretch's end: none at the last one's, else as where the next begins.
+
+    From Λ at its end a stretch makes W + Ψ Λ Ψᵀ at its start, where Ψ is what it makes of the adjoints at its end.
+    """
+    k, _, c = trace.p[0].shape
+    start = np.zeros((k, 2 * k, c))
+    np.einsum("kkc->kc", start[:, k:])[:] = 1.0
+    before, found = np.moveaxis(covariances(readings, trace, start), -1, 0), np.zeros((c, k, k))
+    for j in range(c - 1, 0, -1):
+        own, across = before[j, :, :k], before[j, :, k:]
+        found[j - 1] = own + across @ found[j] @ across.T
+    return np.ascontiguousarray(np.moveaxis(found, 0, -1))
+
+
 def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array) -> None:
-    """Carry the information (K,K,C) back over the rows heard at instant i, last heard first."""
+    """Carry the information (K,…,C) back over the rows heard at instant i, last heard first."""
     assert trace.back is not None
     gains, weights, _ = (part[i] for part in trace.back)
-    m = readings.encoders.shape[1]
+    k, m = len(information), readings.encoders.shape[1]
     tracks = [row for row in rows if row >= m]
     for row in rows[: len(rows) - len(tracks)]:
         b, curve = _said(information, gains[row], weights[row])
         information[row :: 2 * m] -= b
-        information[:, row :: 2 * m] -= b[:, None]
-        information[row :: 2 * m, row :: 2 * m] += curve
+        information[:, row : k : 2 * m] -= b[:k, None]
+        information[row :: 2 * m, row : k : 2 * m] += curve
     seen = np.flatnonzero(weights[m:].any(axis=0)) if tracks else np.empty(0, int)
     few = len(seen) < MANY * information.shape[2]
     some, jac = (part.take(seen, axis=-1) if few else part for part in (information, readings.jac[i]))
@@ -85,16 +106,16 @@ def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], informati
         gain, weight = (part[row].take(seen, axis=-1) if few else part[row] for part in (gains, weights))
         h, (b, curve) = jac.reshape(-1, m, jac.shape[-1])[row - m], _said(some, gain, weight)
         some[:m] -= h[:, None] * b[None]
-        some[:, :m] -= b[:, None] * h[None]
+        some[:, :m] -= b[:k, None] * h[None]
         some[:m, :m] += (h * curve)[:, None] * h[None]
     if few:
         information[..., seen] = some
 
 
 def _said(information: Array, gain: Array, weight: Array) -> tuple[Array, Array]:
-    """Information times the gain (K,C), and what both and the weight make of the reading's own (C,)."""
-    b = np.einsum("klc,lc->kc", information, gain)
-    return b, np.einsum("kc,kc->c", gain, b) + weight
+    """The gain times every column (…,C), and what that and the weight make of the reading's own information (C,)."""
+    b = np.einsum("klc,kc->lc", information, gain)
+    return b, np.einsum("kc,kc->c", gain, b[: len(gain)]) + weight
 
 
 def _heard(trace: Trace, m: int, rows: int) -> list[list[int]]:

@@ -87,8 +87,11 @@ def _listen(said: Said, belief: Array, back: Back) -> None:
     np.negative(told[:, -1], out=back.nus)
 
 
-def leap(pooled: "Pooled", i: int, belief: Array, back: Back) -> None:
-    """Condition the belief in place on what was pooled before instant i, ungated, and move it there."""
+def leap(pooled: "Pooled", i: int, belief: Array, back: Back, left: Array | None) -> None:
+    """Condition the belief in place on what was pooled before instant i, ungated, and move it there.
+
+    `left` (K,K+1,C) takes the belief before it moves.
+    """
     lean, (y, var) = pooled.lean[i], (pooled.y[i], pooled.var[i])
     m, offsets = len(lean), len(belief) > 2 * len(lean)
     told = np.empty((2 * m, *belief.shape[1:]))
@@ -111,6 +114,8 @@ def leap(pooled: "Pooled", i: int, belief: Array, back: Back) -> None:
         ph[-1] -= y[1, j]
         _condition(belief, ph, back, m + j)
     np.negative(told[:, -1], out=back.nus)
+    if left is not None:
+        left[:] = belief
     _move(pooled.move[i], pooled.shift[i], pooled.noise[i], belief)
 
 

@@ -76,7 +76,10 @@ class Leaps(Readings):
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Per instant: prior mean and covariance of x, posterior state z and covariance p, nats, gains for going back."""
+    """Per instant: prior mean and covariance of x, posterior state z and covariance p, nats; and for going back:
+
+    gains, weights and innovations of rows · left (L,K,K+1,C): covariance and mean given what was pooled, before moving.
+    """
 
     prior: Array
     prior_cov: Array
@@ -85,12 +88,13 @@ class Trace:
     nats: Array
     encoder_d: Array
     back: tuple[Array, Array, Array] | None
+    left: Array | None
 
 
 def scan(
     readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False, into: Trace | None = None
 ) -> Trace:
-    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps gains for the smoother.
+    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps what the smoother goes back by.
 
     `into` is a trace of the same shape to overwrite: fresh memory costs as much as the arithmetic.
     """
@@ -104,18 +108,19 @@ def scan(
     visible: Array = np.any(said[1].heard, axis=(1, 2))
     seen = [np.flatnonzero(row) for row in visible]
     back = Back(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
+    leaps = Back(None, *np.empty((2, length, 2 * m if isinstance(readings, Leaps) else 0, c)))
     for i in range(length):
-        rows = back.at(i)
         if isinstance(readings, Leaps):
-            leap(readings.pooled, i, belief, rows.at(slice(-2 * m, None)))
+            leap(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
         else:
             propagate(readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
-        update(readings, said, i, seen[i], dynamics.recalled, belief, trace.encoder_d[i], rows)
+        update(readings, said, i, seen[i], dynamics.recalled, belief, trace.encoder_d[i], back.at(i))
         trace.z[i], trace.p[i] = z, p
-    trace.nats[:] = _nats(back.weights, back.nus, _counted(readings, dynamics.recalled))
+    weights, nus = (np.concatenate(pair, axis=1) for pair in zip(back[1:], leaps[1:], strict=True))
+    trace.nats[:] = _nats(weights, nus, _counted(readings, dynamics.recalled))
     if isinstance(readings, Leaps):
         trace.nats[:] += readings.pooled.nats
     return trace
@@ -149,8 +154,8 @@ def rescan(
         return trace
     part = scan(columns(readings, moving), dynamics, z[:, moving], p[:, :, moving], remember)
     for field in fields(part):
-        if field.name != "back":
-            getattr(trace, field.name)[..., moving] = getattr(part, field.name)
+        if field.name != "back" and (some := getattr(part, field.name)) is not None:
+            getattr(trace, field.name)[..., moving] = some
     for whole, some in zip(trace.back or (), part.back or (), strict=True):
         whole[..., moving] = some
     return trace
@@ -170,18 +175,18 @@ def columns(record: R, some: Array) -> R:
 
 
 def _rows(readings: Readings) -> int:
-    """Rows of gains at each instant: M encoders, the tracks' rows, two per joint where readings are pooled."""
-    m, tracks, d = readings.encoders.shape[1], readings.y.shape[1], readings.y.shape[2]
-    return int(m + tracks * d + (2 * m if isinstance(readings, Leaps) else 0))
+    """Rows heard at each instant: M encoders, the tracks' rows."""
+    return int(readings.encoders.shape[1] + readings.y.shape[1] * readings.y.shape[2])
 
 
 def _empty(readings: Readings, k: int, remember: bool) -> Trace:
     length, m, c = readings.encoders.shape
     rows = _rows(readings)
     back = (np.zeros((length, rows, k, c)), np.zeros((length, rows, c)), np.zeros((length, rows, c)))
+    left = np.empty((length, k, k + 1, c)) if remember and isinstance(readings, Leaps) else None
     return Trace(
         np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
-        np.empty((length, c)), np.empty((length, m, c)), back if remember else None,
+        np.empty((length, c)), np.empty((length, m, c)), back if remember else None, left,
     )  # fmt: skip
 
 

@@ -118,15 +118,10 @@ def _back(
 
 
 def spread(readings: Readings, trace: Trace) -> Array:
-    """Smoothed covariance (L,M,M,C) of the angles, once what the future says at each stretch's end rests."""
-    ends, std = np.zeros_like(trace.p[0]), np.sqrt(np.einsum("iic->ic", trace.p[-1]))
-    ends, cov = adjoint.before(adjoint.covariances(readings, trace, ends)), np.empty_like(trace.prior_cov)
-    for _ in range(SWEEPS):
-        before = adjoint.before(adjoint.covariances(readings, trace, ends, cov))
-        moved, ends = before - ends, before
-        if np.abs(moved * std[:, None] * std[None]).max() < LASTING:
-            return cov
-    raise Restless(f"smoother: no rest of covariances after {SWEEPS} sweeps")
+    """Smoothed covariance (L,M,M,C) of the angles."""
+    cov = np.empty_like(trace.prior_cov)
+    adjoint.covariances(readings, trace, adjoint.ends(readings, trace), cov)
+    return cov
 
 
 def once(problem: Problem) -> Smooth:
