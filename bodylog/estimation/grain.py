@@ -20,10 +20,14 @@ def grain(y: Array) -> float:
     return float(steps.min()) if np.mean(np.abs(counts - np.round(counts)) < WHOLE) > MOST else 0.0
 
 
+def repeated(t: Array, y: Array) -> float:
+    """How many times their variance readings (N,) have that share their errors, as repeats do."""
+    return max(1.0, float(t[-1] - t[0]) / (1 + np.count_nonzero(np.diff(y))) / ONE)
+
+
 def dithered(t: Array, y: Array) -> tuple[Array, float, float]:
     """Readings (N,) spread evenly over the step they were counted in, the variance (rad²) of that, and their least."""
     step = grain(y)
-    lasting = (t[-1] - t[0]) / (1 + np.count_nonzero(np.diff(y)))
     variance = step * step / 12.0
     spread = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
-    return spread, variance, variance * max(1.0, float(lasting) / ONE)
+    return spread, variance, variance * repeated(t, y)

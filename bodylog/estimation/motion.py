@@ -4,7 +4,7 @@ import numpy as np
 
 from ..types import Array
 from .folds import Fold
-from .grain import dithered
+from .grain import dithered, repeated
 from .senses import Encoders
 
 SPREAD = (31, 13, 13)
@@ -43,6 +43,8 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
             spread, *own = dithered(encoders.t[known], column[known])
             heard.append((encoders.t[known], spread))
             coarse.append(own)
+        elif len(known):
+            encoder[joint] *= repeated(encoders.t[known], column[known])
     if joints:
         (found, process[joints]), (added, least) = likeliest(heard), np.transpose(coarse)
         encoder[joints] = np.maximum(found - added, least)

@@ -1,6 +1,6 @@
 """What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +10,7 @@ from ..settings import Estimation
 from ..types import Array, BodyModel, Fault, Features, Finding, ForwardModel, Health, Series
 from . import touch
 from .explored import checked
+from .silences import silences, silent
 from .stuck import unfrozen
 
 
@@ -65,29 +66,12 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     if "touch" in wanted and "effector" in body.senses:
         # descent integrates a pull over time; a filter would take the frames of one touch for independent
         sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
-    findings += _check(used, settings.senses or (), features, _silent(body.joints, encoders), wanted)
+    findings += _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
     # touches out of time are a result, not a lack: they are heard, for what little they weigh
     heard = tuple(s for s in sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
-    return Evidence(encoders, heard, first, used, (*findings, *_ambiguous(body.joints, encoders, heard)), faults)
-
-
-def _ambiguous(names: tuple[str, ...], encoders: Encoders | None, heard: tuple[Sighting, ...]) -> Iterator[Finding]:
-    """A warning where pictures give fewer numbers than there are joints no encoder speaks of."""
-    silent = _silent(names, encoders)
-    seen = sum(sighting.values.shape[1] for sighting in heard if sighting.name != "touch")
-    if 0 < seen < len(silent):
-        yield Finding(
-            "warning",
-            f"vision: {seen} numbers a picture for {len(silent)} joints without an encoder ({', '.join(silent)}): "
-            "many postures look alike, angles may be off by far more than their error bars; add encoders or a camera",
-        )
-
-
-def _silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
-    """Joints no encoder speaks of."""
-    return [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
+    return Evidence(encoders, heard, first, used, (*findings, *silences(body.joints, encoders, heard)), faults)
 
 
 def chosen(visual: Iterable[str], body: BodyModel, settings: Estimation) -> set[str]:
@@ -234,5 +218,8 @@ def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> A
         return np.array(settings.start, float)
     if np.isnan(evidence.first).any():
         unknown = ", ".join(name for name, angle in zip(names, evidence.first, strict=True) if np.isnan(angle))
-        raise LogError(f"joints: no reading tells where {unknown} starts; give `start`, one angle in rad per joint")
+        raise LogError(
+            f"joints: no reading tells where {unknown} starts; type in robot.toml [estimate] start = "
+            f"[{', '.join(['0.0'] * len(names))}], the angles in rad of {', '.join(names)}"
+        )
     return evidence.first

@@ -35,8 +35,9 @@ def against_truth(estimate: Estimate, truth: Series, names: list[str]) -> list[S
     error = (estimate.joints.values[:, columns] - at_times(truth, names, estimate.joints.t))[rows]
     cov = estimate.cov[rows][:, columns][:, :, columns]
     var = np.einsum("nii->ni", cov)
-    ratio = error**2 / var
-    nees = np.einsum("ni,ni->n", error, np.linalg.solve(cov, error[..., None])[..., 0]) / len(names)
+    with np.errstate(divide="ignore", invalid="ignore"):  # an error bar of zero is infinitely wrong
+        ratio = error**2 / var
+    nees = _normalised(error, cov) / len(names)
     return [
         Score("joint_rmse", _rms(error), "rad"),
         *(Score(f"joint_rmse/{name}", _rms(error[:, i]), "rad") for i, name in enumerate(names)),
@@ -44,6 +45,13 @@ def against_truth(estimate: Estimate, truth: Series, names: list[str]) -> list[S
         *(Score(f"nees/{name}", float(ratio[:, i].mean()), "1") for i, name in enumerate(names)),
         Score("coverage_2sigma", float((ratio <= 4.0).mean() * 100.0), "%"),
     ]
+
+
+def _normalised(error: Array, cov: Array) -> Array:
+    """eᵀ P⁻¹ e (N,); infinite where a covariance has no inverse."""
+    found, sound = np.full(len(error), np.inf), np.linalg.det(cov) != 0.0
+    found[sound] = np.einsum("ni,ni->n", error[sound], np.linalg.solve(cov[sound], error[sound][..., None])[..., 0])
+    return found
 
 
 def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: list[str]) -> list[Score]:

@@ -48,3 +48,16 @@ def test_error_bars_are_true_for_coarse_encoders(world, method, step, speed, see
     ratio = error**2 / np.einsum("nii->ni", found.cov)
     assert 0.3 < ratio.mean() < 2.5
     assert np.sqrt(np.mean(error**2)) < step / np.sqrt(12.0)
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_a_joint_that_reads_one_value_is_no_surer_than_one_reading(world, method):
+    drawn = world(1, duration=12.0, encoder_std=0.0, speed=0.0)
+    joints = drawn.features.joints
+    off = np.array([0.004, -0.003, 0.002])
+    encoder = tuple([0.003**2] * 3)
+    body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=encoder), senses={})
+    features = replace(drawn.features, joints=replace(joints, values=joints.values + off), tracks={})
+    found = estimate(features, body, Estimation(method=method))
+    columns = [joints.names.index(name) for name in body.joints]
+    assert np.mean(off[columns] ** 2 / np.einsum("nii->ni", found.cov)) < 3.0

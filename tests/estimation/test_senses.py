@@ -63,7 +63,7 @@ def test_nothing_at_all_is_an_error(world):
 def test_vision_alone_needs_to_be_told_where_it_starts(world):
     drawn = world(0, duration=2.0)
     features = replace(drawn.features, joints=None)
-    with pytest.raises(LogError, match="give `start`"):
+    with pytest.raises(LogError, match=r"type in robot.toml \[estimate\] start = "):
         estimate(features, drawn.body, Estimation())
     found = estimate(features, drawn.body, Estimation(start=tuple(drawn.truth.values[0])))
     assert np.isfinite(found.joints.values).all()
@@ -107,7 +107,7 @@ def test_a_silent_joint_is_counted_refused_when_asked_for_and_named_where_it_sta
     values = joints.values.copy()
     values[:, joints.names.index("lift")] = np.nan
     mute = replace(drawn.features, joints=replace(joints, values=values))
-    with pytest.raises(LogError, match="no reading tells where lift starts"):
+    with pytest.raises(LogError, match=r"no reading tells where lift starts; type in robot.toml \[estim"):
         estimate(mute, drawn.body, Estimation())
     with pytest.raises(EvidenceError, match="lift: asked for"):
         estimate(mute, drawn.body, Estimation(senses=("lift", "effector"), start=(0.0, 0.0, 0.0)))
@@ -122,3 +122,26 @@ def test_tracks_are_heard_in_the_order_the_log_has_them(world):
     body = replace(drawn.body, senses=dict.fromkeys(names, drawn.body.senses["effector"]))
     features = replace(drawn.features, tracks=dict.fromkeys(names, drawn.features.tracks["effector"]))
     assert [s.name for s in gather(features, body, Estimation()).sightings] == list(names)
+
+
+def _quiet(drawn, begin, end, joints=(0, 1, 2)):
+    """The features with some encoders silent from begin to end, and what is said of that."""
+    told = drawn.features.joints
+    values, rows = told.values.copy(), (told.t > begin) & (told.t < end)
+    values[np.ix_(rows, joints)] = np.nan
+    found = estimate(replace(drawn.features, joints=replace(told, values=values)), drawn.body, Estimation(bias="off"))
+    return [finding.text for finding in found.findings if " silent from " in finding.text]
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "said"),
+    [(4.01, 6.49, "from 4.000 to 6.500 s"), (7.01, 99.0, "from 7.000 s on"), (-1.0, 2.49, "first picture to 2.500 s")],
+)
+def test_a_long_silence_of_all_encoders_is_named_with_what_pictures_cannot_do(world, begin, end, said):
+    (text,) = _quiet(world(0, duration=9.0), begin, end)
+    assert said in text and "2 numbers a picture do not hold 3 joints" in text
+
+
+def test_shorter_silences_and_those_of_joints_that_pictures_hold_go_without_a_word(world):
+    assert not _quiet(world(0, duration=9.0), 4.0, 4.9)
+    assert not _quiet(world(0, duration=9.0), 4.0, 7.0, joints=(1,))

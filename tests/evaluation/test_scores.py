@@ -51,6 +51,15 @@ def test_an_honest_gaussian_scores_one_and_95_percent(seed):
     assert len(t) == 4000
 
 
+def test_an_error_bar_of_zero_is_infinitely_wrong():
+    found, truth = made(np.array([0.03, 0.04]), 0.05)
+    cov = found.cov.copy()
+    cov[7] = 0.0
+    score = named(replace(found, cov=cov), truth)
+    assert score["nees"].value == score["nees/a"].value == np.inf
+    assert score["coverage_2sigma"].value < 100.0
+
+
 def test_correlated_errors_are_judged_by_the_full_covariance():
     found, truth = made(np.array([0.1, 0.1]), 0.1)
     found.cov[:, 0, 1] = found.cov[:, 1, 0] = 0.009
