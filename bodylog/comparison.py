@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .errors import EvidenceError, InputError, UsageError
-from .pipeline import Progress, infer, judge, named, observe
-from .refusals import about, gone, same_camera
+from .lies import named
+from .pipeline import Progress, infer, judge, observe
+from .refusals import about, gone, same_camera, same_size
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Score
 
@@ -41,6 +42,7 @@ def compare(
     learned = model.load(body)
     read, features = observe(log, settings, progress)
     cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
+    same_size(log, learned, features, settings)
     subsets, silent = choices.subsets(features, learned, settings.estimate)
     if not subsets:
         told = f"it says nothing by any sense of {body}; type: bodylog info {log}"

@@ -8,14 +8,13 @@ from typing import Any
 
 from . import __version__
 from .files import sha256
-from .refusals import about, distinct, insist, same_camera, something_seen, teachable
+from .lies import named
+from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""
-FIRST = 1.0
-"""s: an encoder that is certainly off so soon was so before."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +118,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     with annotate.begun(log, out) as written:
         read, features = observe(log, settings, progress)
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
+        same_size(log, learned, features, settings)
         found = _estimated(log, read, features, learned, settings)
         lost = written.add(_estimate_messages(read, features, found))
         scores = judge(found, read)
@@ -135,17 +135,6 @@ def _estimated(log: Path, read: Recording, features: Features, learned: BodyMode
         found = infer(features, learned, settings)
     insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
-
-
-def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
-    """Which sensor lied, as remarks."""
-    first = "; from the first on: homed differently, or the camera has moved since the body was learned"
-    said = (
-        f"{f.sense} {f.name}: {f.kind} since {f.since:.3f} s, {f.size:.4g} {f.unit}"
-        + first * (f.kind == "drifting" and f.since < FIRST)
-        for f in faults
-    )
-    return tuple(Finding("warning", text) for text in said)
 
 
 def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .errors import EvidenceError, InputError, LogError, ModelError, UsageError
 from .settings import Colours, Settings
-from .types import Features, Finding, Health, Recording
+from .types import BodyModel, Features, Finding, Health, Recording
 
 
 def distinct(read: Path, out: Path) -> None:
@@ -60,6 +60,19 @@ def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Fe
         advice = json.dumps(known if len(known) > 1 else known[0])
         raise ModelError(f"{log}: {said}; type: [topics] camera = {advice}, for the log as it was recorded")
     return (Finding("info", said),)
+
+
+def same_size(log: Path, learned: BodyModel, features: Features, settings: Settings) -> None:
+    """ModelError when pictures that are to be heard are not as wide as those the body was learned from."""
+    from .estimation.senses import chosen
+
+    size, width = features.picture_size, learned.provenance.get("image_width")
+    visual = [name for name in features.tracks if name in learned.senses and "/" not in name]
+    if size and width and size[0] != round(width) and chosen(visual, learned, settings.estimate).intersection(visual):
+        raise ModelError(
+            f"{log}: camera: pictures are {size[0]} px wide, {width:g} px where the body was learned; fit a body from "
+            f"a log of {size[0]} px, or go on with the rest: --without vision,touch"
+        )
 
 
 @contextmanager

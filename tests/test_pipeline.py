@@ -67,3 +67,33 @@ def test_a_log_without_joints_is_named_when_a_body_shall_be_learned(tmp_path, mo
     with pytest.raises(LogError, match=r"touch\.mcap: no joint readings to learn from"):
         pipeline.fit([arm / "touch.mcap"], tmp_path / "body.npz", Settings())
     assert not list(tmp_path.iterdir())
+
+
+def test_pictures_of_another_width_than_learned_are_refused_unless_they_are_not_heard(tmp_path, arm, arm_body) -> None:
+    from bodylog.body import model
+    from bodylog.comparison import compare
+    from bodylog.errors import ModelError
+    from bodylog.settings import Estimation
+
+    body, known = tmp_path / "wide.npz", model.load(arm_body)
+    model.save(replace(known, provenance={**known.provenance, "image_width": 640}), body)
+    out, log = tmp_path / "out.mcap", arm / "reach.mcap"
+    for run in (lambda: pipeline.estimate(log, body, out, Settings()), lambda: compare(log, body, Settings())):
+        with pytest.raises(ModelError, match=r"320 px wide, 640 px where .* --without vision,touch"):
+            run()
+    assert not out.exists()
+    pipeline.estimate(log, body, out, Settings(estimate=Estimation(without=("vision", "touch"))))
+    assert out.exists()
+
+
+def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
+    from bodylog.lies import named
+    from bodylog.types import Fault
+
+    told = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))
+    first, later, jump = named([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in told])
+    assert first.text == (
+        "encoders a: drifting since 0.200 s, 0.1 rad; from the first on: homed differently, or the camera has moved "
+        "since the body was learned"
+    )
+    assert later.text == "encoders a: drifting since 9.000 s, 0.1 rad" and jump.text.endswith("0.1 rad")
