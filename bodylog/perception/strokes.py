@@ -203,17 +203,19 @@ def _bends(t: Array, place: Array, corners: Array) -> Array:
     """Squared error (K,) of the best path with its corner at each of these times (K,)."""
     away = (t - corners[:, None]) / (t[-1] - t[0])
     before, after = np.minimum(away, 0.0), np.maximum(away, 0.0)
-    curved = np.count_nonzero(before, axis=1, keepdims=True) > _APPROACH
+    curved = (np.searchsorted(t, corners) > _APPROACH)[:, None]
+    each = np.full(len(t), 1.0 / len(t))
     directions: list[Array] = []
-    for column in (before, after, np.where(curved, before**2, 0.0)):
-        column -= column.mean(axis=1, keepdims=True)
+    for column in (before, after, curved * before**2):
+        column -= (column @ each)[:, None]
         for other in directions:
             column -= np.einsum("kn,kn->k", column, other)[:, None] * other
         # a column without entries, or of none but what the others have, is no direction
         column /= np.sqrt(np.einsum("kn,kn->k", column, column) + 1e-12 * len(t))[:, None]
         directions.append(column)
-    place = place - place.mean(axis=0)
-    return np.asarray((place**2).sum() - sum(((column @ place) ** 2).sum(axis=1) for column in directions))
+    place = place - each @ place
+    along = np.concatenate(directions) @ place
+    return np.asarray((place**2).sum() - (along**2).sum(axis=1).reshape(3, -1).sum(axis=0))
 
 
 def _turn(t: Array, place: Array, corner: float) -> Array:
