@@ -189,7 +189,8 @@ class Walker:
     def _dtype(self, type_: str) -> np.dtype[np.generic]:
         order = ">" if self.big else "<"
         if type_ in TIMES:
-            seconds = "i4" if type_ != "time" else "u4"
+            # int32 in ROS 2 ends in 2038, after which its stamps can only be meant to go on
+            seconds = "i4" if type_ == "duration" or type_.endswith("/Duration") else "u4"
             return np.dtype([("sec", order + seconds), ("nanosec", order + "u4")])
         return np.dtype("V0") if type_ in TEXTS else np.dtype(order + PRIMITIVES[type_])
 

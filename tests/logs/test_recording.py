@@ -131,6 +131,15 @@ def test_a_joint_that_wraps_around_moves_on(tmp_path):
     assert any("wraps around, 1 times" in f.text and NAMES[1] in f.text for f in found.findings)
 
 
+def test_stamps_go_on_after_2038(tmp_path):
+    begin = 4_102_444_800 * 10**9
+    moved = [begin + k * 20 * MS for k in range(9)]
+    rows = [(ns, joint_state(ns - 2**32 * 10**9, NAMES, [0.1, 0.2, 0.3])) for ns in moved]  # sec is int32
+    found = read(write(tmp_path / "a.mcap", [joints("/joint_states", rows)]), settings())
+    assert found.start_ns == begin and found.joints is not None
+    np.testing.assert_allclose(found.joints.t, np.arange(9) * 0.02)
+
+
 def test_readings_no_joint_can_have_are_taken_for_none(tmp_path):
     rows = []
     for k in range(40):
