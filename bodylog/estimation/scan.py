@@ -92,17 +92,19 @@ class Trace:
 
 
 def scan(
-    readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False, into: Trace | None = None
-) -> Trace:
+    readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False, into: Trace | None = None,
+    every: int = 1,
+) -> Trace:  # fmt: skip
     """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps what the smoother goes back by.
 
-    `into` is a trace of the same shape to overwrite: fresh memory costs as much as the arithmetic.
+    `into` is a trace of the same shape to overwrite: fresh memory costs as much as the arithmetic. Of others than
+    `every` so many stretches only nats are kept.
     """
     belief = np.empty((len(z), len(z) + 1, z.shape[1]))
     belief[:, :-1], belief[:, -1] = p, z
     p, z = belief[:, :-1], belief[:, -1]
     length, m, c = readings.encoders.shape
-    trace = _empty(readings, len(z), remember) if into is None else into
+    trace, kept, errors = into or _empty(readings, len(z), remember, every), slice(None, None, every), np.empty((m, c))
     propagate = propagator(belief, dynamics)
     said = Said.of(readings.encoders, readings.encoder_var), Said.of(readings.y, readings.var)
     visible: Array = np.any(said[1].heard, axis=(1, 2))
@@ -116,29 +118,22 @@ def scan(
             propagate(readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
-        trace.prior[i], trace.prior_cov[i] = z[:m], p[:m, :m]
-        update(readings, said, i, seen[i], dynamics.recalled, belief, trace.encoder_d[i], back.at(i))
-        trace.z[i], trace.p[i] = z, p
-    weights, nus = (np.concatenate(pair, axis=1) for pair in zip(back[1:], leaps[1:], strict=True))
-    trace.nats[:] = _nats(weights, nus, _counted(readings, dynamics.recalled))
+        trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
+        update(readings, said, i, seen[i], dynamics.recalled, belief, errors, back.at(i))
+        trace.z[i], trace.p[i], trace.encoder_d[i] = z[:, kept], p[..., kept], errors[:, kept]
+    own = np.ones(m, bool) if dynamics.recalled is None else ~dynamics.recalled
+    trace.nats[:] = _nats(back, own)
     if isinstance(readings, Leaps):
-        trace.nats[:] += readings.pooled.nats
+        trace.nats[:] += _nats(leaps, np.tile(own, 2)) + readings.pooled.nats
     return trace
 
 
-def _counted(readings: Readings, recalled: Array | None) -> Array | None:
-    """Which rows (rows,1) count as heard; all of them when None."""
-    if recalled is None:
-        return None
-    seen = np.ones(readings.y.shape[1] * readings.y.shape[2], bool)
-    pooled = (~recalled, ~recalled) if isinstance(readings, Leaps) else ()
-    return np.concatenate([~recalled, seen, *pooled])[:, None]
-
-
-def _nats(weights: Array, nus: Array, counted: Array | None) -> Array:
-    """Free energy (L,C) of innovations (L,rows,C) with these weights, 0 where nothing was heard."""
-    if counted is not None:
-        weights = weights * counted
+def _nats(back: Back, own: Array) -> Array:
+    """Free energy (L,C) of innovations, 0 where nothing was heard; the first rows count where they are `own` word."""
+    weights, nus = back.weights, back.nus
+    if not own.all():
+        weights = weights.copy()
+        weights[:, : len(own)] *= own[:, None]
     spread = 2.0 * np.pi / np.where(weights > 0, weights, 2.0 * np.pi)
     return np.asarray(0.5 * (nus * nus * weights + np.log(spread)).sum(axis=1))
 
@@ -179,14 +174,14 @@ def _rows(readings: Readings) -> int:
     return int(readings.encoders.shape[1] + readings.y.shape[1] * readings.y.shape[2])
 
 
-def _empty(readings: Readings, k: int, remember: bool) -> Trace:
+def _empty(readings: Readings, k: int, remember: bool, every: int) -> Trace:
     length, m, c = readings.encoders.shape
-    rows = _rows(readings)
+    rows, nats, c = _rows(readings), np.empty((length, c)), len(range(0, c, every))
     back = (np.zeros((length, rows, k, c)), np.zeros((length, rows, c)), np.zeros((length, rows, c)))
     left = np.empty((length, k, k + 1, c)) if remember and isinstance(readings, Leaps) else None
     return Trace(
         np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
-        np.empty((length, c)), np.empty((length, m, c)), back if remember else None, left,
+        nats, np.empty((length, m, c)), back if remember else None, left,
     )  # fmt: skip
 
 

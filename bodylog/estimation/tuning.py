@@ -10,7 +10,7 @@ from .laplace import Problem, Solution, briefly
 from .motion import floor
 from .outset import handed_over, priors
 from .precision import Precision
-from .scan import Leaps, columns, scan
+from .scan import Leaps, scan
 from .senses import Encoders, Evidence, Sighting
 from .timeline import timeline
 
@@ -120,8 +120,9 @@ def costs(
     lines = _tile(readings.y, g), _tile(readings.jac, g), var.reshape(*var.shape[:-2], -1)
     dynamics = replace(few.dynamics, process=candidates[:, :m].T)
     tiled = Leaps(*said, *lines, brief.pooled(dynamics))
-    trace = scan(tiled, replace(dynamics, process=np.tile(dynamics.process, fold.count)), _tile(z, g), _tile(p, g))
-    own = columns(trace, np.arange(fold.count * g) % g == 0)
+    tiled_dynamics = replace(dynamics, process=np.tile(dynamics.process, fold.count))
+    trace = scan(tiled, tiled_dynamics, _tile(z, g), _tile(p, g), every=g)
+    own = replace(trace, nats=trace.nats[:, ::g])
     return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (brief, replace(first, trace=own))
 
 
