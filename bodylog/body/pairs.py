@@ -17,6 +17,8 @@ _FEWEST = 4
 _EARLIER = -1
 # farther than anything turns, in any unit an encoder counts in, and its square still far from overflow
 _ABSURD = 1e12
+# share of a joint's range: a sighting while its encoder was silent for so long that this is unknown teaches nothing
+_VAGUE = 0.1
 _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
 
@@ -169,6 +171,7 @@ def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pair
     both = [posterior(j.chains[log], j.motions[log], t) for j in chosen]
     x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
     sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)
+    sound &= (variance <= np.square([_VAGUE * max(j.range, _LEAST_RANGE) for j in chosen])).all(axis=1)
     block = log * _BLOCKS + np.arange(sound.sum()) * _BLOCKS // max(sound.sum(), 1)
     label = np.full(sound.sum(), log)
     return Pairs(x[sound], variance[sound], y[sound], floor[sound], block, label, t[sound], len(t))

@@ -19,7 +19,8 @@ def checked(readings: Array, body: BodyModel) -> Iterator[Finding]:
         return
     ranges = list(zip(body.joints, readings.T, explored.min(axis=0), explored.max(axis=0), strict=True))
     beyond = [one for one in ranges if not _within(*one[1:])]
-    if beyond and all(_within(np.deg2rad(told), low, high) for _, told, low, high in ranges):
+    wide = any(np.ptp(np.nanpercentile(told, [5, 95])) > max(TURN, high - low) for _, told, low, high in beyond)
+    if wide and all(_within(np.deg2rad(told), low, high) for _, told, low, high in ranges):
         said = "; ".join(_said(*one) for one in beyond)
         raise ModelError(f'joints: {said}: these are degrees; type [body] unit = "deg" in robot.toml')
     for name, told, low, high in beyond:

@@ -270,3 +270,14 @@ def test_learning_on_keeps_what_was_given_and_felt(explored) -> None:
     again = learn([features], Settings(), {}, known).model
     assert again.senses["encoders"] is read and set(again.senses) == {"effector", "encoders"}
     assert (again.touch, again.cells) == (felt, known.cells)
+
+
+def test_an_exploration_whose_encoders_fell_silent_is_learned_from_the_rest(explored) -> None:
+    run = explored(0, 0.003)
+    told = run.features.joints
+    values = told.values.copy()
+    values[(told.t > 12.0) & (told.t < 26.0)] = np.nan
+    learned = learn([replace(run.features, joints=replace(told, values=values))], Settings(), {})
+    error = learned.model.senses["effector"].predict(run.angles)[0] - run.pixels
+    assert np.median(np.abs(error)) < 0.3
+    assert 0.5 < _scores(learned)["frames_used.effector"] < 0.75

@@ -51,6 +51,20 @@ def test_only_sightings_with_angles_are_paired(explored) -> None:
     assert len(set(part.block)) == 20
 
 
+@pytest.mark.parametrize("part", [slice(None), slice(0, 1)])
+def test_sightings_while_encoders_were_silent_for_long_teach_nothing(explored, part: slice) -> None:
+    features = explored(0, 0.003, duration=20.0).features
+    told = features.joints
+    assert told is not None
+    values, silent = told.values.copy(), (told.t > 6.0) & (told.t < 13.0)
+    values[silent, part] = np.nan
+    fewer = replace(features, joints=replace(told, values=values))
+    found = pairs([fewer], "effector", joints([fewer], ("pan", "lift", "elbow")), 1)
+    within = (found.t > 8.5) & (found.t < 10.5)
+    assert not within.any() and len(found.t) > 120
+    assert np.isin(found.t, features.tracks["effector"].t).all()
+
+
 def test_every_nth_frame(explored) -> None:
     features = explored(0, 0.001, 10.0).features
     part = pairs([features], "effector", joints([features], ("pan",)), 3)

@@ -45,6 +45,13 @@ def test_degrees_are_refused_with_what_to_type(drawn, method):
         estimate(read(drawn, np.rad2deg), drawn.body, Estimation(method=method))
 
 
+def test_a_joint_about_zero_that_moves_elsewhere_is_not_taken_for_degrees(world):
+    around = Learned(samples=motion(np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)) * [0.1, 1.0, 1.0])
+    drawn = world(1, duration=8.0, model=around)
+    (text,) = said(drawn, lambda x: x)
+    assert "beyond that" in text
+
+
 def test_a_joint_that_is_a_turn_off_is_named(drawn):
     (text,) = said(drawn, lambda x: x + np.array([0.0, 2.0 * np.pi, 0.0]))
     assert text.startswith(f"joints: {drawn.features.joints.names[1]} reads ") and "+1 whole turns off" in text
