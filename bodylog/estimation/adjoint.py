@@ -52,44 +52,44 @@ def _unleap(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
     parts[1] -= lean * lack[0] + lack[1]
 
 
-def covariances(readings: Readings, trace: Trace, end: Array, into: Array | None = None) -> Array:
-    """The adjoint's information (K,K,C) before all from that at the `end`; `into` takes smoothed angles' (L,M,M,C).
+def covariances(readings: Readings, trace: Trace) -> Array:
+    """Smoothed covariances (L,M,M,C) of the angles.
 
-    Columns beyond K are adjoints that no reading adds to.
+    What the future knows at a stretch's end, Λ, is W + Ψ Λ Ψᵀ at an instant before, where Ψ is what becomes of the
+    adjoints at the end. Without Λ the angles' covariance is cov there, with it less by R Λ Rᵀ, R = P Ψ.
     """
-    length, m, _ = readings.encoders.shape
-    information, k = end.copy(), len(end)
-    heard = _heard(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
-    for i in range(length - 1, -1, -1):
+    (k, _, c), m = trace.p[0].shape, readings.encoders.shape[1]
+    known, heard = np.zeros((k, 2 * k, c)), _heard(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
+    np.einsum("kkc->kc", known[:, k:])[:] = 1.0
+    cov, reach = np.empty_like(trace.prior_cov), np.empty((len(trace.p), m, k, c))
+    for i in range(len(cov) - 1, -1, -1):
         p, dt = trace.p[i], readings.dt[i]
-        if into is not None:
-            half = np.einsum("jkc,klc->jlc", p[:m], information[:, :k])
-            np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half, p[:, :m]), out=into[i])
-        _unhear(readings, trace, i, heard[i], information)
-        information[m : 2 * m] += dt * information[:m]
-        information[:, m : 2 * m] += dt * information[:, :m]
+        half = np.einsum("jkc,klc->jlc", p[:m], known)
+        np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half[:, :k], p[:, :m]), out=cov[i])
+        reach[i] = half[:, k:]
+        _unhear(readings, trace, i, heard[i], known)
+        known[m : 2 * m] += dt * known[:m]
+        known[:, m : 2 * m] += dt * known[:, :m]
         if i % EVEN == 0:
-            information[:, :k] = 0.5 * (information[:, :k] + information[:, :k].transpose(1, 0, 2))
-    return information
+            known[:, :k] = 0.5 * (known[:, :k] + known[:, :k].transpose(1, 0, 2))
+    ends = _ends(known)
+    for less, r in zip(cov, reach, strict=True):
+        less -= np.einsum("jlc,mlc->jmc", np.einsum("jkc,klc->jlc", r, ends), r)
+    return cov
 
 
-def ends(readings: Readings, trace: Trace) -> Array:
-    """The adjoint's information (K,K,C) at each stretch's end: none at the last one's, else as where the next begins.
-
-    From Λ at its end a stretch makes W + Ψ Λ Ψᵀ at its start, where Ψ is what it makes of the adjoints at its end.
-    """
-    k, _, c = trace.p[0].shape
-    start = np.zeros((k, 2 * k, c))
-    np.einsum("kkc->kc", start[:, k:])[:] = 1.0
-    before, found = np.moveaxis(covariances(readings, trace, start), -1, 0), np.zeros((c, k, k))
+def _ends(at_start: Array) -> Array:
+    """What the future knows (K,K,C) at stretches' ends, by W and Ψ (K,2K,C) over each: nothing at the last one's."""
+    k, _, c = at_start.shape
+    before, ends = np.moveaxis(at_start, -1, 0), np.zeros((c, k, k))
     for j in range(c - 1, 0, -1):
         own, across = before[j, :, :k], before[j, :, k:]
-        found[j - 1] = own + across @ found[j] @ across.T
-    return np.ascontiguousarray(np.moveaxis(found, 0, -1))
+        ends[j - 1] = own + across @ ends[j] @ across.T
+    return np.ascontiguousarray(np.moveaxis(ends, 0, -1))
 
 
 def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array) -> None:
-    """Carry the information (K,…,C) back over the rows heard at instant i, last heard first."""
+    """Carry W and Ψ (K,2K,C) back over the rows heard at instant i, last heard first."""
     assert trace.back is not None
     gains, weights, _ = (part[i] for part in trace.back)
     k, m = len(information), readings.encoders.shape[1]

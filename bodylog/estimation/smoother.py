@@ -76,7 +76,7 @@ def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     # what brief stretches leave of moves is no news to the full ones
     path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
     return Smooth(
-        fold, path.readings, tangents, path.trace, path.z, path.after, spread(path.readings, path.trace),
+        fold, path.readings, tangents, path.trace, path.z, path.after, adjoint.covariances(path.readings, path.trace),
         brief=(brief, first),
     )  # fmt: skip
 
@@ -117,20 +117,12 @@ def _back(
     return (adjoint.means(trace, after), after), ends, pulled
 
 
-def spread(readings: Readings, trace: Trace) -> Array:
-    """Smoothed covariance (L,M,M,C) of the angles."""
-    cov = np.empty_like(trace.prior_cov)
-    adjoint.covariances(readings, trace, adjoint.ends(readings, trace), cov)
-    return cov
-
-
 def once(problem: Problem) -> Smooth:
     """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
     solution, k = walk(problem, remember=True), problem.dynamics.size
     after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)))
     smooth = adjoint.means(solution.trace, after)
-    cov = np.empty_like(solution.trace.prior_cov)
-    adjoint.covariances(solution.readings, solution.trace, np.zeros((k, k, 1)), cov)
+    cov = adjoint.covariances(solution.readings, solution.trace)
     return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
 
 
