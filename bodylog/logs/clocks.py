@@ -37,7 +37,7 @@ def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = Tr
     """Order one stream by "header", "log" or "auto" time; of equal stamps the first is kept if `distinct`."""
     t_ns, back, clock = log_ns, np.zeros(len(log_ns), bool), "log"
     if stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns, log_ns))):
-        if choice == "auto":
+        if choice == "auto" and _falls_back(stamp_ns):
             back = runs_back(log_ns, stamp_ns)
         # a clock that is wrong for many messages is right for none; one that is wrong for few is right for the rest
         if back.sum() <= _FEW * len(back):
@@ -59,6 +59,12 @@ def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = Tr
     rejected = {reason: n for reason, n in counts.items() if n}
     wrong = np.sort(log_ns[near & (back | skipped)])
     return Dated(t_ns[rows], rows, clock, rejected, out_of_order, offset, spread, wrong, falls(t_ns[near]))
+
+
+def _falls_back(stamp_ns: Array) -> bool:
+    """Whether stamps (n,) fall in the file, too: those that rise there are not wrong where the log's clock falls."""
+    near = stamp_ns[_near(stamp_ns)]
+    return bool((np.maximum.accumulate(near) - near).max(initial=0) > BACK)
 
 
 def runs_back(log_ns: Array, stamp_ns: Array) -> Array:

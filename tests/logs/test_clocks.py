@@ -40,6 +40,16 @@ def test_messages_that_two_publish_with_one_stamp_do_not_make_the_header_worthle
     assert dated.clock == "header" and dated.rejected == {"same stamp again": 50}
 
 
+@pytest.mark.parametrize("by", [2, 30])
+def test_a_header_that_rises_is_believed_where_the_recorders_clock_was_set_back(by):
+    stamp = T0 + 20 * MS * np.arange(1000)
+    log = stamp + 4 * MS - by * 1000 * MS * (np.arange(1000) > 400)
+    dated = date(log, stamp, "auto")
+    assert dated.clock == "header" and not dated.rejected and not len(dated.backwards)
+    np.testing.assert_array_equal(dated.t_ns, stamp)
+    assert date(stamp + 4 * MS, log, "auto").clock == "log"
+
+
 def test_a_header_clock_that_ticks_too_slowly_is_not_used():
     log = T0 + 20 * MS * np.arange(50)
     assert date(log, T0 + (log - T0) // (100 * MS) * (100 * MS), "auto").clock == "log"
