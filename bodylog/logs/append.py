@@ -1,6 +1,6 @@
 """Which bytes of an MCAP can stay as they are, so that more chunks and a new summary can follow them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -84,12 +84,21 @@ def _keepable(file: TopLevel, root: str | None) -> Base:
     summary: dict[int, list[tuple[Record, bytes]]] = {}
     for record, raw in records:
         summary.setdefault(record.opcode, []).append((record, raw))
+    file.expect(_heads(summary))
     parts = _parts(file.heads(start), summary)
     ours = _ours(summary, root)
     foreign = {r.fields["offset"] for r, _ in summary.get(METADATA_INDEX, []) if r.fields["name"] != NAME}
     cut = _cut(parts, ours, foreign)
     contents = _contents(summary, [p for p in parts if p.start < cut], ours)
     return Base(cut, _crc(file, cut, parts[-1].start), contents)
+
+
+def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:
+    """Where (byte, size) the summary says that there are heads between what is long."""
+    for record, _ in summary.get(CHUNK_INDEX, []):
+        said = record.fields
+        yield said["chunk_start_offset"], 1
+        yield said["chunk_start_offset"] + said["chunk_length"], said["message_index_length"] + 1
 
 
 def _parts(heads: Iterable[Head], summary: _Summary) -> list[_Part]:

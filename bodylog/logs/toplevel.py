@@ -1,7 +1,7 @@
 """An MCAP's records outside chunks, read head by head: what is not looked at is never brought into memory."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,6 +54,12 @@ class TopLevel:
         if len(found) < size:
             raise FormatError(f"byte {start}: {len(found)} bytes where {size} belong")
         return found
+
+    def expect(self, places: Iterable[tuple[int, int]]) -> None:
+        """Have the disk fetch these (start, size) all at once: one after the other, each would be waited for."""
+        for start, size in places if hasattr(os, "posix_fadvise") else ():
+            if start + size <= self.size:
+                os.posix_fadvise(self._file.fileno(), start, size, os.POSIX_FADV_WILLNEED)
 
     def record(self, head: Head) -> bytes:
         """A whole record."""
