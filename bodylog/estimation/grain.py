@@ -28,6 +28,8 @@ def repeated(t: Array, y: Array) -> float:
 def dithered(t: Array, y: Array) -> tuple[Array, float, float]:
     """Readings (N,) spread evenly over the step they were counted in, the variance (rad²) of that, and their least."""
     step = grain(y)
+    if step == 0.0:
+        return y, 0.0, 0.0
     variance = step * step / 12.0
     spread = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
     return spread, variance, variance * repeated(t, y)
