@@ -1,10 +1,8 @@
 """From a recording's signals and pictures to what they show: tracks, touches, strokes and their synchrony."""
 
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from dataclasses import replace
 
-from ..errors import FormatError
 from ..settings import Colour, Colours, Settings
 from ..types import Features, Finding, Health, Recording, Series, Stroke
 from . import colour, skin, strokes, synchrony
@@ -28,40 +26,32 @@ def observe(recording: Recording, settings: Settings, progress: Progress | None 
     """
     if recording.features is not None:
         return replace(recording.features, joints=recording.joints)
-    tracks, health, findings = _tracks(recording, settings, progress)
+    tracks, health, findings, size = _tracks(recording, settings, progress)
     touches = None
     if recording.skin is not None:
         touches, health["touch"], felt = skin.touches(recording.skin, settings.skin)
         findings += felt
     seen: tuple[Stroke, ...] = strokes.strokes(tracks["hand"]) if "hand" in tracks else ()
     pairs, remarks = synchrony.judge(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
-    size = _size(recording)
     return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks, size)
-
-
-def _size(recording: Recording) -> tuple[int, int] | None:
-    """Width and height (px) of the first picture; None where there is none that can be read."""
-    first = next(recording.frames(), None) if recording.frames is not None else None
-    with suppress(FormatError):
-        return None if first is None else (int(first.image.shape[1]), int(first.image.shape[0]))
-    return None
 
 
 def _tracks(
     recording: Recording, settings: Settings, progress: Progress | None
-) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]:
+) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...], tuple[int, int] | None]:
+    """Tracks, health and findings of all cameras, and width and height (px) of the first one's pictures if known."""
     if recording.frames is None:
-        return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),)
-    fast = settings.colours.fast
-    wanted, watched = _wanted(settings.colours), recording.watched
+        return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),), None
+    wanted, watched, fast = _wanted(settings.colours), recording.watched, settings.colours.fast
     if watched is not None and isinstance(watched.by, Looking):
-        tracks, health, findings = colour.tracks(watched.by.seen(watched), recording.frames, wanted)
+        seen = watched.by.seen(watched)
     else:
-        tracks, health, findings = colour.track(recording.frames, wanted, progress, fast)
+        seen = colour.look(recording.frames, wanted, progress, fast)
+    tracks, health, findings = colour.tracks(seen, recording.frames, wanted)
     for camera, frames in recording.views.items():
         more = colour.track(frames, _beside(settings.colours, camera), progress, fast)
         tracks, health, findings = tracks | more[0], health | more[1], findings + more[2]
-    return tracks, health, findings
+    return tracks, health, findings, seen.size
 
 
 def _wanted(colours: Colours) -> Mapping[str, Colour]:

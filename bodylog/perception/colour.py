@@ -27,22 +27,31 @@ def looking(colours: Mapping[str, Colour], progress: Callable[[int], None] | Non
     return Looking([resolve(colour, name) for name, colour in colours.items()], progress, fast, THREADS.get())
 
 
+def look(
+    frames: Callable[[], Iterator[Frame]],
+    colours: Mapping[str, Colour],
+    progress: Callable[[int], None] | None = None,
+    fast: bool = False,
+) -> Seen:
+    """What pictures show, which are looked at now, as by `looking`."""
+    t: list[float] = []
+    source_ns: list[int] = []
+    with looking(colours, progress, fast) as looks:
+        for frame in frames():
+            t.append(frame.t)
+            source_ns.append(frame.source_ns)
+            looks(frame)
+    return looks.seen(Watched(np.array(t), np.array(source_ns, dtype=np.int64), np.arange(len(t)), looks))
+
+
 def track(
     frames: Callable[[], Iterator[Frame]],
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None = None,
     fast: bool = False,
 ) -> Tracks:
-    """The `tracks` in pictures, which are looked at now, as by `looking`."""
-    t: list[float] = []
-    source_ns: list[int] = []
-    with looking(colours, progress, fast) as look:
-        for frame in frames():
-            t.append(frame.t)
-            source_ns.append(frame.source_ns)
-            look(frame)
-    watched = Watched(np.array(t), np.array(source_ns, dtype=np.int64), np.arange(len(t)), look)
-    return tracks(look.seen(watched), frames, colours)
+    """The `tracks` of a `look`."""
+    return tracks(look(frames, colours, progress, fast), frames, colours)
 
 
 def tracks(seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[str, Colour]) -> Tracks:
@@ -50,10 +59,10 @@ def tracks(seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[s
 
     Into some frames one more look is taken where a colour was never seen.
     """
-    t, source_ns, found, broken, size = seen
+    t, source_ns, found, broken, width, _ = seen
     tracks, health, findings = {}, {}, []
     for index, name in enumerate(colours):
-        track, reasons = choose.best(t, found[:, index], size)
+        track, reasons = choose.best(t, found[:, index], width)
         tracks[name] = Series(t, track[:, :2], ("u", "v"), "px", source_ns, track[:, 2:])
         health[name] = _health(t, track, reasons, broken)
     unseen = [name for name in colours if health[name].used == 0]

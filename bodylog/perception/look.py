@@ -22,20 +22,24 @@ _TAKEN, _AHEAD, _SHEET = 4, 4, 8
 
 
 class Seen(NamedTuple):
-    """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS) px · undecodable (N,) bool · greatest width, px."""
+    """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS) px · undecodable (N,) bool · greatest width, px.
+
+    size: width and height (px) of the log's first picture; None where it cannot be read.
+    """
 
     t: Array
     source_ns: Array
     blobs: Array
     broken: Array
     width: float
+    size: tuple[int, int] | None
 
 
 Take = tuple[int, list[Frame]]
 """Pictures in order, and how many such lists came before."""
 
-Look = tuple[list[Window], list[tuple[int, int]]]
-"""What some pictures show; of each its width in px as looked at (0: undecodable) and how often it is shrunk."""
+Look = tuple[list[Window], list[tuple[int, int, int]]]
+"""What some pictures show; of each its width and height in px as looked at (0: undecodable), how often it is shrunk."""
 
 
 class Looking:
@@ -86,10 +90,11 @@ class Looking:
         for sheet, looks in self._sheets.items():
             self._measured[sheet] = _measured(looks, self._ranges)
         parts = [_measured({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
-        found, sizes = (np.concatenate(each)[watched.number] for each in zip(*parts, strict=True))
-        wide, scale = sizes.T
-        widest = float((wide * scale).max(initial=0))
-        return Seen(watched.t, watched.source_ns, blobs.enlarged(found, scale), wide == 0, widest)
+        found, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
+        first = next(((width, height) for width, height, _ in sizes[:1].tolist() if width), None)
+        wide, _, scale = sizes[watched.number].T
+        whole = blobs.enlarged(found[watched.number], scale)
+        return Seen(watched.t, watched.source_ns, whole, wide == 0, float((wide * scale).max(initial=0)), first)
 
     def _begin(self) -> None:
         self._begun.enter_context(one_opencv())
@@ -122,7 +127,7 @@ class Looking:
 
     def _look(self, number: int, frames: Sequence[Frame]) -> None:
         """Look at pictures; who brings the last look of a sheet measures it."""
-        found = _look(frames, self._ranges, self._fast)
+        found = _look(frames, self._ranges, self._fast, whole=0 if number else 1)
         sheet = number // _SHEET
         with self._ready:
             self._sheets.setdefault(sheet, {})[number] = found
@@ -133,13 +138,14 @@ class Looking:
             self._measured[sheet] = _measured(whole, self._ranges)
 
 
-def _look(frames: Sequence[Frame], ranges: Sequence[Range], fast: bool) -> Look:
+def _look(frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int) -> Look:
+    """What some pictures show, the first so many looked at whole also when in haste."""
     found: list[Window] = []
-    sizes: list[tuple[int, int]] = []
+    sizes: list[tuple[int, int, int]] = []
     for picture, frame in enumerate(frames):
-        scale = 2 if fast and frame.shrinks else 1
+        scale = 2 if fast and frame.shrinks and picture >= whole else 1
         image = _decoded(frame, scale)
-        sizes.append((0 if image is None else image.shape[1], scale))
+        sizes.append((0, 0, scale) if image is None else (image.shape[1], image.shape[0], scale))
         if image is not None:
             found += search.windows(picture, image, ranges)
     return found, sizes
@@ -152,10 +158,10 @@ def _decoded(frame: Frame, scale: int) -> Array | None:
 
 
 def _measured(looks: Mapping[int, Look], ranges: Sequence[Range]) -> tuple[Array, Array]:
-    """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,2) of looks by their number."""
+    """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,3) of looks by their number."""
     found: list[Window] = []
-    sizes: list[tuple[int, int]] = []
+    sizes: list[tuple[int, int, int]] = []
     for _, (windows, measured) in sorted(looks.items()):
         found += [window._replace(picture=window.picture + len(sizes)) for window in windows]
         sizes += measured
-    return blobs.tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(-1, 2)
+    return blobs.tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(-1, 3)
