@@ -32,7 +32,7 @@ class Chunk:
     """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known.
 
     `listed`: a sound summary says so; else an index may be missing, and the chunk is opened whatever is asked for.
-    `stored`: it is said to hold its records as they are.
+    `stored`: it is said to hold its records as they are. `cut`: the file ends inside it, and holds its beginning alone.
     """
 
     start: int
@@ -42,6 +42,7 @@ class Chunk:
     indexes: Mapping[int, int] = field(default_factory=dict)
     listed: bool = False
     stored: bool = False
+    cut: bool = False
 
 
 class Loose(NamedTuple):
@@ -58,14 +59,18 @@ class Messages(NamedTuple):
     heads: Array
 
 
-def chunk_head(data: memoryview, start: int) -> tuple[int, int, int, int, str, memoryview]:
-    """Start, end (ns), unpacked size, CRC, compression and packed bytes of the Chunk at `start`; or FormatError."""
+def chunk_head(data: memoryview, start: int, cut: bool = False) -> tuple[int, int, int, int, str, memoryview]:
+    """Start, end (ns), unpacked size, CRC, compression and packed bytes of the Chunk at `start`; or FormatError.
+
+    Of one that is `cut` the packed bytes that are there.
+    """
     if start < 0 or len(data) - start < HEAD.size + CHUNK_HEAD.size:
         raise FormatError(f"byte {start}: too few bytes for a chunk")
     opcode, length = HEAD.unpack_from(data, start)
     first, last, size, crc, letters = CHUNK_HEAD.unpack_from(data, start + HEAD.size)
     at = start + HEAD.size + CHUNK_HEAD.size + letters
-    if opcode != CHUNK or length > len(data) - start - HEAD.size or letters > 16 or at + 8 > len(data):
+    beyond = length > len(data) - start - HEAD.size
+    if opcode != CHUNK or beyond != cut or letters > 16 or at + 8 > len(data):
         raise FormatError(f"byte {start}: opcode {opcode} with {length} bytes is no whole chunk")
     packed = _U64.unpack_from(data, at)[0]
     if at + 8 + packed > start + HEAD.size + length:
@@ -80,10 +85,15 @@ def records_at(chunk: Chunk, compression: str) -> int:
 
 
 def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
-    """The chunk's records (bytes,) uint8; FormatError when they cannot be unpacked or their CRC disagrees."""
+    """The chunk's records (bytes,) uint8; FormatError when they cannot be unpacked or their CRC disagrees.
+
+    Of one that is cut, as far as they go: nothing vouches for them but that they unpack.
+    """
     bring(data, chunk.start, chunk.start + chunk.length)
-    _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
-    content = buffer.load(compression, packed, size)
+    _, _, size, crc, compression, packed = chunk_head(data, chunk.start, chunk.cut)
+    content = buffer.load(compression, packed, size, chunk.cut)
+    if chunk.cut and len(content) < size:
+        return content
     found = crc32(content.data) if crc else 0
     if found != crc:
         raise FormatError(f"the chunk's CRC is {found:08x} where {crc:08x} is declared")

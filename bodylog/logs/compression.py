@@ -27,10 +27,13 @@ class Buffer:
         """Start empty; the buffer grows to the largest chunk."""
         self._bytes: Array = np.empty(0, np.uint8)
 
-    def load(self, compression: str, packed: memoryview, size: int) -> Array:
-        """The `size` bytes (size,) uint8 that `packed` unpacks to; FormatError if it does not, or claims too much."""
+    def load(self, compression: str, packed: memoryview, size: int, partly: bool = False) -> Array:
+        """The `size` bytes (size,) uint8 that `packed` unpacks to; FormatError if it does not, or claims too much.
+
+        `partly`: `packed` is cut off, and as many bytes are given as come before that.
+        """
         if compression in STORED:
-            if len(packed) != size:
+            if len(packed) != size and not partly:
                 raise FormatError(f"{len(packed)} bytes stored where {size} are declared")
             return np.frombuffer(packed, np.uint8)
         if compression not in _PIECES:
@@ -39,19 +42,21 @@ class Buffer:
             raise FormatError(f"{len(packed)} packed bytes claim to hold {size}")
         if size > len(self._bytes):
             self._bytes = np.empty(size, np.uint8)
-        _fill(self._bytes[:size], compression, packed)
-        return self._bytes[:size]
+        return self._bytes[: _fill(self._bytes[:size], compression, packed, partly)]
 
 
-def _fill(target: Array, compression: str, packed: memoryview) -> None:
+def _fill(target: Array, compression: str, packed: memoryview, partly: bool) -> int:
+    """How many bytes were filled: all, unless only some are asked for."""
     at, view = 0, target.data
     try:
         for count in _PIECES[compression](packed, view):
             at += count
     except (OSError, EOFError, RuntimeError, ValueError, _zstd_error()) as problem:
-        raise FormatError(f"{compression} data is damaged after {at} bytes: {problem}") from None
-    if at != len(target):
+        if not partly:
+            raise FormatError(f"{compression} data is damaged after {at} bytes: {problem}") from None
+    if at != len(target) and not partly:
         raise FormatError(f"{compression} data holds {at} bytes where {len(target)} are declared")
+    return min(at, len(target))
 
 
 def _zstd_error() -> type[Exception]:

@@ -2,11 +2,12 @@
 
 import struct
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from ..errors import FormatError
-from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages
+from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages, unpack
 from .compression import STORED, Buffer
 from .ledger import Ledger
 from .mapping import bring, forget
@@ -85,10 +86,16 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
         if ended:
             ledger.warn(f"{size} bytes from byte {at}, after the end of the data, are damaged")
             return
-        ledger.lost(at, size, None, _seconds(data, at), "no whole record can be read there")
+        cut = _cut(data, at) if at + size == len(data) else None
+        if cut is None:
+            ledger.lost(at, size, None, _seconds(data, at), "no whole record can be read there")
+        else:
+            why = f"the file ends in this chunk, after {size} bytes, which are read without their checksum"
+            ledger.lost(at, None, None, None, why)
         run.chunk, run.loss, run.told = None, at, at + size == end
         if survey.parts and isinstance(survey.parts[-1], Chunk):
             survey.parts[-1] = replace(survey.parts[-1], indexes={})
+        survey.parts += [cut] if cut else []
 
     for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost):
         ended = opcode if opcode in (FOOTER, DATA_END) else ended
@@ -186,6 +193,8 @@ def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
             _declare(content.data, survey)
             heads = messages(content, data, chunk, ledger).heads
             survey.count(heads["channel"], heads["log"])
+            if chunk.cut and len(heads):
+                ledger.lasted(chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9)
         forget(data, chunk.start, chunk.start + chunk.length)
     for chunk in unopened:  # a schema may stand in a chunk that holds no message of it
         if survey.knows(survey.counts):
@@ -203,6 +212,17 @@ def _declare(content: memoryview, survey: Survey) -> None:
                 survey.declare(parse(opcode, content[at : at + length], at))
     except FormatError:
         return  # messages() walks the same records and reports where they end
+
+
+def _cut(data: memoryview, at: int) -> Chunk | None:
+    """The chunk at byte `at` inside of which the file ends, if that is what is there and a message comes before."""
+    try:
+        first, last, *_ = chunk_head(data, at, cut=True)
+        chunk = Chunk(at, len(data) - at, first, last, cut=True)
+        content = unpack(data, chunk, Buffer())
+    except FormatError:
+        return None
+    return chunk if len(messages(content, data, chunk, Ledger(Path())).starts) else None
 
 
 def _seconds(data: memoryview, at: int) -> float | None:

@@ -160,8 +160,22 @@ def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, bo
     assert scores["joint_rmse/shoulder_pan_joint"] < 0.012
 
 
-def test_a_log_cut_before_its_first_chunk_ends_is_named_with_what_is_lost(tmp_path, capsys, bodylog, arm, arm_body):
+def test_a_log_cut_before_anything_can_be_read_is_named_with_what_is_lost(tmp_path, capsys, bodylog, arm, arm_body):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((arm / "reach.mcap").read_bytes()[:20_000])
+    said = _refused(capsys, bodylog, cut, arm_body, tmp_path / "out.mcap")
+    assert "no sense has anything to say" in said and "from byte 36 19964 bytes" in said
+
+
+def test_a_log_cut_inside_its_only_chunk_is_read_up_to_there(tmp_path, capsys, bodylog, arm, arm_body):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((arm / "reach.mcap").read_bytes()[:300_000])
-    said = _refused(capsys, bodylog, cut, arm_body, tmp_path / "out.mcap")
-    assert "no sense has anything to say" in said and "from byte 36 299964 bytes" in said
+    capsys.readouterr()
+    assert bodylog("estimate", cut, "--body", arm_body, "-o", tmp_path / "out.mcap", "--json") == 3
+    result = json.loads(capsys.readouterr().out)
+    (lost,) = {finding["text"] for finding in result["findings"] if finding["severity"] == "lost"}
+    assert "from byte 36 " in lost and "4.501 s lost: the file ends in this chunk, after 299964 bytes, which" in lost
+    scores = {score["name"]: score["value"] for score in result["scores"]}
+    assert scores["used/encoders"] == 134 and scores["used/effector"] > 28
+    assert scores["joint_rmse"] < 0.6 * scores["encoder_rmse"]
+    assert bodylog("info", cut, "--strict") == 65
