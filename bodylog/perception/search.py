@@ -1,6 +1,8 @@
 """Where each colour is in a picture: a search of every few pixels, and a window about each find."""
 
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -30,25 +32,48 @@ def windows(picture: int, image: Array, ranges: Sequence[Range]) -> Iterator[Win
 
     At most CANDIDATES of each colour, without the image: it may go once they are taken.
     """
-    import cv2
-
     height, width = image.shape[:2]
     step = max(1, round(width / _COARSE_WIDTH))
-    hsv = cv2.cvtColor(_every(image, step), cv2.COLOR_BGR2HSV)
-    for index, colour in enumerate(ranges):
-        for x, y, w, h in _boxes(mask(hsv, colour)):
+    seen = _table(tuple(ranges)).take(_every(image, step))
+    for index in range(len(ranges)):
+        for x, y, w, h in _boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
             left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
             part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
             yield Window(picture, index, left, top, (width, height), _copy(part))
 
 
-def _every(image: Array, step: int) -> Array:
-    """Every step-th pixel of every step-th row (H/step,W/step,3 or 4); a fourth byte means nothing."""
+@lru_cache
+def _table(ranges: tuple[Range, ...]) -> Array:
+    """A bit for each range in which a colour of 16 bits (65536,) may lie: the middle or a corner of its cell of BGR."""
     import cv2
 
-    if image.strides[2] == -1:
-        every = _every(image[..., ::-1], step)
-        return np.asarray(cv2.cvtColor(every, cv2.COLOR_RGB2BGR if every.shape[2] == 3 else cv2.COLOR_RGBA2BGR))
+    colours = np.arange(1 << 16, dtype=np.uint16).view(np.uint8).reshape(256, 256, 2)
+    lowest = cv2.cvtColor(colours, cv2.COLOR_BGR5652BGR)
+    table = np.zeros((256, 256), np.min_scalar_type((1 << len(ranges)) - 1))
+    for within in ((4, 2, 4), *product((0, 7), (0, 3), (0, 7))):
+        hsv = cv2.cvtColor(lowest + np.array(within, np.uint8), cv2.COLOR_BGR2HSV)
+        for index, colour in enumerate(ranges):
+            table[mask(hsv, colour) > 0] |= table.dtype.type(1 << index)
+    return table.ravel()
+
+
+def _every(image: Array, step: int) -> Array:
+    """Every step-th pixel of every step-th row (H/step,W/step), its colour in 16 bits."""
+    import cv2
+
+    turned = image.strides[2] == -1
+    some = _picked(image[..., ::-1] if turned else image, step)
+    return np.asarray(cv2.cvtColor(some, getattr(cv2, _CODES[turned, some.shape[2]])).view(np.uint16)[..., 0])
+
+
+_CODES = {
+    (False, 3): "COLOR_BGR2BGR565", (False, 4): "COLOR_BGRA2BGR565",
+    (True, 3): "COLOR_RGB2BGR565", (True, 4): "COLOR_RGBA2BGR565",
+}  # fmt: skip
+
+
+def _picked(image: Array, step: int) -> Array:
+    """Every step-th pixel of every step-th row (H/step,W/step,3 or 4); a fourth byte means nothing."""
     height, width = max(1, image.shape[0] // step), image.shape[1] // step
     if step == 1 or not image.flags.c_contiguous:
         return np.ascontiguousarray(image[::step, ::step][:height, :width])

@@ -1,10 +1,11 @@
 """Where pictures lie in memory, and in which order their channels, does not show in what is found in them."""
 
+import cv2
 import numpy as np
 import pytest
 
 from bodylog.perception import blobs, search
-from bodylog.perception.ranges import resolve
+from bodylog.perception.ranges import between, resolve
 from bodylog.types import Array
 
 from . import scenes
@@ -42,3 +43,27 @@ def test_windows_keep_no_picture() -> None:
     for kept in (picture, *_kept(picture).values()):
         found = list(search.windows(0, kept, RANGES))
         assert found and not any(np.shares_memory(window.pixels, kept) for window in found)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_narrow_ranges_are_found_wherever_they_lie_among_the_colours(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for h, s, v in rng.integers((0, 120, 80), (180, 256, 256), (40, 3)).tolist():
+        b, g, r = cv2.cvtColor(np.array([[[h, s, v]]], np.uint8), cv2.COLOR_HSV2BGR)[0, 0].tolist()
+        picture = scenes.draw(scenes.wall(rng, 160, 120, 4.0), [scenes.Disc(80, 60, 9.0, (b, g, r))], rng)
+        low, high = (max(s - 30, 90), max(v - 30, 50)), (min(s + 30, 255), min(v + 30, 255))
+        about = between(((h - 4) % 180, *low), ((h + 4) % 180, *high))
+        found = blobs.look([picture], [about])[0, 0, 0]
+        assert np.hypot(*(found[:2] - (80, 60))) < 0.5, (h, s, v)
+
+
+def test_as_many_colours_as_are_wanted_are_told_apart() -> None:
+    rng = np.random.default_rng(2)
+    hues = range(0, 180, 10)
+    paints = [cv2.cvtColor(np.array([[[h, 220, 200]]], np.uint8), cv2.COLOR_HSV2BGR)[0, 0].tolist() for h in hues]
+    places = [(40 + 60 * (k % 6), 40 + 60 * (k // 6)) for k in range(len(hues))]
+    discs = [scenes.Disc(*at, 10.0, (b, g, r)) for at, (b, g, r) in zip(places, paints, strict=True)]
+    picture = scenes.draw(scenes.wall(rng, 400, 240, 2.0), discs, rng, noise=0.5)
+    wanted = [between(((h - 4) % 180, 90, 50), ((h + 4) % 180, 255, 255)) for h in hues]
+    found = blobs.look([picture], wanted)[0, :, 0, :2]
+    assert np.abs(found - places).max() < 0.3
