@@ -55,6 +55,7 @@ class Estimator:
             raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
         self._body, self._settings, self._lag = body, settings, lag
         self._incoming = Incoming(body, settings, tell)
+        self._first = np.full(len(body.joints), np.nan)
         self._recent: Recent | None = None
 
     @property
@@ -66,7 +67,7 @@ class Estimator:
         """The belief after all that is told until t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
 
         None, or NaN, is what was not heard. What is told may come out of order by up to `lag` s; the belief is about
-        the latest instant. UsageError or ModelError for what is not the body's, LogError where no start is known.
+        the latest instant. UsageError or ModelError for what is not the body's, LogError until all joints were told.
         """
         t, told = finite(t), self._incoming.read(joints, places)
         if self._recent is None:
@@ -87,8 +88,8 @@ class Estimator:
     def _begin(self, angles: Array | None) -> Recent:
         """No instant yet, and what is known before the first."""
         names, given, noise = self._body.joints, self._settings.start, self._body.noise
-        x = np.full(len(names), np.nan) if angles is None else angles
-        x = x if given is None else np.array(given, float)
+        self._first = self._first if angles is None else np.where(np.isfinite(angles), angles, self._first)
+        x = self._first if given is None else np.array(given, float)
         if not np.isfinite(x).all():
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
             raise LogError(f"joints: no reading tells where {unknown} starts; tell all joints first, or give `start`")

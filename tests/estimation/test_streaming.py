@@ -263,3 +263,14 @@ def test_settings_that_need_the_whole_log_are_refused(world, settings, text):
 def test_a_lag_is_no_negative_time(world):
     with pytest.raises(UsageError, match=r"lag: -1.0 found, a time of at least 0 s is possible"):
         Estimator(world(0, duration=1.0).body, lag=-1.0)
+
+
+def test_joints_that_come_by_halves_begin_once_all_were_told(world):
+    drawn = world(0, duration=1.0)
+    robot = Estimator(drawn.body)
+    first, second, third = ({name: 0.1} for name in drawn.body.joints)
+    for part in (first, second):
+        with pytest.raises(LogError, match="no reading tells where"):
+            robot.step(0.0, joints=part)
+    belief = robot.step(0.01, joints=third)
+    np.testing.assert_allclose(belief.x, 0.1, atol=1e-9)
