@@ -60,7 +60,9 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     wanted = chosen(visual, body, settings)
     encoders, used = _encoders(features.joints, body.joints, wanted)
     first = _first(features.joints, body.joints)
-    findings = () if encoders is None else tuple(checked(encoders.values, body))
+    joints = features.joints
+    # silenced encoders, too, say where the belief starts
+    findings = () if joints is None else tuple(checked(joints.values[:, _columns(joints, body.joints)], body))
     seen = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
     sightings, faults = unfrozen(seen, None if "encoders" in body.senses else encoders, used)
     if "touch" in wanted and "effector" in body.senses:

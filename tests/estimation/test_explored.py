@@ -40,9 +40,15 @@ def test_angles_that_were_explored_go_without_a_word(drawn):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "kalman", "predictive-coding"])
-def test_degrees_are_refused_with_what_to_type(drawn, method):
+@pytest.mark.parametrize("senses", [None, ("encoders",), ("elbow",)])
+def test_degrees_are_refused_with_what_to_type(drawn, method, senses):
     with pytest.raises(ModelError, match=r'these are degrees; type \[body\] unit = "deg" in robot.toml'):
-        estimate(read(drawn, np.rad2deg), drawn.body, Estimation(method=method))
+        estimate(read(drawn, np.rad2deg), drawn.body, Estimation(method=method, senses=senses))
+
+
+def test_degrees_are_refused_where_encoders_say_but_where_to_begin(drawn):
+    with pytest.raises(ModelError, match="these are degrees"):
+        estimate(read(drawn, np.rad2deg), drawn.body, Estimation(senses=("vision",)))
 
 
 def test_a_joint_about_zero_that_moves_elsewhere_is_not_taken_for_degrees(world):
