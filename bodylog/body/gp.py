@@ -9,6 +9,8 @@ import numpy as np
 from ..types import Array
 
 _BLOCK_BYTES = 1 << 19
+_SOME = 64
+"""Samples by which the model's errors are told."""
 
 NEGLIGIBLE = 1e-6
 """Relative error of the variance allowed at any point, for leaving out directions the samples say nothing of."""
@@ -102,6 +104,16 @@ class GP:
     def share(self) -> Array:
         """What each output (D,) has of the noise, and the variance, of those that share its kernel."""
         return shares(self.spread) if len(self.scales) == 1 else np.ones(len(self.mean))
+
+    @cached_property
+    def reach(self) -> Array:
+        """Angles (M,) rad that are to part before the model errs otherwise: errors correlate by exp(−½ Σ (δ/reach)²).
+
+        Near by a correlation bends by the variance of the error's slope over that of the error; where it was learned.
+        """
+        x = self.samples[:: max(1, len(self.samples) // _SOME)]
+        bend = self.slope_variance(x).mean(axis=(0, 1)) / np.maximum(self.predict(x)[2].mean(), np.finfo(float).tiny)
+        return np.asarray(1.0 / np.sqrt(np.maximum(bend, np.finfo(float).tiny)))
 
     @cached_property
     def _origin(self) -> Array:

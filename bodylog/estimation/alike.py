@@ -7,46 +7,94 @@ acceleration, q (px²/s³) as pictures see it, a filter that hears noise of dens
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..types import Array, ForwardModel
 
-ALIKE = 0.01
-"""rad: angles closer than this share the model's error."""
 NEAR = 0.5
 """px: places closer than this share perception's error, which has the period of the pixels."""
 PAST, WHOLE = 4.0, 1.0 / 64.0
 """Share of q in the span within which frames count as one: of a belief by the past alone, or by the whole log."""
+LASTING = {PAST: -5.0 / 8.0, WHOLE: 1.0 / 2.0}
+"""What more a lasting error counts than one that every frame has anew, on average from one frame to the next.
+
+Extrapolated from two frames, (1 + x) e₁ − x e₀, it is what it was, and new ones come to 8/3 of their variance;
+interpolated, (1 − x) e₀ + x e₁, to 2/3.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Likeness:
+    """When frames of a track err alike: postures within reach (M,) rad, places within `near` px, 0 where never.
+
+    process (M,) rad²/s³: the joints' white acceleration · share: PAST or WHOLE.
+    """
+
+    process: Array
+    reach: Array
+    near: float
+    share: float
+
+    def postures(self, step: Array) -> Array:
+        """How alike (…,) the model errs, joints being a step (…,M) rad apart."""
+        return np.asarray(np.exp(-0.5 * np.square(step / self.reach).sum(axis=-1)))
+
+    def spots(self, step: Array) -> Array:
+        """How alike (…,) perception errs, places being a step (…,D) px apart."""
+        return np.asarray((self.near > 0) * np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / (self.near or 1.0)))
+
+    def fade(self, dt: Array, pixel: Array, model: Array, jac: Array) -> Array:
+        """Share κ (F,) of frames dt (F,) s ago that still counts: (1 + κ) / (1 − κ) is span/dt, dt much shorter."""
+        error = np.einsum("fd->f", model + pixel * (self.near > 0))
+        drift = np.einsum("fdm,m->f", np.square(jac), self.share * self.process)
+        span = np.cbrt(error / np.maximum(drift, 1e-9))
+        return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
+
+    def times(self, count: Array, like: Array) -> Array:
+        """How many times its variance a frame has that amounts to `count`, the last having erred alike by `like`."""
+        return np.asarray(2.0 * count - 1.0 + LASTING[self.share] * like / count)
+
+
+def reach(model: ForwardModel) -> Array:
+    """Angles (M,) or () rad that are to part before the model errs otherwise; where it does not say, it never does."""
+    return np.asarray(getattr(model, "reach", np.inf))
 
 
 def variances(
-    t: Array, places: Array, points: Array, jac: Array, pixel: Array, model: Array, pace: Array, near: float
+    like: Likeness, t: Array, places: Array, points: Array, jac: Array, pixel: Array, model: Array, often: float = 1.0
 ) -> Array:  # fmt: skip
     """Variances (F,D) px² of frames seen at t (F,) s, such that alike ones together say no more than they know.
 
-    places (F,D) px · points (F,M) rad and jac (F,D,M) there · pixel and model variance (F,D) · pace (M,) rad²/s³: the
-    white acceleration times PAST or WHOLE · near: px within which pixels err alike, 0 where they never do.
+    places (F,D) px · points (F,M) rad and jac (F,D,M) there · pixel and model variance (F,D), this to count so `often`.
     """
     if not len(t):
         return pixel + model
-    fade = _faded(np.diff(t), _span(model + pixel * (near > 0), jac, pace)[1:])
-    postures = counts(fade * np.exp(-_apart(points) / ALIKE))
-    spots = counts(fade * np.exp(-_apart(places) / near)) if near else postures**0.0
-    return np.asarray(pixel * (2.0 * spots - 1.0)[:, None] + model * (2.0 * postures - 1.0)[:, None])
+    fade = like.fade(np.diff(t), pixel[1:], model[1:], jac[1:])
+    spots, postures = (
+        like.times(counts(fade * alike), np.append(0.0, alike))[:, None]
+        for alike in (like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0)))
+    )
+    return np.asarray(pixel * spots + often * model * postures)
 
 
-def repeated(frames: Sequence[int], common: Sequence[float]) -> tuple[float, ...]:
+def repeated(frames: Sequence[int], common: Sequence[float], told: float) -> tuple[float, ...]:
     """How many times its model's variance E each track counts with, of what share in common with other tracks' models.
 
-    T tracks as surely seen then leave c E + (1 − c) E / T between them. frames: how many each was seen in.
+    frames: how many each was seen in · told: directions of joints that their rows tell apart, in which the error lies:
+    rows that are taken to err each by itself say as many times what they know as there are more of them.
     """
-    whole = sum(count for count, share in zip(frames, common, strict=True) if share > 0)
+    rows = 2.0 * sum(count for count, share in zip(frames, common, strict=True) if share > 0)
     return tuple(
-        1.0 + share * (whole / max(count, 1) - 1.0) if share > 0 else 1.0
+        1.0 + share * (max(rows / (told * max(count, 1)), 1.0) - 1.0) if share > 0 else 1.0
         for count, share in zip(frames, common, strict=True)
     )
+
+
+def directions(models: Sequence[ForwardModel], x: Array) -> int:
+    """How many directions of joints all rows of the models' Jacobians span at x (M,)."""
+    return int(np.linalg.matrix_rank(np.concatenate([model.predict(x[None])[1][0] for model in models])))
 
 
 def counts(kept: Array) -> Array:
@@ -64,55 +112,35 @@ def counts(kept: Array) -> Array:
     return count
 
 
-def _apart(rows: Array) -> Array:
-    """Distance (F−1,) from each row (F,D) to the next."""
-    step = np.diff(rows, axis=0)
-    return np.asarray(np.sqrt(np.einsum("fd,fd->f", step, step)))
-
-
-def _span(error: Array, jac: Array, pace: Array) -> Array:
-    """Seconds (F,) within which frames count as one."""
-    drift = np.einsum("fdm,m->f", np.square(jac), pace)
-    return np.asarray(np.cbrt(np.einsum("fd->f", error) / np.maximum(drift, 1e-9)))
-
-
-def _faded(dt: Array, span: Array) -> Array:
-    """Share of earlier frames that still counts; (1 + κ) / (1 − κ) is span/dt for frames dt apart, dt much shorter."""
-    return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
-
-
 @dataclass(frozen=True, eq=False)
 class Memory:
-    """When (s), where (D,) px and from which angles (M,) a track was last seen, and how many frames that stands for."""
+    """When (s), where (D,) px and from which angles (M,) a track was last seen; how many of these count (2,)."""
 
     t: float = -np.inf
     place: Array | None = None
     point: Array | None = None
-    spots: float = 0.0
-    postures: float = 0.0
+    count: Array = field(default_factory=lambda: np.zeros(2))
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """One track seen at an instant t (s): model, value (D,), pixel variance (D,), pace, near, memory."""
+    """One track seen at an instant t (s): model, value (D,), pixel variance (D,), what errs alike, memory."""
 
     model: ForwardModel
     t: float
     value: Array
     var: Array
-    pace: Array
-    near: float
+    like: Likeness
     memory: Memory
 
     def at(self, x: Array) -> tuple[Array, Array, Array, Array, Memory]:
         """At angles x (M,): mean (D,), Jacobian (D,M), model variance (D,), the whole as `variances` has it, memory."""
         mean, jac, model = (part[0] for part in self.model.predict(x[None]))
-        last, spots, postures = self.memory, 1.0, 1.0
+        last, count, alike = self.memory, np.ones(2), np.zeros(2)
         if last.place is not None and last.point is not None:
-            error = model + self.var * (self.near > 0)
-            fade = float(_faded(np.array(self.t - last.t), _span(error[None], jac[None], self.pace)[0]))
-            postures += fade * float(np.exp(-np.linalg.norm(x - last.point) / ALIKE)) * last.postures
-            if self.near:
-                spots += fade * float(np.exp(-np.linalg.norm(self.value - last.place) / self.near)) * last.spots
-        var = self.var * (2.0 * spots - 1.0) + model * (2.0 * postures - 1.0)
-        return mean, jac, model, var, Memory(self.t, self.value, x, spots, postures)
+            dt = np.array([self.t - last.t])
+            fade = float(self.like.fade(dt, self.var[None], model[None], jac[None])[0])
+            alike = np.array([self.like.spots(self.value - last.place), self.like.postures(x - last.point)])
+            count += fade * alike * last.count
+        spots, postures = self.like.times(count, alike)
+        return mean, jac, model, self.var * spots + model * postures, Memory(self.t, self.value, x, count)

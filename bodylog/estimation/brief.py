@@ -39,6 +39,16 @@ class Brief:
         return replace(self, problem=few, readings=replace(self.readings, pooled=self.pooled(few.dynamics)))
 
 
+def tile(brief: Brief, var: Array, processes: Array) -> Leaps:
+    """The log in brief for processes (M,G), side by side each stretch, whose frames have variances var (L,T,D,C,G)."""
+    told, g = brief.readings, processes.shape[-1]
+    dt, said, said_var, y, jac = (
+        np.repeat(part, g, axis=-1) for part in (told.dt, told.encoders, told.encoder_var, told.y, told.jac)
+    )
+    between = brief.pooled(replace(brief.problem.dynamics, process=processes))
+    return Leaps(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], -1), between)
+
+
 def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
     """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less."""
     line, (said, var) = problem.timeline, encoder_rows(problem)

@@ -68,12 +68,9 @@ def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | N
     if settings.precision != "auto":
         return problem, None
     try:
-        found, alone, warm = tune(problem)
+        found, warm = tune(problem, whole=settings.method == "smoother")
     except Restless:
         return problem, None
-    if settings.method != "smoother":
-        # white acceleration fits no motion at all time scales: a joint has the encoders' as far as they still tell it
-        found = replace(found, process=alone * problem.precision.process + (1.0 - alone) * found.process)
     return replace(problem, precision=found), warm
 
 

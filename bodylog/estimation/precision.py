@@ -17,7 +17,8 @@ from .senses import Evidence
 class Precision:
     """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
 
-    near {sighting: px} within which its errors are alike; other sightings' errors are white.
+    near {sighting: px} within which its errors are alike; other sightings' errors are white · stated: what share of
+    the covariance under white acceleration is stated.
     """
 
     encoder: Array
@@ -25,6 +26,7 @@ class Precision:
     drift: Array | None
     scale: Mapping[str, float]
     near: Mapping[str, float] = field(default_factory=dict)
+    stated: float = 1.0
 
     def plain(self) -> dict[str, Any]:
         """As plain numbers, to be written beside the estimate."""

@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import LogError, UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, ForwardModel, Health
-from .alike import PAST, Memory, Sight
+from .alike import PAST, Likeness, Memory, Sight, reach
 from .bias import WALKS
 from .habit import Habit, usual
 from .incoming import Angles, Incoming, Place, Tell, finite
@@ -98,8 +98,9 @@ class Estimator:
             drift = np.full(len(names), WALKS[1])
         habit = usual(self._incoming.silent, self._incoming.wanted, process, x)
         dynamics = Dynamics(process, drift, None if habit is None else habit.joints)
-        encoder_var = np.array(noise.encoder, float)
-        one = _Filter(Motion(dynamics), habit, encoder_var, PAST * process, self._incoming.models)
+        encoder_var, models = np.array(noise.encoder, float), self._incoming.models
+        like = {name: Likeness(process, reach(model), 0.0, PAST) for name, model in models.items()}
+        one = _Filter(Motion(dynamics), habit, encoder_var, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
         return Recent(State(-np.inf, z, np.diag(std**2), {}), self._lag, one.hear)
@@ -112,7 +113,7 @@ class _Filter:
     motion: Motion
     habit: Habit | None
     encoder_var: Array
-    pace: Array
+    like: Mapping[str, Likeness]
     models: Mapping[str, ForwardModel]
 
     def hear(self, before: State, at: Instant) -> State:
@@ -120,7 +121,7 @@ class _Filter:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
         angles, var = self._encoders(at.angles, dt)
         sights = [
-            Sight(self.models[name], at.t, value, spread, self.pace, 0.0, before.memory.get(name, Memory()))
+            Sight(self.models[name], at.t, value, spread, self.like[name], before.memory.get(name, Memory()))
             for name, (value, spread) in at.places.items()
         ]
         found = hear(self.motion, before.z, before.p, dt, angles, var, sights)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..types import Array
-from .alike import PAST, WHOLE, repeated, variances
+from .alike import PAST, WHOLE, Likeness, directions, reach, repeated, variances
 from .folds import Fold
 from .precision import Precision
 from .scan import Readings
@@ -34,7 +34,10 @@ class Tangents:
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
         self._var = tuple(np.ones((len(x), 2)) for x in points)
-        self._repeated = repeated([int(some.sum()) for some in seen], [one.common for one in sightings])
+        common, counted = [one.common for one in sightings], [int(some.sum()) for some in seen]
+        models = [one.model for one, share, count in zip(sightings, common, counted, strict=True) if share * count > 0]
+        told = directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
+        self._repeated = repeated(counted, common, told)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
         """Write stale tangents into the readings: y = s − g + J x°, var as alike frames have it.
@@ -51,13 +54,20 @@ class Tangents:
                 touched |= fold.sees(events[stale])
             elif self._weighed is problem.precision:
                 continue
-            var = self._variances(index, sighting, problem.precision)
+            var = self._variances(index, sighting, problem.precision, self.share)
             other = np.logical_or(*(np.abs(var / self._var[index] - 1.0) > SAME).T)
             self._var[index][other] = var[other]
             fold.put(readings.var[:, index], events[other], var[other])
             touched |= fold.sees(events[other])
         self._weighed = problem.precision
         return touched
+
+    def weighed(self, problem: "Problem", fold: Fold, readings: Readings, share: float) -> Array:
+        """Variances (L,T,D,C) of readings, those of frames as the problem's precision and a share have them."""
+        var = readings.var.copy()
+        for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
+            fold.put(var[:, index], events, self._variances(index, sighting, problem.precision, share))
+        return var
 
     def model_var(self, index: int) -> Array:
         """The model's own variance (F,D) where one sighting's frames are linearised."""
@@ -69,15 +79,15 @@ class Tangents:
         self._y[index][stale] = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
         self._jac[index][stale] = jac
 
-    def _variances(self, index: int, sighting: Sighting, precision: Precision) -> Array:
+    def _variances(self, index: int, sighting: Sighting, precision: Precision, share: float) -> Array:
         """Variances (F,D), of alike frames such that together they say no more than they know."""
         var, seen = precision.scale.get(sighting.name, 1.0) * sighting.var, self._seen[index]
         # a belief by the past alone errs by far more than models do, and pays for what is no noise in its rates
-        times = self._repeated[index] if self.share == WHOLE else 1.0
+        often = self._repeated[index] if share == WHOLE else 1.0
+        like = Likeness(precision.process, reach(sighting.model), precision.near.get(sighting.name, 0.0), share)
         var[seen] = variances(
-            sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
-            times * self._model_var[index][seen], self.share * precision.process,
-            precision.near.get(sighting.name, 0.0),
+            like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
+            self._model_var[index][seen], often,
         )  # fmt: skip
         return var
 

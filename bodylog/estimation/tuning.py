@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..types import Array
-from .brief import Brief
+from .brief import Brief, tile
 from .laplace import Problem, Solution, briefly
+from .least import STATED, least
 from .motion import floor
 from .outset import handed_over, priors
 from .precision import Precision
-from .scan import Leaps, scan
+from .scan import scan
 from .senses import Encoders, Evidence, Sighting
 from .timeline import timeline
 
@@ -28,16 +29,15 @@ ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
-def tune(problem: Problem) -> tuple[Precision, Array, Solution | None]:
-    """Process variances and pixel factors that maximise the evidence of (the middle of) the log.
+def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
+    """Process variances and pixel factors by (the middle of) the log, for a belief by the whole of it or by the past.
 
-    With the share (M,) of each joint's process variance that a filter has from its encoder alone, and the last solution
-    to begin from, if it was of the whole log.
+    With the last solution to begin from, if it was of the whole log.
     """
     part = middle(problem)
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
-        return problem.precision, np.ones(len(problem.start)), None
+        return problem.precision, None
     m, told = len(part.start), briefly(part, None, "posterior", NEARLY)
     for half in ROUNDS:
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
@@ -45,28 +45,31 @@ def tune(problem: Problem) -> tuple[Precision, Array, Solution | None]:
         nats, told = costs(part, told, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
+    own, stated = (least(part, told), STATED) if whole else (_own(problem, part, told[1]), 1.0)
     warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
-    return part.precision, _alone(problem, told[1]), warm
+    return replace(part.precision, process=np.maximum(own, _floor(part)), stated=stated), warm
 
 
-def _alone(problem: Problem, first: Solution) -> Array:
-    """Share (M,), at most 1, of each joint's process variance that is as its encoder alone has it.
+def _own(problem: Problem, part: Problem, first: Solution) -> Array:
+    """Process variances (M,) of a filter: white acceleration fits no motion at all time scales.
 
-    Variance by all senses over the one by the encoder alone says what pictures leave unknown. With one camera that is
-    a direction in which joints err together, and independent ones amount to its process variance along it only with
-    as many times theirs as there are joints that take part.
+    A joint has that of its encoder as far as this still tells it. Variance by all senses over the one by the encoder
+    alone says what pictures leave unknown. With one camera that is a direction in which joints err together, and
+    independent ones amount to its process variance along it only with as many times theirs as there are joints that
+    take part.
     """
     encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
-    if encoders is None or len(encoders.t) < 2:
-        return np.full(m, 0.5)
-    density = precision.encoder * float(np.median(np.diff(encoders.t)))
-    # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
-    alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
-    together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
-    unknown = np.minimum(together**2 / alone, 1.0)
-    taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
-    # for as long as an encoder is silent it has no share
-    return np.asarray(np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0))
+    share = np.full(m, 0.5)
+    if encoders is not None and len(encoders.t) > 1:
+        density = precision.encoder * float(np.median(np.diff(encoders.t)))
+        # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
+        alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
+        together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
+        unknown = np.minimum(together**2 / alone, 1.0)
+        taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
+        # for as long as an encoder is silent it has no share
+        share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
+    return np.asarray(share * precision.process + (1.0 - share) * part.precision.process)
 
 
 def _prior(candidates: Array, m: int) -> Array:
@@ -79,12 +82,17 @@ def _seen(sighting: Sighting) -> int:
 
 
 def _with(part: Problem, values: Array, names: list[str]) -> Precision:
-    m, precision, encoders = len(part.start), part.precision, part.evidence.encoders
-    least = 0.0 if encoders is None else floor(encoders, precision.encoder)
+    m, precision = len(part.start), part.precision
     # frames that err alike foretell each other well: that is no reason to think perception better than it says
     found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
     scale = {**precision.scale, **found}
-    return replace(precision, process=np.maximum(values[:m], least), scale=scale)
+    return replace(precision, process=np.maximum(values[:m], _floor(part)), scale=scale)
+
+
+def _floor(part: Problem) -> Array:
+    """Process variances (M,) at least."""
+    encoders = part.evidence.encoders
+    return np.zeros(len(part.start)) if encoders is None else floor(encoders, part.precision.encoder)
 
 
 def _step(nats: Array, half: float) -> Array:
@@ -116,19 +124,11 @@ def costs(
             fold.put(pixels, events, sighting.var)
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
             var[:, index] += pixels[..., None] * more
-    said = _tile(readings.dt, g), _tile(readings.encoders, g), _tile(readings.encoder_var, g)
-    lines = _tile(readings.y, g), _tile(readings.jac, g), var.reshape(*var.shape[:-2], -1)
-    dynamics = replace(few.dynamics, process=candidates[:, :m].T)
-    tiled = Leaps(*said, *lines, brief.pooled(dynamics))
-    tiled_dynamics = replace(dynamics, process=np.tile(dynamics.process, fold.count))
-    trace = scan(tiled, tiled_dynamics, _tile(z, g), _tile(p, g), every=g)
+    tiled = tile(brief, var, candidates[:, :m].T)
+    dynamics = replace(few.dynamics, process=np.tile(candidates[:, :m].T, fold.count))
+    trace = scan(tiled, dynamics, np.repeat(z, g, axis=-1), np.repeat(p, g, axis=-1), every=g)
     own = replace(trace, nats=trace.nats[:, ::g])
     return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (brief, replace(first, trace=own))
-
-
-def _tile(a: Array, g: int) -> Array:
-    """(…,C) -> (…,C·G), the candidates of one stretch side by side."""
-    return np.repeat(a, g, axis=-1)
 
 
 def middle(problem: Problem) -> Problem:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..types import Array
-from .alike import PAST, WHOLE, Memory, Sight
+from .alike import PAST, WHOLE, Likeness, Memory, Sight, reach
 from .brief import encoder_rows, full
 from .folds import Fold
 from .instant import RESTING, Motion, hear
@@ -67,11 +67,12 @@ def _points(problem: Problem, share: float, resting: float) -> Array:
 def _sights(problem: Problem, share: float) -> dict[int, list[tuple[int, Sight]]]:
     """What is seen of which track, by instant."""
     found: dict[int, list[tuple[int, Sight]]] = {}
-    pace, precision, line = share * problem.precision.process, problem.precision, problem.timeline
+    precision, line = problem.precision, problem.timeline
     for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
+        like = Likeness(precision.process, reach(sighting.model), near, share)
         for row in np.flatnonzero(np.isfinite(sighting.values).all(axis=1)):
             value, var, k = sighting.values[row], scale * sighting.var[row], int(events[row])
-            sight = Sight(sighting.model, float(sighting.t[row]), value, var, pace, near, Memory())
+            sight = Sight(sighting.model, float(sighting.t[row]), value, var, like, Memory())
             found.setdefault(k, []).append((track, sight))
     return found

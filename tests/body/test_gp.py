@@ -150,3 +150,15 @@ def test_awkward_data_still_give_a_finite_model(case: str) -> None:
     assert all(np.isfinite(part).all() for part in (value, slope, spread))
     if case != "one outlier":
         assert np.abs(value - y).max() < 1.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_errors_go_apart_as_reach_says(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    x = draw.uniform(-1, 1, (80, 3))
+    gp = train(samples(x, np.stack([np.sin(x.sum(axis=1)), np.cos(2 * x[:, 0])], axis=1)), ("u", "v"), "px", seed)
+    for joint, reach in enumerate(gp.reach):
+        step = 0.3 * reach * np.eye(3)[joint]
+        both = [gp.covariance(np.stack([at, at + step]))[0] for at in x]
+        alike = np.sum([c[0, 1] for c in both]) / np.sum([np.sqrt(c[0, 0] * c[1, 1]) for c in both])
+        assert alike == pytest.approx(np.exp(-0.5 * 0.3**2), abs=0.02)

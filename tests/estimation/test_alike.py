@@ -1,6 +1,6 @@
 """Frames that err alike: how many count as one, the same one by one as all at once, and error bars that hold."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,8 +8,24 @@ import pytest
 from bodylog.estimation import alike, estimate
 from bodylog.settings import Estimation
 from bodylog.types import Series
+from tests.estimation.conftest import Arm
 
-PACE = np.array([0.02, 0.03, 0.04])
+PROCESS = np.array([0.02, 0.03, 0.04])
+
+
+@dataclass(frozen=True)
+class Local(Arm):
+    """An arm whose model errs alike within some angle only."""
+
+    blur: float = 0.002
+    reach: float = 0.1
+
+
+class Turned(Arm):
+    """The same arm, its pan and lift taken for each other."""
+
+    def place(self, x):
+        return super().place(x[..., [1, 0, 2]])
 
 
 def passed(world, seed, speed):
@@ -31,22 +47,33 @@ def test_counts_are_the_recursion():
 
 @pytest.mark.parametrize("speed", [0.0, 0.02, 0.5])
 @pytest.mark.parametrize("near", [0.0, alike.NEAR])
-def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near):
-    t, places, points, jac, pixel, model = passed(world, 1, speed)
-    together = alike.variances(t, places, points, jac, pixel, model, alike.PAST * PACE, near)
-    body = replace(world(1).body.senses["effector"], blur=0.002)
-    memory, single = alike.Memory(), []
+@pytest.mark.parametrize("share", [alike.PAST, alike.WHOLE])
+def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near, share):
+    like, seen = alike.Likeness(PROCESS, alike.reach(Local()), near, share), passed(world, 1, speed)
+    together = alike.variances(like, *seen)
+    memory, single, (t, places, points, _, pixel, _) = alike.Memory(), [], seen
     for k, now in enumerate(t):
-        sight = alike.Sight(body, float(now), places[k], pixel[k], alike.PAST * PACE, near, memory)
+        sight = alike.Sight(Local(), float(now), places[k], pixel[k], like, memory)
         _, _, _, var, memory = sight.at(points[k])
         single.append(var)
     np.testing.assert_allclose(together, single, rtol=1e-9)
 
 
 def test_an_arm_under_way_tells_something_new_with_every_frame(world):
-    t, places, points, jac, pixel, model = passed(world, 2, 1.5)
-    found = alike.variances(t, places, points, jac, pixel, model, alike.PAST * PACE, alike.NEAR)
-    assert np.median(found / (pixel + model)) < 1.01
+    seen = passed(world, 2, 1.5)
+    for share in (alike.PAST, alike.WHOLE):
+        found = alike.variances(alike.Likeness(PROCESS, np.array(0.002), alike.NEAR, share), *seen)
+        assert np.all(alike.Likeness(PROCESS, np.array(0.1), 0.0, share).spots(np.zeros((3, 2))) == 0.0)
+        assert np.median(found / (seen[-2] + seen[-1])) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_lasting_error_counts_as_often_as_two_frames_tell_it():
+    x = np.linspace(0.0, 1.0, 100_001)
+    for share, (last, before) in ((alike.PAST, (1 + x, -x)), (alike.WHOLE, (x, 1 - x))):
+        like = alike.Likeness(PROCESS, np.array(0.1), 0.0, share)
+        for alike_by in (0.0, 0.4, 1.0):
+            lasting = (last**2 + before**2 + 2.0 * alike_by * last * before).mean()
+            assert like.times(1.0, alike_by) == pytest.approx(lasting / (last**2 + before**2).mean(), rel=1e-4)
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
@@ -70,12 +97,18 @@ def test_a_resting_arm_is_known_no_better_than_its_model(world, method):
 
 
 def test_what_models_have_in_common_is_told_once():
-    assert alike.repeated([90], [0.8]) == (1.0,)
+    assert alike.repeated([90], [0.8], 2) == (1.0,)
     for share in (0.3, 1.0):
-        times = alike.repeated([90, 90, 50, 90], [share, share, 0.0, share])
+        times = alike.repeated([90, 90, 50, 90], [share, share, 0.0, share], 2)
         assert times[2] == 1.0
         assert times[0] / 3.0 == pytest.approx(share + (1.0 - share) / 3.0)
-    assert alike.repeated([90, 0], [1.0, 1.0])[0] == 1.0
+        assert alike.repeated([90, 90], [share, share], 3)[1] == pytest.approx(1.0 + share / 3.0)
+    assert alike.repeated([90, 0], [1.0, 1.0], 2)[0] == 1.0
+
+
+def test_rows_that_say_the_same_span_no_further_direction():
+    x = np.array([-0.9, -0.9, 1.0])
+    assert [alike.directions(models, x) for models in ([Arm()], [Arm(), Arm()], [Arm(), Turned()])] == [2, 2, 3]
 
 
 @pytest.mark.parametrize("common", [0.0, 1.0])

@@ -1,0 +1,68 @@
+"""A smoother's process variances: of least error, whatever moves the arm, and error bars that hold there."""
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate, least, tuning
+from bodylog.settings import Estimation
+from tests.estimation import conftest
+
+
+def white(t, rng, speed):
+    """Angles (N,3) under white acceleration of 0.05 rad²/s³, about a bent arm it does not leave far behind."""
+    order, fine = np.argsort(t, kind="stable"), 0.002
+    grid = np.arange(0.0, t.max() + fine, fine)
+    rates = np.cumsum(rng.normal(0.0, np.sqrt(0.05 * fine), (len(grid), 3)), axis=0)
+    # a spring far slower than smoothing cuts off keeps it in view
+    rate = np.zeros_like(rates)
+    x = np.zeros_like(rates)
+    for k in range(1, len(grid)):
+        rate[k] = rate[k - 1] + rates[k] - rates[k - 1] - fine * (0.5 * rate[k - 1] + 0.3 * x[k - 1])
+        x[k] = x[k - 1] + fine * rate[k]
+    out = np.empty((len(t), 3))
+    for j in range(3):
+        out[order, j] = np.interp(t[order], grid, x[:, j])
+    return np.array([-0.9, -0.9, 1.0]) + out
+
+
+def errors(drawn):
+    """Root mean square error (rad) and squared error over stated variance of a smoother."""
+    found = estimate(drawn.features, drawn.body, Estimation(method="smoother"))
+    apart = np.square(found.joints.values - drawn.truth.values)
+    return np.sqrt(apart.mean()), (apart / np.einsum("nii->ni", found.cov)).mean()
+
+
+def test_of_a_white_jerk_that_much_is_left_of_the_steady_variance():
+    u = np.exp(np.linspace(-10.0, 8.0, 100_001))
+
+    def whole(y):
+        return float(np.trapezoid(y * u, np.log(u)))
+
+    def passed(q):
+        return 1.0 / (1.0 + u**4 / q)
+
+    # (noise, motion) of the error, by its slope zero at q = 1
+    noise, jerk = whole(passed(1.0) ** 2), u**-6.0
+    strength = (noise / 4.0) / (2.0 * whole(passed(1.0) * (1.0 - passed(1.0)) ** 2 * jerk))
+    motion = strength * whole((1.0 - passed(1.0)) ** 2 * jerk)
+    assert (noise + motion) / whole(passed(1.0)) == pytest.approx(least.STATED, rel=1e-3)
+    moved = np.square(passed(np.sqrt(least.STEP)) - passed(1.0 / np.sqrt(least.STEP)))
+    assert 1.0 + strength * whole(moved * jerk) / whole(moved) == pytest.approx(least.MOST, rel=2e-3)
+
+
+@pytest.mark.parametrize(("moved", "gain"), [("sines", 0.95), ("white", 1.04)])
+def test_a_smoother_errs_less_than_by_greatest_evidence_and_says_how_much(world, monkeypatch, moved, gain):
+    if moved == "white":
+        monkeypatch.setattr(conftest, "motion", white)
+    drawn = [world(seed, duration=30.0) for seed in range(4)]
+    found = np.array([errors(one) for one in drawn])
+    monkeypatch.setattr(tuning, "least", lambda part, told: part.precision.process)
+    likeliest = np.array([errors(one) for one in drawn])
+    assert np.mean(found[:, 0] / likeliest[:, 0]) < gain
+    assert 0.8 < np.mean(found[:, 1]) < 1.2
+
+
+def test_given_variances_are_heard_as_they_are(world):
+    drawn = world(0, duration=5.0)
+    given = estimate(drawn.features, drawn.body, Estimation(method="smoother", precision="model"))
+    np.testing.assert_array_equal(given.settings["process"], [0.3] * 3)
