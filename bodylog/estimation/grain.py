@@ -21,8 +21,9 @@ def grain(y: Array) -> float:
 
 
 def repeated(t: Array, y: Array) -> float:
-    """How many times their variance readings (N,) have that share their errors, as repeats do."""
-    return max(1.0, float(t[-1] - t[0]) / (1 + np.count_nonzero(np.diff(y))) / ONE)
+    """How many times their variance readings (N,) have that share their errors, as repeats do; 1 without repeats."""
+    runs = 1 + np.count_nonzero(np.diff(y))
+    return max(1.0, min(float(t[-1] - t[0]) / runs / ONE, len(y) / runs))
 
 
 def dithered(t: Array, y: Array) -> tuple[Array, float, float]:

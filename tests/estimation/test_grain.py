@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.grain import dithered, grain
+from bodylog.estimation.grain import dithered, grain, repeated
 from bodylog.settings import Estimation
 
 
@@ -33,6 +33,12 @@ def test_readings_that_repeat_for_long_share_an_error():
     t = np.arange(0.0, 8.0, 0.02)
     _, variance, least = dithered(t, np.round(t / 4.0) * 0.02)
     assert 10 * variance < least < 30 * variance
+
+
+def test_slow_readings_that_differ_share_none():
+    t = np.arange(0.0, 20.0, 1.0)
+    assert repeated(t, np.sin(t)) == 1.0
+    assert repeated(t, np.repeat(np.sin(t[::2]), 2)) == 2.0
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
