@@ -59,7 +59,7 @@ def as_data(result: "Result") -> dict[str, Any]:
         "output": None if result.output is None else str(result.output),
         "scores": [asdict(score) for score in result.scores],
         "health": {topic: asdict(health) for topic, health in result.health.items()},
-        "findings": [asdict(finding) for finding in result.findings],
+        "findings": [asdict(finding) for finding in dict.fromkeys(result.findings)],
         "faults": [asdict(fault) for fault in result.faults],
         "settings": result.settings,
     }
