@@ -29,7 +29,7 @@ def main() -> None:
         work = Path(folder)
         _robot(work)
         if sys.argv[1:] == ["scale"]:
-            _kinds(work)
+            _kinds(work / "large")
             _tiny(work, (*TINY, 1000))
         else:
             _processes(work)
@@ -37,8 +37,13 @@ def main() -> None:
 
 
 def _robot(work: Path) -> None:
-    for scenario, name, seconds in (("babble", "explore", 20), ("reach", "reach", 60), ("reach", "tiny", 2)):
-        _quiet("record", scenario, "-o", work / f"{name}.mcap", "--duration", seconds, "--size", "320x240")
+    _body(work, "320x240")
+    for name, seconds in (("reach", 60), ("tiny", 2)):
+        _quiet("record", "reach", "-o", work / f"{name}.mcap", "--duration", seconds, "--size", "320x240")
+
+
+def _body(work: Path, size: str) -> None:
+    _quiet("record", "babble", "-o", work / "explore.mcap", "--duration", 20, "--size", size)
     _quiet("fit", work / "explore.mcap", "-o", work / "body.npz")
 
 
@@ -112,6 +117,8 @@ def _on_cluster(work: Path, logs: Path) -> float:
 
 def _kinds(work: Path) -> None:
     """Seconds per log and per GB by what the camera writes, or with the features alone: one process, a minute each."""
+    work.mkdir()
+    _body(work, "640x480")
     print("\none process, logs of 60 s at 640x480")
     for kind in ("jpeg", "raw"):
         _quiet("record", "reach", "-o", work / f"{kind}.mcap", "--duration", 60, "--size", "640x480", "--image", kind)
