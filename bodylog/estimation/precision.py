@@ -32,7 +32,8 @@ class Precision:
         """As plain numbers, to be written beside the estimate."""
         drift = None if self.drift is None else [float(v) for v in self.drift]
         encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
-        return {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
+        plain = {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
+        return {**plain, "stated": self.stated}
 
 
 PAPER = (1.0, 5.0)
