@@ -6,21 +6,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from . import memory
+from .stopping import heed
 
 
 def ready() -> None:
     """Make this process a worker."""
     memory.keep()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _end)
-
-
-def _end(*_: object) -> None:
-    """Unwind, so that nothing half-written stays; again a second later, as a library being loaded may swallow that."""
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    signal.signal(signal.SIGALRM, _end)
-    signal.setitimer(signal.ITIMER_REAL, 1.0)
-    raise SystemExit(128 + signal.SIGTERM)
+    heed(signal.SIGTERM)
 
 
 @contextmanager

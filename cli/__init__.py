@@ -6,7 +6,6 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 # Small matrices are faster on one BLAS thread, and one thread gives the same bytes on every machine size.
 for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
@@ -19,14 +18,13 @@ _RARELY = 100_000
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65; 128 + n for signal n."""
     try:
-        from bodylog import memory
+        from bodylog import memory, stopping
 
         memory.keep()
         gc.set_threshold(_RARELY)
-        for name in ("SIGTERM", "SIGHUP"):
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _stop)
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is signal.SIG_DFL:
+                stopping.heed(number)
         code = run(arguments)
     except KeyboardInterrupt:  # before there was anything to interrupt
         code = 130
@@ -34,21 +32,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     sys.exit(code)
 
 
-class _Stopped(SystemExit):
-    """The process was told to end."""
-
-
-def _stop(number: int, _: Any) -> None:
-    """End as an interrupt does, so that nothing half-written stays; told again, go on with that."""
-    signal.signal(number, signal.SIG_IGN)
-    raise _Stopped(128 + number)
-
-
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     import click
 
     from bodylog.errors import BodylogError
+    from bodylog.stopping import Stopped, calm
 
     from .commands import Unheard, bodylog
     from .output import say
@@ -70,7 +59,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         click.echo("bodylog: interrupted; nothing half-written was left", err=True)
         return 130
-    except _Stopped as err:
+    except Stopped as err:
+        calm()
         click.echo("bodylog: stopped; nothing half-written was left", err=True)
         return int(err.code or 0)
     except MemoryError as err:

@@ -9,6 +9,7 @@ from typing import Any
 
 from .. import stores
 from ..errors import BodylogError
+from ..stopping import calm
 from ..workers import ready
 from . import work
 from .jobs import Job
@@ -117,20 +118,24 @@ class Pool:
         return work.died(job, f"the worker process died with {process.exitcode} on {job.log}, {TRIES} times")
 
     def _stop(self) -> None:
-        for process, _ in [*self._idle, *((p, None) for p, _ in self._busy.values())]:
+        """All are told before any is waited for, or the last would finish its log meanwhile."""
+        processes = [*(process for process, _ in self._idle), *(process for process, _ in self._busy.values())]
+        for process in processes:
             process.terminate()
+        for process in processes:
             process.join()
 
 
 def _worker(pipe: Connection) -> None:
-    """Do what comes through the pipe until it closes."""
+    """Do what comes through the pipe until it closes or the process is told to end."""
     import cv2
 
     ready()
     cv2.setNumThreads(1)
-    while True:
-        try:
-            job = pipe.recv()
-        except EOFError:
-            return
-        pipe.send(work.run(job))
+    try:
+        while True:
+            pipe.send(work.run(pipe.recv()))
+    except EOFError:
+        return
+    finally:
+        calm()
