@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..types import Array
+from .bag_cut import cut_at, unpacked
 from .bag_records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, record_at, sound_records
 from .compression import Buffer
 from .ledger import Ledger
@@ -23,10 +24,14 @@ class Index(NamedTuple):
 
 @dataclass(frozen=True)
 class BagChunk:
-    """One chunk: byte of its record, and {connection: messages in it}, empty when unknown."""
+    """One chunk: byte of its record, and {connection: messages in it}, empty when unknown.
+
+    `cut`: the file ends in it, and it is read as far as it unpacks.
+    """
 
     start: int
     counts: dict[int, int]
+    cut: bool = False
 
 
 class BagRun(NamedTuple):
@@ -48,6 +53,9 @@ class Messages(NamedTuple):
 
 def load(data: memoryview, chunk: BagChunk, buffer: Buffer, ledger: Ledger) -> tuple[Array, dict[int, Index]] | None:
     """The chunk's records (bytes,) uint8 and the lists of messages behind it; None and a loss when it is damaged."""
+    if chunk.cut:
+        found = cut_at(data, chunk.start)
+        return (np.frombuffer(unpacked(found), np.uint8), {}) if found else None
     size = None
     try:
         record = record_at(data, chunk.start, len(data))

@@ -75,18 +75,29 @@ def record_at(data: memoryview, at: int, end: int) -> BagRecord:
 
 
 def sound_records(
-    data: memoryview, start: int, end: int, lost: Callable[[int, int], None]
+    data: memoryview,
+    start: int,
+    end: int,
+    lost: Callable[[int, int], None],
+    last: Callable[[int], bool] = lambda _at: False,
 ) -> Iterator[BagRecord]:
-    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of."""
+    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of.
+
+    None after one that cannot be read, or is an empty chunk, of which `last(start)` says that the file ends in it.
+    """
     at = start
     while at < end:
         try:
             record = record_at(data, at, end)
         except FormatError:
+            if last(at):
+                return
             found = _resync(data, at + 1, end)
             lost(at, found - at)
             at = found
             continue
+        if record.op == CHUNK and not record.size and last(at):
+            return
         yield record
         at = record.end
 

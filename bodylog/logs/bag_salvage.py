@@ -1,9 +1,13 @@
 """Survey a ROS 1 bag whatever state it is in: by its index section, or record by record past any damage."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 
 from ..errors import FormatError
-from .bag_chunks import BagChunk, BagRun, load, messages
+from .bag_chunks import BagChunk, BagRun, load, messages, walked
+from .bag_cut import cut_at, unpacked
 from .bag_records import (
     BAG_HEADER,
     CHUNK,
@@ -80,30 +84,45 @@ def _scan(data: memoryview, survey: BagSurvey, ledger: Ledger) -> None:
     def lost(at: int, size: int) -> None:
         ledger.lost(at, size, None, None, "no whole record can be read there")
 
+    def last(at: int) -> bool:
+        return _cut(data, at, survey, ledger)
+
     buffer = Buffer()
-    for record in sound_records(data, len(MAGIC), len(data), lost):
+    for record in sound_records(data, len(MAGIC), len(data), lost, last):
         try:
             if record.op == CONNECTION:
                 survey.declare(record, data)
             elif record.op == CHUNK:
-                _open(data, record, survey, buffer, ledger)
+                _open(data, BagChunk(record.start, {}), survey, buffer, ledger)
             elif record.op == MESSAGE:
                 _loose(record, survey)
         except FormatError:
             lost(record.start, record.end - record.start)
 
 
-def _open(data: memoryview, record: BagRecord, survey: BagSurvey, buffer: Buffer, ledger: Ledger) -> None:
-    loaded = load(data, BagChunk(record.start, {}), buffer, ledger)
+def _cut(data: memoryview, at: int, survey: BagSurvey, ledger: Ledger) -> bool:
+    """Take in the compressed chunk at byte `at` in which the file ends, if that is there and a message unpacks."""
+    found = cut_at(data, at)
+    content = unpacked(found) if found else b""
+    if not len(walked(memoryview(content), 0, len(content), at, Ledger(Path())).starts):
+        return False
+    why = f"the file ends in this chunk, after {len(data) - at} bytes, which are read as far as they unpack"
+    ledger.lost(at, None, None, None, why)
+    _open(data, BagChunk(at, {}, cut=True), survey, Buffer(), ledger)
+    return True
+
+
+def _open(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, ledger: Ledger) -> None:
+    loaded = load(data, chunk, buffer, ledger)
     if loaded is None:
         return
     content, indexes = loaded
     for inner in sound_records(content.data, 0, len(content), lambda _at, _size: None):
         if inner.op == CONNECTION:
             survey.declare(inner, content.data)
-    found = messages(content, data, record.start, indexes, ledger)
+    found = messages(content, data, chunk.start, indexes, ledger)
     survey.count(found.connection, found.log_ns)
-    survey.parts.append(BagChunk(record.start, dict.fromkeys(np.unique(found.connection).tolist(), 0)))
+    survey.parts.append(replace(chunk, counts=dict.fromkeys(np.unique(found.connection).tolist(), 0)))
 
 
 def _loose(record: BagRecord, survey: BagSurvey) -> None:

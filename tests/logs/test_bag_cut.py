@@ -1,0 +1,75 @@
+"""The chunk in which a bag ends is read as far as it unpacks."""
+
+import random
+from pathlib import Path
+
+import pytest
+
+from bodylog.logs import bag_cut
+from fixtures import by_hand
+
+from .test_salvage import read
+
+SOME = [(f"/t{i % 3}", 10**9 * (100 + i), bytes([i % 7]) * 20 + i.to_bytes(4, "little") * 30) for i in range(1000)]
+
+
+@pytest.fixture(autouse=True)
+def _longer_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(by_hand, "_PER_CHUNK", 400)
+
+
+def _bag(compression: str) -> bytes:
+    return by_hand.bag(SOME, "pkg/Type", b"int32 x", compression)
+
+
+@pytest.mark.parametrize("compression", ["lz4", "bz2", "none"])
+def test_a_bag_that_ends_in_a_chunk_is_read_up_to_there(tmp_path: Path, compression: str) -> None:
+    """bz2 gives whole blocks alone, and these chunks are of one."""
+    whole, path, counts = _bag(compression), tmp_path / "cut.bag", []
+    for cut in range(4500, len(whole), 97):
+        path.write_bytes(whole[:cut])
+        found, findings = read(path)
+        assert sorted(found) == sorted(set(found) & set(SOME))
+        assert any(finding.severity in ("lost", "warning") for finding in findings)
+        counts.append(len(found))
+    assert counts == sorted(counts) and counts[-1] == len(SOME)
+    assert set(counts) <= {0, 400, 800, 1000} if compression == "bz2" else len(set(counts)) > 15
+
+
+def test_a_chunk_that_its_recorder_never_closed_is_read_as_far_as_it_was_written(tmp_path: Path) -> None:
+    """A recorder says a chunk's two lengths when it is done with it; killed before, it leaves zeros."""
+    whole, path, zero = _bag("lz4"), tmp_path / "killed.bag", bytes(4)
+    at = whole.index(b"compression=lz4", whole.index(b"compression=lz4") + 1)
+    size, start = whole.index(b"size=", at) + 5, whole.index(b"\x04\x22\x4d\x18", at)
+    path.write_bytes(whole[:size] + zero + whole[size + 4 : start - 4] + zero + whole[start : start + 2000])
+    found, findings = read(path)
+    assert 400 < len(found) < 800 and set(found) <= set(SOME)
+    assert "the file ends in this chunk" in findings[-1].text and findings[-1].severity == "lost"
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_lz4_is_unpacked_as_the_library_does_and_before_a_cut_as_far_as_it_goes(seed: int) -> None:
+    import lz4.frame
+
+    rng = random.Random(seed)
+    pieces = [rng.choice([bytes([i]) * 900, rng.randbytes(700), b"abcde" * 80]) for i in range(200)]
+    raw = b"".join(rng.choices(pieces, k=600))
+    how = {name: bool(seed >> bit & 1) for bit, name in enumerate(("block_linked", "block_checksum", "store_size"))}
+    packed = lz4.frame.compress(raw, block_size=4 + seed % 4, **how)
+    assert bag_cut.unpacked(bag_cut.Cut("lz4", memoryview(packed), 1 << 30)) == raw
+    lengths = []
+    for cut in sorted(rng.choices(range(len(packed)), k=20)):
+        part = bag_cut.unpacked(bag_cut.Cut("lz4", memoryview(packed)[:cut], 1 << 30))
+        assert raw.startswith(part)
+        lengths.append(len(part))
+    assert lengths == sorted(lengths) and len(set(lengths)) > 15
+    assert len(bag_cut.unpacked(bag_cut.Cut("lz4", memoryview(packed), 1000))) == 1000
+
+
+def test_a_chunk_that_claims_gigabytes_is_believed_as_far_as_its_bytes_go() -> None:
+    whole, start = _bag("lz4"), 13 + 8 + 4096
+    sound = bag_cut.cut_at(memoryview(whole[:6000]), start)
+    size = whole.index(b"size=", start) + 5
+    claims = bag_cut.cut_at(memoryview(whole[:size] + b"\xff" * 4 + whole[size + 4 : 6000]), start)
+    assert sound is not None and claims is not None
+    assert sound.most < 100_000 and claims.most == 64 << 20
