@@ -18,18 +18,31 @@ _RARELY = 100_000
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65; 128 + n for signal n."""
     try:
-        from bodylog import memory, stopping
+        from bodylog import memory, stopping, torn
 
         memory.keep()
+        torn.endure()
         gc.set_threshold(_RARELY)
         for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is signal.SIG_DFL:
                 stopping.heed(number)
         code = run(arguments)
+        if torn.filled() and code in (0, 3, 4):
+            code = _unread()
     except KeyboardInterrupt:  # before there was anything to interrupt
         code = 130
     gc.freeze()  # what is left is looked through once more on the way out, for nothing
     sys.exit(code)
+
+
+def _unread() -> int:
+    """Say that the result is none."""
+    from bodylog.errors import LogError
+
+    from .output import say
+
+    say(LogError("part of a file could not be read, so what was written of it is wrong; check the disk it is on"))
+    return LogError.exit_code
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

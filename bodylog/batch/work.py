@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .. import pipeline, present, stores
+from .. import pipeline, present, stores, torn
 from ..config import toml
-from ..errors import BodylogError, BoundError
+from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
 from ..files import replacing, sha256
 from . import resume
@@ -25,6 +25,7 @@ STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable
 
 def run(job: Job) -> dict[str, Any]:
     """Do one job and leave its row beside its outputs; every failure becomes a row."""
+    torn.endure()
     job.folder.mkdir(parents=True, exist_ok=True)
     with _alone(job.folder), _on_one_core():
         earlier = resume.finished(job) if job.resume else None
@@ -68,8 +69,11 @@ def died(job: Job, why: str) -> dict[str, Any]:
 def _attempt(job: Job) -> dict[str, Any]:
     key = None
     try:
-        key = resume.key(job)
-        return _row(job, key, **_estimate(job))
+        key, before = resume.key(job), torn.filled()
+        done = _estimate(job)
+        if torn.filled() > before:
+            raise LogError(f"{job.log}: part of it could not be read; check the disk it is on")
+        return _row(job, key, **done)
     except BodylogError as err:
         return _row(job, key, err.exit_code if err.exit_code != 2 else 65, str(err))
     except OSError as err:

@@ -9,7 +9,7 @@ from ..errors import LogError
 from ..types import Finding
 from .containers import Log, open_log
 from .ledger import Ledger
-from .mapping import mapped
+from .mapping import mapped, uncut
 from .repair import repair
 from .rosbag2 import METADATA, members, metadata_of
 from .unpacked import ZSTD, unpack_file
@@ -134,7 +134,9 @@ def _check(file: Path) -> list[Finding]:
         remarks = _Remarks(file)
         with source.open("rb") as stream:
             if stream.read(8) == b"\x89MCAP0\r\n":
-                check(mapped(source), file, remarks.say)
+                data = mapped(source)
+                check(data, file, remarks.say)
+                uncut(data, file)
         return list(remarks.findings())
 
     with file.open("rb") as stream:

@@ -3,6 +3,7 @@
 import mmap
 from pathlib import Path
 
+from ..errors import BodylogError, LogError
 from ..types import Array
 from .sparse import Sparse, sparse
 
@@ -26,6 +27,15 @@ def mapped(path: Path) -> memoryview:
 def lasts(data: Array) -> bool:
     """Whether bytes (n,) are a mapped file's, which stay what they are for whoever holds them."""
     return isinstance(getattr(data.base, "obj", None), mmap.mmap)
+
+
+def uncut(data: memoryview, path: Path, problem: BaseException | None = None) -> None:
+    """LogError when the mapped file was cut while it was read, and nothing worse than what follows from it happened."""
+    if not isinstance(data.obj, mmap.mmap) or not isinstance(problem, BodylogError | None):
+        return
+    if (left := data.obj.size()) < len(data):
+        said = f"had {len(data)} bytes, but {left} while it was read"
+        raise LogError(f"{path}: {said}; give it once nobody writes to it any more") from problem
 
 
 def fetch(data: memoryview, start: int, end: int) -> None:

@@ -11,7 +11,7 @@ from ..types import Array, Batch, Finding, Topic
 from .ahead import unpacked_parts
 from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, messages
 from .ledger import Ledger
-from .mapping import bring, fetch, forget, mapped
+from .mapping import bring, fetch, forget, mapped, uncut
 from .records import HEAD, MAGIC, SCHEMA, Record, parse
 from .spans import spans_of
 from .stored import runs, together
@@ -129,9 +129,11 @@ class McapLog:
         """The log itself."""
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Close."""
+    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
+        """Close; LogError when the file was cut meanwhile."""
+        data = self._data
         self.close()
+        uncut(data, self.path, problem)
 
 
 def _holds(part: Chunk | Loose, wanted: Array | None) -> bool:

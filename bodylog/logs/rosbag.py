@@ -11,7 +11,7 @@ from .bag_chunks import BagChunk, BagRun, Messages, load, messages, walked
 from .bag_records import BagRecord, fields_of
 from .compression import Buffer
 from .ledger import Ledger
-from .mapping import forget, mapped
+from .mapping import forget, mapped, uncut
 from .topics import Topics, split
 
 
@@ -86,9 +86,11 @@ class BagLog:
         """The log itself."""
         return self
 
-    def __exit__(self, *_: object) -> None:
-        """Close."""
+    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
+        """Close; LogError when the file was cut meanwhile."""
+        data = self._data
         self.close()
+        uncut(data, self.path, problem)
 
 
 def _topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:

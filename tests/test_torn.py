@@ -1,0 +1,78 @@
+"""A log that is cut while it is read: one line and exit 65, where the system would have killed the process."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import zlib
+from mmap import PAGESIZE
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "fixtures" / "containers"
+CUTS = """
+import mmap, os, sys, zlib
+from bodylog import torn
+
+def cut(path):
+    with open(path, "r+b") as stream:
+        found = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        os.truncate(path, 5000)
+        return bytes(found)
+"""
+ZEROS = CUTS + "torn.endure(); read = cut(sys.argv[1]); print(len(read), zlib.crc32(read), torn.filled())"
+KILLED = CUTS + "cut(sys.argv[1])"
+DISK = CUTS + "torn.endure(); cut(sys.argv.pop(1)); import bodylog_cli; bodylog_cli.main()"
+READS = """
+import os, sys
+import bodylog_cli
+from bodylog.logs import mcap, rosbag
+cut = int(sys.argv.pop(1))
+for kind in (mcap.McapLog, rosbag.BagLog):
+    def batches(self, ids=None, whole=kind.batches):
+        os.truncate(sys.argv[-1], cut)
+        return whole(self, ids)
+    kind.batches = batches
+bodylog_cli.main()
+"""
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the process is killed, as the system has it")
+
+
+def _run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, timeout=60)
+
+
+@LINUX
+def test_what_is_cut_off_a_mapped_file_reads_as_zeros(tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"x" * 100_000)
+    done = _run(ZEROS, str(path))
+    pages = -(-100_000 // PAGESIZE) - -(-5000 // PAGESIZE)
+    assert done.stdout == f"100000 {zlib.crc32(b'x' * 5000 + bytes(95_000))} {pages}\n", done.stderr
+    path.write_bytes(b"x" * 100_000)
+    assert _run(KILLED, str(path)).returncode == -signal.SIGBUS
+
+
+@LINUX
+@pytest.mark.parametrize("name", ["none.mcap", "zstd.mcap", "unchunked.mcap", "none.bag", "lz4.bag"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_a_log_that_is_cut_while_it_is_read_is_refused_in_one_line(tmp_path: Path, name: str, share: float) -> None:
+    path = tmp_path / name
+    shutil.copy(FOLDER / name, path)
+    size = os.path.getsize(path)
+    cut = int(share * size)
+    done = _run(READS, str(cut), "doctor", str(path))
+    assert done.returncode == 65, done.stderr
+    said = f"had {size} bytes, but {cut} while it was read; give it once nobody writes to it any more"
+    assert done.stderr == f"bodylog: {path}: {said}\n"
+
+
+@LINUX
+def test_what_a_disk_could_not_read_is_no_result(tmp_path: Path) -> None:
+    """Stood in for by another file that is cut: the log's own size says nothing."""
+    other = tmp_path / "other"
+    other.write_bytes(b"x" * 100_000)
+    done = _run(DISK, str(other), "info", str(FOLDER / "none.mcap"))
+    assert done.returncode == 65 and "could not be read" in done.stderr.splitlines()[-1]
