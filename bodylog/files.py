@@ -8,11 +8,11 @@ import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from glob import escape
 from pathlib import Path
 
 from .errors import UsageError
 
+_PART = ".bodylog.part"
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
@@ -20,19 +20,18 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 def replacing(path: Path) -> Iterator[Path]:
     """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
 
-    What killed runs left there of `path` goes first. UsageError when `path` is in no folder, or no file; OSError, which
+    What killed runs left in that folder goes first. UsageError when `path` is in no folder, or no file; OSError, which
     names `path`, where there is no room.
     """
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
     if not path.parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
-    forsake(path.parent, f".{escape(path.name)}.*.part")
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    forsake(path.parent, f".*{_PART}")
+    beside = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
     try:
         beside.unlink(missing_ok=True)  # of this number's earlier process, where files cannot be locked
-        beside.touch()
-        with held(beside):
+        with _begun(beside):
             yield beside
             sync(beside)
             os.replace(beside, path)
@@ -44,6 +43,23 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if beside.exists():
             beside.unlink()
+
+
+@contextmanager
+def _begun(path: Path) -> Iterator[None]:
+    """An empty file, locked for the time of the `with`, which nobody took for a killed run's before it was."""
+    while True:
+        handle = os.open(os.fspath(path), os.O_RDWR | os.O_CREAT, 0o666)
+        with suppress(OSError):  # where files cannot be locked nobody takes any away
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        with suppress(FileNotFoundError):
+            if path.stat().st_ino == os.fstat(handle).st_ino:
+                break
+        os.close(handle)
+    try:
+        yield
+    finally:
+        os.close(handle)
 
 
 def made(path: Path) -> Path:

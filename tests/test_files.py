@@ -68,19 +68,40 @@ def test_a_folder_or_a_device_is_not_a_file_to_write(tmp_path):
 def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path):
     path = tmp_path / "out [1].bin"
     with writing(path) as killed:
-        left = tmp_path / f".out [1].bin.{killed.pid}.part"
+        left = tmp_path / f".out [1].bin.{killed.pid}.bodylog.part"
+    foreign = tmp_path / ".other.bin.1.part"
+    foreign.write_bytes(b"of another program")
     with writing(tmp_path / "other.bin") as elsewhere:
-        other = tmp_path / f".other.bin.{elsewhere.pid}.part"
-    assert left.read_bytes() == other.read_bytes() == b"half"
-    with writing(path) as living:
+        other = tmp_path / f".other.bin.{elsewhere.pid}.bodylog.part"
         assert not left.exists()
-        theirs = tmp_path / f".out [1].bin.{living.pid}.part"
+    assert other.read_bytes() == b"half"
+    with writing(path) as living:
+        assert not other.exists()
+        theirs = tmp_path / f".out [1].bin.{living.pid}.bodylog.part"
         with replacing(path) as beside:
             beside.write_bytes(b"whole")
-        assert sorted(tmp_path.iterdir()) == sorted([path, theirs, other])
+        assert sorted(tmp_path.iterdir()) == sorted([path, theirs, foreign])
         living.communicate(timeout=60)
     assert path.read_bytes() == b"half"
-    assert sorted(tmp_path.iterdir()) == sorted([path, other])
+    assert sorted(tmp_path.iterdir()) == sorted([path, foreign])
+
+
+MANY = """
+import sys
+from pathlib import Path
+from bodylog.files import replacing
+for i in range(300):
+    with replacing(Path(sys.argv[1]) / f"{sys.argv[2]}-{i % 5}") as beside:
+        with beside.open("r+b") as stream:
+            stream.write(b"whole")
+"""
+
+
+def test_runs_that_write_into_one_folder_at_once_do_not_take_each_others_files_away(tmp_path):
+    """What another has made but not yet locked looks like what a killed run left."""
+    writers = [subprocess.Popen([sys.executable, "-c", MANY, tmp_path, str(i)]) for i in range(4)]
+    assert [writer.wait(timeout=60) for writer in writers] == [0] * 4
+    assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"whole"} and len(list(tmp_path.iterdir())) == 20
 
 
 def test_a_folder_is_forsaken_once_nobody_holds_it(tmp_path):

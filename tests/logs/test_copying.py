@@ -129,7 +129,7 @@ def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
 @pytest.mark.parametrize("number", [os.getpid(), 1])
 def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, number):
     annotate.annotate(log, outgoing(), {}, tmp_path / "plain.mcap")
-    stale = tmp_path / f".out.mcap.{number}.part"
+    stale = tmp_path / f".out.mcap.{number}.bodylog.part"
     stale.write_bytes(bytes(2 * log.stat().st_size))
     stale.chmod(0o400)
     annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
