@@ -22,8 +22,7 @@ _PIXELS = 1 << 19
 
 def look(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
     """Blobs of each colour in images (H,W,3) BGR: (N,colours,CANDIDATES,FIELDS) px, as `tables` gives them."""
-    found = [window for picture, image in enumerate(images) for window in windows(picture, image, ranges)]
-    return tables(found, len(images), ranges)
+    return tables(list(windows(dict(enumerate(images)), ranges)), len(images), ranges)
 
 
 def tables(found: Sequence[Window], count: int, ranges: Sequence[Range]) -> Array:

@@ -19,6 +19,8 @@ from .search import Window
 # pictures a thread takes at once; takes that wait; takes whose finds are measured together: with more, what is worked
 # on outgrows the memory a process keeps, and is faulted in anew
 _TAKEN, _AHEAD, _SHEET = 4, 4, 8
+_AT_ONCE = 1 << 23
+"""Bytes of pictures that are searched together."""
 
 
 class Seen(NamedTuple):
@@ -141,14 +143,18 @@ class Looking:
 def _look(frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int) -> Look:
     """What some pictures show, the first so many looked at whole also when in haste."""
     found: list[Window] = []
+    images: dict[int, Array] = {}
     sizes: list[tuple[int, int, int]] = []
     for picture, frame in enumerate(frames):
         scale = 2 if fast and frame.shrinks and picture >= whole else 1
         image = _decoded(frame, scale)
         sizes.append((0, 0, scale) if image is None else (image.shape[1], image.shape[0], scale))
         if image is not None:
-            found += search.windows(picture, image, ranges)
-    return found, sizes
+            images[picture] = image
+        if sum(image.size for image in images.values()) > _AT_ONCE:
+            found += search.windows(images, ranges)
+            images.clear()
+    return [*found, *search.windows(images, ranges)], sizes
 
 
 def _decoded(frame: Frame, scale: int) -> Array | None:

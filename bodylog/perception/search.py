@@ -1,6 +1,6 @@
 """Where each colour is in a picture: a search of every few pixels, and a window about each find."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
@@ -27,19 +27,23 @@ class Window(NamedTuple):
     pixels: Array
 
 
-def windows(picture: int, image: Array, ranges: Sequence[Range]) -> Iterator[Window]:
-    """Windows about what may be each colour in an image (H,W,3) BGR, the picture of that number.
+def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Window]:
+    """Windows about what may be each colour in images (H,W,3) BGR, by the numbers of their pictures.
 
-    At most CANDIDATES of each colour, without the image: it may go once they are taken.
+    At most CANDIDATES of each colour in a picture, without the images: they may go once all are taken.
     """
-    height, width = image.shape[:2]
-    step = max(1, round(width / _COARSE_WIDTH))
-    seen = _table(tuple(ranges)).take(_every(image, step))
-    for index in range(len(ranges)):
-        for x, y, w, h in _boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
-            left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
-            part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
-            yield Window(picture, index, left, top, (width, height), _copy(part))
+    alike: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
+    for picture, image in images.items():
+        alike.setdefault((image.shape, image.strides), []).append(picture)
+    for ((height, width, _), _), pictures in alike.items():
+        step = max(1, round(width / _COARSE_WIDTH))
+        seen = _coarse([images[picture] for picture in pictures], step, tuple(ranges))
+        for index in range(len(ranges)):
+            for which, (x, y, w, h) in _boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
+                left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
+                image = images[pictures[which]]
+                part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
+                yield Window(pictures[which], index, left, top, (width, height), _copy(part))
 
 
 @lru_cache
@@ -57,13 +61,25 @@ def _table(ranges: tuple[Range, ...]) -> Array:
     return table.ravel()
 
 
-def _every(image: Array, step: int) -> Array:
-    """Every step-th pixel of every step-th row (H/step,W/step), its colour in 16 bits."""
+def _coarse(images: Sequence[Array], step: int, ranges: tuple[Range, ...]) -> Array:
+    """Every step-th pixel of every step-th row of images alike, a bit for each range: (n,H/step+1,W/step).
+
+    The last row of each is empty, so that nothing goes on from one to the next.
+    """
     import cv2
 
-    turned = image.strides[2] == -1
-    some = _picked(image[..., ::-1] if turned else image, step)
-    return np.asarray(cv2.cvtColor(some, getattr(cv2, _CODES[turned, some.shape[2]])).view(np.uint16)[..., 0])
+    turned = _turned(images[0])
+    some = np.stack([_picked(image[..., ::-1] if turned else image, step) for image in images])
+    count, height, width = some.shape[:3]
+    some = some.view(np.uint8).reshape(count * height, width, -1)
+    code = getattr(cv2, _CODES[turned, some.shape[2]])
+    seen = _table(ranges).take(cv2.cvtColor(some, code).view(np.uint16)[..., 0]).reshape(count, height, width)
+    return np.concatenate([seen, np.zeros_like(seen[:, :1])], axis=1)
+
+
+def _turned(image: Array) -> bool:
+    """Whether a picture was kept as RGB and is seen backwards."""
+    return image.strides[2] == -1
 
 
 _CODES = {
@@ -73,30 +89,32 @@ _CODES = {
 
 
 def _picked(image: Array, step: int) -> Array:
-    """Every step-th pixel of every step-th row (H/step,W/step,3 or 4); a fourth byte means nothing."""
+    """Every step-th pixel of every step-th row: (H/step,W/step,3), or (H/step,W/step) of four bytes, the last idle."""
     height, width = max(1, image.shape[0] // step), image.shape[1] // step
     if step == 1 or not image.flags.c_contiguous:
-        return np.ascontiguousarray(image[::step, ::step][:height, :width])
+        return image[::step, ::step][:height, :width]
     # four bytes at a time is a third of the work; the last pixel taken has another after it, as step is above 1
-    strides = (step * image.strides[0], step * image.strides[1])
-    some = np.ndarray((height, width), np.uint32, image.data, 0, strides)
-    return np.ascontiguousarray(some).view(np.uint8).reshape(height, width, 4)
+    return np.ndarray((height, width), np.uint32, image.data, 0, (step * image.strides[0], step * image.strides[1]))
 
 
 def _copy(image: Array) -> Array:
     """A picture's pixels in memory of their own, BGR also where they were kept as RGB and are seen backwards."""
     import cv2
 
-    return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if image.strides[2] == -1 else image.copy()
+    return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if _turned(image) else image.copy()
 
 
-def _boxes(seen: Array) -> Iterator[tuple[int, int, int, int]]:
-    """x, y, w, h of the largest components of a mask."""
+def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int]]]:
+    """Of the largest components of each mask (n,h,w), whose last rows are empty: which mask, and x, y, w, h."""
     import cv2
 
-    outlines = cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    largest = sorted(outlines, key=len, reverse=True)[:CANDIDATES]
-    for outline in largest:
-        if len(outline) >= _FAINT * len(largest[0]):
-            x, y, w, h = cv2.boundingRect(outline)
-            yield x, y, w, h
+    rows = seen.shape[1]
+    found: dict[int, list[Array]] = {}
+    for outline in cv2.findContours(seen.reshape(-1, seen.shape[2]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        found.setdefault(int(outline[0, 0, 1]) // rows, []).append(outline)
+    for which, outlines in found.items():
+        largest = sorted(outlines, key=len, reverse=True)[:CANDIDATES]
+        for outline in largest:
+            if len(outline) >= _FAINT * len(largest[0]):
+                x, y, w, h = cv2.boundingRect(outline)
+                yield which, (x, y - which * rows, w, h)

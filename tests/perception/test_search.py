@@ -41,8 +41,28 @@ def test_windows_keep_no_picture() -> None:
     rng = np.random.default_rng(1)
     picture = scenes.draw(scenes.wall(rng, 320, 240, 4.0), [scenes.Disc(160, 120, 11.0)], rng)
     for kept in (picture, *_kept(picture).values()):
-        found = list(search.windows(0, kept, RANGES))
+        found = list(search.windows({0: kept}, RANGES))
         assert found and not any(np.shares_memory(window.pixels, kept) for window in found)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pictures_searched_together_show_what_each_alone_does(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pictures: list[Array] = []
+    for number, (width, height) in enumerate([(320, 240), (320, 240), (160, 120), (320, 240), (160, 120), (120, 160)]):
+        # above and below, where the next picture begins
+        discs = [scenes.Disc(rng.uniform(0, width), v, 14.0) for v in (0.0, height - 1.0)]
+        picture = scenes.draw(scenes.wall(rng, width, height, 4.0), discs, rng)
+        pictures.append(list(_kept(picture).values())[number % 2])
+    together, count = list(search.windows(dict(enumerate(pictures)), RANGES)), 0
+    for number, picture in enumerate(pictures):
+        alone = list(search.windows({number: picture}, RANGES))
+        same = [window for window in together if window.picture == number]
+        count += len(same)
+        for ours, expected in zip(same, alone, strict=True):
+            assert ours[:5] == expected[:5]
+            np.testing.assert_array_equal(ours.pixels, expected.pixels)
+    assert count == len(together) >= 2 * len(pictures)
 
 
 @pytest.mark.parametrize("seed", range(3))
