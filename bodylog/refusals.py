@@ -86,5 +86,6 @@ def about(log: Path, findings: Iterable[Finding] = (), others: int = 0) -> Itera
 
 
 def gone(log: Path, findings: Iterable[Finding]) -> str:
-    """What of a log is gone, for the end of a refusal that this may explain."""
-    return "".join(f"; {f.text.removeprefix(f'{log}: ')}" for f in findings if f.severity == "lost")
+    """What of a log is gone or of no use, for the end of a refusal that this may explain."""
+    told = (f.text for f in findings if f.severity == "lost" or "no usable message" in f.text)
+    return "".join(f"; {text.removeprefix(f'{log}: ')}" for text in told)

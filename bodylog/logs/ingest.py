@@ -34,22 +34,31 @@ def ingest(
     """
     if out.exists() and path.exists() and out.samefile(path):
         raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
-    recording = read(path, settings)
-    window = (-np.inf if start is None else start, np.inf if end is None else end)
-    signals = outgoing(recording, window)
+    recording = read(path, settings, settings.input.strict)
+    begun = -recording.start_ns / 1e9
+    window = (begun if start is None else max(start, begun), np.inf if end is None else end)
+    heard = outgoing(recording, window)
     with replacing(out) as beside:
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, signals)
-            count = sum(len(o.log_ns) for o in signals) + _pictures(path, recording, window, writer)
+            add(writer, heard)
+            seen, early = _pictures(path, recording, window, writer)
+            count = sum(len(o.log_ns) for o in heard) + seen
             if not count:
                 lacking = f"no joints, skin, truth or pictures {_within(start, end)}"
                 raise LogError(f"{path}: {lacking}; type: bodylog info {path}")
             writer.about(NAME, {"source": path.name, "source_sha256": sha256(path)})
             writer.finish()
         verify(beside, count, out)
-    return recording.findings
+    early += sum(int((series.t < begun).sum()) for series in signals(recording).values())
+    return (*recording.findings, *_unwritten(path, early if start is None else 0))
+
+
+def _unwritten(path: Path, early: int) -> tuple[Finding, ...]:
+    """What is said of messages dated before the clock's 0, which an MCAP cannot tell."""
+    said = "are dated before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
+    return (Finding("warning", f"{path}: {early} messages {said}"),) if early else ()
 
 
 def outgoing(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
@@ -76,13 +85,14 @@ def cut(series: Series, start_ns: int, window: Window) -> Series:
     return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=None)
 
 
-def _pictures(path: Path, recording: Recording, window: Window, writer: Writer) -> int:
-    """Write the pictures within `window`, about a chunk at a time; returns how many."""
+def _pictures(path: Path, recording: Recording, window: Window, writer: Writer) -> tuple[int, int]:
+    """Write the pictures within `window`, about a chunk at a time; returns how many, and how many came before it."""
     pending: list[Picture] = []
     channels: dict[Kind, int] = {}
-    size = count = 0
+    size = count = early = 0
     for picture in pictures(path, recording):
         if not window[0] <= picture.t <= window[1]:
+            early += picture.t < window[0]
             continue
         if picture.kind not in channels:
             kind = picture.kind
@@ -94,7 +104,7 @@ def _pictures(path: Path, recording: Recording, window: Window, writer: Writer) 
             count, size, pending = count + len(pending), 0, []
     if pending:
         writer.write(_messages(pending, channels, count, recording.start_ns))
-    return count + len(pending)
+    return count + len(pending), early
 
 
 def _messages(pending: list[Picture], channels: dict[Kind, int], count: int, start_ns: int) -> Messages:

@@ -44,7 +44,7 @@ def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str])
 
 
 def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True) -> Signal:
-    """Named joints (names, positions): values by name, NaN where a message lacks one.
+    """Named joints (names, positions): values by name, NaN where a message lacks one or names it twice.
 
     LogError when `every` wanted joint must be there and one is not, or when the joints have no names.
     """
@@ -56,12 +56,30 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
         if not names and positions.shape[1]:
             names = _nameless(positions.shape[1], wanted, what)
         if len(names) != positions.shape[1] or not names:
-            rejected["no positions" if names else "no joints"] += len(rows)
+            rejected[_unfit(len(names), positions.shape[1])] += len(rows)
+            continue
+        names, positions = _told_once(names, positions)
+        if not names:
+            rejected["every joint is named more than once"] += len(rows)
             continue
         good.append((rows, stamps, names, positions))
     order = _order([names for _, _, names, _ in good], wanted, what, every)
     values = [_by_name(names, positions, order) for _, _, names, positions in good]
     return _joined([(r, s) for r, s, _, _ in good], values, order, rejected)
+
+
+def _unfit(names: int, positions: int) -> str:
+    if names and positions:
+        return f"{positions} positions for {names} names"
+    return "no positions" if names else "no joints"
+
+
+def _told_once(names: tuple[str, ...], positions: Array) -> tuple[tuple[str, ...], Array]:
+    """Without joints that one message names more than once: which of their positions it is, nobody knows."""
+    if len(set(names)) == len(names):
+        return names, positions
+    kept = [place for place, name in enumerate(names) if names.count(name) == 1]
+    return tuple(names[place] for place in kept), positions[:, kept]
 
 
 def _nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[str, ...]:

@@ -121,6 +121,16 @@ def test_encoders_that_never_say_a_number_are_refused(tmp_path, capsys, bodylog,
 
 
 @PLACES
+def test_encoders_of_fewer_positions_than_names_are_refused_with_why(tmp_path, capsys, bodylog, arm_body, made, log):
+    def change(count, message):
+        message.position = message.position[:4]
+        return True
+
+    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    assert "/joint_states was considered, but has no usable message: 150 (4 positions for 6 names)" in said
+
+
+@PLACES
 @pytest.mark.parametrize("sense", ["vision", "touch"])
 def test_a_named_sense_without_an_observation_is_refused_by_name(
     tmp_path, capsys, bodylog, arm_body, made, log, sense

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from bodylog.errors import LogError, UsageError
 from bodylog.logs.ingest import cut, ingest, signals
 from bodylog.logs.recording import read
-from bodylog.settings import Settings, Time, Topics
+from bodylog.settings import Input, Settings, Time, Topics
 
 from .written import START, by_pybag, by_rosbags, source
 
@@ -166,3 +166,27 @@ def test_a_foreign_protobuf_log_is_ingested(tmp_path, arm):
     before = pictures(read(log, Settings()))
     after = pictures(read(tmp_path / "out.mcap", Settings()))
     assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(before, after, strict=True))
+
+
+def test_what_a_simulations_clock_dates_before_its_beginning_is_left_out_and_said(tmp_path):
+    """Joints in a simulation's time, from 1 s on, which runs half as fast as the log's: pictures begin before it."""
+    from . import writing
+    from .test_recording import camera, compressed, joint_state, joints
+
+    t0, picture = writing.T0, np.zeros((8, 8, 3), np.uint8)
+    rows = [(t0 + k * 10**8, joint_state(10**9 + k * 5 * 10**7, ("a",), (0.1 * k,))) for k in range(50)]
+    seen = [(t0 + k * 10**8, compressed(t0 + k * 10**8, picture)) for k in range(50)]
+    log = writing.write(tmp_path / "a.mcap", [joints("/j", rows), camera("/cam", seen)])
+    findings = ingest(log, tmp_path / "out.mcap", Settings())
+    (said,) = [f.text for f in findings if "left out" in f.text]
+    left = int(said.removeprefix(f"{log}: ").split()[0])
+    after = read(tmp_path / "out.mcap", Settings())
+    assert 0 < left < 50 and len(list(after.frames())) == 50 - left and len(after.joints.t) == 50
+
+
+def test_a_damaged_log_is_refused_when_asked_to(tmp_path, arm):
+    log = tmp_path / "cut.mcap"
+    log.write_bytes((arm / "reach.mcap").read_bytes()[:-200_000])
+    with pytest.raises(LogError, match="without --strict"):
+        ingest(log, tmp_path / "out.mcap", Settings(input=Input(strict=True)))
+    assert list(tmp_path.iterdir()) == [log]

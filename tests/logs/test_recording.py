@@ -151,6 +151,16 @@ def test_readings_no_joint_can_have_are_taken_for_none(tmp_path):
     assert any("2 readings beyond 1e+09 rad" in f.text for f in found.findings)
 
 
+def test_a_joint_that_one_message_names_twice_is_believed_in_neither_place(tmp_path):
+    rows = [(T0 + MS * i, joint_state(T0 + MS * i, ("a", "b", "a"), (0.1 * i, 0.2 * i, 0.3 * i))) for i in range(9)]
+    got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
+    assert got.joints is not None and got.joints.names == ("b",)
+    np.testing.assert_allclose(got.joints.values[:, 0], 0.2 * np.arange(9))
+    rows = [(T0 + MS * i, joint_state(T0 + MS * i, ("a", "a"), (0.1, 0.2))) for i in range(9)]
+    got = read(write(tmp_path / "b.mcap", [joints("/j", rows)]), PLAIN)
+    assert got.joints is None and any("9 (every joint is named more than once)" in f.text for f in got.findings)
+
+
 def test_truth_follows_the_joints_asked_for(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), joints("/truth", moves(5, ("wrist", "elbow")))])
     got = read(log, settings(body=Body(joints=("elbow", "shoulder"))))
