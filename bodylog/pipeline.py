@@ -182,11 +182,11 @@ def ingest(
     return Result(out, findings=findings)
 
 
-def doctor(log: Path, repair: Path | None = None) -> Result:
-    """What is wrong with a log; with `repair`, what is sound of it is written there."""
+def doctor(log: Path, repair: Path | None = None, strict: bool = False) -> Result:
+    """What is wrong with a log; with `repair`, what is sound of it is written there; `strict`: LogError at a loss."""
     from .logs import doctor as logs_doctor
 
-    findings = logs_doctor.examine(log)
+    findings = logs_doctor.examine(log, strict)
     if repair is not None:
         distinct(log, repair)
         logs_doctor.repair(log, repair)

@@ -45,10 +45,10 @@ class _Remarks:
             yield Finding("warning", f"{self._path}: {texts[0]}{more}")
 
 
-def examine(path: Path) -> tuple[Finding, ...]:
-    """Everything wrong with a log, read from end to end; LogError when it is none."""
+def examine(path: Path, strict: bool = False) -> tuple[Finding, ...]:
+    """Everything wrong with a log, read from end to end; LogError when it is none, or when strict and part is lost."""
     remarks = _Remarks(path)
-    with open_log(path) as log:
+    with open_log(path, strict) as log:
         seen = _read(log)
         _compare(log, seen, remarks)
         if log.format == "rosbag2":

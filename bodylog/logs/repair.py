@@ -21,7 +21,7 @@ def repair(path: Path, out: Path) -> tuple[Finding, ...]:
     with open_log(path) as log, replacing(out) as beside:
         written = _mcap(log, beside) if isinstance(log, McapLog) else _any(log, beside)
         if not written and any(finding.severity == "lost" for finding in log.findings):
-            raise LogError(f"{path}: nothing in it can be saved: {log.findings[-1].text}")
+            raise LogError(f"{path}: nothing in it can be saved; {log.findings[-1].text.removeprefix(f'{path}: ')}")
         _confirm(beside, written)
         return log.findings
 

@@ -195,6 +195,17 @@ def test_strict_refuses_a_truncated_log(tmp_path, capsys, bodylog, robot):
     assert not out.exists()
 
 
+def test_doctor_heeds_strict_and_config_as_the_others_do(tmp_path, capsys, bodylog, robot):
+    cut, config = tmp_path / "cut.mcap", tmp_path / "robot.toml"
+    cut.write_bytes((robot / "reach.mcap").read_bytes()[:-60_000])
+    config.write_text('[topics]\njoint = "/j"\n')
+    assert bodylog("doctor", cut) == 3
+    assert bodylog("doctor", cut, "--strict") == 65
+    assert bodylog("doctor", robot / "reach.mcap", "--strict") == 0
+    assert bodylog("doctor", robot / "reach.mcap", "--config", config) == 2
+    assert "did you mean joints" in capsys.readouterr().err
+
+
 def test_doctor_names_the_damage_and_repair_leaves_a_sound_log(tmp_path, capsys, bodylog, robot):
     whole = (robot / "explore.mcap").read_bytes()
     cut, sound = tmp_path / "cut.mcap", tmp_path / "sound.mcap"
