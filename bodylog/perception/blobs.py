@@ -1,4 +1,4 @@
-"""Coloured blobs measured at full resolution: windows of like size one below the other on a sheet."""
+"""Coloured blobs measured at full resolution: windows of like size side by side on a sheet."""
 
 from collections.abc import Sequence
 
@@ -87,7 +87,7 @@ def _rows(some: Sequence[Window], colour: Range) -> Array:
     if not enough.size:
         return rows
     if enough.size < len(some):
-        sheet, core, valid = sheet[enough], core[enough], valid[enough]
+        sheet, core, valid = sheet[:, enough], core[:, enough], valid[:, enough]
     u, v, std_u, std_v, mass, contrast = measure(sheet, core, valid)
     corner = np.array([(some[k].left, some[k].top) for k in enough.tolist()])
     last = np.array([some[k].size for k in enough.tolist()]) - 1
@@ -100,13 +100,13 @@ def _rows(some: Sequence[Window], colour: Range) -> Array:
 
 
 def _sheet(some: Sequence[Window]) -> tuple[Array, Array]:
-    """The windows (K,S,S,3), each in the upper left corner of its square, and 1 where they are: (K,S,S) uint8."""
+    """The windows (S,K,S,3), each in the upper left corner of its square, and 1 where they are: (S,K,S) uint8."""
     side = max(map(_side, some))
-    sheet, valid = np.zeros((len(some), side, side, 3), np.uint8), np.zeros((len(some), side, side), np.uint8)
+    sheet, valid = np.zeros((side, len(some), side, 3), np.uint8), np.zeros((side, len(some), side), np.uint8)
     for k, window in enumerate(some):
         height, width = window.pixels.shape[:2]
-        sheet[k, :height, :width] = window.pixels
-        valid[k, :height, :width] = 1
+        sheet[:height, k, :width] = window.pixels
+        valid[:height, k, :width] = 1
     return sheet, valid
 
 
@@ -119,15 +119,15 @@ def _cut(radius: Array, inside: Array) -> Array:
 
 
 def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
-    """1 on the largest component of the colour in each square of a sheet, and on its holes: (K,S,S) uint8."""
+    """1 on the largest component of the colour in each square of a sheet, and on its holes: (S,K,S) uint8."""
     import cv2
 
-    side = sheet.shape[1]
-    seen = mask(cv2.cvtColor(sheet.reshape(-1, side, 3), cv2.COLOR_BGR2HSV), colour)
-    seen &= valid.reshape(-1, side)
+    side = len(sheet)
+    seen = mask(cv2.cvtColor(sheet.reshape(1, -1, 3), cv2.COLOR_BGR2HSV), colour).reshape(side, -1)
+    seen &= valid.reshape(side, -1)
     largest: dict[int, Array] = {}
     for outline in cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
-        k = int(outline[0, 0, 1]) // side
+        k = int(outline[0, 0, 0]) // side
         if k not in largest or len(outline) > len(largest[k]):
             largest[k] = outline
     core = np.zeros_like(seen)

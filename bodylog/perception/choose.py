@@ -65,10 +65,13 @@ def _link(t: Array, found: Array, reach: float) -> list[_Run]:
     """Blobs joined to the nearest open run that is close enough and of like size; others open a run."""
     open_runs: list[_Run] = []
     closed: list[_Run] = []
-    times, seen = t.tolist(), np.isfinite(found[:, :, U])
-    for index in np.flatnonzero(seen[:, 0]).tolist():
-        closed += [run for run in open_runs if times[index] - times[run.frames[-1]] > _PATIENCE]
-        open_runs = [run for run in open_runs if times[index] - times[run.frames[-1]] <= _PATIENCE]
+    seen = np.isfinite(found[:, :, U])
+    some = np.flatnonzero(seen[:, 0])
+    times, frames, ends, at = t[some].tolist(), some.tolist(), _alone(t[some], found[some], reach), 0
+    while at < len(frames):
+        index = frames[at]
+        closed += [run for run in open_runs if times[at] - t[run.frames[-1]] > _PATIENCE]
+        open_runs = [run for run in open_runs if times[at] - t[run.frames[-1]] <= _PATIENCE]
         taken: set[int] = set()
         for row in found[index, seen[index]].tolist():
             run = _nearest(open_runs, taken, row, reach)
@@ -78,7 +81,23 @@ def _link(t: Array, found: Array, reach: float) -> list[_Run]:
             taken.add(id(run))
             run.frames.append(index)
             run.rows.append(row)
+        at, end = at + 1, ends[at]
+        if len(open_runs) == 1 and at < end:  # nothing else that any of these frames could belong to
+            open_runs[0].frames += frames[at:end]
+            open_runs[0].rows += found[some[at:end], 0].tolist()
+            at = end
     return sorted(closed + open_runs, key=lambda run: run.frames[0])
+
+
+def _alone(t: Array, found: Array, reach: float) -> list[int]:
+    """For each frame (n,), up to which one each shows a single blob that goes on where the one before was."""
+    place, mass, border = found[:, 0, [U, V]], found[:, 0, MASS], found[:, 0, BORDER] == 1
+    step, grown = np.hypot(*np.diff(place, axis=0).T), mass[1:] / mass[:-1]
+    alike = border[1:] | border[:-1] | (grown > 1 / _RESIZED) & (grown < _RESIZED)
+    single = np.isfinite(found[:, :, U]).sum(axis=1) == 1
+    follows = single[1:] & single[:-1] & alike & (step <= reach) & (np.diff(t) <= _PATIENCE)
+    breaks = np.append(np.flatnonzero(~follows) + 1, len(t))
+    return list(breaks[np.searchsorted(breaks, np.arange(len(t)), side="right")].tolist())
 
 
 def _nearest(runs: list[_Run], taken: set[int], row: list[float], reach: float) -> _Run | None:

@@ -13,7 +13,7 @@ from .ranges import Range, mask
 CANDIDATES = 4
 _COARSE_WIDTH = 128
 _FAINT = 0.25
-_MARGIN = 10
+_MARGIN = 8
 
 
 class Window(NamedTuple):

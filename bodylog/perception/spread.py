@@ -27,15 +27,15 @@ def steady(t: Array, std: Array) -> Array:
 def _means(values: Array, low: Array, high: Array) -> Array:
     """Means of values[low:high] up to _FAR_MORE² medians, by column: (N,2) of (N,2), a thousand rows at once."""
     count = high - low
-    means = np.empty_like(values)
+    means = np.empty(values.shape[::-1])
     for start in range(0, len(values), _AT_ONCE):
         some = slice(start, start + _AT_ONCE)
         places = low[some, None] + np.arange(count[some].max())
         inside = places < high[some, None]
-        windows = np.where(inside[:, :, None], values[np.where(inside, places, 0)], np.inf)
-        windows.sort(axis=1)
+        windows = np.where(inside, values.T[:, np.where(inside, places, 0)], np.inf)
+        windows.sort(axis=2)
         middle = np.stack([(count[some] - 1) // 2, count[some] // 2], axis=1)
-        most = _FAR_MORE**2 * np.take_along_axis(windows, middle[:, :, None], axis=1).mean(axis=1)
-        usual = windows <= most[:, None]
-        means[some] = np.where(usual, windows, 0).sum(axis=1) / usual.sum(axis=1)
-    return means
+        most = _FAR_MORE**2 * np.take_along_axis(windows, middle[None], axis=2).mean(axis=2)
+        usual = windows <= most[:, :, None]
+        means[:, some] = np.where(usual, windows, 0).sum(axis=2) / usual.sum(axis=2)
+    return means.T
