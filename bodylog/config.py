@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 import types
 import typing
 from collections.abc import Mapping
@@ -151,6 +152,8 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
         raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must name joints, each once")
     if (section, key) == ("synchrony", "clock_offset") and isinstance(value, str) and value != "auto":
         raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto or a number of seconds")
+    if (section, key) == ("time", "delay") and isinstance(value, str) and value not in ("auto", "off"):
+        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto, off or {{camera = seconds}}")
     if (section, key) == ("topics", "camera") and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):
         raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must be a topic, or several different ones")
     if (section, key) == ("colours", "shapes") and (bad := next((name for name in value if "/" in name), None)):
@@ -189,12 +192,16 @@ def _toml_line(key: str, value: Any) -> str:
     return f"# {key} = (guessed)" if value is None else f"{key} = {toml_value(value)}"
 
 
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch("[A-Za-z0-9_-]+", key) else toml_value(key)
+
+
 def toml_value(value: Any) -> str:
     """One value in TOML spelling."""
     import json
 
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{k} = {toml_value(v)}" for k, v in value.items()) + "}"
+        return "{" + ", ".join(f"{_toml_key(k)} = {toml_value(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(toml_value(v) for v in value) + "]"
     return json.dumps(value, ensure_ascii=False)

@@ -80,7 +80,7 @@ def fit(
     logs: Sequence[Path], out: Path, settings: Settings, progress: Progress | None = None, update: Path | None = None
 ) -> Result:
     """Learn a body model from exploration logs and write it as .npz; `update` is one to learn on from."""
-    from . import body
+    from . import dates
     from .body import model
     from .logs.copying import Copy
 
@@ -100,7 +100,7 @@ def fit(
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
     with about(logs[0], findings, len(logs) - 1):
-        learned = body.learn(features, settings, provenance, known)
+        learned = dates.learned(features, settings, provenance, known)
     model.save(learned.model, out)
     return Result(out, learned.scores, _merged(observed), (*findings, *remarks, *learned.findings), plain(settings))
 
@@ -143,7 +143,7 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     from .body import encoders
     from .evaluation.scores import READ
 
-    found = estimation.estimate(*encoders.understood(features, learned, settings.estimate))
+    found = estimation.estimate(*encoders.understood(features, learned, settings.estimate), settings.time.delay)
     if "encoders" not in learned.senses or features.joints is None:
         return found
     said = Finding("info", "encoders: read what the body has learned, no angles; encoder_rmse is left out")

@@ -75,13 +75,18 @@ class Clocks:
 
 @dataclass(frozen=True)
 class Time:
-    """[time]: which clock dates each stream, "header", "log" or "auto" (header where there is a sound one)."""
+    """[time]: which clock dates each stream, "header", "log" or "auto" (header where there is a sound one).
+
+    `delay`: how much later (s) than the encoders each camera dates what it shows, {name: s}, or the joints what they
+    read, as those know that ask where the body is; "auto": as the log has it, where it is sure; "off": not at all.
+    """
 
     joints: str = "auto"
     camera: str = "auto"
     skin: str = "auto"
     truth: str = "auto"
     reference: str = "auto"
+    delay: str | Mapping[str, float] = "auto"
 
 
 @dataclass(frozen=True)

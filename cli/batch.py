@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 @click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help="E.g. 'joint_rmse>0.02'; broken: exit 4.")
 @options.estimation_options
 @options.clock_option
+@options.delay_option
 @options.common_options
 def batch(
     logs: tuple[str, ...], memory: str | None, shard: str, common: options.Common, as_json: bool, **typed: Any

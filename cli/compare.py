@@ -19,6 +19,7 @@ COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out")
 @options.log_argument
 @click.option("--body", type=options.PATH, required=True, help="The body model that fit wrote.")
 @options.clock_option
+@options.delay_option
 @options.common_options
 def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
     """Every method with every subset of senses on one log, in one table.

@@ -15,6 +15,7 @@ from . import options
 @options.estimation_options
 @options.fast_option
 @options.clock_option
+@options.delay_option
 @options.common_options
 def estimate(
     log: Path, body: Path, out: Path, fast: bool | None, common: options.Common, as_json: bool, **typed: Any

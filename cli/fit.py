@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, clock_option, common_options, listed, logs_argument, out_option
+from .options import PATH, Common, clock_option, common_options, delay_option, listed, logs_argument, out_option
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
@@ -15,6 +15,7 @@ from .options import PATH, Common, clock_option, common_options, listed, logs_ar
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
 @clock_option
+@delay_option
 @common_options
 def fit(
     logs: tuple[Path, ...],

@@ -62,6 +62,7 @@ class Common:
     config_file: Path | None
     strict: bool
     clock_offset: str | None = None
+    delay: str | None = None
 
     def settings(self, **sections: dict[str, Any]) -> "Settings":
         """Settings from robot.toml and what was typed; options not given (None) do not override."""
@@ -70,6 +71,7 @@ class Common:
         offset = _seconds(self.clock_offset)
         given: dict[str, dict[str, Any]] = {"input": {"strict": self.strict or None}, **sections}
         given["synchrony"] = {"clock_offset": offset}
+        given["time"] = {"delay": _delays(self.delay)}
         typed = {name: {k: v for k, v in values.items() if v is not None} for name, values in given.items()}
         return load(self.config_file, typed)
 
@@ -81,12 +83,24 @@ def _seconds(text: str | None) -> float | str | None:
         raise click.BadParameter(f"{text!r}; it must be auto or seconds", param_hint="--clock-offset") from None
 
 
+def _delays(text: str | None) -> dict[str, float] | str | None:
+    if text in (None, "auto", "off"):
+        return text
+    try:
+        told = (one.rpartition("=") for one in text.split(","))
+        return {name or "camera": float(seconds) for name, _, seconds in told}
+    except ValueError:
+        said = f"{text!r}; it must be auto, off or NAME=S, with commas between, e.g. camera=0.05"
+        raise click.BadParameter(said, param_hint="--delay") from None
+
+
 def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
     """--config and --strict as `common`, and --json."""
 
     @functools.wraps(function)
-    def wrapped(*, config_file: Path | None, strict: bool, clock_offset: str | None = None, **rest: Any) -> Any:
-        return function(common=Common(config_file, strict, clock_offset), **rest)
+    def wrapped(*, config_file: Path | None, strict: bool, **rest: Any) -> Any:
+        clocks = (rest.pop(name, None) for name in ("clock_offset", "delay"))
+        return function(common=Common(config_file, strict, *clocks), **rest)
 
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output."),
@@ -101,6 +115,12 @@ def clock_option(function: Command) -> Command:
     """--clock-offset: what to subtract before picture and skin are compared; stands above common_options."""
     help_ = "Camera behind the skin by S seconds; auto: measure it and take it out. Default 0."
     return click.option("--clock-offset", metavar="auto|S", help=help_)(function)
+
+
+def delay_option(function: Command) -> Command:
+    """--delay: how late cameras date their pictures beside the encoders; stands above common_options."""
+    help_ = "This camera dates its pictures S seconds late; auto (default): measure it and take it off."
+    return click.option("--delay", metavar="auto|off|NAME=S", help=help_)(function)
 
 
 def fast_option(function: Command) -> Command:

@@ -8,6 +8,7 @@ from ..settings import Estimation
 from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
 from . import filtering, kalman, predictive_coding, senses, smoother
+from .dating import as_stamped, dated, unsure
 from .doubts import doubts
 
 __all__ = ["METHODS", "check", "estimate"]
@@ -23,12 +24,22 @@ PRINTED = ("predictive-coding", "kalman")
 """Methods the paper has."""
 
 
-def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
-    """The belief by `settings.method`; ModelError, EvidenceError or UsageError when it cannot be had."""
+def estimate(
+    features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float] = "auto"
+) -> Estimate:
+    """The belief by `settings.method`, each camera's `delay` taken off as `dated` has it.
+
+    ModelError, EvidenceError or UsageError when it cannot be had.
+    """
     check(body, settings)
     with one_thread():
-        found = METHODS[settings.method](features, body, settings)
-    return replace(found, findings=(*found.findings, *doubts(found, settings)))
+        timely = dated(features, body, delay)
+        found = METHODS[settings.method](timely.features, body, settings)
+    if timely.delays:
+        found = unsure(as_stamped(found, features, timely.features), timely)
+        told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
+        found = replace(found, settings={**found.settings, **told})
+    return replace(found, findings=(*timely.findings, *found.findings, *doubts(found, settings)))
 
 
 def check(body: BodyModel, settings: Estimation) -> None:

@@ -62,7 +62,7 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     first = _first(features.joints, body.joints)
     joints = features.joints
     # silenced encoders, too, say where the belief starts
-    findings = () if joints is None else tuple(checked(joints.values[:, _columns(joints, body.joints)], body))
+    findings = () if joints is None else tuple(checked(joints.values[:, columns(joints, body.joints)], body))
     seen = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
     sightings, faults = unfrozen(seen, None if "encoders" in body.senses else encoders, used)
     if "touch" in wanted and "effector" in body.senses:
@@ -95,9 +95,9 @@ def _encoders(
 ) -> tuple[Encoders | None, dict[str, Health]]:
     if joints is None:
         return None, {"encoders": Health(0, 0)}
-    values = joints.values[:, _columns(joints, names)].astype(float)
+    values = joints.values[:, columns(joints, names)].astype(float)
     silent = [index for index, name in enumerate(names) if name not in wanted]
-    rising = _rising(joints.t)
+    rising = ascending(joints.t)
     broken = ~np.isfinite(values).any(axis=1)
     values[:, silent] = np.nan
     values[~np.isfinite(values)] = np.nan
@@ -110,7 +110,8 @@ def _encoders(
     return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
 
 
-def _columns(joints: Series, names: tuple[str, ...]) -> list[int]:
+def columns(joints: Series, names: tuple[str, ...]) -> list[int]:
+    """Where the joints of these names stand in a series; ModelError where one is missing."""
     missing = [name for name in names if name not in joints.names]
     if missing:
         raise ModelError(
@@ -124,13 +125,13 @@ def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
     """First finite reading (M,) of each joint, used or not: where the belief starts."""
     first = np.full(len(names), np.nan)
     if joints is not None:
-        for index, column in enumerate(joints.values[:, _columns(joints, names)].T):
+        for index, column in enumerate(joints.values[:, columns(joints, names)].T):
             finite = column[np.isfinite(column)]
             first[index] = finite[0] if len(finite) else np.nan
     return first
 
 
-def _rising(t: Array) -> Array:
+def ascending(t: Array) -> Array:
     """True where a time is later than all before it."""
     t = np.where(np.isfinite(t), t, -np.inf)
     before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]]) if len(t) else t
@@ -142,7 +143,7 @@ def _gap(t: Array) -> float:
 
 
 def _sighting(name: str, track: Series, body: BodyModel, used: dict[str, Health]) -> Sighting:
-    rising = _rising(track.t)
+    rising = ascending(track.t)
     seen: Array = np.all(np.isfinite(track.values), axis=1)
     use = int((rising & seen).sum())
     reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
@@ -177,7 +178,7 @@ def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: 
     reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
     left = {reason: number for reason, number in reasons.items() if number}
     used["touch"] = Health(seen, count, left)
-    rising = _rising(t)
+    rising = ascending(t)
     return Sighting("touch", body.senses["effector"], t[rising], values[rising], var[rising], source_ns[rising])
 
 
