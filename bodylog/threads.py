@@ -1,5 +1,7 @@
-"""Libraries on one thread: numpy, scipy and OpenCV each bring threads, which spin in each other's way when idle."""
+"""Libraries on one thread, as numpy, scipy and OpenCV each bring threads that spin when idle; and who comes first."""
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
@@ -30,3 +32,9 @@ def one_opencv() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+def later() -> None:
+    """Let this thread, from now on, come after others: where cores are short, those go on whose work it cannot take."""
+    if sys.platform == "linux":  # elsewhere it would be the whole process
+        os.nice(5)

@@ -1,3 +1,6 @@
+import os
+import sys
+from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -12,7 +15,7 @@ from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate
 from bodylog.perception import colour
 from bodylog.settings import Estimation, Settings
-from bodylog.threads import one_thread
+from bodylog.threads import later, one_thread
 from bodylog.types import Frame
 
 
@@ -74,3 +77,14 @@ def test_bodies_are_learned_and_logs_estimated_on_one_thread(two, monkeypatch) -
     assert _running(lambda: learn([], Settings(), {}), monkeypatch) == {1}
     assert _running(lambda: estimate(None, SimpleNamespace(joints=(), senses={}), Estimation()), monkeypatch) == {1}
     assert set(_threads()) == {2}
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have no priorities of their own")
+def test_a_thread_that_comes_later_keeps_no_other_back() -> None:
+    def mine() -> int:
+        return os.getpriority(os.PRIO_PROCESS, 0)
+
+    before = mine()
+    with ThreadPoolExecutor(1, initializer=later) as pool:
+        assert pool.submit(mine).result() == min(before + 5, 19)
+    assert mine() == before

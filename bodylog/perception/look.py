@@ -10,7 +10,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ..errors import InputError
-from ..threads import one_opencv
+from ..threads import later, one_opencv
 from ..types import Array, Frame, Watched
 from . import blobs, search
 from .ranges import Range
@@ -100,7 +100,7 @@ class Looking:
 
     def _begin(self) -> None:
         self._begun.enter_context(one_opencv())
-        pool = self._begun.enter_context(ThreadPoolExecutor(self._threads))
+        pool = self._begun.enter_context(ThreadPoolExecutor(self._threads, initializer=later))
         self._others += [pool.submit(self._work) for _ in range(self._threads - 1)]
 
     def _hand_out(self) -> None:
