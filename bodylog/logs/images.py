@@ -205,7 +205,8 @@ def _raw(message: Mapping[str, Any], k: int) -> Array:
     step = int(message.get("step", 0)) or line
     if step < line or len(data) < (height - 1) * step + line:
         raise FormatError(f"{len(data)} bytes for {width} x {height} {name} with step {step}; {height} x {line} needed")
-    rows = np.lib.stride_tricks.as_strided(np.frombuffer(data, np.uint8), (height, line), (step, 1), writeable=False)
+    rows = np.ndarray((height, line), np.uint8, data, 0, (step, 1))
+    rows.flags.writeable = False
     return _to_bgr(rows, encoding, bool(message.get("is_bigendian", 0)), k)
 
 
@@ -219,4 +220,4 @@ def _to_bgr(rows: Array, encoding: _Encoding, big: bool, k: int) -> Array:
     if encoding.code is not None:
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, encoding.code))
     found = pixels[::k, ::k, encoding.bgr]
-    return np.broadcast_to(found, (*found.shape[:2], 3))
+    return found if found.shape[2] == 3 else np.broadcast_to(found, (*found.shape[:2], 3))
