@@ -31,12 +31,12 @@ class Brief:
 
     def pooled(self, dynamics: Dynamics) -> Pooled:
         """What is said in between, folded."""
-        return pooled(self.blocks, dynamics, self.fold)
+        return pooled(self.blocks, dynamics, self.fold, self.problem.more)
 
     def of(self, problem: "Problem") -> "Brief":
         """The same log with another process or other pixels, told as before."""
-        few = replace(problem, timeline=self.problem.timeline)
-        return replace(self, problem=few, readings=replace(self.readings, pooled=self.pooled(few.dynamics)))
+        few = replace(self, problem=replace(problem, timeline=self.problem.timeline))
+        return replace(few, readings=replace(self.readings, pooled=few.pooled(problem.dynamics)))
 
 
 def tile(brief: Brief, var: Array, processes: Array) -> Leaps:
@@ -46,7 +46,7 @@ def tile(brief: Brief, var: Array, processes: Array) -> Leaps:
         np.repeat(part, g, axis=-1) for part in (told.dt, told.encoders, told.encoder_var, told.y, told.jac)
     )
     between = brief.pooled(replace(brief.problem.dynamics, process=processes))
-    return Leaps(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], -1), between)
+    return Leaps(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], dt.shape[-1]), between)
 
 
 def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
@@ -61,12 +61,13 @@ def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
     few = replace(problem, timeline=Timeline(line.t[events], none, sightings, none, none))
     between, fold = blocks(line.t, said, var, events, alone), fold_for(len(events))
     rest = heard(few, fold, np.where(alone[:, None], said, np.nan)[events], var[events])
-    return Brief(few, events, between, Leaps(*rest, pooled=pooled(between, few.dynamics, fold)))
+    return Brief(few, events, between, Leaps(*rest, pooled=pooled(between, few.dynamics, fold, few.more)))
 
 
 def full(problem: "Problem", fold: Fold) -> Readings:
     """Everything at every instant but the frames' linearisation, folded."""
-    return Readings(*heard(problem, fold, *encoder_rows(problem)))
+    more = problem.more
+    return Readings(*heard(problem, fold, *encoder_rows(problem)), more=None if more is None else fold.fold(more, 1.0))
 
 
 def heard(

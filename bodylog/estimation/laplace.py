@@ -21,6 +21,7 @@ from .scan import Dynamics, Readings, Trace, rescan
 from .senses import Evidence
 from .tangents import RESTING, Tangents
 from .timeline import Timeline
+from .views import views
 
 SWEEPS = 40
 PATIENCE = 8
@@ -51,6 +52,15 @@ class Problem:
         """How the state moves."""
         recalled = None if self.habit is None else self.habit.joints
         return Dynamics(self.precision.process, self.precision.drift, recalled)
+
+    @property
+    def more(self) -> Array | None:
+        """How many times the process variance (E,M) joints move with where fewer tracks are in view; None if nowhere."""
+        fewer, usual = self.precision.fewer, self.precision.process
+        if not fewer:
+            return None
+        found, which = views(self.evidence.sightings, self.timeline.t)
+        return np.stack([fewer.get(view, usual) / usual for view in found])[which]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ in between is a single element (A, b, C, η, J) of Särkkä & García-Fernández
 Bayesian smoothers"): here the η, J part is written as two readings of the state before.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -63,19 +63,22 @@ def blocks(t: Array, said: Array, var: Array, kept: Array, alone: Array) -> Bloc
     return Blocks(np.diff(np.maximum.accumulate(times, axis=0), axis=0), heard, noise)
 
 
-def pooled(told: Blocks, dynamics: Dynamics, fold: Fold) -> Pooled:
-    """The blocks as a scan reads them; process variances (M,), or (M,G) of candidates that are laid side by side."""
+def pooled(told: Blocks, dynamics: Dynamics, fold: Fold, more: Array | None = None) -> Pooled:
+    """The blocks as a scan reads them; process variances (M,), or (M,G) of candidates that are laid side by side.
+
+    In each block they are `more` (B,M) times as large, where that is given.
+    """
     m = len(dynamics.process)
     levels, which = _levels(dynamics.process.reshape(m, -1))
-    dynamics = replace(dynamics, process=levels)
+    process = levels[:, :, None] if more is None else levels[:, :, None] * more.T[:, None]
     shape = (dynamics.size // m, *levels.shape, told.dt.shape[1])
     move, shift, noise = np.zeros((shape[0], *shape)), np.zeros(shape), np.zeros((shape[0], *shape))
     np.einsum("ss...->s...", move)[:] = 1.0
     word, nats = np.zeros((5, *shape[1:])), np.zeros(shape[1:])
     for said, var, dt in zip(told.said, told.var, told.dt[:-1], strict=True):
-        _carry(move, shift, noise, dt, dynamics)
+        _carry(move, shift, noise, dt, process, dynamics.drift)
         _hear(move, shift, noise, word, nats, said.T[:, None], var.T[:, None])
-    _carry(move, shift, noise, told.dt[-1], dynamics)
+    _carry(move, shift, noise, told.dt[-1], process, dynamics.drift)
     y, var, lean, left = _as_readings(word)
     counted = 1.0 if dynamics.recalled is None else ~dynamics.recalled[:, None, None]
 
@@ -97,20 +100,19 @@ def _levels(process: Array) -> tuple[Array, Array]:
     return np.stack([np.pad(v, (0, most - len(v)), "edge") for v, _ in found]), np.stack([w for _, w in found])
 
 
-def _carry(move: Array, shift: Array, noise: Array, dt: Array, dynamics: Dynamics) -> None:
-    """The elements, dt (B,) later, in place."""
-    m = len(dynamics.process)
+def _carry(move: Array, shift: Array, noise: Array, dt: Array, process: Array, drift: Array | None) -> None:
+    """The elements, dt (B,) later, in place; process variances (M,G,B) or (M,G,1)."""
     move[0] += dt * move[1]
     shift[0] += dt * shift[1]
     noise[0] += dt * noise[1]
     noise[:, 0] += dt * noise[:, 1]
-    grown = dynamics.process.reshape(m, -1, 1) * dt
+    grown = process * dt
     noise[0, 0] += grown * dt * dt / 3.0
     noise[0, 1] += 0.5 * dt * grown
     noise[1, 0] += 0.5 * dt * grown
     noise[1, 1] += grown
-    if dynamics.drift is not None:
-        noise[2, 2] += dynamics.drift.reshape(m, -1, 1) * dt
+    if drift is not None:
+        noise[2, 2] += drift.reshape(len(drift), -1, 1) * dt
 
 
 def _hear(move: Array, shift: Array, noise: Array, word: Array, nats: Array, said: Array, var: Array) -> None:

@@ -18,7 +18,7 @@ class Precision:
     """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
 
     near {sighting: px} within which its errors are alike; other sightings' errors are white · stated: what share of
-    the covariance under white acceleration is stated.
+    the covariance under white acceleration is stated · fewer {tracks in view: process (M,)} where these are not all.
     """
 
     encoder: Array
@@ -27,13 +27,15 @@ class Precision:
     scale: Mapping[str, float]
     near: Mapping[str, float] = field(default_factory=dict)
     stated: float = 1.0
+    fewer: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
         """As plain numbers, to be written beside the estimate."""
         drift = None if self.drift is None else [float(v) for v in self.drift]
         encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
         plain = {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
-        return {**plain, "stated": self.stated}
+        fewer = {" ".join(view) or "none": [float(v) for v in process] for view, process in self.fewer.items()}
+        return {**plain, "stated": self.stated, **({"process_in_view": fewer} if fewer else {})}
 
 
 PAPER = (1.0, 5.0)

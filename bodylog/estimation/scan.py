@@ -4,7 +4,7 @@ State z (K,C) = joint angles, rates and, where drift is given, encoder offsets; 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
 
 import numpy as np
@@ -57,6 +57,7 @@ class Readings:
     """What is heard, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · lines (T tracks of D rows).
 
     A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
+    more (L,M,C): how many times the process variance moves joints before an instant; None where that is the usual one.
     """
 
     dt: Array
@@ -65,6 +66,7 @@ class Readings:
     y: Array
     jac: Array
     var: Array
+    more: Array | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +117,7 @@ def scan(
         if isinstance(readings, Leaps):
             leap(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
         else:
-            propagate(readings.dt[i])
+            propagate(readings.dt[i], None if readings.more is None else readings.more[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
@@ -148,9 +150,9 @@ def rescan(
     if not moving.any():
         return trace
     part = scan(columns(readings, moving), dynamics, z[:, moving], p[:, :, moving], remember)
-    for field in fields(part):
-        if field.name != "back" and (some := getattr(part, field.name)) is not None:
-            getattr(trace, field.name)[..., moving] = some
+    for one in fields(part):
+        if one.name != "back" and (some := getattr(part, one.name)) is not None:
+            getattr(trace, one.name)[..., moving] = some
     for whole, some in zip(trace.back or (), part.back or (), strict=True):
         whole[..., moving] = some
     return trace
@@ -166,7 +168,7 @@ def columns(record: R, some: Array) -> R:
         whole = isinstance(part, np.ndarray)
         return part if part is None else part.compress(some, axis=-1) if whole else tuple(map(cut, part))
 
-    return type(record)(*(cut(getattr(record, field.name)) for field in fields(record)))
+    return type(record)(**{one.name: cut(getattr(record, one.name)) for one in fields(record)})
 
 
 def _rows(readings: Readings) -> int:
@@ -185,8 +187,11 @@ def _empty(readings: Readings, k: int, remember: bool, every: int) -> Trace:
     )  # fmt: skip
 
 
-def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array], None]:
-    """A function of dt (C,) that moves the belief in place: constant velocity, exact discretisation."""
+def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array, Array | None], None]:
+    """A function of dt (C,) that moves the belief in place: constant velocity, exact discretisation.
+
+    And of how many times (M,C) its process variance the dynamics have.
+    """
     m = len(dynamics.process)
     q = dynamics.process.reshape(m, -1)
     walk = None if dynamics.drift is None else dynamics.drift.reshape(m, -1)
@@ -194,10 +199,10 @@ def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array], None]:
     diagonal = np.einsum("iic->ic", p)
     cross, mirror = np.einsum("iic->ic", p[:m, m : 2 * m]), np.einsum("iic->ic", p[m : 2 * m, :m])
 
-    def propagate(dt: Array) -> None:
+    def propagate(dt: Array, more: Array | None) -> None:
         belief[:m] += dt * belief[m : 2 * m]
         belief[:, :m] += dt * belief[:, m : 2 * m]
-        qdt = q * dt
+        qdt = q * dt if more is None else q * more * dt
         half = 0.5 * dt * qdt
         diagonal[:m] += (2.0 / 3.0) * dt * half
         diagonal[m : 2 * m] += qdt

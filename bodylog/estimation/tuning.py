@@ -14,6 +14,7 @@ from .precision import Precision
 from .scan import scan
 from .senses import Encoders, Evidence, Sighting
 from .timeline import timeline
+from .views import View, views, visual
 
 MOST = 1000
 """Pictures of a track used at most, from the middle of the log."""
@@ -34,7 +35,7 @@ def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
 
     With the last solution to begin from, if it was of the whole log.
     """
-    part = middle(problem)
+    part = middle(replace(problem, precision=replace(problem.precision, fewer={})))
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
         return problem.precision, None
@@ -45,9 +46,30 @@ def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
         nats, told = costs(part, told, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
-    own, stated = (least(part, told), STATED) if whole else (_own(problem, part, told[1]), 1.0)
     warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
-    return replace(part.precision, process=np.maximum(own, _floor(part)), stated=stated), warm
+    fewer = {view: _moving(problem, *_told(part, view), whole) for view in _less(problem)}
+    process, stated = _moving(problem, part, told, whole), STATED if whole else 1.0
+    return replace(part.precision, process=process, stated=stated, fewer=fewer), warm
+
+
+def _less(problem: Problem) -> list[View]:
+    """What is in view at times, where that is not all and encoders go on saying where the arm is."""
+    usual = tuple(s.name for s in visual(problem.evidence.sightings))
+    return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
+
+
+def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole: bool) -> Array:
+    """Process variances (M,) for a belief by the whole log or by the past."""
+    own = least(part, told) if whole else _own(problem, part, told[1])
+    return np.maximum(own, _floor(part))
+
+
+def _told(part: Problem, view: View) -> tuple[Problem, tuple[Brief, Solution]]:
+    """The part as if only these of its tracks had been in view, and as it is told then."""
+    sightings = tuple(s for s in part.evidence.sightings if s.name in view)
+    evidence = replace(part.evidence, sightings=sightings)
+    less = replace(part, evidence=evidence, timeline=timeline(evidence, None))
+    return less, briefly(less, None, "posterior", NEARLY)
 
 
 def _own(problem: Problem, part: Problem, first: Solution) -> Array:

@@ -61,6 +61,24 @@ def test_a_scan_of_blocks_is_the_scan_of_their_readings(heard):
     np.testing.assert_allclose(np.cumsum(together.nats), np.cumsum(one_by_one.nats)[events], atol=1e-8, rtol=1e-11)
 
 
+def test_blocks_move_as_many_times_as_much_as_their_instants(heard):
+    t, said, var, lines, pictures, walk = heard
+    wanted = np.zeros(len(t), bool)
+    wanted[pictures] = True
+    events = pooling.kept(wanted)
+    # as many times between two pictures, one of which ends each block
+    more = np.exp(np.random.default_rng(1).normal(0, 1, (len(t), 3)))[np.searchsorted(pictures, np.arange(len(t)))]
+    dynamics = Dynamics(np.array([0.3, 0.1, 0.5]), walk)
+    z, p = np.zeros((dynamics.size, 1)), 0.5 * np.eye(dynamics.size)[:, :, None]
+    one_by_one = scan(replace(single(t, said, var, lines), more=more[..., None]), dynamics, z, p)
+    fold = Fold(len(events), len(events), 1)
+    between = pooling.pooled(pooling.blocks(t, said, var, events, wanted), dynamics, fold, more[events])
+    few = single(t[events], np.where(wanted[:, None], said, np.nan)[events], var[events], [p[events] for p in lines])
+    together = scan(Leaps(few.dt, few.encoders, few.encoder_var, few.y, few.jac, few.var, between), dynamics, z, p)
+    np.testing.assert_allclose(together.z[..., 0], one_by_one.z[events, :, 0], atol=1e-10, rtol=0)
+    np.testing.assert_allclose(together.p[..., 0], one_by_one.p[events, :, :, 0], atol=1e-10, rtol=0)
+
+
 def test_candidates_lie_side_by_side(heard):
     t, said, var, _, pictures, walk = heard
     wanted = np.zeros(len(t), bool)

@@ -1,0 +1,44 @@
+"""Which tracks are in view, and what becomes of the belief where not all are."""
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate
+from bodylog.estimation.senses import Sighting
+from bodylog.estimation.views import LONG, views
+from bodylog.settings import Estimation
+from tests.estimation.conftest import Arm
+
+
+def track(name, t, hidden=(0.0, 0.0)):
+    t = np.asarray(t)
+    values = np.where(((t > hidden[0]) & (t < hidden[1]))[:, None], np.nan, 1.0) * np.ones((len(t), 2))
+    return Sighting(name, Arm(), t, values, np.ones((len(t), 2)), np.zeros(len(t), int))
+
+
+def test_tracks_in_view_are_told_by_gaps():
+    frames = np.arange(0.0, 10.0, 0.1)
+    tracks = [track("left", frames, (2.05, 5.05)), track("right", frames, (4.05, 4.05 + 0.1 * (LONG - 2)))]
+    found, which = views(tracks, np.array([0.0, 2.0, 2.1, 4.5, 5.1, 5.2, 9.95]))
+    # the right one misses fewer frames than count, the left one is back with the frame that ends its gap
+    assert [found[k] for k in which] == [("left", "right")] * 2 + [("right",)] * 3 + [("left", "right")] * 2
+
+
+def test_a_track_may_come_late_or_leave_for_good():
+    found, which = views([track("only", np.arange(4.0, 6.0, 0.1))], np.array([0.0, 3.9, 4.0, 5.85, 6.0, 9.0]))
+    assert [found[k] for k in which] == [(), (), (), ("only",), (), ()]
+
+
+def test_touch_and_what_was_never_seen_are_no_views():
+    frames = np.arange(0.0, 10.0, 0.1)
+    tracks = [track("touch", frames, (2.0, 9.0)), track("never", frames, (-1.0, 11.0)), track("seen", frames)]
+    assert views(tracks, frames)[0] == [("seen",)]
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+def test_settings_say_how_the_arm_moves_out_of_view(world, method):
+    hidden, seen = world(0, hidden=(8.0, 11.0)), world(0)
+    found = estimate(hidden.features, hidden.body, Estimation(method=method)).settings
+    assert list(found["process_in_view"]) == ["none"]
+    assert np.isfinite(found["process_in_view"]["none"]).all()
+    assert "process_in_view" not in estimate(seen.features, seen.body, Estimation(method=method)).settings
