@@ -17,6 +17,7 @@ _ROWS = 512
 _FIRST_ROWS = 16
 _BYTES = 16 << 20
 _LOWEST = -(1 << 63)
+_COLUMNS = "rowid, topic_id, timestamp, data"
 _SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
 
 Row = tuple[int, int, int, bytes]
@@ -42,64 +43,64 @@ class Rows:
     def blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
         """The rows of these topics in the order stored; what cannot be read is skipped and said."""
         chosen = "" if wanted is None else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
-        count, largest, done = _FIRST_ROWS, 1, 0
+        count, largest, low = _FIRST_ROWS, 1, _LOWEST
         try:
-            cursor = self._store.execute(_SELECT.format("topic_id, timestamp, data", chosen), (_LOWEST,))
+            cursor = self._store.execute(_SELECT.format(_COLUMNS, chosen), (low,))
             while rows := cursor.fetchmany(count):
-                block = _block(rows)
+                block = _block(rows, low)
                 if block is None:
                     break
                 yield block
-                done += len(rows)
+                low = rows[-1][0]
                 largest = max(largest, int(block.length.max()))
                 count = max(1, min(_ROWS, _BYTES // largest))
             else:
                 return
         except DAMAGE:
             pass  # read on row by row, and past the damage
-        yield from self._damaged_rows(chosen, self._rowid(chosen, done))
+        yield from self._damaged_rows(chosen, wanted, low)
 
-    def _rowid(self, chosen: str, done: int) -> int:
-        """The rowid of the last of the `done` rows that were read."""
-        query = _SELECT.format("rowid", chosen) + " LIMIT 1 OFFSET ?"
-        return int(self._store.execute(query, (_LOWEST, done - 1)).fetchone()[0]) if done else _LOWEST
-
-    def _damaged_rows(self, chosen: str, low: int) -> Iterator[Block]:
+    def _damaged_rows(self, chosen: str, wanted: Collection[int] | None, low: int) -> Iterator[Block]:
         """The sound rows after rowid `low`, one to a block."""
-        last: Row | None = None
-        query = _SELECT.format("rowid, topic_id, timestamp, data", chosen)
+        query = _SELECT.format(_COLUMNS, chosen)
+        last_ns: int | None = None
         while True:
             try:
                 for row in self._store.execute(query, (low,)):
-                    low, block = row[0], _block([row[1:]])
-                    if block is not None:
-                        last = row
-                        yield block
-                    else:
-                        self._ledger.lost(low, None, 1, None, f"row {low} of messages is damaged")
+                    _rises(row, low)
+                    yield from self._one(row, low)
+                    low, last_ns = row[0], row[2]
                 return
             except DAMAGE as problem:
-                following = self._next(low, last, problem)
-            if following is None:
+                found = self._next(low, last_ns, problem)
+            if found is None:
                 return
-            low = following
+            if wanted is None or found[1] in wanted:
+                yield from self._one(found, low)
+            low = found[0]
 
-    def _next(self, low: int, last: Row | None, problem: Exception) -> int | None:
-        """The rowid after which rows can be read again, or None; what lies between is lost."""
-        base = max(low, 0)
-        step = 1
+    def _one(self, row: Row, low: int) -> Iterator[Block]:
+        block = _block([row], low)
+        if block is not None:
+            yield block
+        else:
+            self._ledger.lost(row[0], None, 1, None, f"row {row[0]} of messages is damaged")
+
+    def _next(self, low: int, last_ns: int | None, problem: Exception) -> Row | None:
+        """The next row after rowid `low` that can be read, or None; what lies between is lost."""
+        base, step = max(low, 0), 0
         while step < 1 << 40 and not self._readable(base + step):
-            step *= 2
+            step = max(1, 2 * step)
         short, long = step // 2, step
         while long - short > 1:
             middle = (short + long) // 2
             short, long = (short, middle) if self._readable(base + middle) else (middle, long)
         row = self._first(base + long) if step < 1 << 40 else None
-        rows = row[0] - base - 1 if row else None
-        seconds = max(0, row[2] - last[2]) / 1e9 if row and last else None
-        why = f"the rows after rowid {base} cannot be read: {problem}"
-        self._ledger.lost(base, None, rows, seconds, why)
-        return base + long if row else None
+        if row is None or row[0] > base + 1:
+            rows = row[0] - base - 1 if row else None
+            seconds = max(0, row[2] - last_ns) / 1e9 if row and last_ns is not None else None
+            self._ledger.lost(base, None, rows, seconds, f"the rows after rowid {base} cannot be read: {problem}")
+        return row
 
     def _readable(self, after: int) -> bool:
         try:
@@ -109,17 +110,27 @@ class Rows:
             return False
 
     def _first(self, after: int) -> Row | None:
-        query = _SELECT.format("rowid, topic_id, timestamp, data", "") + " LIMIT 1"
+        query = _SELECT.format(_COLUMNS, "") + " LIMIT 1"
         row: Row | None = self._store.execute(query, (after,)).fetchone()
+        if row:
+            _rises(row, after)
         return row if row and type(row[2]) is int else None
 
 
-def _block(rows: list[tuple[int, int, bytes]]) -> Block | None:
-    """The rows as arrays, or None when a value is not of the type its column must have."""
-    numbers, times, payloads = zip(*rows, strict=True)
+def _rises(row: Row, low: int) -> None:
+    """DatabaseError when a row does not come after rowid `low`: pages that point back would be read without end."""
+    if row[0] <= low:
+        raise sqlite3.DatabaseError(f"row {row[0]} comes after row {low}")
+
+
+def _block(rows: list[Row], low: int) -> Block | None:
+    """The rows as arrays, or None when a value is not of the type its column must have, or rows after `low` go back."""
+    ids, numbers, times, payloads = zip(*rows, strict=True)
     try:
-        topic, log_ns = (np.frombuffer(array("q", values), np.int64) for values in (numbers, times))
+        rowid, topic, log_ns = (np.frombuffer(array("q", values), np.int64) for values in (ids, numbers, times))
         data = np.frombuffer(b"".join(payloads), np.uint8)
     except TypeError:
+        return None
+    if rowid[0] <= low or (rowid[1:] <= rowid[:-1]).any():
         return None
     return Block(topic, log_ns, data, np.fromiter(map(len, payloads), np.int64, len(payloads)))

@@ -112,6 +112,35 @@ def test_a_damaged_page_loses_its_rows_only(tmp_path: Path) -> None:
         open_log(path, strict=True)
 
 
+def test_pages_that_point_back_give_no_row_twice_and_come_to_an_end(tmp_path: Path) -> None:
+    """A leaf in the middle is overwritten with the page above it, and so on for all of them in turn."""
+    path = tmp_path / "x.db3"
+    by_hand.db3(path, some(3000, 100), KIND, None)
+    whole, said, counts = path.read_bytes(), Counter(peers.ours(path)), []
+    first, last = (whole.index(struct.pack("<d", number) + bytes(88)) // 4096 for number in (100.0, 2900.0))
+    pages = [whole[at : at + 4096] for at in range(0, len(whole), 4096)]
+    (above,) = [page for page in pages[1:] if page[0] == 5]
+    for leaf in range(first, last, 9):
+        path.write_bytes(b"".join([*pages[:leaf], above, *pages[leaf + 1 :]]))
+        found = Counter(peers.ours(path))
+        assert found <= said
+        counts.append(found.total())
+    assert min(counts) > 2900 and counts.count(3000) < 2
+
+
+def test_the_row_before_a_damaged_one_is_read(tmp_path: Path) -> None:
+    """SQLite's cursor steps ahead, so what is wrong with a row is said where the one before is asked for."""
+    path = tmp_path / "x.db3"
+    by_hand.db3(path, some(400, 3000), KIND, None)
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<d", 200.0)) // 4096 * 4096
+    data[at : at + 4096] = bytes(4096)
+    path.write_bytes(data)
+    found = {int(struct.unpack_from("<d", payload, 4)[0]) for _, _, payload in peers.ours(path)}
+    missing = sorted(set(range(400)) - found)
+    assert 200 in missing and len(missing) <= 2
+
+
 def test_a_row_of_the_wrong_type_is_left_out_and_said(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(10), KIND, None)
