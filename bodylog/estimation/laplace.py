@@ -55,7 +55,7 @@ class Problem:
 
     @property
     def more(self) -> Array | None:
-        """How many times the process variance (E,M) joints move with where fewer tracks are in view; None if nowhere."""
+        """How many times the process variance (E,M) moves joints where fewer tracks are in view; None if nowhere."""
         fewer, usual = self.precision.fewer, self.precision.process
         if not fewer:
             return None
