@@ -67,7 +67,8 @@ def events(features: Features, ax: Any) -> None:
     ax.broken_barh([(x.start, x.end - x.start) for x in features.strokes], (1.1, 0.8), color=SEEN)
     pairs = [(touches[x.touch].onset, x.delay, x.weight) for x in features.synchrony if np.isfinite(x.delay)]
     lines = [((felt, 0.9), (felt + delay, 1.1)) for felt, delay, _ in pairs]
-    ax.add_collection(LineCollection(lines, colors=INK, alpha=[0.25 + 0.75 * weight for *_, weight in pairs]))
+    if pairs:
+        ax.add_collection(LineCollection(lines, colors=INK, alpha=[0.25 + 0.75 * weight for *_, weight in pairs]))
     for felt, delay, weight in pairs if len(pairs) <= _CROWD else ():
         ax.annotate(f"{weight:.2f}", (felt + delay, 1.95), fontsize=6, color=INK)
     ax.set_ylim(-0.1, 2.4)

@@ -51,6 +51,13 @@ def test_what_is_absent_is_left_out(tmp_path, log, seen, count, absent):
     assert not absent & set(words(tmp_path / "f.svg"))
 
 
+@pytest.mark.parametrize("seen", [{"synchrony": ()}, {"synchrony": (), "strokes": ()}, {"touches": (), "synchrony": ()}])
+def test_touches_and_strokes_are_drawn_also_where_none_goes_with_another(tmp_path, seen):
+    recording_figure(recording(), features(**seen), tmp_path / "f.png")
+    recording_figure(recording(), features(**seen), tmp_path / "f.svg")
+    assert {"felt", "seen"} <= set(words(tmp_path / "f.svg"))
+
+
 def test_a_recording_without_features_shows_its_signals(tmp_path):
     recording_figure(recording(), None, tmp_path / "f.svg")
     assert axes_of(tmp_path / "f.svg") == 3
