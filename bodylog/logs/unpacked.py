@@ -20,6 +20,8 @@ ZSTD = b"\x28\xb5\x2f\xfd"
 _ALWAYS = 64 << 20
 _RATIO = 1024
 _MARGIN = 256 << 20
+_PIECE = 128 << 10
+"""A block of zstd: of the piece with the damage nothing is had."""
 
 Opened = TypeVar("Opened")
 
@@ -39,16 +41,17 @@ def _unpack(path: Path, inner: Path, limit: int) -> None:
     with path.open("rb") as stream, inner.open("wb") as target:
         reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
         try:
-            while piece := reader.read(1 << 20):
+            while piece := reader.read(_PIECE):
                 written += len(piece)
                 if written > limit:
                     raise LogError(f"{path}: unpacked it takes more than the {limit} bytes free in {inner.parent}")
                 target.write(piece)
         except zstandard.ZstdError as problem:
             if not written:
-                raise LogError(f"{path}: zstd data is damaged: {problem}") from None
+                raise LogError(f"{path}: zstd data is damaged: {problem}; copy it again") from None
     if not written:
-        raise LogError(f"{path}: zstd data is damaged: nothing comes out of its {path.stat().st_size} bytes")
+        said = f"nothing comes out of its {path.stat().st_size} bytes"
+        raise LogError(f"{path}: zstd data is damaged: {said}; copy it again")
 
 
 def unpacked(batches: Iterable[Batch], topics: tuple[Topic, ...], ledger: Ledger) -> Iterator[Batch]:

@@ -116,6 +116,26 @@ def test_a_file_that_ends_in_a_chunk_is_read_up_to_there(tmp_path: Path, compres
     assert 0 < counts[0] < counts[1] < counts[2] < len(said)
 
 
+def test_a_packed_file_is_read_up_to_its_damage(tmp_path: Path) -> None:
+    import zstandard
+
+    from tests.logs import written
+
+    noise = {"count": 3000, "padding": 400, "extras": False, "chunk_size": 1 << 14}
+    whole = written.source(tmp_path / "x.mcap", **noise, compression=written.CompressionType.NONE).read_bytes()
+    said, path, counts = set(read(tmp_path / "x.mcap")[0]), tmp_path / "x.mcap.zst", []
+    packed = zstandard.ZstdCompressor(level=1).compress(whole)
+    for share in (0.3, 0.6, 0.9):
+        damaged = bytearray(packed)
+        at = int(share * len(packed))
+        damaged[at : at + 64] = bytes(64)
+        path.write_bytes(damaged)
+        found, findings = read(path)
+        assert set(found) <= said and findings[-1].severity == "lost"
+        counts.append(len(found) / len(said))
+    assert all(share - 0.2 < count < share + 0.1 for share, count in zip((0.3, 0.6, 0.9), counts, strict=True)), counts
+
+
 def test_many_losses_are_summed(tmp_path: Path) -> None:
     whole = (FOLDER / "none.mcap").read_bytes()
     path = tmp_path / "x.mcap"
