@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from .errors import UsageError
+from .errors import LogError, UsageError
 
 _PART = ".bodylog.part"
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
@@ -106,6 +106,12 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
+def lasting(path: Path) -> None:
+    """LogError for a pipe or device: what it says is gone once it is read, and who opens it waits for who writes."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise LogError(f"{path}: is a pipe or device, and what is given here is read twice; save it to a file first")
+
+
 def sha256(path: Path) -> str:
     """Hex digest of a file, or of a folder's files in name order."""
     digest = hashlib.sha256()
@@ -120,6 +126,7 @@ def pieces(path: Path, size: int) -> Iterator[memoryview]:
     They are where the kernel keeps the file, no copies; each begins at a page if `size` is a number of pages. What is
     cut off the file meanwhile is missing, and so is what is put to its end.
     """
+    lasting(path)
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
         with part.open("rb") as stream:
             if whole := os.fstat(stream.fileno()).st_size:

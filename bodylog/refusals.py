@@ -6,12 +6,14 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from .errors import EvidenceError, InputError, LogError, ModelError, UsageError
+from .files import lasting
 from .settings import Colours, Settings
 from .types import BodyModel, Features, Finding, Health, Recording
 
 
 def distinct(read: Path, out: Path) -> None:
-    """UsageError when the file to write is one that is read."""
+    """UsageError when the file to write is one that is read; LogError when that is a pipe."""
+    lasting(read)
     if out.exists() and read.exists() and out.resolve() == read.resolve():
         raise UsageError(f"{out}: is read here, and what is read is never written to; give another name with -o")
 

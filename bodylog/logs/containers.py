@@ -6,6 +6,7 @@ from types import TracebackType
 from typing import Protocol, Self
 
 from ..errors import LogError
+from ..files import lasting
 from ..types import Batch, Finding, Topic
 from .unpacked import ZSTD, unpack_file
 
@@ -53,8 +54,7 @@ def open_log(path: Path, strict: bool = False) -> Log:
     try:
         if path.is_dir():
             return _rosbag2(path, strict)
-        if not path.is_file():
-            raise LogError(f"{path}: is a pipe or device, and a log is read from both ends; save it to a file first")
+        lasting(path)
         with path.open("rb") as stream:
             first = stream.read(32)
         if first.startswith(ZSTD):

@@ -1,5 +1,9 @@
 """What cannot be used is refused in one line that begins with the file."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -49,3 +53,23 @@ def test_the_line_begins_with_the_log(capsys, bodylog, robot, logs, typed):
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and said.startswith("bodylog: " + CASES[typed].format(logs)), said
     assert not list(logs.glob("out*"))
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        "estimate pipe.mcap --body body.npz -o out.mcap",
+        "extract pipe.mcap -o out.mcap",
+        "fit pipe.mcap -o out.npz",
+        "batch pipe.mcap --body body.npz -o out",
+        "batch reach.mcap --train pipe.mcap -o out",
+    ],
+)
+def test_a_pipe_is_refused_before_anybody_waits_for_it(tmp_path, robot, typed):
+    os.mkfifo(tmp_path / "pipe.mcap")
+    known = {"pipe.mcap": tmp_path / "pipe.mcap", "body.npz": robot / "body.npz", "reach.mcap": robot / "reach.mcap"}
+    words = [known.get(word, tmp_path / word if word.startswith("out") else word) for word in typed.split()]
+    command = [sys.executable, "-m", "bodylog_cli", *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 65
+    assert f"{tmp_path / 'pipe.mcap'}: is a pipe or device" in done.stderr and "Traceback" not in done.stderr
