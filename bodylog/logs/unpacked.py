@@ -44,7 +44,8 @@ def _unpack(path: Path, inner: Path, limit: int) -> None:
             while piece := reader.read(_PIECE):
                 written += len(piece)
                 if written > limit:
-                    raise LogError(f"{path}: unpacked it takes more than the {limit} bytes free in {inner.parent}")
+                    room = f"the {max(0, limit)} bytes free in {inner.parent.parent}"
+                    raise LogError(f"{path}: unpacked it takes more than {room}; name a larger folder in TMPDIR")
                 target.write(piece)
         except zstandard.ZstdError as problem:
             if not written:
