@@ -68,6 +68,8 @@ def made(path: Path) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise UsageError(f"{path}: a file is in its place; give the name of a folder") from None
+    except OSError as problem:
+        raise OSError(problem.errno, f"{problem.strerror}; give the name of another folder", os.fspath(path)) from None
     return path
 
 

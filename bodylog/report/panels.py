@@ -45,7 +45,8 @@ def skin(skin: Series, ax: Any) -> None:
     if cells < 5:
         return signals(skin, "skin, 0..1", ax)
     edges, highest = _peaks(skin)
-    image = ax.pcolormesh(edges, np.arange(cells + 1) - 0.5, highest.T, cmap="magma_r", vmin=0, vmax=1, rasterized=True)
+    shown = np.clip(highest.T, 0, 1)
+    image = ax.pcolormesh(edges, np.arange(cells + 1) - 0.5, shown, cmap="magma_r", vmin=0, vmax=1, rasterized=True)
     ax.figure.colorbar(image, ax=ax, pad=0.01, label="proximity")
     ax.set_ylabel("skin cell")
     ax.grid(False)

@@ -76,6 +76,14 @@ def test_skin_is_lines_for_few_cells_and_a_picture_for_many(tmp_path, cells):
     assert ("skin cell" in words(tmp_path / "f.svg")) == (cells >= 5)
 
 
+@pytest.mark.parametrize("value", [1e38, -1e38, np.inf, np.nan])
+def test_cells_that_read_anything_are_drawn(tmp_path, value):
+    skin = recording().skin
+    values = skin.values.astype(np.float32)
+    values[::7, 3] = value
+    recording_figure(replace(recording(), skin=replace(skin, values=values)), None, tmp_path / "f.png")
+
+
 def test_a_track_never_seen_is_left_out(tmp_path):
     found = features()
     hand = replace(found.tracks["hand"], values=np.full_like(found.tracks["hand"].values, np.nan))
