@@ -46,7 +46,8 @@ def tile(brief: Brief, var: Array, processes: Array) -> Leaps:
         np.repeat(part, g, axis=-1) for part in (told.dt, told.encoders, told.encoder_var, told.y, told.jac)
     )
     between = brief.pooled(replace(brief.problem.dynamics, process=processes))
-    return Leaps(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], dt.shape[-1]), between)
+    anew = None if told.anew is None else np.repeat(told.anew, g, axis=-1)
+    return Leaps(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], dt.shape[-1]), between, anew=anew)
 
 
 def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
@@ -54,6 +55,7 @@ def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
     line, (said, var) = problem.timeline, encoder_rows(problem)
     alone = loud(said) if gated is None else loud(said) | gated
     alone[np.concatenate([*line.sightings, np.empty(0, int)])] = True
+    alone[problem.anew_at(line.t)[0]] = True
     wanted = alone.copy()
     wanted[fold_for(len(line.t)).lasts()] = True
     events = kept(wanted)
@@ -61,13 +63,25 @@ def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
     few = replace(problem, timeline=Timeline(line.t[events], none, sightings, none, none))
     between, fold = blocks(line.t, said, var, events, alone), fold_for(len(events))
     rest = heard(few, fold, np.where(alone[:, None], said, np.nan)[events], var[events])
-    return Brief(few, events, between, Leaps(*rest, pooled=pooled(between, few.dynamics, fold, few.more)))
+    told = pooled(between, few.dynamics, fold, few.more)
+    leaps = Leaps(*rest, pooled=told, anew=forgotten(few, fold))
+    return Brief(few, events, between, leaps)
 
 
 def full(problem: "Problem", fold: Fold) -> Readings:
     """Everything at every instant but the frames' linearisation, folded."""
-    more = problem.more
-    return Readings(*heard(problem, fold, *encoder_rows(problem)), more=None if more is None else fold.fold(more, 1.0))
+    more = None if problem.more is None else fold.fold(problem.more, 1.0)
+    return Readings(*heard(problem, fold, *encoder_rows(problem)), anew=forgotten(problem, fold), more=more)
+
+
+def forgotten(problem: "Problem", fold: Fold) -> Array | None:
+    """Joints (L,M,C) bool of which nothing is known any more by then; None if that never happens."""
+    events, joints = problem.anew_at(problem.timeline.t)
+    if not len(events):
+        return None
+    anew = np.zeros((fold.length, len(problem.start), fold.count), bool)
+    fold.put(anew, events, joints)
+    return anew
 
 
 def heard(
@@ -82,11 +96,15 @@ def heard(
     return dt, fold.fold(said, np.nan), fold.fold(said_var, 1.0), y, jac, var
 
 
-def encoder_rows(problem: "Problem") -> tuple[Array, Array]:
-    """Readings (E,M) rad, NaN where silent, and their variances (E,M); of joints without an encoder, their habit."""
-    line = problem.timeline
-    encoders = np.full((len(line.t), len(problem.start)), np.nan)
+def encoder_rows(problem: "Problem", until: int | None = None) -> tuple[Array, Array]:
+    """Readings (E,M) rad, NaN where silent, and their variances (E,M); of joints without an encoder, their habit.
+
+    Of the first instants `until` some one alone, if that is given.
+    """
+    t, at = problem.timeline.t[:until], problem.timeline.encoders
+    encoders = np.full((len(t), len(problem.start)), np.nan)
     if problem.evidence.encoders is not None:
-        encoders[line.encoders] = problem.evidence.encoders.values
-    var = np.tile(problem.precision.encoder, (len(line.t), 1))
-    return (encoders, var) if problem.habit is None else problem.habit.fill(line.t, encoders, var)
+        rows = int(np.searchsorted(at, len(t)))
+        encoders[at[:rows]] = problem.evidence.encoders.values[:rows]
+    var = np.tile(problem.precision.encoder, (len(t), 1))
+    return (encoders, var) if problem.habit is None else problem.habit.fill(t, encoders, var)

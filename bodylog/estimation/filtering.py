@@ -1,6 +1,6 @@
 """The filters as methods: pose the log as a problem, solve it, ask whether an encoder lies, write the beliefs down."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -8,11 +8,12 @@ from typing import TypeVar
 import numpy as np
 
 from ..settings import Estimation
-from ..types import BodyModel, Estimate, Fault, Features
+from ..types import BodyModel, Estimate, Fault, Features, Finding
 from . import bias, motion, results
 from .faults import screen
 from .habit import habit
 from .laplace import Problem, Restless, Solution, solve
+from .lost import named
 from .precision import resolve, warned
 from .results import Beliefs
 from .senses import gather, start
@@ -35,12 +36,14 @@ def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
     problem, warm, faults = pose(features, body, settings)
-    problem, solution = settled(problem, warm, settings, partial(solve, at=at), walk)
+    stepwise = at == "posterior" and problem.stepwise
+    solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
+    problem, solution = settled(problem, warm, settings, solver, walk)
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
     beliefs = Beliefs(
         unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
         unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(),
-        (*faults, *drifts(problem, body.joints, solution, faults)),
+        (*faults, *drifts(problem, body.joints, solution, faults)), tuple(_lost(problem, body.joints, solution)),
     )  # fmt: skip
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
 
@@ -114,6 +117,12 @@ def cost(problem: Problem, warm: Solution | None = None) -> float:
         return bias.nats(solve(problem, warm, rest=ROUGHLY))
     except Restless:
         return np.inf
+
+
+def _lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
+    """Where the belief began anew, as a warning."""
+    anew = solved.readings.anew
+    return iter(()) if anew is None else named(names, problem.timeline.t, solved.fold.unfold(anew))
 
 
 def drifts(

@@ -68,14 +68,13 @@ class _Lines:
 
 
 def hear(
-    motion: Motion, z: Array, p: Array, dt: float, encoders: Array, encoder_var: Array, sights: Sequence[Sight],
+    motion: Motion, z: Array, p: Array, encoders: Array, encoder_var: Array, sights: Sequence[Sight],
     resting: float = RESTING,
 ) -> Moment:  # fmt: skip
-    """Move z (K,), p (K,K) by dt (s) and hear encoders (M,) rad, NaN where silent, and sights; what came of it.
+    """What comes of z (K,), p (K,K) once encoders (M,) rad, NaN where silent, and sights are heard.
 
     `resting` (rad) is how little the point of linearisation may still move.
     """
-    z, p = motion.move(z, p, dt)
     encoder_var, encoder_d = _gated_encoders(motion, z, p, encoders, encoder_var)
     told = _encoders(motion, z, p, encoders, encoder_var)
     if not sights:

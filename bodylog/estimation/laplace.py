@@ -37,7 +37,8 @@ class Problem:
     """One log to be filtered: evidence, its instants, where the belief starts, the precisions.
 
     path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say · habit: where
-    joints without an encoder are wont to be.
+    joints without an encoder are wont to be · anew: times (R,) s by which nothing is known any more of
+    joints (R,M) bool · stepwise: pictures alone lead it for long, where sweeps may rest in another posture.
     """
 
     evidence: Evidence
@@ -46,6 +47,16 @@ class Problem:
     precision: Precision
     path: tuple[Array, Array] | None = None
     habit: Habit | None = None
+    anew: tuple[Array, Array] | None = None
+    stepwise: bool = False
+
+    def anew_at(self, t: Array) -> tuple[Array, Array]:
+        """Which of instants t (E,) s begin anew, and what joints (R,M) bool of them."""
+        if self.anew is None:
+            return np.empty(0, int), np.empty((0, len(self.start)), bool)
+        times, joints = self.anew
+        here = np.isin(times, t)
+        return np.searchsorted(t, times[here]), joints[here]
 
     @property
     def dynamics(self) -> Dynamics:

@@ -6,14 +6,13 @@ import numpy as np
 
 from ..types import Array
 from .folds import Fold
+from .lost import START_STD
 from .scan import Dynamics, Leaps, Pooled, scan
 from .tangents import Tangents
 
 if TYPE_CHECKING:
     from .laplace import Problem, Solution
 
-START_STD = 1.0
-"""rad and rad/s: how little is known of angles and rates before the first reading."""
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""
 
@@ -82,6 +81,7 @@ def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Ar
             apart(told.y), apart(told.var), apart(told.lean), apart(told.move), apart(told.shift), apart(told.noise),
             np.zeros((length, m * c)),
         ),
+        anew=None if readings.anew is None else apart(readings.anew),
     )  # fmt: skip
     own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
     trace = scan(alone, Dynamics(np.ones(1), None if s == 2 else np.zeros(1)), z.reshape(s, m * c), own)

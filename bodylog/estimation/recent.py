@@ -6,23 +6,24 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..types import Array
-from .alike import Memory
 from .incoming import Told
+from .lost import Watch
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """After an instant t (s; −∞ before the first): z (K,), p (K,K), what each track remembers · the instant's nats.
+    """After an instant t (s; −∞ before the first): z (K,), p (K,K), what was heard last · the instant's nats.
 
-    errors {sense: standard deviations} of what was heard then.
+    errors {sense: standard deviations} of what was heard then · lost (M,) bool: joints the belief began anew with then.
     """
 
     t: float
     z: Array
     p: Array
-    memory: Mapping[str, Memory]
+    watch: Watch
     nats: float = 0.0
     errors: Mapping[str, Array] = field(default_factory=dict)
+    lost: Array | None = None
 
 
 @dataclass(eq=False)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..types import Array
 from .conditioning import MANY, Back, Said, leap, update
+from .lost import forget
 
 R = TypeVar("R", "Readings", "Trace", "Pooled")
 
@@ -57,6 +58,7 @@ class Readings:
     """What is heard, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · lines (T tracks of D rows).
 
     A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
+    anew (L,M,C) bool: joints of which nothing is known any more by then; None where there are none.
     more (L,M,C): how many times the process variance moves joints before an instant; None where that is the usual one.
     """
 
@@ -66,6 +68,7 @@ class Readings:
     y: Array
     jac: Array
     var: Array
+    anew: Array | None = field(default=None, kw_only=True)
     more: Array | None = field(default=None, kw_only=True)
 
 
@@ -112,12 +115,15 @@ def scan(
     visible: Array = np.any(said[1].heard, axis=(1, 2))
     seen = [np.flatnonzero(row) for row in visible]
     back = Back(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
+    anew = {} if readings.anew is None else {i: joints for i, joints in enumerate(readings.anew) if joints.any()}
     leaps = Back(None, *np.empty((2, length, 2 * m if isinstance(readings, Leaps) else 0, c)))
     for i in range(length):
         if isinstance(readings, Leaps):
             leap(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
         else:
             propagate(readings.dt[i], None if readings.more is None else readings.more[i])
+        if i in anew:
+            forget(z, p, anew[i], readings.encoders[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]

@@ -13,7 +13,8 @@ from .bias import WALKS
 from .habit import Habit, usual
 from .incoming import Angles, Incoming, Place, Tell, finite
 from .instant import Motion, hear
-from .outset import OFFSET_STD, START_STD
+from .lost import START_STD, Watch, forget
+from .outset import OFFSET_STD
 from .recent import Instant, Recent, State
 from .scan import Dynamics
 
@@ -27,7 +28,8 @@ LAG = 0.5
 class Belief:
     """At t (s): angles x (M,) rad · rates (M,) rad/s · cov (M,M) rad² of the angles · encoders' bias (M,) rad or None.
 
-    free_energy (nats) of what was told, given what was known · errors {sense: (D,) standard deviations} at its instant.
+    free_energy (nats) of what was told, given what was known · errors {sense: (D,) standard deviations} of that instant
+    · lost: joints (M,) bool of which nothing was known any more before what was told, or None.
     """
 
     t: float
@@ -37,6 +39,7 @@ class Belief:
     free_energy: float
     errors: Mapping[str, Array]
     bias: Array | None = None
+    lost: Array | None = None
 
 
 class Estimator:
@@ -78,12 +81,13 @@ class Estimator:
             return self._belief(self._recent.last, 0.0, {})
         then, now, nats = self._recent.add(t, heard)
         names = {*heard.places, *(("encoders",) if heard.angles is not None else ())}
-        return self._belief(now, nats, {name: error for name, error in then.errors.items() if name in names})
+        told_of = {name: error for name, error in then.errors.items() if name in names}
+        return self._belief(now, nats, told_of, then.lost)
 
-    def _belief(self, now: State, nats: float, errors: Mapping[str, Array]) -> Belief:
+    def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
         m = len(self._body.joints)
         bias = now.z[2 * m :] if len(now.z) > 2 * m else None
-        return Belief(now.t, now.z[:m], now.z[m : 2 * m], now.p[:m, :m], nats, errors, bias)
+        return Belief(now.t, now.z[:m], now.z[m : 2 * m], now.p[:m, :m], nats, errors, bias, lost)
 
     def _begin(self, angles: Array | None) -> Recent:
         """No instant yet, and what is known before the first."""
@@ -103,7 +107,7 @@ class Estimator:
         one = _Filter(Motion(dynamics), habit, encoder_var, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
-        return Recent(State(-np.inf, z, np.diag(std**2), {}), self._lag, one.hear)
+        return Recent(State(-np.inf, z, np.diag(std**2), Watch.begun(len(x))), self._lag, one.hear)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,19 +123,22 @@ class _Filter:
     def hear(self, before: State, at: Instant) -> State:
         """The state after an instant, from the one before it."""
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
-        angles, var = self._encoders(at.angles, dt)
-        sights = [
-            Sight(self.models[name], at.t, value, spread, self.like[name], before.memory.get(name, Memory()))
-            for name, (value, spread) in at.places.items()
-        ]
-        found = hear(self.motion, before.z, before.p, dt, angles, var, sights)
+        said = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
+        z, p = self.motion.move(before.z, before.p, dt)
+        lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var)
+        if lost is not None:
+            forget(z, p, lost, said)
+        here = {
+            name: before.watch.remembered(name, Sight(self.models[name], at.t, *place, self.like[name], Memory()))
+            for name, place in at.places.items()
+        }
+        found = hear(self.motion, z, p, *self._encoders(said, dt), list(here.values()))
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
-        memory = {**before.memory, **dict(zip(at.places, found.memories, strict=True))}
-        return State(at.t, found.z, found.p, memory, found.nats, errors)
+        watch = before.watch.after(at.t, borne, here, found.memories)
+        return State(at.t, found.z, found.p, watch, found.nats, errors, lost)
 
-    def _encoders(self, angles: Array | None, dt: float) -> tuple[Array, Array]:
+    def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
         """Angles and variances (M,) rad², with a reminder of where joints without an encoder are wont to be."""
-        x = np.full(len(self.encoder_var), np.nan) if angles is None else angles
         if self.habit is None or dt == 0.0:
             return x, self.encoder_var
         own = self.habit.joints

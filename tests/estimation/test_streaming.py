@@ -96,6 +96,23 @@ def test_a_stream_gives_the_batch_filters_belief(world, seed, bias):
     check(drawn.features, drawn.body, replace(MODEL, bias=bias))
 
 
+@pytest.mark.parametrize("names", [["pan", "lift", "elbow"], ["pan", "lift"]])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lost_belief_is_found_again_as_in_the_batch(world, seed, names):
+    drawn = world(seed, duration=10.0, blunder=0.02)
+    joints = drawn.features.joints
+    gone = np.outer((joints.t >= 3.0) & (joints.t < 8.0), np.isin(joints.names, names))
+    keep, values = ~gone.all(axis=1), np.where(gone, np.nan, joints.values)
+    joints = replace(joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep])
+    features = replace(drawn.features, joints=joints)
+    check(features, drawn.body)
+    beliefs, batch = step(Estimator(drawn.body), told(features, drawn.body)), estimate(features, drawn.body, MODEL)
+    lost = [belief for belief in beliefs if belief.lost is not None]
+    said = [finding.text for finding in batch.findings if finding.text.startswith("belief: lost")]
+    assert len(lost) == len(said) and all(f"{belief.t:.3f} s" in text for belief, text in zip(lost, said, strict=True))
+    assert lost or len(names) == 2
+
+
 @pytest.mark.parametrize("encoder_hz", [10.0, 400.0])
 def test_whatever_is_the_faster(world, encoder_hz):
     drawn = world(0, duration=6.0, encoder_hz=encoder_hz)
