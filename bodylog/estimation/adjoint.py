@@ -27,12 +27,21 @@ def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array
                 adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
             else:
                 adjoint[:m] -= jac[i, row - m] * pull
+        if readings.anew is not None:
+            adjoint *= _kept(readings.anew[i], len(adjoint))
         if isinstance(readings, Leaps):
             assert trace.left is not None
             _unleap(readings.pooled, i, adjoint, trace.left[i])
         else:
             adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
     return after, adjoint
+
+
+def _kept(anew: Array, states: int) -> Array:
+    """States (K,C) bool that go on past an instant by which joints `anew` (M,C) were forgotten: no word crosses it."""
+    keep, m = np.ones((states, anew.shape[1]), bool), len(anew)
+    keep[:m] = keep[m : 2 * m] = ~anew
+    return keep
 
 
 def _unleap(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
@@ -68,6 +77,10 @@ def covariances(readings: Readings, trace: Trace) -> Array:
         np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half[:, :k], p[:, :m]), out=cov[i])
         reach[i] = half[:, k:]
         _unhear(readings, trace, i, heard[i], known)
+        if readings.anew is not None:
+            keep = _kept(readings.anew[i], k)
+            known *= keep[:, None]
+            known[:, :k] *= keep
         known[m : 2 * m] += dt * known[:m]
         known[:, m : 2 * m] += dt * known[:, :m]
         if i % EVEN == 0:

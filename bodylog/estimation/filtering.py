@@ -43,7 +43,7 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
     beliefs = Beliefs(
         unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
         unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(),
-        (*faults, *drifts(problem, body.joints, solution, faults)), tuple(_lost(problem, body.joints, solution)),
+        (*faults, *drifts(problem, body.joints, solution, faults)), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
 
@@ -119,7 +119,7 @@ def cost(problem: Problem, warm: Solution | None = None) -> float:
         return np.inf
 
 
-def _lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
+def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
     """Where the belief began anew, as a warning."""
     anew = solved.readings.anew
     return iter(()) if anew is None else named(names, problem.timeline.t, solved.fold.unfold(anew))

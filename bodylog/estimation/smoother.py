@@ -13,7 +13,7 @@ from ..types import Array, BodyModel, Estimate, Features
 from . import adjoint, results
 from .alike import WHOLE
 from .brief import full
-from .filtering import drifts, pose, settled
+from .filtering import drifts, lost, pose, settled
 from .folds import Fold, fold_for
 from .laplace import SWEEPS, Problem, Progress, Restless, Solution, begun, far
 from .outset import handed_over, starts
@@ -58,6 +58,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     beliefs = Beliefs(
         z, cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d), precision.scale,
         precision.plain(), (*faults, *drifts(problem, body.joints, smooth, faults)),
+        tuple(lost(problem, body.joints, smooth)),
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
 

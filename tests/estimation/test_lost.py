@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate, filtering, laplace, smoother
 from bodylog.settings import Estimation
 
 ALL = ("pan", "lift", "elbow")
@@ -45,6 +45,38 @@ def test_it_is_found_again_by_the_first_word_after_a_silence(world, seed, method
     rmse, nees, faults, (lost,) = judged(muted(drawn.features, 6.0, 11.0), drawn, 11.0, method=method)
     assert rmse < 0.01 and nees < 1.5 and not faults
     assert "pan, lift, elbow until 11.000 s" in lost
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_smoothed_path_is_found_again_too(world, seed):
+    drawn = world(seed, duration=15.0)
+    rmse, nees, faults, (lost,) = judged(muted(drawn.features, 6.0, 11.0), drawn, 11.0, method="smoother")
+    assert rmse < 0.005 and nees < 1.5 and not faults
+    assert "until 11.000 s" in lost
+
+
+@pytest.mark.parametrize("solve", [laplace.solve, smoother.solve])
+def test_no_word_crosses_where_all_is_forgotten(world, linear_model, solve):
+    drawn = world(0, duration=9.0, model=linear_model)
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+
+    def solved(begin, end, anew=None):
+        rows, frames = ((t >= begin) & (t < end) for t in (joints.t, track.t))
+        part = replace(joints, t=joints.t[rows], values=joints.values[rows], source_ns=joints.source_ns[rows])
+        seen = replace(track, t=track.t[frames], values=track.values[frames], std=track.std[frames],
+                       source_ns=track.source_ns[frames])  # fmt: skip
+        features = replace(drawn.features, joints=part, tracks={"effector": seen})
+        problem, _, _ = filtering.pose(features, drawn.body, Estimation(precision="model", bias="off"))
+        found = solve(replace(problem, anew=anew))
+        z, cov = (found.z, found.cov) if solve is smoother.solve else (found.trace.z, found.trace.p[:, :3, :3])
+        return problem.timeline.t, found.fold.unfold(z)[:, :3], found.fold.unfold(cov)
+
+    middle = joints.t[223]
+    t, *whole = solved(0.0, 9.0, (np.array([middle]), np.ones((1, 3), bool)))
+    for begin, end in ((0.0, middle), (middle, 9.0)):
+        part, some = solved(begin, end)[1:], (t >= begin) & (t < end)
+        for ours, alone in zip(whole, part, strict=True):
+            np.testing.assert_allclose(ours[some], alone, atol=1e-9)
 
 
 @pytest.mark.parametrize("precision", ["auto", "model"])
