@@ -1,6 +1,7 @@
 """Coloured blobs measured at full resolution: windows of like size side by side on a sheet."""
 
 from collections.abc import Sequence
+from math import isfinite
 
 import numpy as np
 
@@ -40,14 +41,14 @@ def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
     more of the blob than a hundredth leaves the picture.
     """
     blobs = np.full((count, CANDIDATES, FIELDS), np.nan)
-    rows: dict[int, list[Array]] = {}
+    rows: dict[int, list[list[float]]] = {}
     for some in _alike(found):
-        for window, row in zip(some, _rows(some, colour), strict=True):
-            if np.isfinite(row[U]):
+        for window, row in zip(some, _rows(some, colour).tolist(), strict=True):
+            if isfinite(row[U]):
                 rows.setdefault(window.picture, []).append(row)
     for picture, several in rows.items():
-        for rank, row in enumerate(_distinct(several)):
-            blobs[picture, rank] = row
+        distinct = _distinct(several)
+        blobs[picture, : len(distinct)] = distinct
     return blobs
 
 
@@ -65,17 +66,18 @@ def enlarged(blobs: Array, scale: Array) -> Array:
 def _alike(found: Sequence[Window]) -> list[list[Window]]:
     """Windows of like size together, no more than a sheet's worth."""
     sheets: list[list[Window]] = []
-    for window in sorted(found, key=_side):
-        side = _side(window)
-        if not sheets or side > _ALIKE * _side(sheets[-1][0]) or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
+    least = 0
+    for side, number in sorted((_side(window), number) for number, window in enumerate(found)):
+        if not sheets or side > _ALIKE * least or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
             sheets.append([])
-        sheets[-1].append(window)
+            least = side
+        sheets[-1].append(found[number])
     return sheets
 
 
 def _side(window: Window) -> int:
     """The side (px) of the square that holds a window and its guard, a multiple of 8."""
-    return -(-(max(window.pixels.shape[:2], default=0) + _GUARD) // 8) * 8
+    return -(-(int(max(window.pixels.shape[:2])) + _GUARD) // 8) * 8
 
 
 def _rows(some: Sequence[Window], colour: Range) -> Array:
@@ -135,10 +137,10 @@ def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
     return core.reshape(valid.shape)
 
 
-def _distinct(rows: list[Array]) -> list[Array]:
+def _distinct(rows: list[list[float]]) -> list[list[float]]:
     """Strongest first, each blob once: two coarse pieces of one blob measure the same centre."""
-    kept: list[Array] = []
-    for row in sorted(rows, key=lambda row: -float(row[STRENGTH])):
+    kept: list[list[float]] = []
+    for row in sorted(rows, key=lambda row: -row[STRENGTH]):
         if all(abs(row[U] - other[U]) + abs(row[V] - other[V]) > 2 for other in kept):
             kept.append(row)
     return kept

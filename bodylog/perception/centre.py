@@ -96,20 +96,19 @@ def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Arra
     rim round it, so that what stands beside the blob, or bleeds into it as JPEG's colours do, weighs little. Pixels
     the edge mixes lie on the line between the two colours, and scatter along that line turns no direction.
     """
-    every = 2 if inner[0].size > _MANY else 1
-    inner, rim = inner[:, ::every, ::every], rim[:, ::every, ::every]
-    away, some = _planes(sheet), np.s_[:, :, ::every, ::every]
-    blob = _mean(away[some], inner)
-    away -= blob.astype(np.float32)[:, :, None, None]
-    step, scatter = blob - ground, _scatter(away[some], inner) + _scatter(away[some], rim)
+    colours, every = _planes(sheet), 2 if inner[0].size > _MANY else 1
+    some, inner, rim = colours[:, :, ::every, ::every], inner[:, ::every, ::every], rim[:, ::every, ::every]
+    blob = _mean(some, inner)
+    away = some - blob.astype(np.float32)[:, :, None, None]
+    step, scatter = blob - ground, _scatter(away, inner) + _scatter(away, rim)
     # as much again of white noise keeps the direction sane where the colours hardly scatter
     white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
     axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
     # eight lines at a time: too little for a linear algebra library to start threads of its own among ours
-    lines = away.reshape(len(away), 3, -1, 8 * away.shape[3]).swapaxes(1, 2)
-    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(len(away), *away.shape[2:])
-    mixing += (step * axis).sum(axis=1).astype(np.float32)[:, None, None]
+    lines = colours.reshape(len(colours), 3, -1, 8 * colours.shape[3]).swapaxes(1, 2)
+    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(len(colours), *colours.shape[2:])
+    mixing -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None]
     return mixing, np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))
 
 
