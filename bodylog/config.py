@@ -131,6 +131,7 @@ LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
     ("skin", "release"): (0, 1),
     ("skin", "shortest"): (0, 3600),
     ("skin", "columns"): (1, 10**6),
+    ("estimate", "rate"): (1e-3, 1e15),
     ("fit", "samples"): (1, 10**9),
     ("fit", "every"): (1, 10**9),
     ("fit", "seed"): (0, 2**63),

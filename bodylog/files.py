@@ -108,6 +108,14 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
+def is_archive(path: Path) -> bool:
+    """Whether this is a .npz, by its name or by its first bytes."""
+    if path.suffix == ".npz" or not path.is_file():
+        return path.suffix == ".npz"
+    with path.open("rb") as stream:
+        return stream.read(4) == b"PK\x03\x04"
+
+
 def lasting(path: Path) -> None:
     """LogError for a pipe or device: what it says is gone once it is read, and who opens it waits for who writes."""
     if path.exists() and not path.is_file() and not path.is_dir():

@@ -10,6 +10,7 @@ from tempfile import gettempdir
 from typing import Any
 
 from . import stores
+from .files import is_archive
 from .settings import Settings
 from .types import ForwardModel
 
@@ -24,7 +25,7 @@ def info(log: Path | str, settings: Settings) -> dict[str, Any]:
     if stores.is_url(str(log)):
         return _info_remote(str(log), settings)
     log = Path(log)
-    if log.suffix == ".npz":
+    if is_archive(log):
         return _info_body(log)
     return recording.info(log, settings, settings.input.strict)
 

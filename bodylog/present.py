@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import FormatError, LogError
-from .files import made
+from .files import is_archive, made
 from .pipeline import Progress, Result, doctor, ingest, judge, observe, topic_of
 from .refusals import about, distinct
 from .settings import Settings, plain
@@ -25,7 +25,7 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
     from .report import figures
 
     distinct(source, out)
-    if source.suffix == ".npz":
+    if is_archive(source):
         from .body import model
 
         learned = model.load(source)

@@ -66,13 +66,21 @@ def exit_code(rows: Sequence[Row]) -> int:
 
 
 def _jobs(plan: Plan, group: Group) -> list[Job]:
+    """The group's jobs; what no log can help is refused here: a bound, method or sense that is none, a body."""
+    from .. import estimation
+    from ..body import model
+    from ..evaluation import bounds
+
     if (group.body is None) == (not group.train):
         raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
+    for text in group.bounds:
+        bounds.parse(text)
     logs = jobs.named(group.logs, plan.shard)
     folder = made(plan.out / group.name)
     if taken := [folder / name for name in logs if (folder / name).is_file()]:
         raise UsageError(f"{taken[0]}: is in the place of a folder; give another one with -o")
     body = _body(group, folder)
+    estimation.check(model.load(body), group.settings.estimate)
     before = f"{group.name}/" if group.name else ""
     return [
         Job(before + name, log, folder / name, body, group.settings, group.bounds, plan.resume)
@@ -86,7 +94,7 @@ def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:
 
         yield from cluster.run(open_jobs, plan.scheduler, plan.workers)
         return
-    yield from local.run(open_jobs, plan.workers, plan.memory, plan.keep_going)
+    yield from local.run(open_jobs, min(plan.workers, max(1, len(open_jobs))), plan.memory, plan.keep_going)
 
 
 def _body(group: Group, folder: Path) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__, pipeline, stores
-from ..errors import BodylogError, ModelError
+from ..errors import BodylogError, LogError, ModelError
 from ..files import sha256
 from ..settings import Settings, plain
 from .jobs import Job
@@ -78,6 +78,9 @@ def not_run(job: Job) -> dict[str, Any]:
 
 def learned(train: Sequence[Path], body: Path, settings: Settings) -> Path:
     """The body model learned from `train`; learned anew unless the one there comes from the same logs and settings."""
+    for log in train:
+        if not log.exists():
+            raise LogError(f"{log}: there is no such file or folder; check the name")
     mark = body.with_name("body.json")
     wanted = _digest([[sha256(log) for log in train], plain(settings), __version__])
     if not (_loads(body) and (_read_mark(mark) == [wanted, sha256(body)])):

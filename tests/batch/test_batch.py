@@ -174,3 +174,38 @@ def test_logs_of_one_name_get_folders_of_their_own(tmp_path, mixed):
 def test_nothing_to_do_is_said(tmp_path, logs, shard, said):
     with pytest.raises((LogError, UsageError), match=said):
         named(logs, shard)
+
+
+@pytest.mark.parametrize(
+    ("typed", "code", "said"),
+    [
+        (("--fail-if", "joint_rmse"), 2, "not a bound"),
+        (("--method", "x"), 2, "x"),
+        (("--with", "smell"), 2, "smell"),
+        (("--rate", "0"), 2, "rate"),
+        (("--body", "none.npz"), 65, "none.npz: there is no such body model"),
+    ],
+)
+def test_what_no_log_can_help_is_refused_before_the_first(tmp_path, capsys, robot, bodylog, typed, code, said):
+    body = () if "--body" in typed else ("--body", robot / "body.npz")
+    capsys.readouterr()
+    assert bodylog("batch", robot / "reach.mcap", "-o", tmp_path / "out", *body, *typed) == code
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and said in told
+    assert not list((tmp_path / "out").glob("*")), told
+
+
+def test_a_training_log_that_is_not_there_is_said(tmp_path, capsys, robot, bodylog):
+    assert bodylog("batch", robot / "reach.mcap", "-o", tmp_path, "--train", tmp_path / "none.mcap") == 65
+    said = f"{tmp_path}/none.mcap: there is no such file or folder; check the name"
+    assert capsys.readouterr().err == f"bodylog: {said}\n"
+
+
+def test_no_more_workers_are_started_than_there_are_logs(tmp_path, monkeypatch, robot, bodylog):
+    from bodylog.batch import local
+
+    asked = []
+    monkeypatch.setattr(local, "run", lambda jobs, workers, *_: asked.append((len(jobs), workers)) or [])
+    logs = robot / "reach.mcap", robot / "explore.mcap"
+    bodylog("batch", *logs, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 64)
+    assert asked == [(2, 2)]

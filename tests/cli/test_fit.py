@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -171,3 +172,11 @@ def test_a_body_that_is_not_there_is_said(tmp_path, capsys, bodylog):
     capsys.readouterr()
     assert bodylog("info", tmp_path / "none.npz") == 65
     assert "there is no such body model; type: bodylog fit LOG" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["body", "body.txt"])
+def test_a_body_of_any_name_is_told_of_and_plotted(tmp_path, capsys, bodylog, arm_body, name):
+    shutil.copy(arm_body, tmp_path / name)
+    assert bodylog("info", tmp_path / name) == 0
+    assert "body model of" in capsys.readouterr().out
+    assert bodylog("plot", tmp_path / name, "-o", tmp_path / "x.png") == 0
