@@ -9,7 +9,7 @@ from typing import Any
 from . import __version__
 from .files import sha256
 from .lies import named
-from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
+from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable, untold
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
@@ -163,8 +163,7 @@ def evaluate(log: Path, settings: Settings) -> Result:
 
     read = recording.read(log, settings, settings.input.strict)
     found = annotated.read_estimate(log, read.start_ns)
-    absent = Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth")
-    remarks = (*read.findings, *named(found.faults), *(() if read.truth is not None else (absent,)))
+    remarks = (*read.findings, *named(found.faults), *untold(found, read.truth))
     return Result(log, judge(found, read), found.used, remarks, faults=found.faults)
 
 

@@ -15,7 +15,7 @@ def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json:
     """What is wrong with a log, and what can be saved of it."""
     from bodylog import pipeline
 
-    from .output import as_data, data, each, lost
+    from .output import as_data, data, each, line, lost
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
@@ -26,7 +26,7 @@ def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json:
     else:
         for path, result in results.items():
             count = len(result.findings)
-            click.echo(f"{path}: {'sound' if not count else '1 finding' if count == 1 else f'{count} findings'}")
+            line(f"{path}: {'sound' if not count else '1 finding' if count == 1 else f'{count} findings'}")
             for finding in result.findings:
-                click.echo(f"  {finding.severity}: {finding.text}")
+                line(f"  {finding.severity}: {finding.text}")
     return code or max(lost(result.findings) for result in results.values())

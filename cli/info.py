@@ -28,19 +28,19 @@ def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
 
 
 def _print(one: dict[str, Any]) -> None:
-    from .output import body
+    from .output import body, line
 
     if one["format"] == "body":
         body(one)
         return
-    click.echo(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")
+    line(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")
     width = max((len(topic["topic"]) for topic in one["topics"]), default=0)
     for topic in one["topics"]:
         rate = "" if topic["rate_hz"] is None else f"{topic['rate_hz']:.2f} Hz"
-        click.echo(f"  {topic['topic']:<{width}}  {topic['messages']:>8}  {rate:>12}  {topic['type']}")
+        line(f"  {topic['topic']:<{width}}  {topic['messages']:>8}  {rate:>12}  {topic['type']}")
     for role, topic in one["roles"].items():
-        click.echo(f"  {role}: {topic}")
+        line(f"  {role}: {topic}")
     if one["joints"]:
-        click.echo(f"  joint names: {', '.join(one['joints'])}")
+        line(f"  joint names: {', '.join(one['joints'])}")
     for finding in one["findings"]:
-        click.echo(f"  {finding['severity']}: {finding['text']}")
+        line(f"  {finding['severity']}: {finding['text']}")

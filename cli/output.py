@@ -50,7 +50,13 @@ def each(logs: Sequence[T], look: Callable[[T], R]) -> tuple[dict[str, R], int]:
 
 def say(problem: Exception) -> None:
     """A refusal, in one line on standard error."""
-    click.echo(f"bodylog: {' '.join(str(problem).split())}", err=True)
+    line(f"bodylog: {' '.join(str(problem).split())}", err=True)
+
+
+def line(text: str, err: bool = False) -> None:
+    """Print one line; signs that a terminal obeys, which names in a log may hold, as their codes."""
+    plain = (c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
+    click.echo("".join(plain), err=err)
 
 
 def as_data(result: "Result") -> dict[str, Any]:
@@ -86,7 +92,7 @@ def talk(findings: "Sequence[Finding]", quiet: bool = False) -> None:
     """One line per finding, each once, on standard error; `quiet`: no mere information."""
     for finding in dict.fromkeys(findings):
         if not (quiet and finding.severity == "info"):
-            click.echo(f"{finding.severity}: {finding.text}", err=True)
+            line(f"{finding.severity}: {finding.text}", err=True)
 
 
 def lost(findings: "Sequence[Finding]") -> int:
@@ -98,16 +104,16 @@ def table(scores: "Sequence[Score]") -> None:
     """Scores in columns."""
     width = max((len(score.name) for score in scores), default=0)
     for score in scores:
-        click.echo(f"{score.name:<{width}}  {score.value:>12.6g}  {score.unit}".rstrip())
+        line(f"{score.name:<{width}}  {score.value:>12.6g}  {score.unit}".rstrip())
 
 
 def body(told: dict[str, Any]) -> None:
     """A body model as `info` tells it: samples and length scales, noise with standard errors, touch, where from."""
-    click.echo(f"{told['path']}: body model of {', '.join(told['joints'])}")
+    line(f"{told['path']}: body model of {', '.join(told['joints'])}")
     for name, sense in told["senses"].items():
-        click.echo(f"  {name} ({', '.join(sense['outputs'])}): {_learned(sense)}")
-    for line in (*_noise(told), *_touch(told), *_provenance(told["provenance"])):
-        click.echo(f"  {line}")
+        line(f"  {name} ({', '.join(sense['outputs'])}): {_learned(sense)}")
+    for text in (*_noise(told), *_touch(told), *_provenance(told["provenance"])):
+        line(f"  {text}")
 
 
 def _learned(sense: dict[str, Any]) -> str:

@@ -59,7 +59,7 @@ def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: lis
     names = [name for name in names if name in joints.names]
     span = (joints.t >= estimate.joints.t[0]) & (joints.t <= estimate.joints.t[-1])
     rows = span & overlap(joints.t, truth)
-    if not rows.any():
+    if not names or not rows.any():
         return []
     error = (joints.values[:, [joints.names.index(name) for name in names]] - at_times(truth, names, joints.t))[rows]
     error = error[np.isfinite(error)]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.evaluation.scores import scores
+from bodylog.refusals import untold
 from bodylog.types import Estimate, Health, Series
 
 
@@ -100,6 +101,10 @@ def test_without_truth_only_what_needs_none():
     assert set(named(found, None, truth)) == {"free_energy", "log_evidence", "error_squared/effector", "used/effector"}
     stranger = Series(truth.t, truth.values, ("x", "y"), "rad", truth.source_ns)
     assert "joint_rmse" not in named(found, stranger)
+    assert named(found, stranger, truth).keys() == named(found, None, truth).keys()
+    assert untold(found, truth) == ()
+    assert "the truth is of x, y, the estimate of" in untold(found, stranger)[0].text
+    assert "no truth topic" in untold(found, None)[0].text
 
 
 def test_evidence_is_summed_for_methods_that_have_one():

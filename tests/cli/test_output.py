@@ -1,0 +1,27 @@
+"""What names in a log may hold is printed, not obeyed."""
+
+from pathlib import Path
+
+import numpy as np
+
+from tests.logs.test_recording import camera, compressed, joint_state, joints
+from tests.logs.writing import T0, write
+
+EVIL = "\x1b[2J\x1b]0;title\x07\nbodylog: all is well"
+
+
+def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, bodylog) -> None:
+    import click
+
+    monkeypatch.setattr(click.utils, "should_strip_ansi", lambda *_: False)  # as on a terminal
+    rows = [(T0 + k * 10**7, joint_state(T0 + k * 10**7, ("a", EVIL), (0.1 * k, 0.0))) for k in range(20)]
+    seen = [(T0 + k * 10**7, compressed(T0 + k * 10**7, np.zeros((8, 8, 3), np.uint8))) for k in range(20)]
+    log = write(tmp_path / "x.mcap", [joints(f"/joints{EVIL}", rows), camera(f"/cam{EVIL}", seen)])
+    for typed in (("info", log), ("doctor", log), ("plot", log, "-o", tmp_path / "x.png"), ("fit", log, "-o", "b.npz")):
+        capsys.readouterr()
+        bodylog(*typed)
+        said = "".join(capsys.readouterr())
+        assert not [c for c in said if c != "\n" and not c.isprintable()]
+        assert not [line for line in said.splitlines() if line.startswith("bodylog: all is well")]
+    bodylog("info", log)
+    assert "\\x1b[2J" in capsys.readouterr().out
