@@ -12,6 +12,10 @@ _BLOCK_BYTES = 1 << 19
 _SOME = 64
 """Samples by which the model's errors are told."""
 
+MISFIT = 1.2
+"""Times its posterior variance that a model errs by: no arm is a draw from a squared exponential, whose spectrum falls
+faster than any camera's. The least that was found of several arms; docs/learning.md has what was."""
+
 NEGLIGIBLE = 1e-6
 """Relative error of the variance allowed at any point, for leaving out directions the samples say nothing of."""
 
@@ -21,8 +25,8 @@ class GP:
     """One sense's learned model: D outputs on shared centres, one squared-exponential kernel (G=1) or one each (G=D).
 
     outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² ·
-    mean (D,) unit · weights (D,n) · factor (G,r,n): variance = amplitude − |factor k|² · noise (D,) unit² found
-    beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
+    mean (D,) unit · weights (D,n) · factor (G,r,n): variance = MISFIT (amplitude − |factor k|²) · noise (D,) unit² that
+    was found beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
     Outputs that share a kernel share it in units of their own noise: each one's variance is its `share` times that.
     """
 
@@ -77,7 +81,7 @@ class GP:
         for group, scales in enumerate(self.scales):
             kernel = se(x / scales, self.centres / scales, self.amplitude[group])
             projected = self._projected(group, kernel)
-            result[group] = se(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T
+            result[group] = MISFIT * (se(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T)
         return result
 
     def slope_variance(self, x: Array) -> Array:
@@ -90,7 +94,7 @@ class GP:
                 for m, scale in enumerate(scales):
                     lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
                     left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
-                    result[rows, members, m] = np.maximum(left, 0.0)[:, None] * self.share[members]
+                    result[rows, members, m] = np.maximum(left, 0.0)[:, None] * (MISFIT * self.share[members])
         return result
 
     def _projected(self, group: int, kernel: Array) -> Array:
@@ -130,14 +134,15 @@ class GP:
         # amplitude here, not in the exponent: large exponents are rounded more, and the variance is what is left
         rows = amplitude * np.concatenate([self.weights[members], leans, self.factor[group]])
         near, rows = np.asfortranarray(near), np.asfortranarray(rows)
-        return _Single(near, fixed, precision, rows, self.mean[members], self.share[members], amplitude)
+        return _Single(near, fixed, precision, rows, self.mean[members], MISFIT * self.share[members], amplitude)
 
 
 @dataclass(frozen=True, eq=False)
 class _Single:
     """One kernel's D outputs at one point or at many: all that is linear in the kernel in one product.
 
-    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean, share (D,) ·
+    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean (D,) ·
+    share (D,), what each output has of the variance ·
     amplitude · rows (D+DM+r,n), amplitude times: weights, weights times centres times precision, factor.
     """
 

@@ -2,8 +2,10 @@
 
 Evidence weighs all of a motion up to the frequency where smoothing cuts off. Arms move slower than that and smoothly,
 which it lays to a large q, and more noise passes than must. What motion adds to the error near the cut-off shows in
-how far the path moves with q. Of a steady variance V noise makes 3/4, which grows as q^¼. What is left of an arm that
-moves with white jerk falls as q^(−5/4): their sum is least where this is 3V/20, and the error then is 9V/10.
+how far the path moves with q. Of a steady variance V noise makes 3/4, which grows as q^¼. Of angles whose spectrum
+falls as ω^−p motion leaves what falls as q^(−(p − 1)/4): their sum is least, 3/4 p/(p − 1) V, where this is one
+(p − 1)th of the noise's. p is 4 under white acceleration, 6 under white jerk and 8 where jerk jumps, as in reaches of
+least jerk (Flash & Hogan 1985); it shows in how fast the moves fall with q.
 """
 
 from dataclasses import replace
@@ -21,29 +23,40 @@ from .scan import scan
 STEP = 4.0
 FACTORS = STEP ** np.arange(-3.0, 3.0)
 """Times the process variances of greatest evidence that are tried."""
-MOST = 2.93
-"""Mean squared move of the path by one STEP, over what noise makes of it, where a white jerk's error is least.
+POWERS = np.arange(4.0, 9.0)
+"""p: beyond, what is left comes of few slow swings rather than of what is about the cut-off."""
+MOST = np.array([2.434, 2.674, 2.934, 3.220, 3.537])
+"""For each p, mean squared move of the path by one STEP, over what noise makes of it, where the error is least.
 
-With H(q) = 1/(1 + u⁴/q) these are ∫ (H(2) − H(½))² (1 + 0.6 u⁻⁶) du and ∫ (H(2) − H(½))² du.
+With H(q) = 1/(1 + u⁴/q) and motion a u^−p these are ∫ (H(2) − H(½))² (1 + a u^−p) du and ∫ (H(2) − H(½))² du.
 """
-STATED = 0.9
-"""Share of V that the error then is."""
 TURNS = 2
 """Times stretches hand over their ends."""
 
 
-def least(part: Problem, told: tuple[Brief, Solution]) -> Array:
-    """Process variances (M,) of least error: the problem's, all times one factor; `told` is its filter's solution."""
+def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
+    """Process variances (M,) of least error, the problem's times one factor, and the share of V that this error is.
+
+    `told` is the solution of its filter.
+    """
     moved = np.square(np.diff(_paths(part, told), axis=0)).mean(axis=1)
     # noise's share of it grows as q^¼
     noise = moved[-1] * (FACTORS[:-1] / FACTORS[-2])[:, None] ** 0.25
-    ratios = np.log((moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1) / MOST)
-    over = np.flatnonzero(ratios > 0.0)
-    if not len(over):
-        return np.asarray(part.precision.process * FACTORS[0])
-    last = int(over[-1])
-    beyond = ratios[last] / (ratios[last] - ratios[last + 1])
-    return np.asarray(part.precision.process * FACTORS[last] * STEP ** (0.5 + beyond))
+    ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
+    power = _power(ratios)
+    over = np.log(ratios / np.interp(power, POWERS, MOST))
+    last = int(np.flatnonzero(over > 0.0).max(initial=-1))
+    factor = FACTORS[0] if last < 0 else FACTORS[last] * STEP ** (0.5 + over[last] / (over[last] - over[last + 1]))
+    return np.asarray(part.precision.process * factor), 0.75 * power / (power - 1.0)
+
+
+def _power(ratios: Array) -> float:
+    """p, by how fast moves over those of noise, 1 + b q^(−p/4), fall before they come near it; ratios (5,)."""
+    last = max(int(np.flatnonzero(ratios > MOST[0]).max(initial=0)), 1)
+    before, after = ratios[last - 1 : last + 1] - 1.0
+    if after <= 0.0 or before <= after:
+        return float(POWERS[-1])
+    return float(np.clip(4.0 * np.log(before / after) / np.log(STEP), POWERS[0], POWERS[-1]))
 
 
 def _paths(part: Problem, told: tuple[Brief, Solution]) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from ..types import Array
 from .brief import Brief, tile
 from .laplace import Problem, Solution, briefly
-from .least import STATED, least
+from .least import least
 from .motion import floor
 from .outset import handed_over, priors
 from .precision import Precision
@@ -47,8 +47,8 @@ def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
-    fewer = {view: _moving(problem, *_told(part, view), whole) for view in _less(problem)}
-    process, stated = _moving(problem, part, told, whole), STATED if whole else 1.0
+    fewer = {view: _moving(problem, *_told(part, view), whole)[0] for view in _less(problem)}
+    process, stated = _moving(problem, part, told, whole)
     return replace(part.precision, process=process, stated=stated, fewer=fewer), warm
 
 
@@ -58,10 +58,10 @@ def _less(problem: Problem) -> list[View]:
     return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
-def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole: bool) -> Array:
-    """Process variances (M,) for a belief by the whole log or by the past."""
-    own = least(part, told) if whole else _own(problem, part, told[1])
-    return np.maximum(own, _floor(part))
+def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole: bool) -> tuple[Array, float]:
+    """Process variances (M,) of a belief by the whole log or by the past, and what share of its covariance to state."""
+    own, stated = least(part, told) if whole else (_own(problem, part, told[1]), 1.0)
+    return np.maximum(own, _floor(part)), stated
 
 
 def _told(part: Problem, view: View) -> tuple[Problem, tuple[Brief, Solution]]:

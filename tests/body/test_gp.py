@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bodylog.body.evidence import Hyper, independent
-from bodylog.body.gp import GP, NEGLIGIBLE, se, shortened
+from bodylog.body.gp import GP, MISFIT, NEGLIGIBLE, se, shortened
 from bodylog.body.train import Fitted, Samples, assemble, samples, train
 
 
@@ -59,7 +59,7 @@ def test_mean_and_variance_are_those_of_the_textbook(seed: int) -> None:
     expected = gp.mean[0] + cross @ np.linalg.solve(noisy, gp.targets[:, 0] - gp.mean[0])
     left = gp.amplitude[0] - np.einsum("ij,ji->i", cross, np.linalg.solve(noisy, cross.T))
     assert np.allclose(value[:, 0], expected, rtol=1e-6)
-    assert np.allclose(spread[:, 0], left, rtol=1e-6)
+    assert np.allclose(spread[:, 0], MISFIT * left, rtol=1e-6)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -115,7 +115,7 @@ def test_amplitude_costs_no_digits(seed: int) -> None:
 def test_far_away_it_falls_back_to_the_constant_mean_and_full_variance() -> None:
     gp = _random(1, 20, 3, 2, False)
     value, slope, spread = gp.predict(np.full((2, 3), 1e3))
-    assert np.allclose(value, gp.mean) and np.allclose(slope, 0) and np.allclose(spread, gp.amplitude)
+    assert np.allclose(value, gp.mean) and np.allclose(slope, 0) and np.allclose(spread, MISFIT * gp.amplitude)
     for one, all_of_them in zip(gp.predict_one(np.full(3, 1e3)), (value, slope, spread), strict=True):
         assert np.allclose(one, all_of_them[0])
 

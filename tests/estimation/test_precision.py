@@ -104,7 +104,7 @@ def test_the_bodys_own_and_the_papers_variances(world):
 def test_a_joint_that_pictures_do_not_tell_moves_as_its_encoder_has_it_and_the_others_as_all_senses_have_it(
     world, monkeypatch
 ):
-    monkeypatch.setattr(tuning, "least", lambda part, told: part.precision.process)
+    monkeypatch.setattr(tuning, "least", lambda part, told: (part.precision.process, 1.0))
     blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
     for seed in range(3):
         drawn = world(seed, model=blind, pixel_std=0.1)

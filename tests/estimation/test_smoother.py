@@ -54,7 +54,7 @@ def test_the_future_helps_most_where_nothing_was_seen(world):
 
 def test_it_is_not_over_confident(world):
     inside = []
-    for seed in range(3):
+    for seed in range(6):
         drawn = world(seed, duration=10.0)
         found = estimate(drawn.features, drawn.body, Estimation(method="smoother"))
         inside.append({s.name: s.value for s in scores(found, drawn.truth, None)}["coverage_2sigma"])
