@@ -48,11 +48,14 @@ class Motion:
         if dynamics.drift is not None:
             self._spread[0, range(2 * m, k), range(2 * m, k)] = dynamics.drift
 
-    def move(self, z: Array, p: Array, dt: float) -> tuple[Array, Array]:
-        """z (K,) and p (K,K) a time dt (s) later."""
+    def move(self, z: Array, p: Array, dt: float, more: Array | None = None) -> tuple[Array, Array]:
+        """z (K,) and p (K,K) a time dt (s) later, the process variance being `more` (M,) times as large."""
         linear, square, cube = self._spread
         f = self._still + dt * self._shift
-        p = f @ p @ f.T + dt * (linear + dt * (square + dt * cube))
+        spread = dt * (linear + dt * (square + dt * cube))
+        if more is not None:
+            spread[: 2 * self.joints] *= np.tile(more, 2)[:, None]
+        p = f @ p @ f.T + spread
         return f @ z, 0.5 * (p + p.T)
 
 

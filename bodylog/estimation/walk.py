@@ -89,12 +89,12 @@ def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walk
     encoders, var = encoder_rows(problem, len(line))
     own = encoders if motion.recalled is None else np.where(motion.recalled, np.nan, encoders)
     points, lost, watch = np.empty((len(line), m)), dict[float, Array](), Watch.begun(m)
-    sights = _sights(problem, share, len(line))
+    sights, more = _sights(problem, share, len(line)), problem.more
     (z, p), (begin_z, begin_p) = prior(problem), priors(problem, fold)
     for k, dt in enumerate(np.diff(line, prepend=line[0])):
         if k and k % fold.length == 0:
             begin_z[:, k // fold.length], begin_p[..., k // fold.length] = z, p
-        z, p = motion.move(z, p, dt)
+        z, p = motion.move(z, p, dt, None if more is None else more[k])
         joints, borne = watch.judge(line[k], z, p, own[k], var[k])
         if joints is not None:
             forget(z, p, joints, own[k])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate
+from bodylog.estimation import estimate, laplace, walk
+from bodylog.estimation.filtering import pose
 from bodylog.estimation.senses import Sighting
 from bodylog.estimation.views import LONG, views
 from bodylog.settings import Estimation
@@ -42,3 +43,13 @@ def test_settings_say_how_the_arm_moves_out_of_view(world, method):
     assert list(found["process_in_view"]) == ["none"]
     assert np.isfinite(found["process_in_view"]["none"]).all()
     assert "process_in_view" not in estimate(seen.features, seen.body, Estimation(method=method)).settings
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_one_instant_after_the_other_moves_as_the_sweeps_do(world, seed):
+    drawn = world(seed, hidden=(8.0, 11.0))
+    problem, warm, _ = pose(drawn.features, drawn.body, Estimation(method="laplace"))
+    assert problem.more is not None
+    swept, walked = laplace.solve(problem, warm), walk.walk(problem)
+    np.testing.assert_allclose(swept.fold.unfold(swept.trace.z), walked.fold.unfold(walked.trace.z), atol=1e-7)
+    np.testing.assert_allclose(swept.fold.unfold(swept.trace.p), walked.fold.unfold(walked.trace.p), atol=1e-8)
