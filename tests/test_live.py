@@ -11,6 +11,7 @@ from bodylog.errors import UsageError
 from bodylog.estimation import estimate
 from bodylog.settings import Estimation, Settings
 from tests.body.conftest import run
+from tests.estimation.conftest import draw
 
 READINGS = {"square": lambda x: np.square(x + 1.2), "falling": lambda x: 0.3 - 1.5 * x + 0.1 * x**3}
 
@@ -71,3 +72,39 @@ def test_a_body_whose_readings_do_not_tell_the_angle_is_refused(learned):
     turning = Polynomial(model.joints, np.column_stack([middle**2, -2.0 * middle, np.ones(len(middle))]))
     with pytest.raises(UsageError, match="encoders: what this body's read turns or flattens over the angles explored"):
         Estimator(replace(model, senses={**model.senses, "encoders": turning}))
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_pictures_dated_late_are_heard_when_they_were_taken(seed):
+    """As given, or as the body was learned with: the belief of the log, whose pictures are dated as late."""
+    drawn, settings = draw(seed, duration=6.0), Estimation(precision="model", bias="off")
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    late = replace(track, t=track.t + 0.05)
+    batch = estimate(replace(drawn.features, tracks={"effector": late}), drawn.body, settings, {"camera": 0.05})
+    rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
+    messages = [(t, {"joints": row}) for t, row in zip(joints.t, rows, strict=True)]
+    places = np.hstack([track.values, track.std])
+    messages += [(t, {"effector": place}) for t, place in zip(late.t, places, strict=True)]
+    messages.sort(key=lambda message: message[0])
+    told = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
+    for live in (Estimator(drawn.body, settings, delay={"camera": 0.05}), Estimator(told, settings)):
+        for t, one in messages:
+            belief = live.step(t, **one)
+        np.testing.assert_allclose(belief.x, batch.joints.values[-1], atol=1e-9, rtol=0)
+        np.testing.assert_allclose(belief.cov, batch.cov[-1], atol=1e-11, rtol=0)
+        assert live.used["effector"].used == len(track.t)
+    with pytest.raises(UsageError, match=r"'left' is none of joints, camera"):
+        Estimator(drawn.body, settings, delay={"left": 0.05})
+
+
+def test_what_is_told_at_once_is_said_at_once_however_late_a_part_of_it_is():
+    drawn = draw(0)
+    x, place = drawn.truth.values, drawn.features.tracks["effector"].values
+    late, timely = Estimator(drawn.body, delay={"camera": 0.05}), Estimator(drawn.body)
+    for robot in (late, timely):
+        robot.step(0.0, x[0])
+    belief = late.step(0.06, x[3], effector=place[0])
+    first, last = timely.step(0.06, x[3]), timely.step(0.01, effector=place[0])
+    assert belief.t == 0.06 and set(belief.errors) == {"encoders", "effector"}
+    assert belief.free_energy == first.free_energy + last.free_energy
+    np.testing.assert_array_equal(belief.x, last.x)

@@ -1,6 +1,6 @@
 """A track as a curve through its pictures, beside what the means of encoders' readings foretell of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,15 +26,18 @@ ASIDE = 1e-3
 class Curve:
     """Places (N,2) px at t (N,) s, a step apart, and what encoders' B means foretell beside them.
 
-    at (B,) s · places foretold (B,2) · root (B,2,2) of the inverse variance · rooted J·offset (B,2,P) ·
-    blur (B,): a place's own variance in it.
+    at (B,) s · angles x (B,M) · places foretold (B,2) · noise (B,2) px² of encoders and pictures ·
+    root (B,2,2) of the inverse of that and the model's variance · rooted J·offset (B,2,P) · blur (B,): a place's own
+    noise in units of all.
     """
 
     t: Array
     places: Array
     step: float
     at: Array
+    x: Array
     foretold: Array
+    noise: Array
     root: Array
     offsets: Array
     blur: Array
@@ -57,13 +60,19 @@ class Rows:
 
 def compared(curve: Curve, late: float) -> Rows:
     """What a curve that is so late (s) leaves to explain."""
-    at, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
-    near, blur = curve.places[at[:, None] + np.arange(4)], curve.blur
-    place, slope = (np.einsum("bk,bkd->bd", part, near) for part in (value, speed))
+    place, slope, value, speed, sound = places(curve, late)
+    blur = curve.blur
     misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.foretold - place, slope))
     slopes = np.concatenate([slope[..., None], curve.offsets], axis=-1)
     cross, own = blur * (value * speed).sum(axis=1), blur * np.square(speed).sum(axis=1)
     return Rows(curve.at, misfit, slopes, cross, own).some(sound)
+
+
+def places(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array]:
+    """Places (B,2) px and speeds (B,2) px/s of a curve that is so late (s), as `_cubic` has both, and where it has."""
+    at, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
+    near = curve.places[at[:, None] + np.arange(4)]
+    return np.einsum("bk,bkd->bd", value, near), np.einsum("bk,bkd->bd", speed, near), value, speed, sound
 
 
 def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]:
@@ -93,7 +102,9 @@ def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
         return None
     foretold, jac, model = seen.model.predict(x)
     spread = np.einsum("bdm,bm,bem->bde", jac, _scatter(encoders.values) / count, jac)
-    np.einsum("bdd->bd", spread)[:] += var + model
+    np.einsum("bdd->bd", spread)[:] += var
+    noise = np.einsum("bdd->bd", spread).copy()
+    np.einsum("bdd->bd", spread)[:] += model
     inverse = np.linalg.inv(spread)
     root = np.linalg.cholesky(inverse).swapaxes(1, 2)
     knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(np.clip(np.ptp(encoders.t) / BEND, 1, BENDS)))
@@ -101,7 +112,7 @@ def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     offsets = np.einsum("bde,bem,bk->bdmk", root, jac, bends).reshape(len(at), 2, -1)
     # what is stated may hold a model's misfit, what scatters a jerk of the arm: a picture's own noise is below either
     blur = np.einsum("bdd,d->b", inverse, np.minimum(var, _scatter(places)))
-    curve = Curve(t, places, step, at, foretold, root, offsets, blur)
+    curve = Curve(t, places, step, at, x, foretold, noise, root, offsets, blur)
     while curve.step < SLOW and len(curve.t) >= 2 * FEWEST and _blurred(curve):
         curve = _paired(curve)
     return curve if len(curve.t) >= FEWEST else None
@@ -156,4 +167,4 @@ def _paired(curve: Curve) -> Curve:
     even = len(curve.t) // 2 * 2
     near = np.diff(curve.t[:even])[::2] < 1.5 * curve.step
     t, places = (0.5 * (part[:even:2] + part[1:even:2])[near] for part in (curve.t, curve.places))
-    return Curve(t, places, 2.0 * curve.step, curve.at, curve.foretold, curve.root, curve.offsets, curve.blur / 2.0)
+    return replace(curve, t=t, places=places, step=2.0 * curve.step, blur=curve.blur / 2.0)

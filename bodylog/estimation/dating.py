@@ -1,6 +1,6 @@
 """Pictures dated as the encoders are: what a camera is late by is measured, said and taken off, or heard as given."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 
@@ -16,6 +16,8 @@ GAIN = 8.0
 """Nats of evidence that a delay must win: four standard errors, where many parts of the log tell of it."""
 LEAST = 1e-3
 """s: a lesser delay is left alone; most cameras expose for longer."""
+SURE = 4.0
+"""Standard errors."""
 ENOUGH = 60.0
 """s of the log, from its middle, that are asked first."""
 JOINTS, FIRST = "joints", "camera"
@@ -38,15 +40,18 @@ def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] 
     Where the log does not contradict, a camera is as late as when the body was learned. UsageError for a name that is
     no camera's, ModelError for a body that holds no delays where it should.
     """
-    names, learned = cameras([*features.tracks, *body.senses]), _learned(body)
+    names, learned = cameras([*features.tracks, *body.senses]), as_learned(body)
     fixed = named(given, names)
     delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in (JOINTS, *names)}, dict[str, float]()
     rests = late(earlier(features, delays), body)
     for name, rest in rests.items():
         if telling(rest) and name not in fixed:
-            delays[name], errors[name] = delays[name] + rest.seconds, rest.std_error
+            own = delays[name] + rest.seconds
+            # a camera that is no longer late is better known by that than by the log
+            delays[name], errors[name] = (own, rest.std_error) if abs(own) > SURE * rest.std_error else (0.0, 0.0)
+    errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
-    return Dated(earlier(features, delays), delays, errors, tuple(told(delays, rests, fixed)))
+    return Dated(earlier(features, delays), delays, errors, tuple(told(delays, errors, rests, fixed)))
 
 
 def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
@@ -83,28 +88,36 @@ def earlier(features: Features, delays: Mapping[str, float]) -> Features:
 
 def late(features: Features, body: BodyModel) -> dict[str, Delay]:
     """How late each camera dates its pictures beside the encoders, where the log can tell."""
-    joints = features.joints
-    if joints is None or not len(joints.t) or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
+    if features.joints is None or not len(features.joints.t):
         return {}
-    begin, end = np.nanmin(joints.t), np.nanmax(joints.t)
+    begin, end = np.nanmin(features.joints.t), np.nanmax(features.joints.t)
     spare = max(0.0, 0.5 * (end - begin - ENOUGH))
-    found = _late(features, joints, body, begin + spare, end - spare)
     asked = {camera(name) for name in features.tracks if name in body.senses}
-    return {**_late(features, joints, body, begin, end), **found} if spare and asked - set(found) else found
+    found = _late(features, body, begin + spare, end - spare)
+    return {**_late(features, body, begin, end), **found} if spare and asked - set(found) else found
 
 
-def _late(features: Features, joints: Series, body: BodyModel, begin: float, end: float) -> dict[str, Delay]:
+def _late(features: Features, body: BodyModel, begin: float, end: float) -> dict[str, Delay]:
     """The same from what is dated from begin to end."""
+    encoders, seen = heard(features, body, begin, end)
+    found = {} if encoders is None else {name: measured(encoders, tracks) for name, tracks in seen.items()}
+    return {name: delay for name, delay in found.items() if delay is not None}
+
+
+def heard(
+    features: Features, body: BodyModel, begin: float = -np.inf, end: float = np.inf
+) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:
+    """Encoders, but those that lie, and each camera's tracks dated from begin to end; None where they are not all."""
+    joints, seen = features.joints, dict[str, list[Sighting]]()
+    if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
+        return None, {}
     rows = _within(joints.t, begin, end)
     values = joints.values[rows][:, columns(joints, body.joints)].astype(float)
     values[~np.isfinite(values)] = np.nan
-    encoders, seen = Encoders(joints.t[rows], values, joints.source_ns[rows]), dict[str, list[Sighting]]()
-    encoders, _ = screen(encoders, body.joints)
     for name, track in features.tracks.items():
         if name in body.senses:
             seen.setdefault(camera(name), []).append(_sighting(name, track, body, _within(track.t, begin, end)))
-    found = {name: measured(encoders, tracks) for name, tracks in seen.items()}
-    return {name: delay for name, delay in found.items() if delay is not None}
+    return screen(Encoders(joints.t[rows], values, joints.source_ns[rows]), body.joints)[0], seen
 
 
 def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
@@ -129,21 +142,26 @@ def unsure(found: Estimate, timely: Dated) -> Estimate:
     return replace(found, cov=found.cov + var * rate[:, :, None] * rate[:, None, :])
 
 
-def told(delays: Mapping[str, float], rests: Mapping[str, Delay], fixed: Mapping[str, float]) -> Iterator[Finding]:
-    """What is to be said of delays that are taken off, and of those given that the log contradicts by the `rests`."""
+def told(
+    delays: Mapping[str, float], errors: Mapping[str, float], rests: Mapping[str, Delay], fixed: Mapping[str, float]
+) -> Iterator[Finding]:
+    """What is to be said of delays taken off, a warning where they were measured, and of `fixed` ones that, by the
+    `rests`, the log contradicts."""
     for name in (name for name in {**delays, **rests} if name != JOINTS):
         delay, rest = delays.get(name, 0.0), rests.get(name)
         if name in fixed and rest is not None and telling(rest):
-            given = f"--delay {name}={delay:g}" if delay else "none taken off"
-            advice = f"error bars are too small for that; type --delay {name}={delay + rest.seconds:.4f}"
-            yield Finding("warning", f"{name}: {_worded(delay + rest.seconds, rest)} ({given}): {advice}")
-        elif name not in fixed and delay:
+            late, given = delay + rest.seconds, f"--delay {name}={delay:g}" if delay else "none taken off"
+            advice = f"error bars are too small for that; type --delay {name}={late:.4f}"
+            yield Finding("warning", f"{name}: {_worded(late, rest.std_error)} ({given}): {advice}")
+        elif name in errors:
             advice = f"type --delay {name}={delay:.4f} to say so, --delay off to leave it"
-            yield Finding("warning", f"{name}: {_worded(delay, rest)}, which is taken off; {advice}")
+            yield Finding("warning", f"{name}: {_worded(delay, errors[name])}, which is taken off; {advice}")
+        elif name not in fixed and delay:
+            yield Finding("info", f"{name}: {_worded(delay)}, as where the body was learned, which is taken off")
 
 
-def _worded(seconds: float, known: Delay | None) -> str:
-    about = "" if known is None else f" ± {known.std_error:.4f}"
+def _worded(seconds: float, error: float | None = None) -> str:
+    about = "" if error is None else f" ± {error:.4f}"
     return f"its pictures are dated {abs(seconds):.4f}{about} s {'late' if seconds > 0 else 'early'} by the encoders"
 
 
@@ -171,8 +189,8 @@ def _sighting(name: str, track: Series, body: BodyModel, rows: Array) -> Sightin
     return Sighting(name, model, track.t[rows], values, np.broadcast_to(var, values.shape), track.source_ns[rows])
 
 
-def _learned(body: BodyModel) -> dict[str, float]:
-    """The delays (s) a body was learned with, by camera."""
+def as_learned(body: BodyModel) -> dict[str, float]:
+    """The delays (s) a body was learned with, by camera; ModelError where it says something else."""
     found = body.provenance.get("delay", {})
     if not isinstance(found, Mapping) or not all(
         isinstance(delay, int | float) and isfinite(delay) and abs(delay) <= FARTHEST for delay in found.values()

@@ -16,8 +16,8 @@ from ..types import Array
 from .alongside import FEWEST, MOST, Rows, compared, drawn
 from .senses import Encoders, Sighting
 
-PART, PARTS = 0.5, 40
-"""s, and number at most, of the parts that are left out in turn."""
+PART, STEPS, PARTS = 0.5, 12.0, 40
+"""s and steps of the curves that a part lasts which is left out, at least, and how many there are at most."""
 STEP, FARTHEST = 0.15, 1.0
 """s that a round may go, and all of them."""
 ROUNDS, STILL = 12, 0.05
@@ -52,24 +52,25 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
         own = np.sqrt(spread * np.square(weight[:, None] * (rows.slopes @ lean)).sum())
         late += float(np.clip(step, -STEP, STEP))
         if abs(step) < STILL * own:
-            return _judged(late, own, rows, weight, lean)
+            return _judged(late, own, rows, weight, lean, max(PART, STEPS * max(curve.step for curve in curves)))
         if abs(late) > FARTHEST:
             return None
     return None
 
 
-def _judged(late: float, own: float, rows: Rows, weight: Array, lean: Array) -> Delay:
-    """The delay as sure as its own noise and the log's parts have it, whose number tells how well they know."""
-    count = int(np.clip(np.ptp(rows.t) / PART, 2, PARTS))
+def _judged(late: float, own: float, rows: Rows, weight: Array, lean: Array, part: float) -> Delay:
+    """The delay as sure as its own noise, and the log's parts (s), have it; these know it as well as they are many."""
+    count = int(np.clip(np.ptp(rows.t) / part, 2, PARTS))
     edges = np.linspace(rows.t[0], rows.t[-1], count + 1)[1:-1]
     bounds = np.unique(np.concatenate([[0], np.searchsorted(rows.t, edges), [len(rows.t)]]))
-    sums = [_sums(rows.some(slice(*part)), weight[slice(*part)]) for part in pairwise(bounds)]
+    sums = [_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)]
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
     without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
     apart = np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum())
     said = np.add.reduceat(np.square(weight[:, None] * (rows.slopes @ lean)).sum(axis=1), bounds[:-1])
-    voices, error = float(said.sum() ** 2 / np.square(said).sum()), float(max(own, apart))
-    return Delay(late, error, 0.5 * voices * float(np.log1p((late / error) ** 2 / voices)))
+    voices = said.sum() ** 2 / np.square(said).sum()
+    nats = min(0.5 * (late / own) ** 2, 0.5 * voices * np.log1p((late / apart) ** 2 / voices))
+    return Delay(late, float(max(own, apart)), float(nats))
 
 
 def _fitted(rows: Rows) -> tuple[float, Array, float]:

@@ -53,7 +53,8 @@ def _nats(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array
 def _carried(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> tuple[Array, Array]:
     """Mean (F,D) px and covariance (F,D,D) by the angles, of an estimate that did not use the track."""
     columns = [estimate.joints.names.index(joint) for joint in body.joints]
-    x, cov = _angles(estimate, seen.t)
+    late = estimate.settings.get("delay", {}).get(name.rpartition("/")[0] or "camera", 0.0)
+    x, cov = _angles(estimate, seen.t - late)
     mean, jac, var = body.senses[name].predict(x[:, columns])
     spread = cov[:, columns][:, :, columns]
     cov = np.einsum("fdj,fjk,fek->fde", jac, spread, jac, optimize=True)

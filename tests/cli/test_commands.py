@@ -142,6 +142,9 @@ def _wrong(robot, tmp_path):
         "onto itself": (2, "is read here", ("estimate", reach, "-o", reach, "--body", body)),
         "unknown option": (2, "--help", ("estimate", reach, "--bodi", body)),
         "bad clock offset": (2, "auto or seconds", ("extract", reach, "-o", out, "--clock-offset", "soon")),
+        "bad delay": (2, "auto, off or NAME=S", ("estimate", reach, *estimate, "--delay", "camera=soon")),
+        "no such camera": (2, "'left' is none of joints", ("estimate", reach, *estimate, "--delay", "left=0.05")),
+        "endless delay": (2, "must be text or a table", ("fit", explore, "-o", out, "--delay", "camera=inf")),
         "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "joint_rmse")),
     }
 
@@ -150,7 +153,8 @@ NAMES = (
     *("empty log", "not a log", "no such log", "missing topic", "unknown joint", "unknown key", "not a model"),
     *("unknown method", "unknown sense", "unheard sense", "unknown scenario", "absent folder", "no estimate"),
     *("onto itself", "no bound", "unknown option", "bad clock offset", "unknown method, absent log", "empty senses"),
-    *("empty joints", "no number", "no body for a batch", "too many steps"),
+    *("empty joints", "no number", "no body for a batch", "too many steps", "bad delay", "no such camera"),
+    "endless delay",
 )
 
 

@@ -1,0 +1,144 @@
+"""Pictures dated late: what the log says of it, what is given, and that the estimate is as good as without."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import ModelError, UsageError
+from bodylog.estimation import METHODS, estimate
+from bodylog.evaluation.heldout import held_out, withhold
+from bodylog.evaluation.scores import against_truth
+from bodylog.settings import Estimation
+from tests.estimation.test_delay import delayed
+
+
+def nees(found, drawn):
+    return next(s.value for s in against_truth(found, drawn.truth, list(drawn.truth.names)) if s.name == "nees")
+
+
+def said(found, severity="warning"):
+    return [f.text for f in found.findings if f.severity == severity and "its pictures are dated" in f.text]
+
+
+def with_side(drawn):
+    """A second camera that sees what the first does, mirrored."""
+    track, arm = drawn.features.tracks["effector"], drawn.body.senses["effector"]
+
+    class Mirrored:
+        outputs = ("u", "v")
+
+        def predict(self, x):
+            mean, jac, var = arm.predict(x)
+            return mean[:, ::-1], jac[:, ::-1], var
+
+    rng = np.random.default_rng(7)
+    seen = track.values[:, ::-1] + rng.normal(0.0, 0.1, track.values.shape)
+    features = replace(drawn.features, tracks={"effector": track, "side/effector": replace(track, values=seen)})
+    body = replace(drawn.body, senses={**drawn.body.senses, "side/effector": Mirrored()})
+    return replace(drawn, features=features, body=body)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_sound_logs_are_left_as_they_are(world, method):
+    drawn, settings = world(0, duration=8.0), Estimation(method=method)
+    auto, off = (estimate(drawn.features, drawn.body, settings, delay) for delay in ("auto", "off"))
+    assert not said(auto) and "delay" not in auto.settings
+    for one in ("joints", "rate"):
+        assert np.array_equal(getattr(auto, one).values, getattr(off, one).values)
+    assert np.array_equal(auto.cov, off.cov) and np.array_equal(auto.free_energy, off.free_energy)
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("seconds", [-0.1, 0.05, 0.2])
+def test_a_delay_is_said_and_taken_off(world, method, seconds):
+    settings, truly, found_to_be = Estimation(method=method), [], []
+    for seed in range(3):
+        drawn = world(seed, camera_hz=20.0)
+        features = delayed(drawn.features, seconds)
+        found = estimate(features, drawn.body, settings)
+        (text,) = said(found)
+        assert text.startswith("camera: ") and (" s late by" in text) == (seconds > 0) and "--delay off" in text
+        assert abs(found.settings["delay"]["camera"] - seconds) < 4.0 * found.settings["delay_std"]["camera"]
+        track = features.tracks["effector"]
+        assert np.array_equal(found.predicted["effector"].t, track.t)
+        assert np.array_equal(found.errors["effector"].t, track.t)
+        truly.append(nees(estimate(drawn.features, drawn.body, settings), drawn))
+        found_to_be.append(nees(found, drawn))
+        assert nees(estimate(features, drawn.body, replace(settings, bias="off"), "off"), drawn) > 2.0 * truly[-1]
+    assert np.mean(found_to_be) == pytest.approx(np.mean(truly), abs=0.2)
+
+
+def test_each_camera_has_its_own(world):
+    drawn = with_side(world(1, camera_hz=20.0))
+    for own in ({"": 0.05, "side": -0.03}, {"": 0.0, "side": 0.04}, {"": 0.06, "side": 0.06}):
+        found = estimate(delayed(drawn.features, own), drawn.body, Estimation())
+        by_name = {name or "camera": seconds for name, seconds in own.items() if seconds}
+        assert found.settings["delay"] == pytest.approx(by_name, abs=0.01)
+        assert sorted(text.partition(":")[0] for text in said(found)) == sorted(by_name)
+
+
+def test_what_is_given_is_heard_as_it_is_and_contradicted_where_the_log_knows_better(world):
+    drawn = world(2, camera_hz=20.0)
+    features = delayed(drawn.features, 0.05)
+    right = estimate(features, drawn.body, Estimation(), {"camera": 0.05})
+    sound = estimate(drawn.features, drawn.body, Estimation())
+    assert not said(right) and right.settings["delay"] == {"camera": 0.05}
+    np.testing.assert_allclose(right.joints.values, sound.joints.values, atol=1e-9)
+    np.testing.assert_allclose(right.cov, sound.cov, atol=1e-12)
+    off = "none taken off"
+    for given, named in (({"camera": 0.0}, off), ({"camera": 0.12}, "--delay camera=0.12"), ("off", off)):
+        wrong = estimate(features, drawn.body, Estimation(bias="off"), given)
+        (text,) = said(wrong)
+        assert named in text and float(text.rpartition("type --delay camera=")[2]) == pytest.approx(0.05, abs=0.01)
+    with pytest.raises(UsageError, match=r"delay: 'left' is none of joints, camera; type --delay camera=0\.05"):
+        estimate(features, drawn.body, Estimation(), {"left": 0.05})
+
+
+def test_joints_that_are_late_are_dated_as_given(world):
+    drawn = world(3, camera_hz=20.0, duration=10.0)
+    joints = drawn.features.joints
+    behind = replace(drawn.features, joints=replace(joints, t=joints.t + 0.05))
+    found = estimate(behind, drawn.body, Estimation(), {"joints": 0.05})
+    assert not said(found)
+    np.testing.assert_allclose(found.joints.t, joints.t, atol=1e-12)
+    sound = nees(estimate(drawn.features, drawn.body, Estimation()), drawn)
+    assert nees(found, drawn) == pytest.approx(sound, rel=1e-3)
+
+
+def test_a_body_learned_with_a_delay_lends_it_to_logs_that_do_not_contradict(world):
+    drawn, still = world(4, camera_hz=20.0), world(4, speed=0.0, duration=6.0)
+    body = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
+    for one in (drawn, still):
+        found = estimate(delayed(one.features, 0.05), body, Estimation())
+        assert not said(found) and found.settings["delay"] == {"camera": 0.05}
+        late = "camera: its pictures are dated 0.0500 s late by the encoders"
+        assert said(found, "info") == [f"{late}, as where the body was learned, which is taken off"]
+    mended = estimate(drawn.features, body, Estimation())
+    assert not said(mended) and "delay" not in mended.settings
+    other = estimate(delayed(drawn.features, -0.1), body, Estimation())
+    assert other.settings["delay"]["camera"] == pytest.approx(-0.1, abs=0.01) and said(other)
+    for wrong in ("late", {"camera": "late"}, {"camera": np.inf}, {"camera": True, "side": 1e9}):
+        with pytest.raises(ModelError, match=r"provenance\.delay: found"):
+            estimate(drawn.features, replace(body, provenance={"delay": wrong}), Estimation())
+
+
+def test_error_bars_know_how_sure_the_delay_is(world):
+    drawn = world(5, camera_hz=20.0)
+    features = delayed(drawn.features, 0.06)
+    found = estimate(features, drawn.body, Estimation(method="smoother"))
+    given = estimate(features, drawn.body, Estimation(method="smoother"), found.settings["delay"])
+    more = np.einsum("ni,nj->nij", found.rate.values, found.rate.values) * found.settings["delay_std"]["camera"] ** 2
+    np.testing.assert_allclose(found.cov, given.cov + more, atol=1e-15)
+    assert (np.einsum("nii->n", more) > 0.0).mean() > 0.99
+
+
+def test_withheld_pictures_are_foretold_when_they_were_taken(world):
+    drawn = world(6, camera_hz=20.0)
+    for senses in (None, ("encoders",)):
+        settings, density = Estimation(senses=senses), []
+        for features in (drawn.features, delayed(drawn.features, 0.1)):
+            fewer, withheld = withhold(features)
+            (score,) = held_out(estimate(fewer, drawn.body, settings), withheld, drawn.body)
+            density.append(score.value)
+        assert density[1] == pytest.approx(density[0], abs=0.1)

@@ -1,0 +1,108 @@
+"""How late pictures are dated: as sure as it says, whatever else is wrong with the log, and not where none are."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation.dating import GAIN, late
+
+
+def delayed(features, seconds):
+    """What each camera shows dated so much later: {"" or name: s}, or all by one number."""
+    by = seconds if isinstance(seconds, dict) else dict.fromkeys(("", "side"), seconds)
+    tracks = {name: replace(t, t=t.t + by.get(name.rpartition("/")[0], 0.0)) for name, t in features.tracks.items()}
+    return replace(features, tracks=tracks)
+
+
+def spoilt(drawn, how):
+    """Faults a log may have besides."""
+    joints = drawn.features.joints
+    values = joints.values.copy()
+    if how == "drift":
+        values[:, 1] += np.clip((joints.t - 8.0) * 0.03, 0.0, None)
+    elif how == "frozen":
+        values[joints.t > 14.0, 1] = values[np.searchsorted(joints.t, 14.0), 1]
+    elif how == "gap":
+        values[(joints.t > 6.0) & (joints.t < 11.0)] = np.nan
+    elif how == "outliers":
+        values[::37] += 0.5
+    elif how == "backwards":
+        t = joints.t.copy()
+        t[300:320] -= 3.0
+        return replace(drawn.features, joints=replace(joints, t=t))
+    return replace(drawn.features, joints=replace(joints, values=values))
+
+
+@pytest.mark.parametrize("camera_hz, encoder_hz", [(12.0, 50.0), (30.0, 100.0), (5.0, 200.0), (30.0, 10.0)])
+def test_a_delay_is_found_as_surely_as_it_says(world, camera_hz, encoder_hz):
+    off = []
+    for seed in range(40):
+        drawn = world(seed, camera_hz=camera_hz, encoder_hz=encoder_hz)
+        seconds = (-0.1, -0.05, -0.02, -0.005, 0.0, 0.005, 0.02, 0.05, 0.1, 0.3)[seed % 10]
+        found = late(delayed(drawn.features, seconds), drawn.body)["camera"]
+        off.append((found.seconds - seconds) / found.std_error)
+        assert found.nats > GAIN if abs(seconds) >= 0.05 else seconds or found.nats < GAIN
+    assert np.abs(off).max() < 4.0 and 0.7 < np.sqrt(np.mean(np.square(off))) < 1.4
+
+
+@pytest.mark.parametrize("how", ["drift", "frozen", "gap", "outliers", "backwards"])
+@pytest.mark.parametrize("seconds", [0.0, 0.08])
+def test_other_faults_neither_feign_a_delay_nor_hide_it(world, how, seconds):
+    for seed in range(4):
+        found = late(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
+        assert abs(found.seconds - seconds) < 4.0 * found.std_error + 1e-3
+        assert (found.nats > GAIN) == (seconds > 0.0)
+
+
+def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
+    for seed in range(4):
+        drawn = world(seed, blunder=0.08, hidden=(5.0, 8.0), camera_hz=20.0, duration=25.0)
+        track = drawn.features.tracks["effector"]
+        values = np.repeat(track.values[::2], 2, axis=0)[: len(track.t)]
+        for seen in (track, replace(track, values=np.where(track.t[:, None] > 20.0, values, track.values))):
+            features = replace(drawn.features, tracks={"effector": seen})
+            for seconds in (0.0, 0.08):
+                found = late(delayed(features, seconds), drawn.body)["camera"]
+                assert abs(found.seconds - seconds) < 4.0 * found.std_error
+                assert (found.nats > GAIN) == (seconds > 0.0)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.01])
+def test_an_arm_that_hardly_moves_tells_nothing(world, speed):
+    for seed in range(6):
+        assert late(delayed(world(seed, speed=speed, camera_hz=30.0).features, 0.05), world(seed).body) == {}
+
+
+def test_too_little_tells_nothing(world):
+    drawn = world(0)
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    none = [
+        replace(drawn.features, joints=None),
+        replace(drawn.features, joints=replace(joints, names=("a", "b", "c"))),
+        replace(drawn.features, joints=replace(joints, values=np.full_like(joints.values, np.nan))),
+        replace(drawn.features, tracks={"effector": replace(track, values=np.full_like(track.values, np.nan))}),
+        replace(drawn.features, tracks={"other": track}),
+        world(0, duration=0.8).features,
+        world(0, camera_hz=1.0).features,
+    ]
+    assert all(late(features, drawn.body) == {} for features in none)
+
+
+def test_joints_that_speak_in_turn_are_not_taken_for_one_instant(world):
+    drawn = world(2, camera_hz=30.0, encoder_hz=100.0)
+    joints = drawn.features.joints
+    values = np.where(np.arange(3) == np.arange(len(joints.t))[:, None] % 3, joints.values, np.nan)
+    alone = delayed(replace(drawn.features, joints=replace(joints, values=values)), 0.05)
+    assert late(alone, drawn.body) == {}
+
+
+def test_a_long_log_is_asked_in_the_middle_and_as_a_whole_where_that_tells_nothing(world):
+    drawn = world(1, duration=100.0, camera_hz=10.0, encoder_hz=30.0)
+    track = drawn.features.tracks["effector"]
+    asked = late(delayed(drawn.features, 0.05), drawn.body)["camera"]
+    assert abs(asked.seconds - 0.05) < 4.0 * asked.std_error
+    still = (track.t > 15.0) & (track.t < 85.0)
+    unseen = replace(track, values=np.where(still[:, None], np.nan, track.values))
+    found = late(delayed(replace(drawn.features, tracks={"effector": unseen}), 0.05), drawn.body)["camera"]
+    assert abs(found.seconds - 0.05) < 4.0 * found.std_error and found.nats > GAIN

@@ -1,0 +1,77 @@
+"""Bodies learned from pictures dated late: as good as from sound ones, and they know how late."""
+
+import numpy as np
+import pytest
+
+from bodylog import body, dates
+from bodylog.errors import UsageError
+from bodylog.estimation import estimate
+from bodylog.settings import Estimation, Settings, Time
+from tests.body.conftest import run
+from tests.estimation.test_delay import delayed
+
+
+def learned(*features, delay="auto", known=None):
+    return dates.learned(features, Settings(time=Time(delay=delay)), {"version": "0"}, known)
+
+
+def said(found, severity="warning"):
+    return [f.text for f in found.findings if f.severity == severity and "its pictures are dated" in f.text]
+
+
+def off(model, seed=9):
+    """Root mean square error (px) of a body on another motion."""
+    other = run(seed, 0.0)
+    truth = other.features.joints.values[5:-5:10][:, [run(0, 0.0).features.joints.names.index(n) for n in model.joints]]
+    return float(np.sqrt(np.mean(np.square(model.senses["effector"].predict(truth)[0] - other.pixels[: len(truth)]))))
+
+
+def test_a_sound_exploration_is_learned_as_ever():
+    features = run(0, 0.003).features
+    found, plain = learned(features), body.learn([features], Settings(), {"version": "0"})
+    assert not said(found) and found.model.provenance == plain.model.provenance and found.scores == plain.scores
+    ours, theirs = found.model.senses["effector"], plain.model.senses["effector"]
+    assert all(np.array_equal(getattr(ours, part), getattr(theirs, part)) for part in ("weights", "centres", "spread"))
+
+
+@pytest.mark.parametrize("seed", [5, 11])
+def test_a_sound_exploration_too_short_to_tell_is_learned_as_ever(seed):
+    features = run(seed, 0.003, 15.0).features
+    found = learned(features)
+    assert not said(found) and "delay" not in found.model.provenance
+
+
+@pytest.mark.parametrize("seed, seconds", [(0, -0.1), (1, 0.05), (2, 0.02)])
+def test_a_late_exploration_is_learned_as_a_sound_one(seed, seconds):
+    features = run(seed, 0.003).features
+    sound, late = learned(features), learned(delayed(features, seconds))
+    left = learned(delayed(features, seconds), delay="off")
+    (text,) = said(late)
+    assert text.startswith("camera: ") and (" s late by" in text) == (seconds > 0)
+    assert late.model.provenance["delay"]["camera"] == pytest.approx(seconds, abs=2e-3)
+    assert off(late.model) < 1.1 * off(sound.model) < 0.8 * off(left.model)
+    (text,) = said(left)
+    assert "none taken off" in text and "delay" not in left.model.provenance
+    again = estimate(delayed(run(5, 0.003).features, seconds), late.model, Estimation())
+    assert not [f for f in again.findings if f.severity == "warning" and "dated" in f.text]
+    assert again.settings["delay"] == late.model.provenance["delay"]
+
+
+def test_each_log_has_its_own_and_what_is_too_short_follows_the_surest():
+    first, other, brief = (run(seed, 0.003, duration).features for seed, duration in ((0, 40.0), (1, 40.0), (2, 2.0)))
+    found = learned(delayed(first, 0.05), delayed(other, -0.04), delayed(brief, 0.05))
+    texts = said(found)
+    assert texts[0].startswith("log 1: camera: ") and texts[1].startswith("log 2: camera: ")
+    assert abs(found.model.provenance["delay"]["camera"]) == pytest.approx(0.045, abs=0.007)
+
+
+def test_what_is_given_is_taken_off_and_kept():
+    features = run(3, 0.003).features
+    found = learned(delayed(features, 0.05), delay={"camera": 0.05})
+    plain = learned(features)
+    assert not said(found) and found.model.provenance["delay"] == {"camera": 0.05}
+    assert off(found.model) == pytest.approx(off(plain.model), rel=1e-6)
+    more = learned(delayed(run(4, 0.003).features, 0.05), known=found.model)
+    assert not said(more) and more.model.provenance["delay"] == {"camera": 0.05}
+    with pytest.raises(UsageError, match=r"'left' is none of joints, camera"):
+        learned(features, delay={"left": 0.05})
