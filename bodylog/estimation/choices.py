@@ -1,15 +1,17 @@
-"""Which methods can run on which senses: the rows of a comparison."""
+"""Which methods can run on which senses, the rows of a comparison; and which settings a method does not heed."""
 
 from itertools import combinations
 
 import numpy as np
 
 from ..settings import Estimation
-from ..types import BodyModel, Features
+from ..types import BodyModel, Features, Finding
 from .senses import chosen
 
 ENCODERS_ONLY = ("kalman",)
 """Methods whose model has no picture in it."""
+UNHEEDED = (("bias", "on"), ("precision", "model"))
+"""Settings that say how lies and noise are told from the log, which the paper's methods do not ask."""
 
 
 def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
@@ -38,3 +40,14 @@ def _heard(features: Features, body: BodyModel, wanted: set[str]) -> dict[str, b
     felt = bool(features.touches and features.synchrony and features.hand is not None and "effector" in body.senses)
     seen = any(np.isfinite(track.values).all(axis=1).any() for track in tracks)
     return {"encoders": told, "vision": seen, "touch": felt and "touch" in wanted}
+
+
+def unheeded(settings: Estimation) -> tuple[Finding, ...]:
+    """Warnings for settings that were given, being no defaults, and that one of the paper's methods passes by."""
+    heeds = {"precision"} if settings.method == "predictive-coding" and settings.preset != "paper" else set[str]()
+    by = f"{settings.method}{' with the preset paper' * (settings.preset == 'paper')}"
+    return tuple(
+        Finding("warning", f"{name}: {value!r} is not heeded by {by}; leave it out, or type --method laplace")
+        for name, value in UNHEEDED
+        if name not in heeds and getattr(settings, name) == value
+    )

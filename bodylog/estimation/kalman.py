@@ -8,6 +8,7 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features
 from . import results
+from .choices import unheeded
 from .faults import screen
 from .plan import RATE, on_grid
 from .results import Beliefs
@@ -37,7 +38,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     z = np.concatenate([x, rate], axis=1)[held]
     # lies are named, but heard as printed
     _, lies = screen(evidence.encoders, body.joints)
-    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used, lies)
+    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used, lies, unheeded(settings))
     return results.estimate("kalman", body, evidence, line, beliefs)
 
 

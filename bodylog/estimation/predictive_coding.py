@@ -12,6 +12,7 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features, Finding
 from . import results
+from .choices import unheeded
 from .faults import screen
 from .plan import Plan, Sense, calmest, plan_for
 from .results import Beliefs
@@ -37,7 +38,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {FAR:g} rad)")
-    findings = (*findings, *_unheard(plan, evidence, body.joints))
+    findings = (*findings, *_unheard(plan, evidence, body.joints), *unheeded(settings))
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
     if evidence.encoders is not None and "encoders" not in body.senses:
         # lies are named, but heard as printed
@@ -170,16 +171,32 @@ def _beliefs(
     before = np.maximum(np.searchsorted(plan.t, line.t, "left") - 1, 0)
     every = np.zeros(len(line.t))
     every[line.outputs] = nats
-    errors = np.full((len(line.t), x.shape[1]), np.nan)
+    errors, moved = np.full((len(line.t), x.shape[1]), np.nan), _moved(plan, x, cov)
     if evidence.encoders is not None:
         then, sense = before[line.encoders], plan.senses[0]
         read, slope = x[then], np.ones_like(x[then])
         if sense.model is not None:
             read, jac, _ = sense.model.predict(read)
             slope = np.einsum("nmm->nm", jac)
-        std = np.sqrt(sense.sigma[then] + slope**2 * np.einsum("nii->ni", cov[then]))
+        std = np.sqrt(sense.sigma[then] + slope**2 * np.einsum("nii->ni", moved[then]))
         errors[line.encoders] = (evidence.encoders.values - read) / std
     settings = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
     settings |= {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
     z = np.concatenate([x, rate], axis=1)[held]
-    return Beliefs(z, cov[held], every, x[before], cov[before], errors, {}, settings, (), findings)
+    return Beliefs(z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings)
+
+
+def _moved(plan: Plan, x: Array, cov: Array) -> Array:
+    """Covariance (N,M,M) of beliefs x (N,M) by the next reading: an arm that is held still has moved since.
+
+    By as much as encoders, which alone would be followed with σ_x, differ from that on average beyond their noise.
+    """
+    var, sense = np.einsum("nii->ni", cov), plan.senses[0] if plan.senses else None
+    if sense is not None and sense.name == "encoders" and sense.model is None:
+        heard, held, square = np.isfinite(sense.s), plan.start, np.zeros(x.shape[1])
+        for said, noise, here in zip(sense.s, sense.sigma, heard, strict=True):
+            off = np.where(here, said - held, 0.0)
+            square += off * off - here * noise
+            held = held + plan.sigma_x / (plan.sigma_x + noise) * off
+        var = np.maximum(var, square / np.maximum(heard.sum(axis=0), 1))
+    return np.asarray(var[:, :, None] * np.eye(x.shape[1]))

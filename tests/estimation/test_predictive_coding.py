@@ -191,3 +191,36 @@ def test_methods_the_paper_has_not_refuse_its_preset(world, method):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=f"'paper' is not for {method}; type --method predictive-coding"):
         estimate(drawn.features, drawn.body, Estimation(method=method, preset="paper"))
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, 1.5])
+def test_an_arm_that_moves_is_no_cause_for_a_warning(world, speed):
+    for seed in range(2):
+        drawn = world(seed, duration=10.0, speed=speed, encoder_std=0.01)
+        assert not estimate(drawn.features, drawn.body, DESCENT).findings
+
+
+def test_an_encoder_that_lies_is_cause_for_one(world):
+    for seed in range(2):
+        drawn = world(seed, duration=14.0, encoder_std=0.005, camera_hz=30.0)
+        joints = drawn.features.joints
+        values = joints.values + 0.3 * np.outer(joints.t > 6.0, np.array(joints.names) == "pan")
+        found = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, DESCENT)
+        assert any("standard deviations from what was expected" in finding.text for finding in found.findings)
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (Estimation(method="kalman", bias="on"), ["bias: 'on' is not heeded by kalman; leave it out, or"]),
+        (Estimation(method="kalman", precision="model"), ["precision: 'model' is not heeded by kalman; leave it out"]),
+        (replace(DESCENT, bias="on"), ["bias: 'on' is not heeded by predictive-coding; leave it out"]),
+        (replace(DESCENT, precision="model"), []),
+        (replace(DESCENT, precision="model", preset="paper"), ["precision: 'model' is not heeded by predictive"]),
+        (Estimation(method="kalman", precision="fixed", bias="off"), []),
+    ],
+)
+def test_settings_a_method_passes_by_are_said(world, settings, said):
+    drawn = world(0, duration=4.0)
+    found = [f.text for f in estimate(drawn.features, drawn.body, settings).findings if "heeded" in f.text]
+    assert len(found) == len(said) and all(text.startswith(part) for text, part in zip(found, said, strict=True))
