@@ -173,7 +173,9 @@ def _is_ours(log: Log) -> bool:
 
 def _findings(log: Log, heard: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
     found = {role: stream.role for role, stream in heard.items()}
-    advice, more = roles.advice(found), roles.unused_cameras(log.topics, settings.topics, found)
+    advice = roles.advice(found)
+    unused = (roles.unused_joints, roles.unused_cameras)
+    more = [finding for tell in unused for finding in tell(log.topics, settings.topics, found)]
     said = [Finding("info", f"roles, ready for robot.toml: {advice}")] if heard else []
     broken = [Finding("warning", f"{text}; not considered for any role") for text in roles.unreadable(log.topics)]
     return (*said, *more, *broken, *(finding for stream in heard.values() for finding in remarks(stream)))

@@ -79,6 +79,16 @@ def _tracks_alone(topics: Sequence[Topic]) -> bool:
     )
 
 
+def unused_joints(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
+    """That a log has more joint states than those guessed to be the robot's, and what to type to use them."""
+    others = sorted({topic.name for topic in topics if _is_raw(topic) and _joints_rank(topic) is not None})
+    others = [name for name in others if "joints" in found and name != found["joints"].topic]
+    if settings.joints is not None or not others:
+        return ()
+    said = f"joints: {found['joints'].topic} is used, {', '.join(others)} not"
+    return (Finding("info", f"{said}; for another, type: [topics] joints = {json.dumps(others[0])}"),)
+
+
 def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
     """That a log has more cameras than the one guessed, and what to type to use them."""
     if settings.cameras or "camera" not in found:

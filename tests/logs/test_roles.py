@@ -6,7 +6,7 @@ import pytest
 
 from bodylog.errors import ConfigError, LogError
 from bodylog.logs.cameras import camera_name
-from bodylog.logs.roles import advice, roles, unreadable, unused_cameras
+from bodylog.logs.roles import advice, roles, unreadable, unused_cameras, unused_joints
 from bodylog.settings import Topics
 from bodylog.types import Topic
 
@@ -205,3 +205,13 @@ def test_a_topic_of_another_roles_type_is_a_mistake(said, wrong, possible):
 def test_a_field_named_may_be_of_any_type():
     found = roles(topics(("/joint_states", JOINTS)), Topics(skin="/joint_states.effort"), "x.mcap")
     assert found["skin"].path == "/joint_states.effort"
+
+
+def test_joints_of_a_second_robot_are_named_with_what_to_type():
+    two = topics(("/a/joint_states", JOINTS), ("/b/joint_states", JOINTS), ("/truth/joint_states", JOINTS))
+    found = roles(two, Topics(), "x.mcap")
+    (finding,) = unused_joints(two, Topics(), found)
+    typed = 'for another, type: [topics] joints = "/b/joint_states"'
+    assert finding.text == f"joints: /a/joint_states is used, /b/joint_states not; {typed}"
+    assert not unused_joints(two, Topics(joints="/a/joint_states"), found)
+    assert not unused_joints(two[:1], Topics(), roles(two[:1], Topics(), "x.mcap"))
