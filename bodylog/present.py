@@ -130,7 +130,7 @@ def _frame_id(log: Path, topic: str) -> str:
     with open_log(log) as opened:
         (of,) = (one for one in opened.topics if one.name == topic)
         for field in ("header.frame_id", "frame_id"):
-            with suppress(FormatError, LogError):
+            with suppress(FormatError, LogError, IndexError):  # no such field, or no message
                 return str(np.ravel(columns(opened, of, (field,)).column(field))[0])
     return ""
 

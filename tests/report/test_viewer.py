@@ -2,10 +2,12 @@
 
 import subprocess
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bodylog import present
 from bodylog.errors import LogError, UsageError
 from bodylog.report import companion, viewer
 from bodylog.report.companion import ellipses
@@ -121,6 +123,13 @@ def test_a_bag_is_shown_by_way_of_a_tidy_log(bodylog, arm, tmp_path):
     assert bodylog("view", arm / "reach.bag", "-o", tmp_path / "b.rrd") == 0
     said = rerun(tmp_path, "rrd", "stats", tmp_path / "b.rrd")
     assert "/joint_states/position" in said and "image" in said
+
+
+def test_the_frame_of_pictures_in_protobuf_is_told_beside_a_header_they_have_not():
+    log = Path(__file__).parents[2].parent / "shared" / "logs" / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
+    if not log.exists():
+        pytest.skip("needs recorded logs beside the project")
+    assert present._frame_id(log, "/camera/front/image") == "cam_front"
 
 
 @there
