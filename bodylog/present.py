@@ -89,13 +89,14 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
 
 def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
     """A log that Rerun reads whole: a sound one itself, else `out`: what is sound of it, or what ingest makes of it."""
+    from .logs.append import is_mcap
     from .logs.containers import open_log
 
     with open_log(log, settings.input.strict) as opened:
         kind, findings = opened.format, opened.findings
     if kind != "mcap":
         return out, ingest(log, out, settings).findings
-    if all(finding.severity == "info" for finding in findings):
+    if is_mcap(log) and all(finding.severity == "info" for finding in findings):
         return log, ()
     return out, doctor(log, out).findings
 

@@ -125,6 +125,15 @@ def test_a_bag_is_shown_by_way_of_a_tidy_log(bodylog, arm, tmp_path):
     assert "/joint_states/position" in said and "image" in said
 
 
+@there
+def test_a_packed_log_is_unpacked_for_rerun(bodylog, robot, tmp_path):
+    import zstandard
+
+    (tmp_path / "x.mcap.zst").write_bytes(zstandard.compress((robot / "reach.mcap").read_bytes()))
+    assert bodylog("view", tmp_path / "x.mcap.zst", "-o", tmp_path / "x.rrd") == 0
+    assert "/joint_states/position" in rerun(tmp_path, "rrd", "stats", tmp_path / "x.rrd")
+
+
 def test_the_frame_of_pictures_in_protobuf_is_told_beside_a_header_they_have_not():
     log = Path(__file__).parents[2].parent / "shared" / "logs" / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
     if not log.exists():
