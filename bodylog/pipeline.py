@@ -117,6 +117,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     estimation.check(learned, settings.estimate)
     with annotate.begun(log, out) as written:
         read, features = observe(log, settings, progress)
+        written.copy()
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
         same_size(log, learned, features, settings)
         found = _estimated(log, read, features, learned, settings)

@@ -33,6 +33,7 @@ def annotate(
     does not hold what it should.
     """
     with begun(source, out, whole=only is None) as under_way:
+        under_way.copy()
         findings = under_way.add(outgoing, only)
         under_way.about(metadata)
     return findings
@@ -42,7 +43,8 @@ def annotate(
 def begun(source: Path, out: Path, whole: bool = True) -> Iterator["Annotation"]:
     """`annotate` in steps: the source is read and, where it can stay as it is, copied while the messages are made.
 
-    `add` and `about` are to follow, once each. Nothing is left of `out` when the block fails.
+    `add` and `about` are to follow, once each; `copy` may come before, once a core is to spare: what takes no time to
+    copy waits for that. Nothing is left of `out` when the block fails.
     """
     if out.exists() and source.exists() and out.samefile(source):
         raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
@@ -61,7 +63,7 @@ class Annotation:
     def __init__(self, source: Path, base: Base | None, copy: Copy, stream: BinaryIO) -> None:
         """Of `base`, what stays of the source and is being copied; None when all is to be rewritten."""
         self.messages = 0
-        self.digest = copy.digest
+        self.copy, self.digest = copy.begin, copy.digest
         self._source, self._base, self._stream = source, base, stream
 
     def add(self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None) -> tuple[Finding, ...]:

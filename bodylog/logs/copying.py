@@ -11,15 +11,20 @@ from ..files import pieces
 
 _PIECE = 16 << 20
 _BLOCK = 4096
+_LONG = 128 << 20
+"""Bytes that take about a tenth of a second: what is shorter can wait for a core that nobody else needs."""
 
 
 class Copy:
     """The digest of `source` to come, and its first `end` bytes on their way to `target`, for as long as a `with`."""
 
     def __init__(self, source: Path, target: Path | None = None, end: int = 0) -> None:
-        """Begin; without `target` nothing is copied."""
+        """Begin, with a short log to copy not before `begin` or `digest`; without `target` nothing is copied."""
         self._source, self._target, self._end = source, target, end
-        self._stopped, self._pool = Event(), ThreadPoolExecutor(1)
+        self._size = 0 if target is None else source.stat().st_size
+        self._begun, self._stopped, self._pool = Event(), Event(), ThreadPoolExecutor(1)
+        if target is None or self._size > _LONG:
+            self.begin()
         self._digest = self._pool.submit(self._read)
 
     def __enter__(self) -> "Copy":
@@ -29,24 +34,31 @@ class Copy:
     def __exit__(self, *_: object) -> None:
         """Stop after the piece at hand, if it is not done."""
         self._stopped.set()
+        self.begin()
         self._pool.shutdown()
+
+    def begin(self) -> None:
+        """Begin if that is still to come: from now on there is a core to spare."""
+        self._begun.set()
 
     def digest(self) -> str:
         """Hex SHA-256 of the source, once it is read and copied; LogError when a copied one changed its size."""
+        self.begin()
         return self._digest.result()
 
     def _read(self) -> str:
+        self._begun.wait()
         if self._target is None:
             return self._pass(None)[0]
-        size, target = self._source.stat().st_size, _Target(self._target)
+        target = _Target(self._target)
         try:
             digest, read = self._pass(target)
             target.wait()
         finally:
             target.close()
         now = self._source.stat().st_size
-        if not self._end <= read == size == now:
-            grown = f"had {size} bytes, but {now} when it was copied"
+        if not self._end <= read == self._size == now:
+            grown = f"had {self._size} bytes, but {now} when it was copied"
             raise LogError(f"{self._source}: {grown}; was it still being recorded?")
         return digest
 

@@ -56,6 +56,28 @@ def test_bytes_and_digest_are_the_sources(tmp_path, monkeypatch, direct, size):
         assert (tmp_path / "out").read_bytes() == raw[:end]
 
 
+def test_a_short_log_waits_to_be_copied_and_a_long_one_does_not(tmp_path, monkeypatch):
+    raw = os.urandom(3 * PIECE)
+    (tmp_path / "in").write_bytes(raw)
+    (tmp_path / "out").write_bytes(b"")
+    with Copy(tmp_path / "in", tmp_path / "out", len(raw)) as copy:
+        time.sleep(0.1)
+        assert (tmp_path / "out").read_bytes() == b""
+        copy.begin()
+        _until(lambda: (tmp_path / "out").read_bytes() == raw)
+    monkeypatch.setattr(copying, "_LONG", len(raw) - 1)
+    (tmp_path / "out").write_bytes(b"")
+    with Copy(tmp_path / "in", tmp_path / "out", len(raw)):
+        _until(lambda: (tmp_path / "out").read_bytes() == raw)
+
+
+def _until(done):
+    end = time.monotonic() + 10
+    while not done():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def test_a_folder_is_digested_file_by_file(tmp_path):
     for name in ("b", "a"):
         (tmp_path / name).write_bytes(os.urandom(3 * PIECE + 7))
