@@ -12,12 +12,13 @@ from .delay import FARTHEST, Delay, measured
 from .faults import screen
 from .senses import Encoders, Sighting, ascending, columns, pixel_variance
 
-GAIN = 8.0
-"""Nats of evidence that a delay must win: four standard errors, where many parts of the log tell of it."""
+GAIN, FURTHER = 8.0, 3.0
+"""Nats of evidence that a delay must win, four standard errors where many parts of the log tell of it; a further
+camera's less, as cameras of one robot seldom are late alone."""
 LEAST = 1e-3
 """s: a lesser delay is left alone; most cameras expose for longer."""
 SURE = 4.0
-"""Standard errors."""
+"""Standard errors within which a camera that is not as late as when its body was learned may not be late at all."""
 ENOUGH = 60.0
 """s of the log, from its middle, that are asked first."""
 JOINTS, FIRST = "joints", "camera"
@@ -44,11 +45,13 @@ def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] 
     fixed = named(given, names)
     delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in (JOINTS, *names)}, dict[str, float]()
     rests = late(earlier(features, delays), body)
+    gain = FURTHER if any(telling(rest) for rest in rests.values()) else GAIN
     for name, rest in rests.items():
-        if telling(rest) and name not in fixed:
+        if telling(rest, gain=gain) and name not in fixed:
             own = delays[name] + rest.seconds
             # a camera that is no longer late is better known by that than by the log
-            delays[name], errors[name] = (own, rest.std_error) if abs(own) > SURE * rest.std_error else (0.0, 0.0)
+            anew = not delays[name] or abs(own) > SURE * rest.std_error
+            delays[name], errors[name] = (own, rest.std_error) if anew else (0.0, 0.0)
     errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
     return Dated(earlier(features, delays), delays, errors, tuple(told(delays, errors, rests, fixed)))
@@ -74,9 +77,9 @@ def camera(track: str) -> str:
     return track.rpartition("/")[0] or FIRST
 
 
-def telling(delay: Delay, least: float = LEAST) -> bool:
-    """Whether a delay is certain, and longer than `least` s."""
-    return delay.nats > GAIN and abs(delay.seconds) > least
+def telling(delay: Delay, least: float = LEAST, gain: float = GAIN) -> bool:
+    """Whether a delay wins more than `gain` nats, and is longer than `least` s."""
+    return delay.nats > gain and abs(delay.seconds) > least
 
 
 def earlier(features: Features, delays: Mapping[str, float]) -> Features:
