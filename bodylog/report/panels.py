@@ -45,7 +45,7 @@ def skin(skin: Series, ax: Any) -> None:
     if cells < 5:
         return signals(skin, "skin, 0..1", ax)
     edges, highest = _peaks(skin)
-    shown = np.clip(highest.T, 0, 1)
+    shown = np.where(np.isnan(highest.T), np.nan, np.clip(highest.T, 0, 1))  # a NaN of bits that flipped is not quiet
     image = ax.pcolormesh(edges, np.arange(cells + 1) - 0.5, shown, cmap="magma_r", vmin=0, vmax=1, rasterized=True)
     ax.figure.colorbar(image, ax=ax, pad=0.01, label="proximity")
     ax.set_ylabel("skin cell")

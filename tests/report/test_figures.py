@@ -75,11 +75,11 @@ def test_skin_is_lines_for_few_cells_and_a_picture_for_many(tmp_path, cells):
     assert ("skin cell" in words(tmp_path / "f.svg")) == (cells >= 5)
 
 
-@pytest.mark.parametrize("value", [1e38, -1e38, np.inf, np.nan])
+@pytest.mark.parametrize("value", [1e38, -1e38, np.inf, np.nan, np.uint32(0x7F800001).view(np.float32)])
 def test_cells_that_read_anything_are_drawn(tmp_path, value):
     skin = recording().skin
     values = skin.values.astype(np.float32)
-    values[::7, 3] = value
+    values[::7, 3] = values[:, 5] = value
     recording_figure(replace(recording(), skin=replace(skin, values=values)), None, tmp_path / "f.png")
 
 
