@@ -57,18 +57,20 @@ def find(given: str) -> Iterator[str]:
     if not paths:
         raise LogError(f"{given}: no such file, folder or pattern; type: ls {given}")
     for path in paths:
-        yield from map(str, _inside(path) if path.is_dir() else [path])
+        yield from map(str, _inside(path, set()) if path.is_dir() else [path])
 
 
-def _inside(folder: Path) -> Iterator[Path]:
-    if (folder / LOCK).is_file():
+def _inside(folder: Path, seen: set[Path]) -> Iterator[Path]:
+    """The logs in a folder; `seen` are folders that were looked into, which links may lead back to."""
+    if (folder / LOCK).is_file() or folder.resolve() in seen:
         return
+    seen.add(folder.resolve())
     if is_rosbag2(folder):
         yield folder
         return
     for path in sorted(folder.iterdir()):
         if path.is_dir() and not path.name.startswith("."):
-            yield from _inside(path)
+            yield from _inside(path, seen)
         elif path.name.endswith(SUFFIXES):
             yield path
 

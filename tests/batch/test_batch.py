@@ -163,6 +163,15 @@ def test_shards_cover_all_logs_once(tmp_path, mixed):
     assert sorted(name for part in parts for name in part) == sorted(named([str(mixed)], (1, 1)))
 
 
+def test_links_that_lead_back_are_followed_once(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "x.mcap").touch()
+    for name, to in (("self", "."), ("up", ".."), ("again", "../a")):
+        (tmp_path / "a" / name).symlink_to(to)
+    (tmp_path / "b").symlink_to("a")
+    assert named([str(tmp_path)], (1, 1)) == {"x.mcap": str(tmp_path / "a" / "x.mcap")}
+
+
 def test_logs_of_one_name_get_folders_of_their_own(tmp_path, mixed):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
