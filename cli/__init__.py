@@ -22,6 +22,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
         memory.keep()
         torn.endure()
+        if hasattr(sys.stdout, "reconfigure"):
+            sys.stdout.reconfigure(errors="backslashreplace")  # a log may name what this terminal cannot write
         gc.set_threshold(_RARELY)
         for number in (signal.SIGTERM, signal.SIGHUP):
             if signal.getsignal(number) is signal.SIG_DFL:

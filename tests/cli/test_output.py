@@ -1,5 +1,8 @@
 """What names in a log may hold is printed, not obeyed."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,3 +28,12 @@ def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, bodylog) 
         assert not [line for line in said.splitlines() if line.startswith("bodylog: all is well")]
     bodylog("info", log)
     assert "\\x1b[2J" in capsys.readouterr().out
+
+
+def test_names_that_an_output_cannot_write_are_told_by_their_codes(tmp_path: Path) -> None:
+    rows = [(T0 + k * 10**7, joint_state(T0 + k * 10**7, ("ä", "🤖"), (0.1 * k, 0.0))) for k in range(20)]
+    log = write(tmp_path / "x.mcap", [joints("/joints", rows)])
+    command = [sys.executable, "-m", "bodylog_cli", "info", str(log)]
+    done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONIOENCODING": "latin-1"}, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert "joint names: ä, \\U0001f916" in done.stdout.decode("latin-1")
