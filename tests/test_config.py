@@ -68,6 +68,7 @@ def test_colours_take_a_name_or_ranges_and_shapes_a_table_of_them(tmp_path):
         ("[body]\njoints = ['a', 'a']", "must name joints, each once"),
         ("skin = 3", "must be a table"),
         ("[skin", "not TOML"),
+        ("skin = " + "[" * 100_000, "not TOML"),
     ],
 )
 def test_what_makes_no_sense_is_refused_in_one_line(tmp_path, text, said):

@@ -28,7 +28,7 @@ def load(path: Path, settings: Settings) -> tuple[Group, ...]:
     """The groups of a manifest, one for each method where several are named; ConfigError if it makes no sense."""
     try:
         said = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as err:
+    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as err:
         raise ConfigError(f"{path}: cannot be read as TOML: {err}") from err
     tables = said.get("group")
     if set(said) != {"group"} or not isinstance(tables, list) or not tables:

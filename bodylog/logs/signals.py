@@ -129,7 +129,7 @@ def angles(values: Array) -> tuple[Array, int, Array]:
 
 
 def array(found: Sequence[Block]) -> Signal:
-    """Arrays of numbers: as wide as most messages are, the others rejected."""
+    """Arrays of numbers: as wide as most messages are, the others rejected, and all where none holds a number."""
     widths: Counter[int] = Counter()
     shaped = []
     for rows, stamps, (values,) in found:
@@ -143,6 +143,8 @@ def array(found: Sequence[Block]) -> Signal:
     if widths and not width:
         rejected["empty array"] = widths[0]
     names = tuple(str(cell) for cell in range(width))
+    if good and all(np.isnan(values).all() for _, _, values in good):
+        rejected["no number in it"], good = sum(len(rows) for rows, _, _ in good), []
     return _joined([(r, s) for r, s, _ in good], [v for _, _, v in good], names, rejected)
 
 

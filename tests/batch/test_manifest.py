@@ -44,6 +44,7 @@ def test_a_group_per_method_with_paths_beside_the_manifest(tmp_path):
         ("[[group]]\nname = 'a'\nlogs = ['a']\n[[group]]\nname = 'a'\nlogs = ['b']", "called alike"),
         ("[[group]]\nlogs = ['a']\nsettings = {skin = {treshold = 1}}", "did you mean threshold"),
         ("[[group", "cannot be read as TOML"),
+        ("group = " + "[" * 100_000, "cannot be read as TOML"),
     ],
 )
 def test_what_makes_no_sense_is_refused(tmp_path, text, said):

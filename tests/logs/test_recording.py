@@ -186,6 +186,13 @@ def test_every_message_is_used_or_rejected_for_a_reason(tmp_path):
     assert any("rejected" in finding.text and finding.severity == "warning" for finding in got.findings)
 
 
+def test_cells_that_no_message_has_are_refused_where_they_are_named(tmp_path):
+    log = write(tmp_path / "a.mcap", [arrays("/skin", np.full((10, 2), 0.1)), joints("/j", moves(5))])
+    assert read(log, settings(topics=Topics(skin="/skin.data[1]"))).skin is not None
+    with pytest.raises(LogError, match=r"no usable message on /skin: 10 \(no number in it\)"):
+        read(log, settings(topics=Topics(skin="/skin.data[9]")))
+
+
 def test_frames_come_in_time_order_even_when_the_file_is_not(tmp_path):
     rng = np.random.default_rng(0)
     pictures = [np.full((8, 10, 3), shade, np.uint8) for shade in range(0, 250, 5)]
