@@ -3,9 +3,9 @@
 Evidence weighs all of a motion up to the frequency where smoothing cuts off. Arms move slower than that and smoothly,
 which it lays to a large q, and more noise passes than must. What motion adds to the error near the cut-off shows in
 how far the path moves with q. Of a steady variance V noise makes 3/4, which grows as q^¼. Of angles whose spectrum
-falls as ω^−p motion leaves what falls as q^(−(p − 1)/4): their sum is least, 3/4 p/(p − 1) V, where this is one
-(p − 1)th of the noise's. p is 4 under white acceleration, 6 under white jerk and 8 where jerk jumps, as in reaches of
-least jerk (Flash & Hogan 1985); it shows in how fast the moves fall with q.
+falls as ω^−p motion leaves what falls as q^(−(p − 1)/4): their sum is least where this is one (p − 1)th of the noise's.
+p is 4 under white acceleration, 6 under white jerk and 8 where jerk jumps, as in reaches of least jerk (Flash & Hogan
+1985); it shows in how fast the moves fall with q. Beyond 6 the error hardly falls, and q stays what it is at 6.
 """
 
 from dataclasses import replace
@@ -25,11 +25,13 @@ FACTORS = STEP ** np.arange(-3.0, 3.0)
 """Times the process variances of greatest evidence that are tried."""
 POWERS = np.arange(4.0, 9.0)
 """p: beyond, what is left comes of few slow swings rather than of what is about the cut-off."""
-MOST = np.array([2.434, 2.674, 2.934, 3.220, 3.537])
+MOST = np.array([2.434, 2.674, 2.934, 2.934, 2.934])
 """For each p, mean squared move of the path by one STEP, over what noise makes of it, where the error is least.
 
 With H(q) = 1/(1 + u⁴/q) and motion a u^−p these are ∫ (H(2) − H(½))² (1 + a u^−p) du and ∫ (H(2) − H(½))² du.
 """
+STATED = np.array([1.0, 0.9375, 0.9, 0.859, 0.832])
+"""For each p, the share of V that the error is there: ∫ H² + (1 − H)² a u^−p du over ∫ H du."""
 TURNS = 2
 """Times stretches hand over their ends."""
 
@@ -47,7 +49,7 @@ def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
     over = np.log(ratios / np.interp(power, POWERS, MOST))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
     factor = FACTORS[0] if last < 0 else FACTORS[last] * STEP ** (0.5 + over[last] / (over[last] - over[last + 1]))
-    return np.asarray(part.precision.process * factor), 0.75 * power / (power - 1.0)
+    return np.asarray(part.precision.process * factor), float(np.interp(power, POWERS, STATED))
 
 
 def _power(ratios: Array) -> float:
