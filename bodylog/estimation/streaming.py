@@ -1,7 +1,7 @@
 """The filter beside a live robot: one step per instant, the same belief as the batch filter's."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from ..types import Array, BodyModel, ForwardModel, Health
 from .alike import PAST, Likeness, Memory, Sight, reach
 from .bias import WALKS
 from .habit import Habit, usual
-from .incoming import Angles, Incoming, Place, Tell, finite
+from .incoming import Angles, Incoming, Place, Tell, Told, finite
 from .instant import Motion, hear
 from .lost import START_STD, Watch, forget
 from .outset import OFFSET_STD
@@ -60,6 +60,7 @@ class Estimator:
         self._incoming = Incoming(body, settings, tell)
         self._first = np.full(len(body.joints), np.nan)
         self._recent: Recent | None = None
+        self._waiting: list[tuple[float, Told]] = []
 
     @property
     def used(self) -> Mapping[str, Health]:
@@ -70,16 +71,26 @@ class Estimator:
         """The belief after all that is told until t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
 
         None, or NaN, is what was not heard. What is told may come out of order by up to `lag` s; the belief is about
-        the latest instant. UsageError or ModelError for what is not the body's, LogError until all joints were told.
+        the latest instant. UsageError or ModelError for what is not the body's. LogError until all joints were told:
+        what was told until then is heard then.
         """
         t, told = finite(t), self._incoming.read(joints, places)
-        if self._recent is None:
-            self._recent = self._begin(told.angles)
-        late = self._recent.late(t)
+        if self._recent is not None:
+            return self._hear(self._recent, t, told)
+        self._waiting.append((t, told))
+        while self._waiting[0][0] < t - self._lag:
+            self._incoming.accept(*self._waiting.pop(0), late=True)
+        self._recent = self._begin(told.angles)
+        beliefs = [self._hear(self._recent, *one) for one in self._waiting]
+        self._waiting.clear()
+        return replace(beliefs[-1], free_energy=sum(belief.free_energy for belief in beliefs))
+
+    def _hear(self, recent: Recent, t: float, told: Told) -> Belief:
+        late = recent.late(t)
         heard = self._incoming.accept(t, told, late)
         if late:
-            return self._belief(self._recent.last, 0.0, {})
-        then, now, nats = self._recent.add(t, heard)
+            return self._belief(recent.last, 0.0, {})
+        then, now, nats = recent.add(t, heard)
         names = {*heard.places, *(("encoders",) if heard.angles is not None else ())}
         told_of = {name: error for name, error in then.errors.items() if name in names}
         return self._belief(now, nats, told_of, then.lost)
@@ -92,7 +103,7 @@ class Estimator:
     def _begin(self, angles: Array | None) -> Recent:
         """No instant yet, and what is known before the first."""
         names, given, noise = self._body.joints, self._settings.start, self._body.noise
-        self._first = self._first if angles is None else np.where(np.isfinite(angles), angles, self._first)
+        self._first = self._first if angles is None else np.where(np.isfinite(self._first), self._first, angles)
         x = self._first if given is None else np.array(given, float)
         if not np.isfinite(x).all():
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))

@@ -1,6 +1,7 @@
 """The filter fed message by message against the one that has the whole log."""
 
 import gc
+import re
 import tracemalloc
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -239,8 +240,6 @@ def test_a_long_day_takes_no_more_memory_than_a_minute(world, linear_model, step
 def test_what_is_not_the_bodys_is_refused_in_one_line_and_changes_nothing(world):
     drawn = world(0, duration=1.0)
     live, x = Estimator(drawn.body), np.array([-0.9, -0.9, 1.0])
-    with pytest.raises(LogError, match="where lift, elbow starts; tell all joints first"):
-        live.step(0.0, joints={"pan": 1.0})
     before = live.step(0.0, joints=x)
     refused: list[tuple[type[Exception], str, dict[str, object]]] = [
         (UsageError, "t: nan found", {"t": np.nan}),
@@ -280,6 +279,28 @@ def test_settings_that_need_the_whole_log_are_refused(world, settings, text):
 def test_a_lag_is_no_negative_time(world):
     with pytest.raises(UsageError, match=r"lag: -1.0 found, a time of at least 0 s is possible"):
         Estimator(world(0, duration=1.0).body, lag=-1.0)
+
+
+def test_what_is_told_before_all_joints_are_is_heard_once_they_are(world):
+    drawn = world(0, duration=3.0)
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    values = joints.values.copy()
+    values[:3, 1] = np.nan
+    features = replace(drawn.features, joints=replace(joints, t=joints.t + 0.1, values=values))
+    live, beliefs = Estimator(drawn.body), []
+    for message in told(features, drawn.body):
+        try:
+            beliefs += step(live, [message])
+        except LogError as problem:
+            assert re.search("where .*pan.* starts; tell all joints first", str(problem)) and not beliefs
+    assert_same(beliefs, estimate(features, drawn.body, MODEL))
+    assert live.used["effector"].used == len(track.t) and not live.used["encoders"].rejected
+    late = Estimator(drawn.body, lag=0.05)
+    for t in (0.0, 0.02):
+        with pytest.raises(LogError):
+            late.step(t, effector=track.values[0])
+    late.step(0.06, joints=joints.values[0])
+    assert late.used["effector"].rejected == {"too late": 1}
 
 
 def test_joints_that_come_by_halves_begin_once_all_were_told(world):
