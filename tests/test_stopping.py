@@ -9,17 +9,18 @@ import pytest
 BEGIN = """import signal, sys, time
 from bodylog import stopping
 stopping.heed(signal.SIGTERM)
-print('on', flush=True)
 """
+ON = "print('on', flush=True)"
 WAIT = "for _ in range(2000): time.sleep(0.005)\n"
 
-SWALLOWED = """
+SWALLOWED = f"""
 try:
+    {ON}
     time.sleep(10)
 except BaseException:
     pass
 """
-SLOW_CLEANING = """
+SLOW_CLEANING = f"""
 from contextlib import contextmanager
 @contextmanager
 def cleaned():
@@ -30,6 +31,7 @@ def cleaned():
         print('cleaned', flush=True)
 try:
     with cleaned():
+        {ON}
         time.sleep(10)
 finally:
     for _ in range(160): time.sleep(0.005)
@@ -49,7 +51,7 @@ def _said(script, *numbers):
 
 
 def test_it_ends_the_process_with_128_and_its_number():
-    assert _said(WAIT, signal.SIGTERM) == ([], 128 + signal.SIGTERM)
+    assert _said(f"{ON}\n{WAIT}", signal.SIGTERM) == ([], 128 + signal.SIGTERM)
 
 
 def test_swallowed_once_it_is_heard_again():
