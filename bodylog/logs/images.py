@@ -26,12 +26,16 @@ _FIELDS = {
 
 
 class _Encoding(NamedTuple):
-    """Channels and bytes per channel of one pixel, which channels are BGR; or the OpenCV conversion of the whole."""
+    """Channels and bytes per channel of one pixel, which channels are BGR; or the OpenCV conversion of the whole.
+
+    `below`: the colours of 2 by 2 pixels follow in half as many lines again.
+    """
 
     channels: int
     size: int
     bgr: slice = slice(None)
     code: str | None = None
+    below: bool = False
 
 
 _RGB, _BGRA, _RGBA = slice(None, None, -1), slice(3), slice(2, None, -1)
@@ -47,6 +51,7 @@ ENCODINGS: Mapping[str, _Encoding] = {
     },
     **dict.fromkeys(("yuv422", "uyvy"), _Encoding(2, 1, code="COLOR_YUV2BGR_UYVY")),
     **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), _Encoding(2, 1, code="COLOR_YUV2BGR_YUY2")),
+    **{name: _Encoding(1, 1, code=f"COLOR_YUV2BGR_{name.upper()}", below=True) for name in ("nv12", "nv21", "i420")},
 }  # fmt: skip
 
 
@@ -202,10 +207,15 @@ def _raw(message: Mapping[str, Any], k: int) -> Array:
     encoding = ENCODINGS[name]
     _check_size(height, width)
     data, line = message.get("data", b""), width * encoding.channels * encoding.size
-    step = int(message.get("step", 0)) or line
-    if step < line or len(data) < (height - 1) * step + line:
-        raise FormatError(f"{len(data)} bytes for {width} x {height} {name} with step {step}; {height} x {line} needed")
-    rows = np.ndarray((height, line), np.uint8, data, 0, (step, 1))
+    step, lines = int(message.get("step", 0)) or line, height
+    if encoding.below:  # publishers disagree on the step of these, so it is what the bytes make it
+        lines = height * 3 // 2
+        step = len(data) // lines
+    if encoding.below and (height % 2 or width % 2 or (name == "i420" and step != line)):
+        raise FormatError(f"{width} x {height} {name} with step {step}; both must be even, i420's step the width")
+    if step < line or len(data) < (lines - 1) * step + line:
+        raise FormatError(f"{len(data)} bytes for {width} x {height} {name} with step {step}; {lines} x {line} needed")
+    rows = np.ndarray((lines, line), np.uint8, data, 0, (step, 1))
     rows.flags.writeable = False
     return _to_bgr(rows, encoding, bool(message.get("is_bigendian", 0)), k)
 

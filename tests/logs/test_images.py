@@ -96,6 +96,40 @@ def test_bayer_patterns_give_back_the_colour_behind_the_filters(pattern, size):
     np.testing.assert_array_equal(image[2:-2, 2:-2], np.broadcast_to([20, 120, 230], (8, 12, 3)))
 
 
+def halved(encoding: str, y: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Lines (3H/2, W) of brightness (H,W) and below it colour (H/2, W/2, 2) as `encoding` stores it."""
+    below = {"nv12": uv, "nv21": uv[:, :, ::-1], "i420": np.moveaxis(uv, 2, 0)}[encoding]
+    return np.vstack([y, np.ascontiguousarray(below).reshape(-1, y.shape[1])])
+
+
+@pytest.mark.parametrize("encoding", ["nv12", "nv21", "i420"])
+def test_yuv420_is_bt601_and_has_half_as_many_lines_again(encoding):
+    rng = np.random.default_rng(5)
+    y, uv = rng.integers(60, 180, (10, 12)).astype(np.uint8), rng.integers(100, 156, (5, 6, 2)).astype(np.uint8)
+    u, v = (np.repeat(np.repeat(uv[:, :, n].astype(float) - 128, 2, axis=1), 2, axis=0) for n in (0, 1))
+    bright = 1.164 * (y.astype(float) - 16)
+    want = np.clip(np.stack([bright + 2.018 * u, bright - 0.813 * v - 0.391 * u, bright + 1.596 * v], axis=2), 0, 255)
+    lines = halved(encoding, y, uv)
+
+    def payload(step: int, height: int = 10, said: int | None = None) -> bytes:
+        padded = np.full((len(lines), step), 0xAB, np.uint8)
+        padded[:, :12] = lines
+        sizes = {"height": height, "width": 12, "step": step if said is None else said}
+        return cdr(IMAGE, header=header(T0), encoding=encoding, is_bigendian=0, data=padded.ravel(), **sizes)
+
+    decode = decoder(topic(IMAGE))
+    image = decode(payload(12), 1)
+    assert np.abs(image - want).max() <= 2
+    np.testing.assert_array_equal(decode(payload(12), 2), image[::2, ::2])
+    for said in (0, 18, 24):
+        np.testing.assert_array_equal(decode(payload(12, said=said), 1), image)
+    if encoding != "i420":
+        np.testing.assert_array_equal(decode(payload(16), 1), image)
+    for wrong in (payload(12, height=9), payload(12, height=12), *([payload(16)] if encoding == "i420" else [])):
+        with pytest.raises(FormatError, match=f"12 x .* {encoding} with step"):
+            decode(wrong, 1)
+
+
 @pytest.mark.parametrize(
     ("encoding", "luma"), [("yuv422", 1), ("uyvy", 1), ("yuv422_yuy2", 0), ("yuyv", 0), ("yuy2", 0)]
 )
@@ -114,7 +148,7 @@ def test_yuv422_is_bt601(encoding, luma):
 
 
 def test_every_encoding_of_the_table_is_tested_above():
-    yuv = {"yuv422", "uyvy", "yuv422_yuy2", "yuyv", "yuy2"}
+    yuv = {"yuv422", "uyvy", "yuv422_yuy2", "yuyv", "yuy2", "nv12", "nv21", "i420"}
     wide = {"bgr16", "rgb16", "bgra16", "rgba16", "mono16", "16UC1"}
     bayer = {f"bayer_{p}{s}" for p in ("rggb", "bggr", "gbrg", "grbg") for s in (8, 16)}
     opencv = {"8UC1": "mono8", "8UC3": "bgr8", "8UC4": "bgra8"}
