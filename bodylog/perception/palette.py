@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import FormatError, LogError
 from ..types import Array, Recording
 from . import blobs, choose
 from .ranges import Range, between, nearest
@@ -61,10 +61,19 @@ def propose(
 
 
 def _picked(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]:
-    """Times and pictures, evenly picked, at most _LOOKED_AT of them, decoded one by one."""
+    """Times and pictures, evenly picked, at most _LOOKED_AT of them, decoded one by one; what cannot be is left out."""
     frames = recording.frames or (lambda: iter(()))
     every = -(-sum(1 for _ in frames()) // _LOOKED_AT)
-    return lambda: ((frame.t, frame.decode(1)) for index, frame in enumerate(frames()) if index % every == 0)
+
+    def pictures() -> Iterator[tuple[float, Array]]:
+        for frame in (frame for index, frame in enumerate(frames()) if index % every == 0):
+            try:
+                image = frame.decode(1)
+            except FormatError:
+                continue
+            yield frame.t, image
+
+    return pictures
 
 
 def _hues(images: Iterable[Array]) -> list[int]:
@@ -103,8 +112,8 @@ def _explained(recording: Recording, t: Array, track: Array) -> float:
     joints = recording.joints
     if joints is None or len(t) < 4 or float(track.var(axis=0).sum()) < 1.0:
         return 0.0
-    moving = joints.values[:, np.nanstd(joints.values, axis=0) > 1e-2]
-    q = [np.interp(t, joints.t, column) for column in moving.T]
+    known = [(joints.t[there], column[there]) for column in joints.values.T if (there := np.isfinite(column)).any()]
+    q = [np.interp(t, at, angle) for at, angle in known if angle.std() > 1e-2]
     design = np.column_stack([np.ones(len(t)), *q, *(angle**2 for angle in q)])
     if len(t) < 3 * design.shape[1]:
         return 0.0
@@ -125,6 +134,8 @@ def _sheet(images: Mapping[int, Array], tracks: list[Array]) -> Array:
     """The pictures {index: (H,W,3)} in two rows, with a numbered circle where each proposal was found."""
     import cv2
 
+    size = np.max([image.shape for image in images.values()], axis=0)
+    images = {index: _within(image, size) for index, image in images.items()}
     for index, image in images.items():
         for number, track in enumerate(tracks):
             if np.isfinite(track[index]).all():
@@ -135,3 +146,10 @@ def _sheet(images: Mapping[int, Array], tracks: list[Array]) -> Array:
     shown += [np.zeros_like(shown[0])] * (len(shown) % 2)
     half = len(shown) // 2
     return np.vstack([np.hstack(shown[:half]), np.hstack(shown[half:])])
+
+
+def _within(image: Array, size: Array) -> Array:
+    """The picture in the upper left corner of a black one of that size (H,W,3)."""
+    whole = np.zeros(size, np.uint8)
+    whole[: image.shape[0], : image.shape[1]] = image
+    return whole

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.errors import LogError
+from bodylog.errors import FormatError, LogError
 from bodylog.perception.palette import propose
 from bodylog.types import Recording, Series
 from tests.perception import scenes
@@ -44,3 +44,29 @@ def test_where_the_effector_is_said_to_be_decides() -> None:
 def test_no_pictures_is_an_error_that_names_the_log() -> None:
     with pytest.raises(LogError, match="no pictures to take colours from; type: bodylog info"):
         propose(scenes.recording())
+
+
+def test_readings_that_are_none_do_not_count_against_the_others() -> None:
+    film, values = _film(), np.column_stack([ANGLES, np.full(len(T), np.nan)])
+    values[20:, 0] = np.nan
+    assert film.joints is not None
+    proposals, _ = propose(replace(film, joints=replace(film.joints, values=values, names=("a", "b", "c"))))
+    assert proposals[0].name == "green"
+    nothing = replace(film.joints, values=np.full_like(values, np.nan), names=("a", "b", "c"))
+    assert not any(one.joints for one in propose(replace(film, joints=nothing))[0])
+
+
+def test_pictures_of_two_sizes_and_damaged_ones_are_shown_as_far_as_they_go() -> None:
+    film = _film()
+    assert film.frames is not None
+    frames = list(film.frames())
+
+    def damaged(_k: int) -> np.ndarray:
+        raise FormatError("cut off")
+
+    odd = [replace(f, decode=damaged) if i % 7 == 3 else f for i, f in enumerate(frames)]
+    odd[30:] = [replace(f, decode=lambda k, f=f: f.decode(2 * k)) for f in odd[30:]]
+    proposals, sheet = propose(replace(film, frames=lambda: iter(odd)))
+    assert "green" in {one.name for one in proposals} and sheet.shape == (480, 960, 3)
+    with pytest.raises(LogError, match="no pictures"):
+        propose(replace(film, frames=lambda: iter([replace(f, decode=damaged) for f in frames])))
