@@ -24,6 +24,8 @@ ROUNDS, STILL = 12, 0.05
 """Rounds at most, and standard errors by which the last may still move."""
 TAME = 4.0
 """Squared residuals, in their spread, that count half."""
+ONE = 0.6
+"""Share of what tells of the delay that must count, 0.72 where all errs normally, or no one delay explains the log."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,9 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
         own = np.sqrt(spread * np.square(weight[:, None] * (rows.slopes @ lean)).sum())
         late += float(np.clip(step, -STEP, STEP))
         if abs(step) < STILL * own:
+            told = np.square(rows.slopes @ lean).sum(axis=1)
+            if weight @ told < ONE * told.sum():
+                return None
             return _judged(late, own, rows, weight, lean, max(PART, STEPS * max(curve.step for curve in curves)))
         if abs(late) > FARTHEST:
             return None
