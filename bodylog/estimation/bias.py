@@ -17,17 +17,19 @@ SIGMAS, LEAST = 4.0, 0.01
 """An offset is a fault when it is this many of its standard deviations, and this many rad, from where it began."""
 
 
-def choose(problem: Problem, solved: Solution, cost: Callable[[Problem], float]) -> Problem:
+def suspects(problem: Problem, solved: Solution) -> Array:
+    """Encoders (M,) bool whose lie would, to first order, explain GAIN nats of the log: a sound one costs no more."""
+    gain, offset, var = promise(problem, solved, WALKS[0])
+    return np.asarray((gain > GAIN) & _certain(offset, var).any(axis=0) & (_given(problem) == 0))
+
+
+def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Problem:
     """The problem with an offset for each encoder whose lie explains GAIN nats of the log; `cost` in nats.
 
-    What is solved already says, to first order, whose lie may: a sound log costs no more than that.
+    suspected (M,) bool: the encoders asked first, at least one.
     """
-    gain, offset, var = promise(problem, solved, WALKS[0])
-    suspects = (gain > GAIN) & _certain(offset, var).any(axis=0) & (_given(problem) == 0)
-    if not suspects.any():
-        return problem
     least = cost(problem)
-    best = _added(problem, suspects, nats(solved) if np.isinf(least) else least, cost)
+    best = _added(problem, suspected, nats(solved) if np.isinf(least) else least, cost)
     if best is problem:
         return problem
     others = [with_drift(best, _given(best) * (walk / WALKS[0])) for walk in WALKS[1:]]
@@ -36,18 +38,18 @@ def choose(problem: Problem, solved: Solution, cost: Callable[[Problem], float])
     return min([best, replace(best, precision=sharp), *others], key=cost)
 
 
-def _added(problem: Problem, suspects: Array, least: float, cost: Callable[[Problem], float]) -> Problem:
+def _added(problem: Problem, suspected: Array, least: float, cost: Callable[[Problem], float]) -> Problem:
     """The problem, which costs `least` nats, with one offset after the other while each wins GAIN of them."""
     best = problem
-    while suspects.any():
+    while suspected.any():
         drift = _given(best)
-        trials = [with_drift(problem, np.where(alone, WALKS[0], drift)) for alone in np.eye(len(drift))[suspects] > 0]
+        trials = [with_drift(problem, np.where(alone, WALKS[0], drift)) for alone in np.eye(len(drift))[suspected] > 0]
         costs = [cost(trial) for trial in trials]
         if min(costs) > least - GAIN:
             return best
         least, best = min(zip(costs, trials, strict=True), key=lambda pair: pair[0])
         # with one lie out of the way, any other may show
-        suspects = _given(best) == 0
+        suspected = _given(best) == 0
     return best
 
 

@@ -95,11 +95,30 @@ def settled(
     solved = sure(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solved
-    chosen = bias.choose(problem, solved, partial(cost, warm=solved))
-    if chosen is problem:
+    chosen = offset(problem, solved)
+    if chosen is None:
         return problem, solved
     chosen, begin = retuned(chosen, settings)
     return chosen, sure(chosen, begin)
+
+
+def offset(problem: Problem, solved: Solution) -> Problem | None:
+    """The problem with offsets, None where the log asks for none.
+
+    A smoother's process variance lets its way forth lag, which looks like offsets: the likeliest has to see them, too.
+    """
+    suspected, likeliest = bias.suspects(problem, solved), problem.precision.likeliest
+    if suspected.any() and likeliest is not None:
+        problem = replace(problem, precision=replace(problem.precision, process=likeliest, fewer={}))
+        try:
+            solved = walk(problem) if problem.stepwise else solve(problem, solved, rest=ROUGHLY)
+        except Restless:
+            solved = walk(problem)
+        suspected = bias.suspects(problem, solved)
+    if not suspected.any():
+        return None
+    chosen = bias.choose(problem, solved, suspected, partial(cost, warm=solved))
+    return None if chosen is problem else chosen
 
 
 def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:

@@ -18,7 +18,8 @@ class Precision:
     """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
 
     near {sighting: px} within which its errors are alike; other sightings' errors are white · stated: what share of
-    the covariance under white acceleration is stated · fewer {tracks in view: process (M,)} where these are not all.
+    the covariance under white acceleration is stated · fewer {tracks in view: process (M,)} where these are not all ·
+    likeliest: process (M,) of a filter, where a smoother's is another.
     """
 
     encoder: Array
@@ -28,6 +29,7 @@ class Precision:
     near: Mapping[str, float] = field(default_factory=dict)
     stated: float = 1.0
     fewer: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
+    likeliest: Array | None = None
 
     def plain(self) -> dict[str, Any]:
         """As plain numbers, to be written beside the estimate."""

@@ -49,7 +49,8 @@ def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
     warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
     fewer = {view: _moving(problem, *_told(part, view), whole)[0] for view in _less(problem)}
     process, stated = _moving(problem, part, told, whole)
-    return replace(part.precision, process=process, stated=stated, fewer=fewer), warm
+    likeliest = _moving(problem, part, told, False)[0] if whole else None
+    return replace(part.precision, process=process, stated=stated, fewer=fewer, likeliest=likeliest), warm
 
 
 def _less(problem: Problem) -> list[View]:

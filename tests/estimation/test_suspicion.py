@@ -43,19 +43,32 @@ def test_nothing_is_promised_where_nothing_is_looked_at(world):
     assert not promise(problem, found, WALK)[0].any()
 
 
-def test_a_sound_log_is_not_weighed(world):
-    def never(problem):
-        raise AssertionError("weighed")
+@pytest.fixture
+def learned(world):
+    """A body learned from pictures, which errs."""
+    explored = world(1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    return body.learn([explored.features], Settings(), {}).model
 
+
+def _never(*_):
+    raise AssertionError("an offset was tried")
+
+
+def test_a_sound_log_is_not_weighed(world, monkeypatch):
+    monkeypatch.setattr(bias, "choose", _never)
     for seed in range(3):
         drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
-        problem, found = solved(drawn.features, drawn.body)
-        assert bias.choose(problem, found, never) is problem
+        assert not estimate(drawn.features, drawn.body, Estimation()).faults
 
 
-def test_a_learned_bodys_own_error_accuses_no_encoder(world):
-    explored = world(1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
-    learned = body.learn([explored.features], Settings(), {}).model
+def test_that_the_way_forth_of_a_smoother_lags_is_no_offset(world, learned, monkeypatch):
+    monkeypatch.setattr(bias, "choose", _never)
+    for seed in (7, 8):
+        drawn = world(seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
+        assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
+
+
+def test_a_learned_bodys_own_error_accuses_no_encoder(world, learned):
     for seed in range(2, 5):
         drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         gain, _, _ = promise(*solved(drawn.features, learned), WALK)
