@@ -34,7 +34,7 @@ def doubts(found: Estimate, settings: Estimation) -> Iterator[Finding]:
 def _advice(found: Estimate, settings: Estimation, sense: str) -> str:
     """What this may come of, and what to type."""
     if found.method in STATIC:
-        return f"{found.method} holds the arm still between readings; type --method laplace"
+        return f"{found.method} holds the arm still and takes out no encoder that lies; type --method laplace"
     if settings.precision != "auto":
         return f"noise here is not what --precision {settings.precision} says; type --precision auto"
     if settings.bias == "off":

@@ -13,10 +13,12 @@ ERRORS = ("joint_rmse",)
 
 
 def tolerance(text: str) -> float:
-    """A share from what was typed, "5%" or "0.05"; UsageError if it is neither."""
+    """A share from what was typed, "5%" or "0.05"; UsageError if it is neither, or a number that may be either."""
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(%?)\s*", text)
     if not found:
         raise UsageError(f"--tolerance {text!r}: it must be a share, e.g. 5%")
+    if not found[2] and float(found[1]) > 1:
+        raise UsageError(f"--tolerance {text!r}: a share above 1 without a %; type --tolerance {text.strip()}%")
     return float(found[1]) / (100 if found[2] else 1)
 
 

@@ -47,3 +47,8 @@ def test_tolerance_is_a_share(text, share):
 def test_what_is_no_share_is_refused(text):
     with pytest.raises(UsageError, match=r"e\.g\. 5%"):
         tolerance(text)
+
+
+def test_a_number_that_may_be_a_share_or_a_percentage_is_refused():
+    with pytest.raises(UsageError, match="type --tolerance 5%"):
+        tolerance("5")
