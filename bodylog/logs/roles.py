@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ..errors import BodylogError, LogError
+from ..errors import BodylogError, ConfigError, LogError
 from ..settings import Topics
 from ..types import Finding, Topic
 from . import images
@@ -159,7 +159,10 @@ def _same(topics: Sequence[Topic], topic: Topic) -> tuple[Topic, ...]:
 
 
 def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
-    path = parse(said, [topic.name for topic in topics])
+    try:
+        path = parse(said, [topic.name for topic in topics])
+    except ConfigError as problem:
+        raise ConfigError(f"{name}: [topics] {role}: {problem}") from problem
     same = [topic for topic in topics if topic.name == path.topic]
     likely = [topic.name for topic in topics if _RANKS[role](topic) is not None]
     others = [topic.name for topic in topics if topic.name != path.topic]

@@ -7,7 +7,7 @@ from itertools import islice
 
 import numpy as np
 
-from ..errors import BodylogError, LogError
+from ..errors import BodylogError, ConfigError, LogError
 from ..settings import Settings
 from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import images, signals
@@ -46,7 +46,7 @@ def streams(
 
     LogError when a role named in robot.toml holds none.
     """
-    dated = _rising({role: _stream(*source, settings, name) for role, source in _columns(log, found).items()})
+    dated = _rising({role: _stream(*source, settings, name) for role, source in _columns(log, found, name).items()})
     usable = {role: stream for role, stream in dated.items() if len(stream.dated.t_ns)}
     empty = (_empty(stream, settings, name) for role, stream in dated.items() if role not in usable)
     return _one_epoch(usable), tuple(empty)
@@ -75,7 +75,7 @@ class _Beginning:
         return islice(self.log.batches(ids), 1)
 
 
-def _columns(log: Source, found: Mapping[str, Role]) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
+def _columns(log: Source, found: Mapping[str, Role], name: str) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
     fields: dict[int, dict[str, None]] = {}
     topics = {topic.id: topic for role in found.values() for topic in role.topics}
     for role in found.values():
@@ -83,7 +83,11 @@ def _columns(log: Source, found: Mapping[str, Role]) -> dict[str, tuple[Role, tu
             stamp = stamp_field(topic)
             wanted = dict.fromkeys([stamp] if stamp else []) | dict.fromkeys(_fields(role))
             fields.setdefault(topic.id, {}).update(wanted)
-    read = columns_of(log, {id_: (topics[id_], tuple(names)) for id_, names in fields.items()})
+    try:
+        read = columns_of(log, {id_: (topics[id_], tuple(names)) for id_, names in fields.items()})
+    except ConfigError as problem:
+        asked = ", ".join(f'{role.role} = "{role.path}"' for role in found.values() if role.field)
+        raise ConfigError(f"{name}: [topics] {asked}: {problem}") from problem
     return {name: (role, tuple(read[topic.id] for topic in role.topics)) for name, role in found.items()}
 
 
