@@ -41,7 +41,10 @@ def test_a_sound_exploration_too_short_to_tell_is_learned_as_ever(seed):
     assert not said(found) and "delay" not in found.model.provenance
 
 
-@pytest.mark.parametrize("seed, seconds", [(0, -0.1), (1, 0.05), (2, 0.02)])
+LATE = ((0, -0.1), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((1, 0.05), (2, 0.02))))
+
+
+@pytest.mark.parametrize("seed, seconds", LATE)
 def test_a_late_exploration_is_learned_as_a_sound_one(seed, seconds):
     features = run(seed, 0.003).features
     sound, late = learned(features), learned(delayed(features, seconds))

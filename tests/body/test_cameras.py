@@ -50,7 +50,7 @@ def test_a_turning_head_is_learned_as_a_joint(seed) -> None:
     assert np.abs(slope[:, 0, 3]).mean() > 200  # px per rad: turning the head moves the whole picture
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))])
 def test_two_cameras_with_stamps_of_their_own_beat_either(seed) -> None:
     cameras = BASE, np.array([1.3, 0.5, 0.7])
     body = learn([_heard(seed, 60.0, 0.003, cameras)], Settings(), {}).model

@@ -49,8 +49,8 @@ def test_sound_logs_are_left_as_they_are(world, method):
     assert np.array_equal(auto.cov, off.cov) and np.array_equal(auto.free_energy, off.free_energy)
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
-@pytest.mark.parametrize("seconds", [-0.1, 0.05, 0.2])
+@pytest.mark.parametrize("method", ["laplace", "smoother", pytest.param("ekf", marks=pytest.mark.soak)])
+@pytest.mark.parametrize("seconds", [-0.1, 0.05, pytest.param(0.2, marks=pytest.mark.soak)])
 def test_a_delay_is_said_and_taken_off(world, method, seconds):
     settings, truly, found_to_be = Estimation(method=method), [], []
     for seed in range(3):

@@ -98,7 +98,7 @@ def test_a_mistaken_first_reading_is_overruled_by_the_next(world, row):
         assert rmse < 0.006 and nees < 1.3 and not faults
 
 
-@pytest.mark.parametrize("size", [0.1, 0.3, 1.0])
+@pytest.mark.parametrize("size", [0.1, *(pytest.param(size, marks=pytest.mark.soak) for size in (0.3, 1.0))])
 def test_an_encoder_that_lies_after_a_silence_is_not_followed(world, size):
     for seed in range(2):
         drawn = world(seed, duration=14.0, encoder_std=0.01)
@@ -121,7 +121,7 @@ def test_pictures_of_something_else_lose_the_arm_only_until_they_are_right(world
         assert "until 8." in lost
 
 
-@pytest.mark.parametrize("encoder_hz", [10.0, 50.0, 400.0])
+@pytest.mark.parametrize("encoder_hz", [50.0, *(pytest.param(hz, marks=pytest.mark.soak) for hz in (10.0, 400.0))])
 def test_a_belief_that_is_not_lost_is_left_alone(world, encoder_hz):
     for seed in range(3):
         drawn = world(seed, duration=8.0, encoder_hz=encoder_hz, hidden=(3.0, 4.5), blunder=0.05)
