@@ -154,7 +154,8 @@ def told(
         delay, rest = delays.get(name, 0.0), rests.get(name)
         if name in fixed and rest is not None and telling(rest):
             late, given = delay + rest.seconds, f"--delay {name}={delay:g}" if delay else "none taken off"
-            advice = f"error bars are too small for that; type --delay {name}={late:.4f}"
+            better = f"{late:.4f}" if abs(late) > SURE * rest.std_error else "0"
+            advice = f"error bars are too small for that; type --delay {name}={better}"
             yield Finding("warning", f"{name}: {_worded(late, rest.std_error)} ({given}): {advice}")
         elif name in errors:
             advice = f"type --delay {name}={delay:.4f} to say so, --delay off to leave it"

@@ -91,6 +91,8 @@ def test_what_is_given_is_heard_as_it_is_and_contradicted_where_the_log_knows_be
         wrong = estimate(features, drawn.body, Estimation(bias="off"), given)
         (text,) = said(wrong)
         assert named in text and float(text.rpartition("type --delay camera=")[2]) == pytest.approx(0.05, abs=0.01)
+    (text,) = said(estimate(drawn.features, drawn.body, Estimation(bias="off"), {"camera": 0.05}))
+    assert text.endswith("type --delay camera=0")  # and not how far from it the log happens to have it
     with pytest.raises(UsageError, match=r"delay: 'left' is none of joints, camera; type --delay camera=0\.05"):
         estimate(features, drawn.body, Estimation(), {"left": 0.05})
 
