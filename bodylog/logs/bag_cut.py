@@ -17,17 +17,18 @@ _ALWAYS, _RATIO = 64 << 20, 255
 
 @dataclass(frozen=True)
 class Cut:
-    """What is left of a chunk: its compression, its packed bytes, and how many bytes they may hold at most."""
+    """What is left of a chunk: compression, packed bytes, how many bytes they hold at most, how many of them lack."""
 
     compression: str
     packed: memoryview
     most: int
+    lacks: int | None = None
 
 
 def cut_at(data: memoryview, at: int) -> Cut | None:
-    """The compressed chunk at byte `at` in which the file ends; None when it is whole, stored, or something else.
+    """The chunk at byte `at` in which the file ends; None when it is whole, or something else.
 
-    A recorder says how long a chunk is when it is done with it; before, it says 0.
+    A recorder says how long a chunk is when it is done with it; before, it says 0, and what is stored then follows it.
     """
     head = min(len(data) - at, _LONGEST_HEAD)
     with suppress(FormatError, struct.error):
@@ -38,10 +39,12 @@ def cut_at(data: memoryview, at: int) -> Cut | None:
         said = _U32.unpack_from(data, start - 4)[0]
         record = record_at(memoryview(bytes(data[at : start - 4]) + bytes(4)), 0, start - at)
         compression = str(record.fields.get(b"compression", b""), "ascii", "replace")
-        if record.op != CHUNK or compression in STORED or 0 < said <= len(data) - start:
+        stored = compression in STORED
+        if record.op != CHUNK or ((said or stored) and said <= len(data) - start):
             return None
         whole, packed = record.number(b"size"), data[start:]
-        return Cut(compression, packed, min(whole or _ALWAYS, max(_ALWAYS, _RATIO * len(packed))))
+        lacks = said - len(packed) if stored and said == whole else None
+        return Cut(compression, packed, min(whole or _ALWAYS, max(_ALWAYS, _RATIO * len(packed))), lacks)
     return None
 
 

@@ -79,27 +79,27 @@ def sound_records(
     start: int,
     end: int,
     lost: Callable[[int, int], None],
-    last: Callable[[int], bool] = lambda _at: False,
+    cut: Callable[[int], int | None] = lambda _at: None,
 ) -> Iterator[BagRecord]:
     """Records between two bytes, found again after each damage, which `lost(start, size)` is told of.
 
-    None after one that cannot be read, or is an empty chunk, of which `last(start)` says that the file ends in it.
+    Those after one that cannot be read, or is an empty chunk, begin where `cut(start)` says, if the file ends in it.
     """
     at = start
     while at < end:
         try:
             record = record_at(data, at, end)
         except FormatError:
-            if last(at):
-                return
-            found = _resync(data, at + 1, end)
-            lost(at, found - at)
+            found = cut(at)
+            if found is None:
+                found = _resync(data, at + 1, end)
+                lost(at, found - at)
             at = found
             continue
-        if record.op == CHUNK and not record.size and last(at):
-            return
-        yield record
-        at = record.end
+        inside = cut(at) if record.op == CHUNK and not record.size else None
+        if inside is None:
+            yield record
+        at = record.end if inside is None else inside
 
 
 def _resync(data: memoryview, start: int, end: int) -> int:

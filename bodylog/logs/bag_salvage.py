@@ -19,7 +19,7 @@ from .bag_records import (
     record_at,
     sound_records,
 )
-from .compression import Buffer
+from .compression import STORED, Buffer
 from .ledger import Ledger
 from .rosbag import BagSurvey
 
@@ -84,11 +84,11 @@ def _scan(data: memoryview, survey: BagSurvey, ledger: Ledger) -> None:
     def lost(at: int, size: int) -> None:
         ledger.lost(at, size, None, None, "no whole record can be read there")
 
-    def last(at: int) -> bool:
+    def cut(at: int) -> int | None:
         return _cut(data, at, survey, ledger)
 
     buffer = Buffer()
-    for record in sound_records(data, len(MAGIC), len(data), lost, last):
+    for record in sound_records(data, len(MAGIC), len(data), lost, cut):
         try:
             if record.op == CONNECTION:
                 survey.declare(record, data)
@@ -100,16 +100,24 @@ def _scan(data: memoryview, survey: BagSurvey, ledger: Ledger) -> None:
             lost(record.start, record.end - record.start)
 
 
-def _cut(data: memoryview, at: int, survey: BagSurvey, ledger: Ledger) -> bool:
-    """Take in the compressed chunk at byte `at` in which the file ends, if that is there and a message unpacks."""
+def _cut(data: memoryview, at: int, survey: BagSurvey, ledger: Ledger) -> int | None:
+    """The byte after what is left of a chunk at byte `at` in which the file ends, taken in, or of its head, if stored.
+
+    None where no such chunk is there, or no message unpacks.
+    """
     found = cut_at(data, at)
-    content = unpacked(found) if found else b""
+    if found is None:
+        return None
+    why = f"the file ends in this chunk, after {len(data) - at} bytes, which are read as far as they "
+    if found.compression in STORED:
+        ledger.lost(at, found.lacks, None, None, why + "go")
+        return len(data) - len(found.packed)
+    content = unpacked(found)
     if not len(walked(memoryview(content), 0, len(content), at, Ledger(Path())).starts):
-        return False
-    why = f"the file ends in this chunk, after {len(data) - at} bytes, which are read as far as they unpack"
-    ledger.lost(at, None, None, None, why)
+        return None
+    ledger.lost(at, None, None, None, why + "unpack")
     _open(data, BagChunk(at, {}, cut=True), survey, Buffer(), ledger)
-    return True
+    return len(data)
 
 
 def _open(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, ledger: Ledger) -> None:

@@ -36,6 +36,20 @@ def test_a_bag_that_ends_in_a_chunk_is_read_up_to_there(tmp_path: Path, compress
     assert set(counts) <= {0, 400, 800, 1000} if compression == "bz2" else len(set(counts)) > 15
 
 
+def test_a_stored_chunk_that_is_cut_says_how_many_bytes_of_it_lack(tmp_path: Path) -> None:
+    """What its messages were the rest of the chunk told; those that are whole are not lost."""
+    whole, path = _bag("none"), tmp_path / "cut.bag"
+    start = whole.index(b"compression=none")
+    size = int.from_bytes(whole[whole.index(b"size=", start) + 5 :][:4], "little")
+    body = whole.index(b"size=", start) + 13
+    path.write_bytes(whole[: body + size - 500])
+    found, findings = read(path)
+    assert len(found) == 397 and set(found) <= set(SOME)
+    (chunk, message) = [finding.text for finding in findings if finding.severity == "lost"]
+    assert "from byte 4117 500 bytes," in chunk and "the file ends in this chunk, after" in chunk
+    assert message.endswith("no whole record can be read there")
+
+
 def test_a_chunk_that_its_recorder_never_closed_is_read_as_far_as_it_was_written(tmp_path: Path) -> None:
     """A recorder says a chunk's two lengths when it is done with it; killed before, it leaves zeros."""
     whole, path, zero = _bag("lz4"), tmp_path / "killed.bag", bytes(4)
