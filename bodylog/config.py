@@ -10,9 +10,11 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from . import files
 from .errors import ConfigError
 from .settings import Estimation, Settings
 
+_MOST_BYTES = 1 << 20
 NAMED_COLOURS = ("blue", "cyan", "green", "magenta", "orange", "red", "yellow")
 
 
@@ -38,7 +40,7 @@ def _parse(path: Path) -> dict[str, Any]:
     import tomllib
 
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(files.text(path, _MOST_BYTES))
     except OSError as err:
         raise ConfigError(f"{path}: cannot be read ({err.strerror}); give --config a robot.toml") from err
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as err:

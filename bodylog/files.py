@@ -20,9 +20,11 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 def replacing(path: Path) -> Iterator[Path]:
     """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
 
-    What killed runs left in that folder goes first. UsageError when `path` is in no folder, or no file; OSError, which
-    names `path`, where there is no room.
+    Of a link, what it leads to is replaced, or made. What killed runs left in that folder goes first. UsageError when
+    `path` is in no folder, or no file; OSError, which names `path`, where there is no room.
     """
+    if path.is_symlink():
+        path = _behind(path)
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
     if not path.parent.is_dir():
@@ -45,6 +47,14 @@ def replacing(path: Path) -> Iterator[Path]:
             beside.unlink()
 
 
+def _behind(link: Path) -> Path:
+    """What a link leads to; UsageError when that is a link again, without end."""
+    path = Path(os.path.realpath(link))
+    if path.is_symlink():
+        raise UsageError(f"{link}: is a link that leads back to itself; give another name with -o")
+    return path
+
+
 @contextmanager
 def _begun(path: Path) -> Iterator[None]:
     """An empty file, locked for the time of the `with`, which nobody took for a killed run's before it was."""
@@ -65,7 +75,7 @@ def _begun(path: Path) -> Iterator[None]:
 def made(path: Path) -> Path:
     """`path` as a folder, made where it is not there yet; UsageError where it, or what it would be in, is a file."""
     try:
-        path.mkdir(parents=True, exist_ok=True)
+        Path(os.path.realpath(path)).mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
         raise UsageError(f"{path}: a file is in its place; give the name of a folder") from None
     except OSError as problem:
@@ -106,6 +116,15 @@ def sync(path: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def text(path: Path, most: int) -> str:
+    """What a file, or a pipe, says in UTF-8; OSError (too large) where that is more than `most` bytes."""
+    with path.open("rb") as stream:
+        said = stream.read(most + 1)
+    if len(said) > most:
+        raise OSError(errno.EFBIG, f"more than {most} bytes")
+    return said.decode()
 
 
 def is_archive(path: Path) -> bool:

@@ -6,11 +6,18 @@ import click
 from bodylog_cli.commands import bodylog
 
 PAGE = Path(__file__).with_name("cli.md")
+BEGIN = """# Command line
+
+The file after `-o` is whole or absent: written beside its place, then put there; of a link, what the link leads to is
+written and the link stays. `--config` and `--baseline` may be pipes: `--config <(sed s/left/right/ robot.toml)`.
+
+Every `--help`, word for word.
+"""
 
 
 def page() -> str:
     """The command line reference as Markdown."""
-    parts = ["# Command line\n\nEvery `--help`, word for word.\n", _help("bodylog", bodylog)]
+    parts = [BEGIN, _help("bodylog", bodylog)]
     parts += [_help(f"bodylog {name}", command) for name, command in bodylog.commands.items()]
     return "\n".join(parts)
 

@@ -1,5 +1,7 @@
 """robot.toml over defaults, command line over robot.toml, and what is refused by name."""
 
+from pathlib import Path
+
 import pytest
 
 from bodylog.config import load, toml
@@ -80,6 +82,11 @@ def test_what_makes_no_sense_is_refused_in_one_line(tmp_path, text, said):
 def test_absent_file_is_a_usage_error(tmp_path):
     with pytest.raises(ConfigError, match="cannot be read"):
         load(tmp_path / "none.toml")
+
+
+def test_a_file_without_end_is_refused():
+    with pytest.raises(ConfigError, match="more than 1048576 bytes"):
+        load(Path("/dev/zero"))
 
 
 def test_printed_settings_read_back_as_they_were(tmp_path):

@@ -2,11 +2,12 @@ import os
 import subprocess
 import sys
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.files import forsake, held, replacing, sha256
+from bodylog.files import forsake, held, made, replacing, sha256, text
 
 WRITER = """
 import sys
@@ -40,6 +41,46 @@ def test_success_replaces_and_failure_leaves_the_old_file_and_nothing_else(tmp_p
         raise RuntimeError
     assert path.read_bytes() == b"first"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_of_a_link_what_it_leads_to_is_written_beside_itself(tmp_path):
+    """Links stay links, also those that lead on, or to what is not there yet; a failure leaves what was there."""
+    elsewhere, link, further = tmp_path / "elsewhere", tmp_path / "link", tmp_path / "further"
+    elsewhere.mkdir()
+    link.symlink_to("elsewhere/out.bin")
+    further.symlink_to(link)
+    for content in (b"first", b"second"):
+        with replacing(further) as beside:
+            assert beside.parent == elsewhere
+            beside.write_bytes(content)
+        assert (elsewhere / "out.bin").read_bytes() == content and link.is_symlink() and further.is_symlink()
+    with pytest.raises(RuntimeError), replacing(link) as beside:
+        raise RuntimeError
+    assert (elsewhere / "out.bin").read_bytes() == b"second" and [*elsewhere.iterdir()] == [elsewhere / "out.bin"]
+
+
+def test_links_that_lead_nowhere_are_refused(tmp_path):
+    astray, circle = tmp_path / "astray", tmp_path / "circle"
+    astray.symlink_to("no/out.bin")
+    circle.symlink_to("circle")
+    with pytest.raises(UsageError, match=r"mkdir -p .*/no$"), replacing(astray):
+        pass
+    with pytest.raises(UsageError, match="leads back to itself"), replacing(circle):
+        pass
+    assert circle.is_symlink()
+
+
+def test_a_link_to_a_folder_that_is_not_there_makes_it(tmp_path):
+    (tmp_path / "link").symlink_to("folder")
+    assert made(tmp_path / "link").is_dir() and (tmp_path / "folder").is_dir()
+
+
+def test_what_a_pipe_says_is_read_and_without_end_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with subprocess.Popen(["sh", "-c", f"echo häßlich > '{tmp_path}/pipe'"]):
+        assert text(tmp_path / "pipe", 10) == "häßlich\n"
+    with pytest.raises(OSError, match="more than 1000 bytes"):
+        text(Path("/dev/zero"), 1000)
 
 
 def test_absent_folder_says_what_to_type(tmp_path):

@@ -5,9 +5,11 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from .. import files
 from ..errors import BoundError, InputError, UsageError
 from ..types import Score
 
+_MOST_BYTES = 256 << 20
 ERRORS = ("joint_rmse",)
 """Scores where more is worse; the parts behind a slash count with them."""
 
@@ -25,9 +27,9 @@ def tolerance(text: str) -> float:
 def load(path: Path) -> dict[str, dict[str, float | None]]:
     """Scores by log name from a results.jsonl; InputError if it is not one."""
     try:
-        rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+        rows = [json.loads(line) for line in files.text(path, _MOST_BYTES).splitlines()]
         return {row["name"]: dict(row["scores"]) for row in rows}
-    except (OSError, ValueError, KeyError, TypeError) as err:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as err:
         raise InputError(f"{path}: not a results.jsonl of a batch ({err}); type: bodylog batch LOG... -o DIR") from err
 
 

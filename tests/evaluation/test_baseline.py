@@ -33,7 +33,12 @@ def test_baseline_is_read_from_results(tmp_path):
     path = tmp_path / "results.jsonl"
     path.write_text("".join(json.dumps({"name": name, "scores": scores}) + "\n" for name, scores in BEFORE.items()))
     assert load(path) == BEFORE
-    path.write_text("{}\n")
+
+
+@pytest.mark.parametrize("text", ["{}\n", "[" * 100_000])
+def test_what_is_no_baseline_is_refused(tmp_path, text):
+    path = tmp_path / "results.jsonl"
+    path.write_text(text)
     with pytest.raises(InputError, match=r"not a results\.jsonl"):
         load(path)
 
