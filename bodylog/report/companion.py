@@ -3,7 +3,7 @@
 Everything is laid out over `message_log_time`, as Rerun lays out the messages of an MCAP.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,8 @@ TIME = "message_log_time"
 SIGMAS, CORNERS = 2.0, 33
 CORNER = 0.5
 """px: Rerun counts from the first pixel's corner, tracks from its centre."""
+Event = tuple[int, str, str]
+"""Log time in ns, level, text."""
 SEEN, PREDICTED, HAND, TRUTH = (80, 230, 110), (60, 150, 240), (250, 70, 60), (150, 150, 150)
 
 
@@ -41,8 +43,10 @@ def write(
 
     stream = rerun.RecordingStream(ROOT, recording_id=identity, send_properties=False)
     stream.save(out)
-    _overlay(stream, cameras, features, estimate)
+    if features is not None:
+        _seen(stream, cameras, features)
     if estimate is not None:
+        _predicted(stream, cameras, estimate)
         _belief(stream, estimate, truth)
     _events(stream, features, estimate)
     stream.send_blueprint(_window(tuple(cameras.values()), estimate))
@@ -61,19 +65,20 @@ def _topic(topic: str) -> tuple[str, ...]:
     return tuple(part for part in topic.split("/") if part)
 
 
-def _overlay(
-    stream: Any, cameras: Mapping[str, Camera], features: Features | None, estimate: Estimate | None
-) -> None:
-    """Points seen and predicted, and the prediction's 2-sigma ellipse, below the entity of their camera's picture."""
-    for name, track in (features.tracks if features else {}).items():
+def _seen(stream: Any, cameras: Mapping[str, Camera], features: Features) -> None:
+    """Points where things were seen, below the entity of their camera's picture."""
+    for name, track in features.tracks.items():
         if camera := cameras.get(name.rpartition("/")[0]):
             _points(stream, camera, f"{name} seen", track, HAND if name == "hand" else SEEN)
-    for name, track in (estimate.predicted if estimate else {}).items():
-        if not (camera := cameras.get(name.rpartition("/")[0])):
-            continue
-        _points(stream, camera, f"{name} predicted", track, PREDICTED)
-        if estimate and name in estimate.predicted_cov:
-            _ellipses(stream, camera, f"{name} predicted, 2 sigma", track, estimate.predicted_cov[name])
+
+
+def _predicted(stream: Any, cameras: Mapping[str, Camera], estimate: Estimate) -> None:
+    """Points where they were predicted, with their 2-sigma ellipses."""
+    for name, track in estimate.predicted.items():
+        if camera := cameras.get(name.rpartition("/")[0]):
+            _points(stream, camera, f"{name} predicted", track, PREDICTED)
+            if name in estimate.predicted_cov:
+                _ellipses(stream, camera, f"{name} predicted, 2 sigma", track, estimate.predicted_cov[name])
 
 
 def _points(stream: Any, camera: Camera, name: str, track: Series, colour: tuple[int, int, int]) -> None:
@@ -155,19 +160,26 @@ def _events(stream: Any, features: Features | None, estimate: Estimate | None) -
     stream.reset_time()
 
 
-def events(features: Features | None, estimate: Estimate | None) -> list[tuple[int, str, str]]:
-    """(log time in ns, level, text) of every touch and fault, in order of time."""
-    weights = {pair.touch: pair for pair in (features.synchrony if features else ())}
-    said = [
-        (touch.source_ns, "INFO", f"touch of cells {', '.join(map(str, touch.cells[:8]))}"
-         + (f", seen {weights[i].delay:+.3f} s later, synchrony {weights[i].weight:.2f}" if i in weights else ""))
-        for i, touch in enumerate((features.touches or ()) if features else ())
-    ]  # fmt: skip
-    for fault in estimate.faults if estimate else ():
-        row = int(np.searchsorted(estimate.joints.t, fault.since)) if estimate else 0
-        ns = int(estimate.joints.source_ns[min(row, len(estimate.joints.t) - 1)]) if estimate else 0
-        said.append((ns, "WARN", f"{fault.sense} {fault.name}: {fault.kind}, {fault.size:.4g} {fault.unit}"))
-    return sorted(said)
+def events(features: Features | None, estimate: Estimate | None) -> list[Event]:
+    """Every touch and fault, in order of time."""
+    felt = () if features is None else _touches(features)
+    return sorted([*felt, *(() if estimate is None else _faults(estimate))])
+
+
+def _touches(features: Features) -> Iterator[Event]:
+    pairs = {pair.touch: pair for pair in features.synchrony}
+    for i, touch in enumerate(features.touches or ()):
+        said = f"touch of cells {', '.join(map(str, touch.cells[:8]))}"
+        if i in pairs:
+            said += f", seen {pairs[i].delay:+.3f} s later, synchrony {pairs[i].weight:.2f}"
+        yield touch.source_ns, "INFO", said
+
+
+def _faults(estimate: Estimate) -> Iterator[Event]:
+    rows = np.searchsorted(estimate.joints.t, [fault.since for fault in estimate.faults])
+    for fault, row in zip(estimate.faults, rows.tolist(), strict=True):
+        ns = int(estimate.joints.source_ns[min(row, len(estimate.joints.t) - 1)])
+        yield ns, "WARN", f"{fault.sense} {fault.name}: {fault.kind}, {fault.size:.4g} {fault.unit}"
 
 
 def _times(ns: Array) -> Any:

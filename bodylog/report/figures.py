@@ -18,7 +18,7 @@ _ROWS = 24
 _GRID = 61
 
 
-def recording_figure(recording: Recording, features: Features | None, out: Path) -> None:
+def recording_figure(recording: Recording, features: Features, out: Path) -> None:
     """Draw a log as the paper's figure 3: joints, pixels, skin, events, trajectories; what is absent is left out."""
     panels = _recording_panels(recording, features)
     tracks = seen_tracks(features)
@@ -29,7 +29,7 @@ def recording_figure(recording: Recording, features: Features | None, out: Path)
         drawing.suptitle(label(recording.name, 80), x=0.01, ha="left", weight="bold")
         _stack(drawing, grid, panels, recording.duration_s)
         if tracks:
-            trajectories(tracks, features.strokes if features else (), drawing.add_subplot(grid[:, 1]))
+            trajectories(tracks, features.strokes, drawing.add_subplot(grid[:, 1]))
 
 
 def body_figure(body: BodyModel, out: Path) -> None:
@@ -61,16 +61,15 @@ def estimate_figure(estimate: Estimate, truth: Series | None, recorded: Series |
                 deviation(estimate, m, real, recorded, drawing.add_subplot(grid[m, 1], sharex=axes[0]))
 
 
-def _recording_panels(recording: Recording, features: Features | None) -> list[Panel]:
-    joints = recording.joints if recording.joints is not None else features.joints if features else None
+def _recording_panels(recording: Recording, features: Features) -> list[Panel]:
     panels: list[Panel] = []
-    if joints is not None and len(joints.t):
-        panels.append(partial(signals, joints, "joints, rad"))
-    if features and seen_tracks(features):
+    if recording.joints is not None and len(recording.joints.t):
+        panels.append(partial(signals, recording.joints, "joints, rad"))
+    if seen_tracks(features):
         panels.append(partial(pixels, features))
     if recording.skin is not None and len(recording.skin.t):
         panels.append(partial(skin, recording.skin))
-    if features and (features.touches or features.strokes):
+    if features.touches or features.strokes:
         panels.append(partial(events, features))
     return panels
 

@@ -17,12 +17,12 @@ _QUALITY = 82
 
 def write(
     out: Path,
-    estimate: Estimate | None,
-    features: Features | None,
+    estimate: Estimate,
+    features: Features,
     recording: Recording,
-    scores: Sequence[Score] = (),
-    pictures: Sequence[Picture] = (),
-    provenance: Mapping[str, str] | None = None,
+    scores: Sequence[Score],
+    pictures: Sequence[Picture],
+    provenance: Mapping[str, str],
 ) -> None:
     """Write the page to `out`, whole or not at all: no network, the same bytes for the same input."""
     drawn = panels(recording, features, estimate)
@@ -34,7 +34,7 @@ def write(
         _gallery(pictures),
         score_table(scores),
         tables(recording, features, estimate),
-        settings(estimate, provenance or {}),
+        settings(estimate, provenance),
     ]
     page = document(recording.name, "\n".join(part for part in body if part), groups)
     with replacing(out) as beside:

@@ -11,22 +11,18 @@ from ..types import Estimate
 ROOT = "/bodylog"
 
 
-def write(
-    out: Path, camera: str | None, estimate: Estimate | None, views: Mapping[str, str] | None = None
-) -> None:
+def write(out: Path, camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> None:
     """Write the layout as JSON to `out`, for the camera topics and the joints and senses of `estimate`."""
     with replacing(out) as beside:
         beside.write_text(json.dumps(layout(camera, estimate, views), indent=2) + "\n", encoding="utf-8")
 
 
-def layout(
-    camera: str | None, estimate: Estimate | None, views: Mapping[str, str] | None = None
-) -> dict[str, Any]:
+def layout(camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> dict[str, Any]:
     """The layout's tree: panels by id, and how they share the window; `views`: topics of further cameras by name."""
-    joints = estimate.joints.names if estimate else ()
-    senses = {name: errors.names for name, errors in estimate.errors.items()} if estimate else {}
+    joints = enumerate(estimate.joints.names)
+    senses = {name: errors.names for name, errors in estimate.errors.items()}
     panels: dict[str, Any] = {
-        "Plot!belief": _plot([(_item("joint_states.position", k), name) for k, name in enumerate(joints)]),
+        "Plot!belief": _plot([(_item("joint_states.position", k), name) for k, name in joints]),
         "Plot!errors": _plot(_errors(senses)),
         "Plot!free_energy": _plot([(f"{ROOT}/free_energy.data", "free energy, nats")]),
         "Image!camera": _image(camera, f"{ROOT}/annotations"),
@@ -34,7 +30,7 @@ def layout(
     }
     plots = _split("column", "Plot!belief", _split("column", "Plot!errors", "Plot!free_energy", 60), 45)
     picture = _split("column", "Image!camera", "RawMessages!faults", 75)
-    for name, topic in (views or {}).items():
+    for name, topic in views.items():
         panels[f"Image!{name}"] = _image(topic, f"{ROOT}/annotations/{name}")
         picture = _split("column", f"Image!{name}", picture, 40)
     return {

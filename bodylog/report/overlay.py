@@ -13,6 +13,7 @@ from ..types import Array, Estimate, Features, Recording, Series
 
 _SEEN, _PREDICTED, _HAND = (80, 230, 250), (240, 150, 60), (240, 240, 240)  # BGR
 _WIDTH = 480
+_ACROSS, _TILE = 3, 320  # pictures in a row of a sheet, and px each is wide there
 _FINE = 4  # cv2 draws in 1/16 px with shift 4
 
 
@@ -42,9 +43,7 @@ def overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Arra
     return drawn
 
 
-def pictures(
-    recording: Recording, features: Features | None, estimate: Estimate | None, count: int = 6
-) -> tuple[Picture, ...]:
+def pictures(recording: Recording, features: Features, estimate: Estimate, count: int = 6) -> tuple[Picture, ...]:
     """`count` frames of each camera, evenly over the log, with what was seen and predicted; () without a camera."""
     films = {} if recording.frames is None else {"": recording.frames}
     wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
@@ -61,16 +60,16 @@ def pictures(
     return tuple(drawn)
 
 
-def overlay_sheet(drawn: Sequence[Picture], out: Path, columns: int = 3, width: int = 320) -> None:
-    """Write the pictures side by side, `width` px wide with a caption below, as one PNG; UsageError: none, suffix."""
+def overlay_sheet(drawn: Sequence[Picture], out: Path) -> None:
+    """Write the pictures side by side, each with a caption below, as one PNG; UsageError: none, suffix."""
     if not drawn:
         raise UsageError(f"{out}: no pictures to put on the sheet; type: bodylog info LOG to see its cameras")
-    tiles = [_tile(picture, width) for picture in drawn]
+    tiles = [_tile(picture) for picture in drawn]
     height = max(len(tile) for tile in tiles)
-    sheet = np.full((-(-len(tiles) // columns) * height, min(columns, len(tiles)) * width, 3), 255, np.uint8)
+    sheet = np.full((-(-len(tiles) // _ACROSS) * height, min(_ACROSS, len(tiles)) * _TILE, 3), 255, np.uint8)
     for i, tile in enumerate(tiles):
-        top, left = i // columns * height, i % columns * width
-        sheet[top : top + len(tile), left : left + width] = tile
+        top, left = i // _ACROSS * height, i % _ACROSS * _TILE
+        sheet[top : top + len(tile), left : left + _TILE] = tile
     key = _words("ring: seen | cross and ellipse: predicted, 2 sigma | square: hand", sheet.shape[1])
     write(np.vstack([sheet, key]), out)
 
@@ -94,17 +93,12 @@ def scaled(image: Array, width: int) -> Array:
     return cv2.resize(image, (width, height), interpolation=method)
 
 
-def _picture(
-    camera: str, t: float, image: Array, features: Features | None, estimate: Estimate | None
-) -> Picture:
+def _picture(camera: str, t: float, image: Array, features: Features, estimate: Estimate) -> Picture:
     at = f"{camera}/" if camera else ""
-    tracks = features.tracks if features else {}
-    predicted = estimate.predicted if estimate else {}
-    covs = estimate.predicted_cov if estimate else {}
     name = f"{at}effector"
-    seen, hand = _at(tracks.get(name), t), _at(tracks.get(f"{at}hand"), t)
-    mean, row = _at(predicted.get(name), t), _nearest(predicted.get(name), t)
-    cov = covs[name][row] if row is not None and name in covs else None
+    seen, hand = _at(features.tracks.get(name), t), _at(features.tracks.get(f"{at}hand"), t)
+    mean, row = _at(estimate.predicted.get(name), t), _nearest(estimate.predicted.get(name), t)
+    cov = estimate.predicted_cov[name][row] if row is not None and name in estimate.predicted_cov else None
     said = f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
     if seen is not None and mean is not None:
         said += f" · {np.hypot(*(seen - mean)):.1f} px apart"
@@ -152,9 +146,9 @@ def _ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int, int
         cv2.ellipse(image, _fixed(centre), radii, angle, 0, 360, ink, width, cv2.LINE_AA, _FINE)
 
 
-def _tile(picture: Picture, width: int) -> Array:
+def _tile(picture: Picture) -> Array:
     # cv2's fonts know ASCII alone
-    return np.vstack([scaled(picture.image, width), _words(picture.caption.replace("·", "|"), width)])
+    return np.vstack([scaled(picture.image, _TILE), _words(picture.caption.replace("·", "|"), _TILE)])
 
 
 def _words(text: str, width: int) -> Array:

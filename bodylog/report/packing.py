@@ -30,11 +30,11 @@ def plain(panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: fl
     return {"span": span, "marks": list(marks), "panels": [_panel(panel, span, points) for panel in panels]}
 
 
-def marks(features: Features | None, estimate: Estimate | None) -> list[dict[str, Any]]:
+def marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
     """What every panel shows in its background: touches, strokes, and the moment each fault began."""
-    felt = [(x.onset, x.offset, "felt") for x in (features.touches or () if features else ())[:EVENTS]]
-    seen = [(x.start, x.end, "seen") for x in (features.strokes if features else ())[:EVENTS]]
-    faults = [(x.since, x.since, "fault") for x in (estimate.faults if estimate else ())[:EVENTS]]
+    felt = [(x.onset, x.offset, "felt") for x in (features.touches or ())[:EVENTS]]
+    seen = [(x.start, x.end, "seen") for x in features.strokes[:EVENTS]]
+    faults = [(x.since, x.since, "fault") for x in estimate.faults[:EVENTS]]
     finite = [mark for mark in (*felt, *seen, *faults) if np.isfinite(mark[:2]).all()]
     return [{"from": round(a, 4), "to": round(b, 4), "ink": ink} for a, b, ink in finite]
 

@@ -13,10 +13,9 @@ _COLUMNS = 1200
 _CROWD = 24
 
 
-def seen_tracks(features: Features | None) -> dict[str, Series]:
+def seen_tracks(features: Features) -> dict[str, Series]:
     """The tracks that were seen at least once."""
-    tracks = features.tracks if features else {}
-    return {name: track for name, track in tracks.items() if np.isfinite(track.values).all(axis=1).any()}
+    return {name: track for name, track in features.tracks.items() if np.isfinite(track.values).all(axis=1).any()}
 
 
 def signals(series: Series, unit: str, ax: Any) -> None:

@@ -27,10 +27,10 @@ def escaped(text: str, longest: int = _WORD) -> str:
     return html.escape(clean if len(clean) <= longest else clean[: longest - 1] + "…")
 
 
-def header(recording: Recording, estimate: Estimate | None, scores: Sequence[Score]) -> str:
+def header(recording: Recording, estimate: Estimate, scores: Sequence[Score]) -> str:
     """Which log, when, how long, by which method, and the scores as cards."""
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
-    facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"] if estimate else ["no estimate"]
+    facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     said = escaped(" · ".join(facts))
     whole = [score for score in scores if "/" not in score.name][:_ROWS]
     cards = "".join(f"<div><b>{escaped(_quantity(x))}</b>{escaped(x.name)}</div>" for x in whole)
@@ -47,49 +47,46 @@ def score_table(scores: Sequence[Score]) -> str:
     return _table("Scores in parts", ("part", *figures), rows)
 
 
-def faults(estimate: Estimate | None) -> str:
+def faults(estimate: Estimate) -> str:
     """Which sensor lied, how, since when and how much."""
     rows = [
         (x.sense, x.name, x.kind, Moment(x.since, x.since), _quantity(Score(x.kind, x.size, x.unit)))
-        for x in (estimate.faults if estimate else ())
+        for x in estimate.faults
     ]
     return _table("Which sensor lied", ("sense", "name", "kind", "since", "size"), rows)
 
 
-def notes(features: Features | None, estimate: Estimate | None) -> list[str]:
+def notes(features: Features, estimate: Estimate) -> list[str]:
     """One line for everything there was too much of to draw."""
     counted = [
-        (len(estimate.joints.names) if estimate else 0, JOINTS, "joints"),
-        (len(features.tracks) if features else 0, TRACKS, "tracks"),
-        (len(features.touches or ()) if features else 0, EVENTS, "touches"),
-        (len(features.strokes) if features else 0, EVENTS, "strokes"),
+        (len(estimate.joints.names), JOINTS, "joints"),
+        (len(features.tracks), TRACKS, "tracks"),
+        (len(features.touches or ()), EVENTS, "touches"),
+        (len(features.strokes), EVENTS, "strokes"),
     ]
     return [f"Drawn: the first {most} of {count} {what}." for count, most, what in counted if count > most]
 
 
-def tables(recording: Recording, features: Features | None, estimate: Estimate | None) -> str:
+def tables(recording: Recording, features: Features, estimate: Estimate) -> str:
     """Remarks, touches, health per topic and sense, roles."""
-    findings = [x for part in (recording, features, estimate) if part is not None for x in part.findings]
+    findings = (*recording.findings, *features.findings, *estimate.findings)
     parts = [
         _table("Remarks", ("severity", "what"), [(x.severity, x.text) for x in findings]),
         _health("Health of the log, per topic", recording.health),
-        _health("What perception found, per feature", features.health if features else {}),
-        _health("What the estimate used, per sense", estimate.used if estimate else {}),
+        _health("What perception found, per feature", features.health),
+        _health("What the estimate used, per sense", estimate.used),
         _touches(features),
         _table("Which topic is what", ("role", "topic"), list(recording.roles.items())),
     ]
     return "\n".join(part for part in parts if part)
 
 
-def settings(estimate: Estimate | None, provenance: Mapping[str, str]) -> str:
+def settings(estimate: Estimate, provenance: Mapping[str, str]) -> str:
     """Settings as resolved and where everything came from, as text."""
-    parts = []
-    if estimate:
-        parts.append(f"<h2>Settings</h2>\n<pre>{escaped(_pretty(estimate.settings), _TEXT)}</pre>")
-    if provenance:
-        said = {key: _parsed(value) for key, value in provenance.items()}
-        parts.append(f"<h2>Provenance</h2>\n<pre>{escaped(_pretty(said), _TEXT)}</pre>")
-    return "\n".join(parts)
+    origin = {key: _parsed(value) for key, value in provenance.items()}
+    shown = {"Settings": estimate.settings, "Provenance": origin}
+    blocks = {title: escaped(_pretty(values), _TEXT) for title, values in shown.items() if values}
+    return "\n".join(f"<h2>{title}</h2>\n<pre>{text}</pre>" for title, text in blocks.items())
 
 
 def _health(title: str, health: Mapping[str, Health]) -> str:
@@ -99,9 +96,9 @@ def _health(title: str, health: Mapping[str, Health]) -> str:
     return _table(title, ("name", "seen", "used", "largest gap", "rejected"), rows)
 
 
-def _touches(features: Features | None) -> str:
-    pairs = {pair.touch: pair for pair in (features.synchrony if features else ())}
-    rows = [_touch(x, pairs.get(i)) for i, x in enumerate(features.touches or () if features else ())]
+def _touches(features: Features) -> str:
+    pairs = {pair.touch: pair for pair in features.synchrony}
+    rows = [_touch(x, pairs.get(i)) for i, x in enumerate(features.touches or ())]
     return _table("Touches", ("from", "lasting", "cells", "peak", "seen later by", "synchrony"), rows)
 
 

@@ -1,6 +1,6 @@
 """What the page plots: panels of traces over one time axis."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,17 +47,13 @@ class Panel:
     shade: tuple[float, float] | None = None
 
 
-def panels(recording: Recording, features: Features | None, estimate: Estimate | None) -> tuple[Panel, ...]:
+def panels(recording: Recording, features: Features, estimate: Estimate) -> tuple[Panel, ...]:
     """Every panel there is something to draw in, in reading order."""
     drawn = [*_beliefs(recording, estimate), *_sights(features, estimate), *_feelings(recording, features)]
     return tuple(panel for panel in drawn if panel.rows or any(np.isfinite(trace.y).any() for trace in panel.traces))
 
 
-def _beliefs(recording: Recording, estimate: Estimate | None) -> Iterator[Panel]:
-    if estimate is None:
-        if recording.joints is not None:
-            yield Panel("joints as recorded, rad", _columns(recording.joints))
-        return
+def _beliefs(recording: Recording, estimate: Estimate) -> Iterator[Panel]:
     for m in range(len(estimate.joints.names[:JOINTS])):
         yield from _joint(recording, estimate, m)
     for sense, errors in estimate.errors.items():
@@ -80,27 +76,26 @@ def _joint(recording: Recording, estimate: Estimate, m: int) -> Iterator[Panel]:
         yield Panel(f"{name} minus truth, rad", (*off[:-1], band, off[-1]), half=True)
 
 
-def _sights(features: Features | None, estimate: Estimate | None) -> Iterator[Panel]:
-    predicted: Mapping[str, Series] = estimate.predicted if estimate else {}
-    for name, track in list(features.tracks.items() if features else ())[:TRACKS]:
+def _sights(features: Features, estimate: Estimate) -> Iterator[Panel]:
+    for name, track in list(features.tracks.items())[:TRACKS]:
         for d, axis in enumerate(track.names):
-            expected = _line(predicted.get(name), axis, "predicted", "c0")
-            band = _spread(predicted.get(name), axis)
+            expected = _line(estimate.predicted.get(name), axis, "predicted", "c0")
+            band = _spread(estimate.predicted.get(name), axis)
             seen = Trace("seen", f"c{2 + d}", track.t, track.values[:, d], "dots")
             yield Panel(f"{name} {axis}, {track.unit}", (*band, *expected, seen), half=len(track.names) == 2)
 
 
-def _feelings(recording: Recording, features: Features | None) -> Iterator[Panel]:
+def _feelings(recording: Recording, features: Features) -> Iterator[Panel]:
     if recording.skin is not None and recording.skin.values.size:
         strongest = np.fmax.reduce(recording.skin.values, axis=1)
         yield Panel("skin, 0..1", (Trace("strongest cell", "felt", recording.skin.t, strongest),))
-    touches = features.touches or () if features else ()
-    strokes = tuple((x.start, x.end) for x in features.strokes) if features else ()
+    touches = features.touches or ()
+    strokes = tuple((x.start, x.end) for x in features.strokes)
     if touches or strokes:
         felt = Row("felt", "felt", tuple((x.onset, x.offset) for x in touches[:EVENTS]))
         seen = Row("seen", "seen", strokes[:EVENTS])
         yield Panel("touches felt, strokes seen", rows=(felt, seen), limits=(0.0, 2.0))
-    if features and features.synchrony and touches:
+    if features.synchrony and touches:
         onset = np.array([touches[pair.touch].onset for pair in features.synchrony])
         weight = np.array([pair.weight for pair in features.synchrony])
         delay = np.array([pair.delay for pair in features.synchrony])

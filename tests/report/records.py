@@ -111,6 +111,9 @@ def estimate(seed: int = 0, duration: float = 20.0, joints: tuple[str, ...] = JO
     return Estimate(**(fields | changes))
 
 
+UNSEEN = features(tracks={}, touches=None, strokes=(), synchrony=(), health={})
+"""Of a log without camera and skin."""
+
 SCORES = (
     Score("joint_rmse", 0.0068, "rad"),
     Score("joint_rmse/elbow_joint", 0.0071, "rad"),

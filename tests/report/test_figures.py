@@ -7,7 +7,7 @@ import pytest
 from bodylog.errors import LogError, ModelError
 from bodylog.report.figures import body_figure, estimate_figure, recording_figure
 
-from .records import Blind, Bowl, body, estimate, features, recording
+from .records import UNSEEN, Blind, Bowl, body, estimate, features, recording
 
 HOSTILE = ("$\\frac{", "_hidden", "</text><script>", "名前", "a" * 500, "line\nbreak")
 
@@ -58,20 +58,20 @@ def test_touches_and_strokes_are_drawn_also_where_none_goes_with_another(tmp_pat
 
 
 def test_a_recording_without_features_shows_its_signals(tmp_path):
-    recording_figure(recording(), None, tmp_path / "f.svg")
+    recording_figure(recording(), UNSEEN, tmp_path / "f.svg")
     assert axes_of(tmp_path / "f.svg") == 3
 
 
 def test_an_empty_recording_is_refused_by_name(tmp_path):
     with pytest.raises(LogError, match="no joints"):
-        recording_figure(replace(recording(), joints=None, skin=None), None, tmp_path / "f.svg")
+        recording_figure(replace(recording(), joints=None, skin=None), UNSEEN, tmp_path / "f.svg")
 
 
 @pytest.mark.parametrize("cells", [1, 4, 5, 117])
 def test_skin_is_lines_for_few_cells_and_a_picture_for_many(tmp_path, cells):
     skin = recording().skin
     some = replace(skin, values=np.tile(skin.values[:, :1], cells), names=tuple(f"cell {c}" for c in range(cells)))
-    recording_figure(replace(recording(), skin=some), None, tmp_path / "f.svg")
+    recording_figure(replace(recording(), skin=some), UNSEEN, tmp_path / "f.svg")
     assert ("skin cell" in words(tmp_path / "f.svg")) == (cells >= 5)
 
 
@@ -80,7 +80,7 @@ def test_cells_that_read_anything_are_drawn(tmp_path, value):
     skin = recording().skin
     values = skin.values.astype(np.float32)
     values[::7, 3] = values[:, 5] = value
-    recording_figure(replace(recording(), skin=replace(skin, values=values)), None, tmp_path / "f.png")
+    recording_figure(replace(recording(), skin=replace(skin, values=values)), UNSEEN, tmp_path / "f.png")
 
 
 def test_a_track_never_seen_is_left_out(tmp_path):

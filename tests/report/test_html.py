@@ -11,7 +11,7 @@ from bodylog.report.html import write
 from bodylog.report.overlay import Picture, pictures
 from bodylog.types import Fault, Finding, Health, Score, Stroke, Synchrony, Touch
 
-from .records import SCORES, estimate, features, recording, series
+from .records import SCORES, UNSEEN, estimate, features, recording, series
 
 HOSTILE = "</script><script>window.hit=1</script><img src=x onerror=window.hit=1>&amp;\u2028\u202e\x00'\"$"
 LIMIT = 3_000_000
@@ -19,8 +19,8 @@ LIMIT = 3_000_000
 
 def report(path, **changes):
     """A page with everything on it, and its text."""
-    parts = {"estimate": estimate(), "features": features(), "recording": recording(), "scores": SCORES} | changes
-    write(path, **parts)
+    parts = {"estimate": estimate(), "features": features(), "recording": recording(), "scores": SCORES}
+    write(path, **(parts | {"pictures": (), "provenance": {}} | changes))
     return path.read_text(encoding="utf-8")
 
 
@@ -155,17 +155,18 @@ def test_a_gap_in_a_track_stays_a_gap(tmp_path):
 
 def test_what_is_absent_is_left_out(tmp_path):
     bare = replace(recording(), truth=None, skin=None, health={}, findings=(), roles={})
-    page = report(tmp_path / "r.html", recording=bare, features=None, scores=())
+    page = report(tmp_path / "r.html", recording=bare, features=UNSEEN, scores=())
     assert titles(page)[:3] == [f"{name}, rad" for name in bare.joints.names]
     assert not any("truth" in title or "px" in title or "skin" in title for title in titles(page))
     for absent in ("<h2>Pictures", "<h2>Touches", "<h2>Provenance", "<h2>Remarks", "Health of the log"):
         assert absent not in page
-    assert titles(report(tmp_path / "n.html", estimate=None))[0] == "joints as recorded, rad"
 
 
 def test_a_page_with_nothing_to_plot_has_no_script(tmp_path):
-    bare = replace(recording(), truth=None, skin=None, joints=None)
-    page = report(tmp_path / "r.html", recording=bare, features=None, estimate=None)
+    bare, nothing = replace(recording(), truth=None, skin=None, joints=None), np.full((1000, 3), np.nan)
+    found = estimate(errors={}, free_energy=nothing[:, 0], cov=nothing[:, :, None] * nothing[:, None])
+    found = replace(found, joints=replace(found.joints, values=nothing))
+    page = report(tmp_path / "r.html", recording=bare, features=UNSEEN, estimate=found)
     assert "<script" not in page and "<canvas" not in page and "Health of the log" in page
 
 
@@ -229,6 +230,8 @@ def test_a_clock_of_any_year_is_said(tmp_path, start_ns):
 
 def test_a_log_of_one_instant_has_a_time_axis(tmp_path):
     one = series(np.array([0.0]), np.zeros((1, 1)), ("a",), "rad")
-    instant = replace(recording(), joints=one, skin=None, duration_s=0.0)
-    page = report(tmp_path / "r.html", estimate=None, features=None, recording=instant)
+    instant = replace(recording(), joints=one, truth=None, skin=None, duration_s=0.0)
+    found = estimate(joints=("a",), errors={}, cov=np.ones((1, 1, 1)), free_energy=np.zeros(1))
+    found = replace(found, joints=one)
+    page = report(tmp_path / "r.html", estimate=found, features=UNSEEN, recording=instant)
     assert plotted(page)["span"] == [0.0, 1.0]

@@ -2,6 +2,8 @@ import json
 
 from bodylog.report.layout import layout, write
 
+from .records import estimate
+
 
 def _panels(tree):
     if isinstance(tree, str):
@@ -10,7 +12,7 @@ def _panels(tree):
 
 
 def test_every_panel_shown_is_configured_and_every_configured_one_shown():
-    made = layout("/cam", None, {"side": "/side/image"})
+    made = layout("/cam", estimate(), {"side": "/side/image"})
     side = made["configById"]["Image!side"]["imageMode"]
     assert side["imageTopic"] == "/side/image" and list(side["annotations"]) == ["/bodylog/annotations/side"]
     assert _panels(made["layout"]) == set(made["configById"])
@@ -28,5 +30,5 @@ def test_lines_are_named_for_joints_and_senses(tmp_path, robot, bodylog):
 
 def test_same_bytes_twice(tmp_path):
     for name in ("a", "b"):
-        write(tmp_path / name, None, None)
+        write(tmp_path / name, None, estimate(), {})
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()

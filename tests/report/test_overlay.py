@@ -72,22 +72,22 @@ def test_a_damaged_picture_gives_way_to_the_next():
     good = recording()
     frames = [Frame(0.0, 0, broken), *good.frames()]
     frames[100:110] = [replace(f, decode=broken) for f in frames[100:110]]
-    assert len(pictures(replace(good, frames=lambda: iter(frames)), None, None, 6)) == 6
+    assert len(pictures(replace(good, frames=lambda: iter(frames)), features(), estimate(), 6)) == 6
 
 
 def test_a_sheet_is_one_png_of_all_pictures_and_the_same_twice(tmp_path):
     drawn = pictures(recording(), features(), estimate(), 5)
     for name in ("a.png", "b.png"):
-        overlay_sheet(drawn, tmp_path / name, columns=3, width=200)
+        overlay_sheet(drawn, tmp_path / name)
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    assert cv2.imread(str(tmp_path / "a.png")).shape == (2 * (150 + 26) + 26, 600, 3)
+    assert cv2.imread(str(tmp_path / "a.png")).shape == (2 * (240 + 26) + 26, 960, 3)
 
 
 def test_a_sheet_of_nothing_or_of_another_kind_is_refused(tmp_path):
     with pytest.raises(UsageError, match="no pictures"):
         overlay_sheet((), tmp_path / "a.png")
     with pytest.raises(UsageError, match=r"type: .*a\.png"):
-        overlay_sheet(pictures(recording(), None, None, 1), tmp_path / "a.jpg")
+        overlay_sheet(pictures(recording(), features(), estimate(), 1), tmp_path / "a.jpg")
 
 
 def test_every_cameras_pictures_are_shown_with_its_own_marks():
