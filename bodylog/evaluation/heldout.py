@@ -13,14 +13,14 @@ STATIC = ("kalman", "predictive-coding")
 """Methods that hold the arm still until they hear of it again."""
 
 
-def withhold(features: Features, every: int = EVERY) -> tuple[Features, Mapping[str, Series]]:
-    """The features with each `every`-th frame of a track unseen, and those frames that did show something.
+def withhold(features: Features) -> tuple[Features, Mapping[str, Series]]:
+    """The features with one in EVERY frames of a track unseen, and those frames that did show something.
 
     A track that would show nothing any more is left as it is.
     """
     tracks, withheld = dict(features.tracks), {}
     for name, track in features.tracks.items():
-        rows = np.arange(len(track.t)) % every == every - 1
+        rows = np.arange(len(track.t)) % EVERY == EVERY - 1
         shown = np.isfinite(track.values).all(axis=1)
         rows = rows & (shown & ~rows).any()
         shown &= rows

@@ -1,7 +1,6 @@
 """From a recording's signals and pictures to what they show: tracks, touches, strokes and their synchrony."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 from ..settings import Colour, Colours, Settings
 from ..types import Features, Finding, Health, Recording, Series, Stroke
@@ -22,10 +21,8 @@ def looking(settings: Settings, progress: Progress | None = None) -> Looking:
 def observe(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
     """Everything a recording shows; `progress` is told how many more pictures are done. Raises ConfigError.
 
-    What an earlier run wrote into the log is taken over. Health is kept per track, and for "touch".
+    Health is kept per track, and for "touch".
     """
-    if recording.features is not None:
-        return replace(recording.features, joints=recording.joints)
     tracks, health, findings, size = _tracks(recording, settings, progress)
     touches = None
     if recording.skin is not None:

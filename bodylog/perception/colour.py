@@ -10,7 +10,7 @@ from ..settings import Colour
 from ..types import Array, Finding, Frame, Health, Series, Watched
 from . import choose
 from .look import Looking, Seen
-from .ranges import covered, nearest, resolve
+from .ranges import covered, hues, nearest, resolve
 
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
 """How many threads look at pictures: one where whole logs are worked on side by side."""
@@ -93,22 +93,19 @@ def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:
 
 def _saturated(frames: Iterator[Frame], count: int) -> dict[str, float]:
     """Share (0..1) of each colour name among all pixels of a dozen pictures, where saturated, largest first."""
-    import cv2
-
-    histogram, pixels = np.zeros(180), 0
+    counts, pixels = np.zeros(180), 0
     for index, frame in enumerate(frames):
         if index % max(1, count // 12):
             continue
         try:
-            hsv = cv2.cvtColor(np.ascontiguousarray(frame.decode(1)[::4, ::4]), cv2.COLOR_BGR2HSV)
+            some, of = hues(frame.decode(1))
         except InputError:
             continue
-        pixels += hsv[..., 0].size
-        histogram += np.bincount(hsv[..., 0][(hsv[..., 1] >= 90) & (hsv[..., 2] >= 50)], minlength=180)
+        counts, pixels = counts + some, pixels + of
     shares: dict[str, float] = {}
-    for hue in np.flatnonzero(histogram):
+    for hue in np.flatnonzero(counts):
         name = nearest(float(hue))
-        shares[name] = shares.get(name, 0.0) + float(histogram[hue]) / pixels
+        shares[name] = shares.get(name, 0.0) + float(counts[hue]) / pixels
     return dict(sorted(shares.items(), key=lambda item: -item[1]))
 
 

@@ -8,11 +8,10 @@ import numpy as np
 from ..errors import FormatError, LogError
 from ..types import Array, Recording
 from . import blobs, choose
-from .ranges import Range, between, nearest
+from .ranges import SATURATION, VALUE, Range, between, hues, nearest
 
 _LOOKED_AT = 120
 _SHEET = 6
-_SATURATED, _DARKEST = 90, 50
 _WIDTH = 9
 _SHARE = 2e-4
 
@@ -43,7 +42,7 @@ def propose(
     count = sum(1 for _ in picked())
     if not count:
         raise LogError("no pictures to take colours from; type: bodylog info LOG")
-    ranges = [_range(hue) for hue in _hues(image for _, image in picked())]
+    ranges = [_range(hue) for hue in _peaks(image for _, image in picked())]
     if not ranges:
         raise LogError(f"nothing saturated in {count} pictures, so no colour to tell things by; type: bodylog view LOG")
     shown = set(np.linspace(0, count - 1, min(_SHEET, count)).astype(int).tolist())
@@ -76,27 +75,23 @@ def _picked(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]
     return pictures
 
 
-def _hues(images: Iterable[Array]) -> list[int]:
+def _peaks(images: Iterable[Array]) -> list[int]:
     """The peaks of the pictures' hue histogram over saturated pixels, each holding a notable share of all pixels."""
-    import cv2
-
     counts, pixels = np.zeros(180), 0
     for image in images:
-        hsv = cv2.cvtColor(np.ascontiguousarray(image[::4, ::4]), cv2.COLOR_BGR2HSV).reshape(-1, 3)
-        vivid = hsv[(hsv[:, 1] >= _SATURATED) & (hsv[:, 2] >= _DARKEST), 0]
-        counts += np.bincount(vivid, minlength=180)[:180]
-        pixels += len(hsv)
+        some, of = hues(image)
+        counts, pixels = counts + some, pixels + of
     smooth = np.convolve(np.concatenate([counts[-_WIDTH:], counts, counts[:_WIDTH]]), np.ones(2 * _WIDTH + 1), "valid")
-    hues: list[int] = []
+    peaks: list[int] = []
     for hue in np.argsort(-smooth, kind="stable").tolist():
-        apart = all(abs((hue - other + 90) % 180 - 90) > 2 * _WIDTH for other in hues)
+        apart = all(abs((hue - other + 90) % 180 - 90) > 2 * _WIDTH for other in peaks)
         if apart and smooth[hue] >= _SHARE * pixels:
-            hues.append(hue)
-    return hues
+            peaks.append(hue)
+    return peaks
 
 
 def _range(hue: int) -> Range:
-    return between(((hue - _WIDTH) % 180, _SATURATED, _DARKEST), ((hue + _WIDTH) % 180, 255, 255))
+    return between(((hue - _WIDTH) % 180, SATURATION, VALUE), ((hue + _WIDTH) % 180, 255, 255))
 
 
 def _proposal(recording: Recording, t: Array, track: Array, colour: Range) -> Proposal:

@@ -17,8 +17,8 @@ _NAMED: dict[str, tuple[int, int]] = {
     "blue": (98, 132),
     "magenta": (133, 172),
 }
-_SATURATION, _VALUE = 90, 50
-
+SATURATION, VALUE = 90, 50
+"""What is less saturated, or darker, has no colour."""
 
 Bound = tuple[int, int, int]
 
@@ -64,9 +64,13 @@ def mask(hsv: Array, colour: Range) -> Array:
     return np.asarray(seen)
 
 
-def names() -> tuple[str, ...]:
-    """The colour names a setting may use."""
-    return tuple(_NAMED)
+def hues(image: Array) -> tuple[Array, int]:
+    """How many of a picture's pixels, one in 16, have each hue (180,), where saturated; and how many those are."""
+    import cv2
+
+    hsv = cv2.cvtColor(np.ascontiguousarray(image[::4, ::4]), cv2.COLOR_BGR2HSV)
+    hue, saturation, value = np.moveaxis(hsv, -1, 0)
+    return np.bincount(hue[(saturation >= SATURATION) & (value >= VALUE)], minlength=180), hue.size
 
 
 def nearest(hue: float) -> str:
@@ -92,7 +96,7 @@ def _by_name(colour: str, key: str) -> Range:
             f"type: {key} = \"{_closest(colour)}\""
         )
     low, high = _NAMED[colour]
-    return between((low, _SATURATION, _VALUE), (high, 255, 255))
+    return between((low, SATURATION, VALUE), (high, 255, 255))
 
 
 def _closest(colour: str) -> str:

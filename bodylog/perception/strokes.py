@@ -28,7 +28,7 @@ _AT_ONCE = 32
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """Even motion from start to end (s): at `place` (2,) px when t = middle, moving with `speed` (2,) px/s."""
+    """Even motion from start to end (s): at `place` (2,) px when t = middle, moving with `velocity` (2,) px/s."""
 
     start: float
     end: float

@@ -18,9 +18,7 @@ _ENOUGH = 3
 Judged = tuple[tuple[Synchrony, ...], tuple[Finding, ...]]
 
 
-def judge(
-    touches: Sequence[Touch], strokes: Sequence[Stroke], b2: float = B2, clock_offset: float | str = 0.0
-) -> Judged:
+def judge(touches: Sequence[Touch], strokes: Sequence[Stroke], clock_offset: float | str = 0.0) -> Judged:
     """One Synchrony per touch, in order, with f_t of the delay left after the clocks' offset (s) is taken off.
 
     `clock_offset` "auto" takes off the log's own median delay where its spread is small; ConfigError otherwise.
@@ -31,7 +29,7 @@ def judge(
     offset, findings = _offset(delays, clock_offset)
     found = [Synchrony(touch, None, np.nan, 0.0) for touch in range(len(touches))]
     for (i, j), delay in zip(paired, (delays - offset).tolist(), strict=True):
-        found[i] = Synchrony(i, j, delay, float(np.exp(-b2 * delay**2)))
+        found[i] = Synchrony(i, j, delay, float(np.exp(-B2 * delay**2)))
     return tuple(found), findings
 
 

@@ -14,6 +14,9 @@ from .arms import Arm
 TRAVEL = 0.8
 """Seconds the hand takes from outside the picture to the skin, and back."""
 
+BABBLE, REACH = 1.0, 1.5
+"""Seconds from one point of an exploration to the next, and one reach takes."""
+
 Encoders = Callable[[Array, Array, Array], Array]
 """(t (N,) s, true q (N,M) rad, noise (N,M) rad) -> what the encoders read (N,M)."""
 
@@ -67,18 +70,19 @@ def plain(t: Array, q: Array, noise: Array) -> Array:
     return q + noise
 
 
-def explore(request: Request, swing: Array, pace: float = 1.0) -> motion.Motion:
+def explore(request: Request, swing: Array) -> motion.Motion:
     """Motor babbling: a spline through evenly spread points of the box home ± swing (M,)."""
-    home = np.array(request.arm.home)
-    points = home + motion.spread(int(np.ceil(request.duration / pace)) + 2, swing, request.rng)
-    return motion.wander(points, pace)
+    return motion.wander(_points(request, swing, BABBLE), BABBLE)
 
 
-def reach(request: Request, swing: Array, pace: float = 1.5) -> motion.Motion:
+def reach(request: Request, swing: Array) -> motion.Motion:
     """Smooth reaches between places in the middle 70 % of the box home ± swing (M,), which exploration covers."""
-    home = np.array(request.arm.home)
-    points = home + motion.spread(int(np.ceil(request.duration / pace)) + 2, 0.7 * swing, request.rng)
-    return motion.reaches(points, pace)
+    return motion.reaches(_points(request, 0.7 * swing, REACH), REACH)
+
+
+def _points(request: Request, swing: Array, pace: float) -> Array:
+    """Points (K,M) rad of the box home ± swing (M,), one for every `pace` s."""
+    return request.arm.home + motion.spread(int(np.ceil(request.duration / pace)) + 2, swing, request.rng)
 
 
 def swing(request: Request, joints: tuple[int, ...] | None = None) -> Array:
