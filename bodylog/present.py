@@ -1,6 +1,6 @@
 """What a person looks at: figures, the page on a log, a viewer's layout, the colours a log offers."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -17,6 +17,7 @@ from .settings import Settings, plain
 from .types import Estimate, Features, Finding, Recording
 
 if TYPE_CHECKING:
+    from .report.companion import Camera
     from .report.overlay import Picture
 
 
@@ -71,7 +72,7 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
     from tempfile import TemporaryDirectory
 
     from .logs import recording
-    from .report import viewer
+    from .report import companion, viewer
 
     if out is not None:
         distinct(log, out)
@@ -81,10 +82,20 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
         read = recording.read(source, settings, settings.input.strict)
         found, remarks = _estimate(log, source, read)
         recorded = Path(folder) / "log.rrd" if out is None else out
-        viewer.recording(source, recorded, f"{log.name} {read.start_ns}", _companion(source, read, found))
+        cameras = _cameras(source, read)
+        drawn = partial(companion.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
+        unshown = viewer.recording(source, recorded, f"{log.name} {read.start_ns}", drawn)
         if out is None:
             viewer.show(recorded)
-    return Result(out, () if found is None else judge(found, read), findings=(*lost, *read.findings, *remarks))
+    findings = (*lost, *read.findings, *remarks, *_left_out(log, unshown, cameras))
+    return Result(out, () if found is None else judge(found, read), findings=findings)
+
+
+def _left_out(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, Camera]") -> list[Finding]:
+    """What Rerun cannot show and no camera of ours brings along."""
+    brought = {camera.entity for camera in cameras.values() if camera.frames is not None}
+    said = {entity: why for entity, why in unshown.items() if entity not in brought}
+    return [Finding("warning", f"{log}: {name}: left out, Rerun cannot show it: {why}") for name, why in said.items()]
 
 
 def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
@@ -110,12 +121,13 @@ def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None
     return None, (Finding("info", f"no estimate in it; type: bodylog estimate {log} --body body.npz -o out.mcap"),)
 
 
-def _companion(log: Path, read: Recording, found: Estimate | None) -> Callable[[Path, str], None]:
-    from .report import companion
+def _cameras(log: Path, read: Recording) -> "dict[str, Camera]":
+    """Cameras by name, "" the first, but for videos beside the log."""
+    from .report.companion import Camera
 
-    topics = {name: _topic(read, name) for name in ("", *read.views)}
-    cameras = {name: companion.Camera(topic, _frame_id(log, topic)) for name, topic in topics.items() if topic}
-    return partial(companion.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
+    frames = {"": read.frames, **read.views}
+    topics = {name: _topic(read, name) for name in frames}
+    return {name: Camera(topic, _frame_id(log, topic), frames[name]) for name, topic in topics.items() if topic}
 
 
 def _topic(read: Recording, camera: str) -> str:

@@ -3,19 +3,23 @@
 Everything is laid out over `message_log_time`, as Rerun lays out the messages of an MCAP.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..types import Array, Estimate, Features, Series
+from ..errors import FormatError
+from ..types import Array, Estimate, Features, Frame, Series
 
 ROOT = "bodylog"
 """Beside the log's own topics: what is drawn of joint names stands below /bodylog/belief and /bodylog/errors."""
 TIME = "message_log_time"
 SIGMAS, CORNERS = 2.0, 33
+_PLANE = "_image_plane"
+"""Rerun puts a picture of frame X into the frame X_image_plane, and what is not in it is not drawn on it."""
 CORNER = 0.5
 """px: Rerun counts from the first pixel's corner, tracks from its centre."""
 Event = tuple[int, str, str]
@@ -25,24 +29,37 @@ SEEN, PREDICTED, HAND, TRUTH = (80, 230, 110), (60, 150, 240), (250, 70, 60), (1
 
 @dataclass(frozen=True)
 class Camera:
-    """The pictures' topic and their frame_id, without which the overlay lies in another plane than the picture."""
+    """The pictures' topic, their frame_id, without which the overlay lies in another plane than the picture, and they.
+
+    None of `frames` where there is nothing to decode.
+    """
 
     topic: str
     frame_id: str
+    frames: Callable[[], Iterator[Frame]] | None = None
+
+    @property
+    def entity(self) -> str:
+        """Where Rerun puts the pictures."""
+        return _path(*_topic(self.topic))
 
 
 def write(
-    out: Path, identity: str, cameras: Mapping[str, Camera], features: Features | None, estimate: Estimate | None,
-    truth: Series | None,
+    out: Path, identity: str, unshown: Container[str], cameras: Mapping[str, Camera], features: Features | None,
+    estimate: Estimate | None, truth: Series | None,
 ) -> None:  # fmt: skip
     """Write the companion of the recording `identity` to `out` (.rrd), with the layout of a window.
 
-    `cameras` are called as before the last / of their tracks' names: the first "".
+    `cameras` are called as before the last / of their tracks' names: the first "". Pictures of `unshown` entities are
+    brought along.
     """
     import rerun
 
     stream = rerun.RecordingStream(ROOT, recording_id=identity, send_properties=False)
     stream.save(out)
+    for camera in cameras.values():
+        if camera.entity in unshown and camera.frames is not None:
+            _pictures(stream, camera, camera.frames())
     if features is not None:
         _seen(stream, cameras, features)
     if estimate is not None:
@@ -63,6 +80,21 @@ def _path(*parts: str) -> str:
 
 def _topic(topic: str) -> tuple[str, ...]:
     return tuple(part for part in topic.split("/") if part)
+
+
+def _pictures(stream: Any, camera: Camera, frames: Iterable[Frame]) -> None:
+    """Pictures that Rerun cannot read, as JPEG; those that nobody can are left out."""
+    import cv2
+    import rerun
+
+    if camera.frame_id:
+        stream.log(camera.entity, rerun.CoordinateFrame(f"{camera.frame_id}{_PLANE}"), static=True)
+    for frame in frames:
+        with suppress(FormatError):
+            packed = cv2.imencode(".jpg", frame.decode(1))[1].tobytes()
+            stream.set_time(TIME, timestamp=np.datetime64(frame.source_ns, "ns"))
+            stream.log(camera.entity, rerun.EncodedImage(contents=packed, media_type="image/jpeg"))
+    stream.reset_time()
 
 
 def _seen(stream: Any, cameras: Mapping[str, Camera], features: Features) -> None:
@@ -117,8 +149,7 @@ def _in_picture(stream: Any, camera: Camera, name: str, look: Any) -> str:
     path = _path(*_topic(camera.topic), name)
     stream.log(path, look, static=True)
     if camera.frame_id:
-        # Rerun puts a picture of frame X into the frame X_image_plane, and what is not in it is not drawn on it
-        stream.log(path, rerun.CoordinateFrame(f"{camera.frame_id}_image_plane"), static=True)
+        stream.log(path, rerun.CoordinateFrame(f"{camera.frame_id}{_PLANE}"), static=True)
     return path
 
 
@@ -192,7 +223,7 @@ def _window(cameras: Sequence[Camera], estimate: Estimate | None) -> Any:
     """The pictures with its overlay, beside the belief, errors, free energy and events over the log's time."""
     import rerun.blueprint as rrb
 
-    pictures = [rrb.Spatial2DView(origin=_path(*_topic(camera.topic)), name="picture") for camera in cameras]
+    pictures = [rrb.Spatial2DView(origin=camera.entity, name="picture") for camera in cameras]
     plots = [
         rrb.TimeSeriesView(origin=_path(ROOT, "belief", name), name=f"{name}, rad")
         for name in (estimate.joints.names if estimate else ())

@@ -4,7 +4,7 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,6 +15,10 @@ from ..files import replacing
 APPLICATION = "bodylog"
 PROGRAM = (sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())")
 """Rerun with its exit code, which `python -m rerun_cli` drops."""
+_PASSED = re.compile(r"\(entity: `(/[^`]*)`.*?\): (?:.*\], )?(.*)")
+"""Of an error that is about one entity, its path and what is wrong."""
+Companion = Callable[[Path, str, Mapping[str, str]], None]
+"""Writes a recording to a file, by identity, beside one that lacks what of some entities could not be shown."""
 SECONDS = 600.0
 """How long Rerun may take over one file; damaged ones have kept it busy for ever."""
 
@@ -25,17 +29,18 @@ def ready() -> None:
         raise UsageError("view: rerun-sdk is not installed; type: pip install 'bodylog[view]'")
 
 
-def recording(source: Path, out: Path, identity: str, companion: Callable[[Path, str], None]) -> None:
+def recording(source: Path, out: Path, identity: str, companion: Companion) -> dict[str, str]:
     """Write an MCAP and what `companion` writes to a file as one recording (.rrd) of that identity.
 
-    LogError: Rerun refuses the log.
+    Returns why by entity that Rerun cannot show, of which `companion` is told. LogError: Rerun refuses the log.
     """
     with TemporaryDirectory() as folder, replacing(out) as beside:
         converted, drawn = Path(folder) / "log.rrd", Path(folder) / "companion.rrd"
         named = ["--application-id", APPLICATION, "--recording-id", identity]
-        _run(["mcap", "convert", str(source.resolve()), *named, "-o", str(converted)], Path(folder), source)
-        companion(drawn, identity)
+        unshown = _run(["mcap", "convert", str(source.resolve()), *named, "-o", str(converted)], Path(folder), source)
+        companion(drawn, identity, unshown)
         _run(["rrd", "merge", str(converted), str(drawn), "-o", str(beside)], Path(folder), source)
+    return unshown
 
 
 def show(recorded: Path) -> None:
@@ -53,17 +58,20 @@ def hushed(home: Path) -> None:
     settings.write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}), encoding="utf-8")
 
 
-def _run(arguments: Sequence[str], home: Path, source: Path) -> None:
-    """One command of Rerun in a home of its own."""
+def _run(arguments: Sequence[str], home: Path, source: Path) -> dict[str, str]:
+    """One command of Rerun in a home of its own; why by entity what it passed by."""
     hushed(home)
     command, alone = [*PROGRAM, *arguments], {"HOME": str(home)}
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=alone)
     except subprocess.TimeoutExpired:
         raise LogError(f"{source}: Rerun did not end in {SECONDS:g} s; type: bodylog doctor {source}") from None
-    if done.returncode or " ERROR " in _plain(done.stderr):  # it ends with 0 when it could read nothing
+    errors = [line for line in _plain(done.stderr).splitlines() if " ERROR " in line]
+    passed = [_PASSED.search(line) for line in errors]
+    if done.returncode or None in passed:  # it ends with 0 when it could read nothing
         repair = f"bodylog doctor {source} --repair whole.mcap"
         raise LogError(f"{source}: Rerun cannot read it ({_last(done.stderr)}); type: {repair}")
+    return {found[1]: found[2] for found in passed if found}
 
 
 def _last(said: str) -> str:

@@ -12,6 +12,7 @@ from bodylog.errors import LogError, UsageError
 from bodylog.report import companion, viewer
 from bodylog.report.companion import ellipses
 
+from ..logs.writing import T0, Stream, cdr, define, header, write
 from .records import estimate, features
 from .test_html import HOSTILE, hostile_parts
 
@@ -150,6 +151,28 @@ def test_of_a_log_cut_short_what_is_sound_is_shown(bodylog, annotated, tmp_path)
         assert len(values(tmp_path / "c.rrd", "/camera/image/compressed", "EncodedImage:blob")[0]) > 10
 
 
+def raw(encoding):
+    """Three grey pictures of 2 by 2 pixels on a topic named like their encoding."""
+    kind, channels = "sensor_msgs/msg/Image", 3 if encoding == "rgb8" else 2
+    size = {"height": 2, "width": 2, "step": 2 * channels, "data": np.full(4 * channels, 128, np.uint8)}
+    payload = cdr(kind, header=header(T0), encoding=encoding, is_bigendian=0, **size)
+    return Stream(f"/{encoding}", kind, define(kind), [(T0 + i, payload) for i in range(3)])
+
+
+@there
+def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(bodylog, tmp_path, capsys):
+    log, out, config = tmp_path / "raw.mcap", tmp_path / "raw.rrd", tmp_path / "robot.toml"
+    write(log, [raw(encoding) for encoding in ("uyvy", "rgb8", "weird")])
+    config.write_text('[topics]\ncamera = "/uyvy"\n')
+    capsys.readouterr()
+    assert bodylog("view", log, "-o", out, "--config", config) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
+    assert said == [f"warning: {log}: /weird: left out, Rerun cannot show it: got weird"]
+    assert len(values(out, "/rgb8", "Image:buffer")[0]) == 3
+    ns, pictures = values(out, "/uyvy", "EncodedImage:blob")
+    assert ns.tolist() == [T0, T0 + 1, T0 + 2] and bytes(pictures[0][0]).startswith(b"\xff\xd8\xff")
+
+
 @there
 @pytest.mark.parametrize("cameras", [
     {}, {"": companion.Camera(f"/{HOSTILE}/image", "")}, {"": companion.Camera("/cam", HOSTILE)}
@@ -157,7 +180,7 @@ def test_of_a_log_cut_short_what_is_sound_is_shown(bodylog, annotated, tmp_path)
 def test_names_are_names_whatever_signs_they_hold(tmp_path, cameras):
     log = hostile_parts()
     found = log["features"]
-    companion.write(tmp_path / "h.rrd", HOSTILE, cameras, found, log["estimate"], log["recording"].truth)
+    companion.write(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], log["recording"].truth)
     assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", tmp_path / "h.rrd")
     said = rerun(tmp_path, "rrd", "print", tmp_path / "h.rrd")
     assert said.count("/bodylog/belief/") >= 6 and "/bodylog/events" in said
@@ -177,7 +200,7 @@ def test_events_are_told_in_order_with_their_synchrony():
 def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"no log at all" * 100)
     with pytest.raises(LogError, match=r"a\.mcap: Rerun cannot read it \(.+\); type: bodylog doctor") as refused:
-        viewer.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity: None)
+        viewer.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity, unshown: None)
     assert "\n" not in str(refused.value) and sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
 
 
