@@ -1,18 +1,15 @@
 """Many logs, each with a learned body: every log gets its row, whatever happens to it."""
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from ..errors import UsageError
 from ..files import made
 from ..settings import Settings
-from . import jobs, local, results, resume
-from .jobs import Job
+from . import jobs, local, results, resume, work
+from .jobs import Job, Row
 
-Row = dict[str, Any]
 Report = Callable[[Row, int, int], None]
 """Called with each finished row, how many are done and how many there are."""
 
@@ -55,7 +52,7 @@ def batch(plan: Plan, report: Report | None = None) -> list[Row]:
             write(row)
             if report:
                 report(row, len(done), len(planned))
-    rows = [done.get(job.name) or resume.not_run(job) for job in planned]
+    rows = [done.get(job.name) or work.not_run(job) for job in planned]
     results.write(plan.out, rows)
     return rows
 
@@ -101,15 +98,6 @@ def _body(group: Group, folder: Path) -> Path:
     """The body model given, or the one learned from the training logs, kept when it is what would be learned again."""
     if group.body is not None:
         return group.body
-    with _one_at_a_time(folder):
+    with jobs.alone(folder):  # shards that share a folder learn the body once
         return resume.learned(group.train, folder / "body.npz", group.settings)
 
-
-@contextmanager
-def _one_at_a_time(folder: Path) -> Iterator[None]:
-    """Shards that share an output folder learn the body once, not at the same time."""
-    import fcntl
-
-    with (folder / jobs.LOCK).open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield

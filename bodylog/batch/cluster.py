@@ -1,17 +1,16 @@
 """The jobs of a batch on a Dask distributed scheduler, so on whatever dask-jobqueue and its kin can start."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .. import memory
 from ..errors import UsageError
 from . import work
-from .jobs import Job
+from .jobs import Job, Row
 
 if TYPE_CHECKING:
     from distributed import Client
 
-Row = dict[str, Any]
 TRIES = 3
 
 

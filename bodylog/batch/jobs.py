@@ -1,13 +1,16 @@
 """Which logs a batch is about, paths or URLs, and what each is called."""
 
+import fcntl
 import glob
 import hashlib
 import os
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from .. import stores
 from ..errors import LogError, UsageError
@@ -15,6 +18,9 @@ from ..settings import Settings
 
 LOCK = ".lock"
 """In a folder of what came of a log: nothing there is a log to begin with."""
+
+Row = dict[str, Any]
+"""What became of one log, as plain values: a line of results.jsonl."""
 
 SUFFIXES = (".bag", ".bag.active", ".mcap", ".mcap.zst", ".db3", ".db3.zstd")
 
@@ -30,6 +36,14 @@ class Job:
     settings: Settings
     bounds: tuple[str, ...]
     resume: bool
+
+
+@contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """Wait until nobody else is at what goes into a folder, and keep others waiting meanwhile."""
+    with (folder / LOCK).open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
 
 
 def named(logs: Sequence[str], shard: tuple[int, int]) -> dict[str, str]:

@@ -5,16 +5,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
 
 from .. import stores
 from ..errors import BodylogError
 from ..stopping import calm
 from ..workers import ready
 from . import work
-from .jobs import Job
+from .jobs import Job, Row
 
-Row = dict[str, Any]
 BASE_BYTES = 300 << 20
 TRIES = 2
 

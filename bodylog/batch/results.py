@@ -6,11 +6,10 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from ..files import replacing
+from .jobs import Row
 
-Row = dict[str, Any]
 ODD = "backslashreplace"
 """What becomes of a file name that is no text: in JSON what it is read back from."""
 

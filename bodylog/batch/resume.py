@@ -10,7 +10,7 @@ from .. import __version__, pipeline, stores
 from ..errors import BodylogError, LogError, ModelError
 from ..files import sha256
 from ..settings import Settings, plain
-from .jobs import Job
+from .jobs import Job, Row
 
 ROW = "row.json"
 
@@ -22,7 +22,7 @@ def key(job: Job) -> str:
     return _digest(parts)
 
 
-def finished(job: Job) -> dict[str, Any] | None:
+def finished(job: Job) -> Row | None:
     """The row an earlier run left, if it is for the same work and each output is whole; None otherwise."""
     row = _read(job.folder / ROW)
     if row is None or row.get("key") != _key_or_none(job):
@@ -39,7 +39,7 @@ def _key_or_none(job: Job) -> str | None:
         return None
 
 
-def _read(path: Path) -> dict[str, Any] | None:
+def _read(path: Path) -> Row | None:
     try:
         row = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -51,7 +51,7 @@ def _same(path: Path, digest: str) -> bool:
     return path.is_file() and sha256(path) == digest
 
 
-def _counted(job: Job, row: dict[str, Any]) -> bool:
+def _counted(job: Job, row: Row) -> bool:
     """Whether the annotated log, opened again, holds as many messages as its row says."""
     if "annotated.mcap" not in row["outputs"]:
         return True
@@ -59,21 +59,6 @@ def _counted(job: Job, row: dict[str, Any]) -> bool:
         return bool(pipeline.count(job.folder / "annotated.mcap") == row["messages"])
     except BodylogError:
         return False
-
-
-def not_run(job: Job) -> dict[str, Any]:
-    """The row of a log that was not reached because the batch stopped early."""
-    return {
-        "name": job.name,
-        "log": job.log,
-        "key": None,
-        "status": "not run",
-        "exit_code": 1,
-        "error": "the batch stopped before this log; type the same command with --resume",
-        "outputs": {},
-        "scores": {},
-        "findings": [],
-    }
 
 
 def learned(train: Sequence[Path], body: Path, settings: Settings) -> Path:

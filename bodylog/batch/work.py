@@ -1,6 +1,5 @@
 """One log of a batch: estimate, score, report, and the row that says how it went."""
 
-import fcntl
 import json
 import shutil
 import traceback
@@ -16,18 +15,18 @@ from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
 from ..files import replacing, sha256
 from . import resume
-from .jobs import LOCK, Job
+from .jobs import Job, Row, alone
 from .results import ODD
 
 OUTPUTS = ("annotated.mcap", "report.html", "robot.toml")
-STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable", 2: "unusable", 1: "bug"}
+STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable", 1: "bug"}
 
 
-def run(job: Job) -> dict[str, Any]:
+def run(job: Job) -> Row:
     """Do one job and leave its row beside its outputs; every failure becomes a row."""
     torn.endure()
     job.folder.mkdir(parents=True, exist_ok=True)
-    with _alone(job.folder), _on_one_core():
+    with alone(job.folder), _on_one_core():  # a worker that outlived its killed batch may still be at it
         earlier = resume.finished(job) if job.resume else None
         return earlier or _anew(job)
 
@@ -44,29 +43,27 @@ def _on_one_core() -> Iterator[None]:
         THREADS.reset(token)
 
 
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """A worker that outlived its killed batch may still be at this log: wait for it rather than write beside it."""
-    with (folder / LOCK).open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
-def _anew(job: Job) -> dict[str, Any]:
+def _anew(job: Job) -> Row:
     for stale in [*job.folder.glob(".*.part"), *(job.folder / name for name in (*OUTPUTS, resume.ROW))]:
         shutil.rmtree(stale) if stale.is_dir() else stale.unlink(missing_ok=True)
     text = json.dumps(_attempt(job), sort_keys=True, ensure_ascii=False, allow_nan=False)
     _leave(job.folder / resume.ROW, text)
-    row: dict[str, Any] = json.loads(text)  # just as a resumed run will read it
+    row: Row = json.loads(text)  # just as a resumed run will read it
     return row
 
 
-def died(job: Job, why: str) -> dict[str, Any]:
+def died(job: Job, why: str) -> Row:
     """The row of a job whose worker was lost."""
     return _row(job, None, 1, why)
 
 
-def _attempt(job: Job) -> dict[str, Any]:
+def not_run(job: Job) -> Row:
+    """The row of a log that was not reached because the batch stopped early."""
+    why = "the batch stopped before this log; type the same command with --resume"
+    return {**_row(job, None, 1, why), "status": "not run"}
+
+
+def _attempt(job: Job) -> Row:
     key = None
     try:
         key, before = resume.key(job), torn.filled()
@@ -109,7 +106,7 @@ def _row(
     error: str | None,
     result: pipeline.Result | None = None,
     messages: int | None = None,
-) -> dict[str, Any]:
+) -> Row:
     return {
         "name": job.name,
         "log": job.log,
