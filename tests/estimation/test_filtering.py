@@ -9,6 +9,7 @@ from bodylog.estimation import estimate
 from bodylog.evaluation.scores import scores
 from bodylog.settings import Estimation
 from bodylog.types import Series
+from tests.seeds import seeds
 
 MODEL = Estimation(precision="model", bias="off")
 
@@ -17,7 +18,7 @@ def rmse(found, world):
     return {score.name: score.value for score in scores(found, world.truth, world.features.joints)}
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(1, 3))
 @pytest.mark.parametrize(("encoder_hz", "duration"), [(50.0, 6.0), (400.0, 6.0), (400.0, 16.0)])
 def test_on_a_linear_body_it_is_the_kalman_filter(world, reference, linear_model, seed, encoder_hz, duration):
     drawn = world(seed, duration=duration, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
@@ -59,6 +60,17 @@ def test_order_of_simultaneous_senses_does_not_matter(world):
     two = estimate(replace(drawn.features, tracks=dict(reversed(pair.items()))), body, MODEL)
     np.testing.assert_allclose(one.joints.values, two.joints.values, atol=1e-9, rtol=0)
     np.testing.assert_allclose(one.cov, two.cov, atol=1e-12, rtol=0)
+
+
+def test_a_still_arm_states_the_noise_that_is_let_through_and_no_motion(world):
+    ratios, shares = [], []
+    for seed in range(6):
+        drawn = world(seed, speed=0.0)
+        found = estimate(drawn.features, drawn.body, Estimation(senses=("encoders",)))
+        ratios.append([rmse(found, drawn)[f"nees/{name}"] for name in drawn.body.joints])
+        shares.append(found.settings["stated"])
+    assert 0.85 < np.mean(ratios) < 1.2
+    assert 0.75 <= np.mean(shares) < 0.85
 
 
 def test_a_mistaken_blob_does_no_harm(world):

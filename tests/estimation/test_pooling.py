@@ -10,6 +10,7 @@ from bodylog.estimation import estimate, pooling
 from bodylog.estimation.folds import Fold
 from bodylog.estimation.scan import Dynamics, Leaps, Readings, scan
 from bodylog.settings import Estimation
+from tests.seeds import seeds
 
 
 def single(t, said, var, lines):
@@ -94,7 +95,7 @@ def test_candidates_lie_side_by_side(heard):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", seeds(1, 2))
 def test_pooling_changes_nothing(world, monkeypatch, method, seed):
     drawn = world(seed, duration=4.0, encoder_hz=500.0, camera_hz=30.0, blunder=0.05)
     joints, rng = drawn.features.joints, np.random.default_rng(seed)

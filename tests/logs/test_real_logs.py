@@ -1,7 +1,7 @@
 """Logs that other people's recorders left: nothing may crash, and what can be decoded equals what rosbags decodes."""
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -142,14 +142,17 @@ def leaves(definition: Definition, type_: str, above: str = "") -> Iterator[str]
             yield from leaves(definition, field.type, f"{here}{'' if field.size is None else '[:]'}.")
 
 
-def flat(held: Any, path: str) -> list[Any]:
+def flat(held: Any, path: str) -> Sequence[Any] | np.ndarray:
     if not path:
+        if isinstance(held, np.ndarray) and held.dtype != object:
+            return held
         items = held if isinstance(held, list | np.ndarray) else [held]
         return [x.sec * 10**9 + x.nanosec if hasattr(x, "nanosec") else x for x in items]
     first, _, rest = path.partition(".")
     inner = getattr(held, first.removesuffix("[:]"))
-    items = inner if first.endswith("[:]") else [inner]
-    return [x for item in items for x in flat(item, rest)]
+    if not first.endswith("[:]"):
+        return flat(inner, rest)
+    return [x for item in inner for x in flat(item, rest)]
 
 
 def typestore(topic: Topic) -> Any:
