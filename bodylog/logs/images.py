@@ -1,7 +1,6 @@
 """Picture payloads -> BGR: ROS and Foxglove images, raw or compressed, checked before memory is taken."""
 
 import binascii
-import struct
 from base64 import b64decode
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -11,11 +10,11 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Topic
 from .columns import definition_of, is_ros1, speaks_ros1
+from .compressed import check_size, unpacked
 from .layouts import Picker
 from .objects import reader
 from .walker import Payload
 
-MOST_PIXELS = 1 << 27
 COMPRESSED = ("sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage")
 RAW = ("sensor_msgs/msg/Image", "foxglove_msgs/msg/RawImage", "foxglove.RawImage")
 _RAW_FIELDS = ("height", "width", "encoding", "step", "data")
@@ -116,88 +115,7 @@ def _compressed(message: Mapping[str, Any], k: int) -> Array:
     form = str(message.get("format", ""))
     if "compresseddepth" in form.lower():
         raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not a picture")
-    data = memoryview(message.get("data", b""))
-    height, width, jpeg = _size(data[: 1 << 16], form)
-    _check_size(height, width)
-    image = _sound_jpeg(data, height, width, k) if jpeg else None
-    if image is None:
-        image = _any_picture(data, form, k if jpeg else 1)
-    return image if jpeg or k == 1 else _shrunk(image, k)
-
-
-def _sound_jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
-    """What OpenCV makes of a JPEG, to the byte, in 7/8 of its time; None for one that is damaged."""
-    import simplejpeg
-
-    try:
-        least = {"min_height": -(-height // k), "min_width": -(-width // k)}
-        return np.asarray(simplejpeg.decode_jpeg(data, "BGR", **least))
-    except ValueError:
-        return None
-
-
-def _any_picture(data: memoryview, form: str, k: int) -> Array:
-    import cv2
-
-    flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
-    except cv2.error as error:
-        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes: {error.err}") from None
-    if image is None:
-        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes cannot be decoded")
-    return np.asarray(image)
-
-
-def _shrunk(image: Array, k: int) -> Array:
-    """The means of k by k pixels (H/k, W/k, 3), as JPEG gives them; what is left over at the right and below goes."""
-    import cv2
-
-    height, width = max(1, image.shape[0] // k), max(1, image.shape[1] // k)
-    return np.asarray(cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA))
-
-
-def _size(begins: memoryview, form: str) -> tuple[int, int, bool]:
-    """Height, width and whether it is JPEG, from a picture's first bytes."""
-    head = bytes(begins[:32])
-    try:
-        if head[:2] == b"\xff\xd8":
-            return (*_jpeg_size(begins), True)
-        if head[:8] == b"\x89PNG\r\n\x1a\n":
-            width, height = struct.unpack_from(">II", head, 16)
-            return height, width, False
-        if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
-            return (*_webp_size(head), False)
-    except (struct.error, IndexError):
-        raise FormatError(f"a {form or 'compressed'} picture whose header is cut off") from None
-    raise FormatError(f"format {form!r} beginning with {head[:4].hex() or 'nothing'}; can read jpeg, png and webp")
-
-
-def _jpeg_size(head: memoryview) -> tuple[int, int]:
-    pos = 2
-    while True:
-        marker, length = struct.unpack_from(">HH", head, pos)
-        if marker < 0xFF00:
-            raise FormatError(f"a jpeg picture with {marker:04x} where a marker belongs")
-        if 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
-            height, width = struct.unpack_from(">HH", head, pos + 5)
-            return height, width
-        pos += 1 if marker == 0xFFFF else 2 + length
-
-
-def _webp_size(head: bytes) -> tuple[int, int]:
-    if head[12:16] == b"VP8X":
-        return int.from_bytes(head[27:30], "little") + 1, int.from_bytes(head[24:27], "little") + 1
-    if head[12:16] == b"VP8L":
-        bits = struct.unpack_from("<I", head, 21)[0]
-        return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
-    width, height = struct.unpack_from("<HH", head, 26)
-    return height & 0x3FFF, width & 0x3FFF
-
-
-def _check_size(height: int, width: int) -> None:
-    if not 0 < height * width <= MOST_PIXELS:
-        raise FormatError(f"a picture of {width} x {height} pixels; at least 1 and at most {MOST_PIXELS} in all")
+    return unpacked(memoryview(message.get("data", b"")), form, k)
 
 
 def _raw(message: Mapping[str, Any], k: int) -> Array:
@@ -205,7 +123,7 @@ def _raw(message: Mapping[str, Any], k: int) -> Array:
     if name not in ENCODINGS:
         raise FormatError(f"encoding {name!r} is none of {', '.join(ENCODINGS)}")
     encoding = ENCODINGS[name]
-    _check_size(height, width)
+    check_size(height, width)
     data, line = message.get("data", b""), width * encoding.channels * encoding.size
     step, lines = int(message.get("step", 0)) or line, height
     if encoding.below:  # publishers disagree on the step of these, so it is what the bytes make it

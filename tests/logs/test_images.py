@@ -5,6 +5,7 @@ import json
 import struct
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 
 import cv2
@@ -317,13 +318,32 @@ JPEG = cv2.imencode(".jpg", scene(9))[1].tobytes()
         ("jpeg", b"", "beginning with nothing"),
         ("jpeg", JPEG[:9], "header is cut off"),
         ("png", PNG[:16] + struct.pack(">II", 1 << 17, 1 << 17) + PNG[24:], "131072 x 131072 pixels"),
-        ("png", PNG[:40], "cannot be decoded"),
+        ("png", PNG[:40], "of 40 bytes is cut off"),
+        ("png", PNG[:-13], "is cut off"),
+        ("png", PNG[:60] + bytes([PNG[60] ^ 1]) + PNG[61:], "chunk IDAT fails its checksum"),
     ],
 )
 def test_compressed_pictures_that_are_none_are_refused(form, data, says):
     payload = cdr(COMPRESSED, header=header(T0), format=form, data=np.frombuffer(data, np.uint8))
     with pytest.raises(FormatError, match=says):
         decoder(topic(COMPRESSED))(payload, 1)
+
+
+def test_what_libraries_say_of_damaged_pictures_stays_unsaid(capfd):
+    """Cameras that put a few bytes too many before the end of each JPEG would fill the screen."""
+    jpeg = cv2.imencode(".jpg", scene(9))[1].tobytes()
+    broken = {"jpeg": [jpeg[:-2] + bytes(9) + jpeg[-2:], *(_changed(jpeg, at) for at in range(640, len(jpeg) - 2, 50))]}
+    broken["png"] = [PNG[:300], *(_changed(PNG, at) for at in range(8, len(PNG), 50))]
+    for form, some in broken.items():
+        for data in some:
+            with suppress(FormatError):
+                payload = cdr(COMPRESSED, header=header(T0), format=form, data=np.frombuffer(data, np.uint8))
+                decoder(topic(COMPRESSED))(payload, 1)
+    assert capfd.readouterr().err == ""
+
+
+def _changed(data: bytes, at: int) -> bytes:
+    return data[:at] + bytes([data[at] ^ 4]) + data[at + 1 :]
 
 
 @settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.too_slow])
