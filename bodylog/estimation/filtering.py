@@ -40,9 +40,10 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
     solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
     problem, solution = settled(problem, warm, settings, solver, walk)
     trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
+    precision = problem.precision
     beliefs = Beliefs(
-        unfold(trace.z), unfold(trace.p[:, :m, :m]), unfold(trace.nats), unfold(trace.prior), unfold(trace.prior_cov),
-        unfold(trace.encoder_d), problem.precision.scale, problem.precision.plain(),
+        unfold(trace.z), precision.of(unfold(trace.p[:, :m, :m])), unfold(trace.nats), unfold(trace.prior),
+        unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
         (*faults, *drifts(problem, body.joints, solution, faults)), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
@@ -126,8 +127,8 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
     encoders, precision = problem.evidence.encoders, problem.precision
     if settings.precision != "auto" or encoders is None:
         return problem, None
-    _, process = motion.learn(encoders, precision.encoder, precision.process)
-    return tuned(replace(problem, precision=replace(precision, process=process)), settings)
+    _, evident = motion.learn(encoders, precision.encoder, precision.process)
+    return tuned(replace(problem, precision=precision.held(evident, encoders)), settings)
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:

@@ -7,16 +7,16 @@ from .folds import Fold
 from .grain import dithered, repeated
 from .senses import Encoders
 
-SPREAD = (31, 13, 13)
-"""Ratios tried at first, over all magnitudes, and twice more between the best one's neighbours."""
+SPREAD = (31, 9)
+"""Ratios tried at first, over all magnitudes, and then between the best one's neighbours."""
 VAGUE = 1e8
 """Noise variances: how little a filter that starts anew knows."""
 SPACING = 0.01
 """s: readings closer than this are averaged, for a stretch too short to show how a joint accelerates shows nothing."""
 MOST = 6000
 """Averages used at most, from the middle of the log: more would not sharpen two numbers per joint."""
-STRETCH = 128
-"""Averages filtered one after the other, many such stretches side by side."""
+STRETCH = 512
+"""Averages filtered one after the other, many such stretches side by side: short ones cannot tell slow motion."""
 SKIP = 3
 """Readings per stretch that only start the filter and do not count."""
 FEWEST = 30
@@ -48,7 +48,7 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
     if joints:
         (found, process[joints]), (added, least) = likeliest(heard), np.transpose(coarse)
         encoder[joints] = np.maximum(found - added, least)
-    return encoder, np.maximum(process, floor(encoders, encoder))
+    return encoder, process
 
 
 def floor(encoders: Encoders, encoder: Array) -> Array:
@@ -65,14 +65,23 @@ def likeliest(heard: list[tuple[Array, Array]]) -> tuple[Array, Array]:
     told = _side_by_side(means)
     step = np.array([float(np.median(np.diff(t))) for t, *_ in means])
     # process / noise variance, scaled so that 1 is balanced per reading
-    ratios, joints = np.geomspace(1e-9, 1e6, SPREAD[0])[:, None] / step**3, np.arange(len(heard))
-    for count in (*SPREAD[1:], 0):
-        score, noise = evidence(*told, ratios)
-        best = score.argmax(axis=0)
-        found = noise[best, joints] * fellows, noise[best, joints] * ratios[best, joints]
-        low, high = ratios[np.maximum(best - 1, 0), joints], ratios[np.minimum(best + 1, len(ratios) - 1), joints]
-        ratios = np.geomspace(low, high, count)
-    return found
+    ratios = np.geomspace(1e-9, 1e6, SPREAD[0])[:, None] / step**3
+    best, joints = evidence(*told, ratios)[0].argmax(axis=0), np.arange(len(heard))
+    low, high = (ratios[np.clip(best + side, 0, len(ratios) - 1), joints] for side in (-1, 1))
+    ratios = np.geomspace(low, high, SPREAD[1])
+    ratio, noise = _peak(ratios, *evidence(*told, ratios))
+    return noise * fellows, noise * ratio
+
+
+def _peak(ratios: Array, score: Array, noise: Array) -> tuple[Array, Array]:
+    """Ratios and noise (M,) where the score (R,M) is greatest, by the parabola through the best of them."""
+    at = np.clip(score.argmax(axis=0), 1, len(ratios) - 2), np.arange(ratios.shape[1])
+    (r0, r1, r2), (s0, s1, s2), (n0, n1, n2) = (
+        [a[at[0] + side, at[1]] for side in (-1, 0, 1)] for a in (np.log(ratios), score, np.log(noise))
+    )
+    bend = np.minimum(s0 - 2.0 * s1 + s2, -np.finfo(float).tiny)
+    shift = np.clip(0.5 * (s0 - s2) / bend, -1.0, 1.0)
+    return np.exp(r1 + 0.5 * shift * (r2 - r0)), np.exp(n1 + 0.5 * shift * (n2 - n0))
 
 
 def _fellows(t: Array) -> int:
@@ -108,25 +117,24 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array) -> tuple[Array, A
     """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio."""
     shape, q = (*ratios.shape, y.shape[2]), ratios[:, :, None]
     x, v, pxx, pxv, pvv, squares, logs = np.zeros((7, *shape))
-    age, count, finite = np.zeros(y.shape[1:]), np.zeros(y.shape[1:]), np.isfinite(y)
+    finite, count = np.isfinite(y), np.arange(len(y))[:, None, None]
+    fresh = np.asarray(fresh | (count == 0))
+    counts = np.asarray(finite & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
+    begins = np.asarray(fresh.any(axis=(1, 2)))
     for i, h in enumerate(dt):
-        anew = fresh[i] | (i == 0)
         qh, cross = q * h, h * pvv
         x, pxx = x + h * v, pxx + h * (pxv + pxv + cross + qh * (h / 3.0))
         pxv, pvv = pxv + cross + qh * (0.5 * h), pvv + qh
-        age = np.where(anew, 0.0, age + 1.0)
-        if anew.any():
-            x, v, pxv = np.where(anew, y[i], x), np.where(anew, 0.0, v), np.where(anew, 0.0, pxv)
-            pxx, pvv = np.where(anew, VAGUE, pxx), np.where(anew, VAGUE, pvv)
+        if begins[i]:
+            x, v, pxv = np.where(fresh[i], y[i], x), np.where(fresh[i], 0.0, v), np.where(fresh[i], 0.0, pxv)
+            pxx, pvv = np.where(fresh[i], VAGUE, pxx), np.where(fresh[i], VAGUE, pvv)
         s, nu = pxx + 1.0, np.where(finite[i], y[i] - x, 0.0)
-        counts = (age >= SKIP) & finite[i]
         gx, gv = pxx / s, pxv / s
-        squares += nu * nu * (counts / s)
-        logs += counts * np.log(s)
-        count += counts
+        squares += nu * nu * (counts[i] / s)
+        logs += counts[i] * np.log(s)
         x, v = x + gx * nu, v + gv * nu
         pvv, pxv, pxx = pvv - gv * pxv, pxv - gx * pxv, gx
-    n = np.maximum(count.sum(axis=1), 1.0)
+    n = np.maximum(counts.sum(axis=(0, 2)), 1.0)
     noise = squares.sum(axis=2) / n
     return -0.5 * (n * np.log(noise) + logs.sum(axis=2)), noise
 

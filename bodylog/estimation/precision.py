@@ -10,7 +10,7 @@ from ..settings import Estimation
 from ..types import Array, BodyModel, Finding
 from . import motion
 from .alike import NEAR
-from .senses import Evidence
+from .senses import Encoders, Evidence
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,8 +18,8 @@ class Precision:
     """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
 
     near {sighting: px} within which its errors are alike; other sightings' errors are white · stated: what share of
-    the covariance under white acceleration is stated · fewer {tracks in view: process (M,)} where these are not all ·
-    likeliest: process (M,) of a filter, where a smoother's is another.
+    the covariance under white acceleration is stated, () or (M,) · fewer {tracks in view: process (M,)} where these are
+    not all · likeliest: process (M,) of a filter, where a smoother's is another · evident: process (M,) before `held`.
     """
 
     encoder: Array
@@ -27,9 +27,10 @@ class Precision:
     drift: Array | None
     scale: Mapping[str, float]
     near: Mapping[str, float] = field(default_factory=dict)
-    stated: float = 1.0
+    stated: Array | float = 1.0
     fewer: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
     likeliest: Array | None = None
+    evident: Array | None = None
 
     def plain(self) -> dict[str, Any]:
         """As plain numbers, to be written beside the estimate."""
@@ -37,9 +38,27 @@ class Precision:
         encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
         plain = {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
         fewer = {" ".join(view) or "none": [float(v) for v in process] for view, process in self.fewer.items()}
-        return {**plain, "stated": self.stated, **({"process_in_view": fewer} if fewer else {})}
+        stated = np.broadcast_to(self.stated, self.process.shape).tolist()
+        return {**plain, "stated": stated, **({"process_in_view": fewer} if fewer else {})}
+
+    def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "Precision":
+        """With processes (M,) by evidence alone, but no joint trusted to hold still for longer than motion.MEMORY.
+
+        Under white acceleration a quarter of a steady variance is motion: it is stated as far as there is any. `white`:
+        share of the variance that is the encoders', whose readings err each by itself.
+        """
+        process = np.maximum(evident, motion.floor(encoders, self.encoder))
+        stated = 1.0 - MOTION * white * (1.0 - np.minimum(evident / process, 1.0))
+        return replace(self, process=process, stated=stated, evident=evident)
+
+    def of(self, cov: Array) -> Array:
+        """The covariance (E,M,M) that is stated where white acceleration gives `cov`."""
+        share = np.sqrt(np.broadcast_to(self.stated, self.process.shape))
+        return np.asarray(share[:, None] * share * cov)
 
 
+MOTION = 0.25
+"""Share of a filter's steady variance under white acceleration that is motion smoothed away."""
 PAPER = (1.0, 5.0)
 """The paper's variances of encoders (rad²) and pixels (px²)."""
 
@@ -52,9 +71,11 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precis
         return Precision(np.full(len(encoder), PAPER[0]), process, None, _fixed(evidence))
     if settings.precision != "auto":
         return Precision(encoder, process, None, scale)
-    if evidence.encoders is not None:
-        encoder, process = motion.learn(evidence.encoders, encoder, process)
-    return Precision(encoder, process, None, scale, {name: NEAR for name in scale if name != "touch"})
+    near = {name: NEAR for name in scale if name != "touch"}
+    if evidence.encoders is None:
+        return Precision(encoder, process, None, scale, near)
+    encoder, evident = motion.learn(evidence.encoders, encoder, process)
+    return Precision(encoder, process, None, scale, near).held(evident, evidence.encoders)
 
 
 def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidence:

@@ -54,7 +54,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     problem, warm, faults = pose(features, body, settings)
     problem, smooth = settled(problem, warm, settings, solve, once)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
-    z, cov = unfold(smooth.z), precision.stated * unfold(smooth.cov)
+    z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov))
     beliefs = Beliefs(
         z, cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d), precision.scale,
         precision.plain(), (*faults, *drifts(problem, body.joints, smooth, faults)),

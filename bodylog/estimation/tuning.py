@@ -26,6 +26,8 @@ NEARLY = 0.25
 """Standard deviations: how still stretches' starts must be for candidates to be compared from where these end."""
 TRUST = 0.5
 """Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""
+BELOW = 16.0
+"""How many times smaller than is let pass process variances are asked for, as a still arm has none at all."""
 ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
@@ -47,10 +49,9 @@ def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
     warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
-    fewer = {view: _moving(problem, *_told(part, view), whole)[0] for view in _less(problem)}
-    process, stated = _moving(problem, part, told, whole)
-    likeliest = _moving(problem, part, told, False)[0] if whole else None
-    return replace(part.precision, process=process, stated=stated, fewer=fewer, likeliest=likeliest), warm
+    fewer = {view: _moving(problem, *_told(part, view), whole).process for view in _less(problem)}
+    likeliest = _moving(problem, part, told, False).process if whole else None
+    return replace(_moving(problem, part, told, whole), fewer=fewer, likeliest=likeliest), warm
 
 
 def _less(problem: Problem) -> list[View]:
@@ -59,10 +60,17 @@ def _less(problem: Problem) -> list[View]:
     return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
-def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole: bool) -> tuple[Array, float]:
-    """Process variances (M,) of a belief by the whole log or by the past, and what share of its covariance to state."""
-    own, stated = least(part, told) if whole else (_own(problem, part, told[1]), 1.0)
-    return np.maximum(own, _floor(part)), stated
+def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole: bool) -> Precision:
+    """The part's precisions for a belief by the whole log or by the past, with what of its covariance to state."""
+    encoders, floor = problem.evidence.encoders, _floor(part)
+    if whole:
+        held = replace(part.precision, process=np.maximum(part.precision.process, floor))
+        process, stated = least(replace(part, precision=held), told)
+        return replace(part.precision, process=np.maximum(process, floor), stated=stated)
+    evident, white = _own(problem, part, told[1])
+    if encoders is None:
+        return replace(part.precision, process=evident)
+    return part.precision.held(evident, encoders, white)
 
 
 def _told(part: Problem, view: View) -> tuple[Problem, tuple[Brief, Solution]]:
@@ -73,8 +81,8 @@ def _told(part: Problem, view: View) -> tuple[Problem, tuple[Brief, Solution]]:
     return less, briefly(less, None, "posterior", NEARLY)
 
 
-def _own(problem: Problem, part: Problem, first: Solution) -> Array:
-    """Process variances (M,) of a filter: white acceleration fits no motion at all time scales.
+def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array]:
+    """Process variances (M,) of a filter, which fits no motion at all time scales, and encoders' share (M,) of its own.
 
     A joint has that of its encoder as far as this still tells it. Variance by all senses over the one by the encoder
     alone says what pictures leave unknown. With one camera that is a direction in which joints err together, and
@@ -82,17 +90,20 @@ def _own(problem: Problem, part: Problem, first: Solution) -> Array:
     take part.
     """
     encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
-    share = np.full(m, 0.5)
+    share, white = np.full(m, 0.5), np.zeros(m)
     if encoders is not None and len(encoders.t) > 1:
         density = precision.encoder * float(np.median(np.diff(encoders.t)))
-        # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
-        alone = np.sqrt(2.0) * density**0.75 * precision.process**0.25
         together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
-        unknown = np.minimum(together**2 / alone, 1.0)
+        # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
+        unknown, white = (
+            np.minimum(together**2 / (np.sqrt(2.0) * density**0.75 * process**0.25), 1.0)
+            for process in (precision.process, part.precision.process)
+        )
         taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
         # for as long as an encoder is silent it has no share
         share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
-    return np.asarray(share * precision.process + (1.0 - share) * part.precision.process)
+    alone = precision.process if precision.evident is None else precision.evident
+    return np.asarray(share * alone + (1.0 - share) * part.precision.process), white
 
 
 def _prior(candidates: Array, m: int) -> Array:
@@ -109,7 +120,7 @@ def _with(part: Problem, values: Array, names: list[str]) -> Precision:
     # frames that err alike foretell each other well: that is no reason to think perception better than it says
     found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
     scale = {**precision.scale, **found}
-    return replace(precision, process=np.maximum(values[:m], _floor(part)), scale=scale)
+    return replace(precision, process=np.maximum(values[:m], _floor(part) / BELOW), scale=scale)
 
 
 def _floor(part: Problem) -> Array:
