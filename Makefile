@@ -30,8 +30,9 @@ lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/mypy --strict bodylog cli
 
+# Side by side, one worker per core; for a single test, or in a debugger: .venv/bin/pytest -k NAME
 test: lint wheel
-	$(BIN)/pytest
+	$(BIN)/pytest --numprocesses auto --dist worksteal
 
 soak: $(VENV)/installed
 	$(BIN)/pytest -m soak
