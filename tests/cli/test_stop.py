@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -16,14 +17,24 @@ def _command(*typed):
     return [*COMMAND, *map(str, typed)]
 
 
+@contextmanager
 def _begun(typed):
-    """A command that hears signals, also where these tests run in the background or under nohup, which ignore some."""
+    """A command that hears signals, also where these tests run in the background or under nohup, which ignore some.
+
+    One that does not end when it should ends with the test, together with all it started.
+    """
 
     def hear():
         for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
 
-    return subprocess.Popen(typed, stderr=subprocess.PIPE, text=True, preexec_fn=hear)
+    how = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": hear, "start_new_session": True}
+    with subprocess.Popen(typed, **how) as process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
 
 
 def _told(process, number, folder):

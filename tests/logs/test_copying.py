@@ -148,7 +148,7 @@ def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
     assert (tmp_path / "out.mcap").read_bytes() == b"of an earlier run"
 
 
-@pytest.mark.parametrize("number", [os.getpid(), 1])
+@pytest.mark.parametrize("number", [os.getpid(), 1], ids=["ours", "another"])
 def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, number):
     annotate.annotate(log, outgoing(), {}, tmp_path / "plain.mcap")
     stale = tmp_path / f".out.mcap.{number}.bodylog.part"
