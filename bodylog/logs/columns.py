@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -10,7 +11,7 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Batch, Topic
 from .definitions import Definition, parse
-from .layouts import Layout, leaf_field, rest, walk
+from .layouts import Layout, leaf_field, rest, walk, widened
 from .paths import Step
 from .paths import steps as read_steps
 from .rows import Template, agrees, gather, template, values
@@ -187,11 +188,13 @@ class _Decoder:
             self.fallback += 1
 
     def _walk(self, payload: bytes) -> Layout | None:
-        try:
+        with suppress(FormatError):
             return walk(self.definition, payload, self.paths, self.ros1)
-        except FormatError:
-            self.rejected["malformed"] += 1
-            return None
+        for sized in (fits := widened(self.definition, payload, self.ros1)):
+            self.definition = sized if len(fits) == 1 else self.definition
+            return walk(sized, payload, self.paths, self.ros1)
+        self.rejected["malformed"] += 1
+        return None
 
     def _take(self, batch: Batch, left: Array, known: Template) -> Array:
         """Decode the messages of `left` that are laid out as `known`; gives those that are not."""

@@ -38,10 +38,11 @@ class Field:
 
 @dataclass(frozen=True)
 class Definition:
-    """The root type and the fields of every type it needs."""
+    """The root type and the fields of every type it needs; bytes of what wstrings count, or 0 if that is unknown."""
 
     root: str
     types: Mapping[str, tuple[Field, ...]]
+    wide: int = 0
 
 
 @lru_cache(maxsize=256)

@@ -1,13 +1,16 @@
 """Where in a message's bytes each wanted field lies: one walk over one CDR or ROS 1 payload."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-from ..errors import ConfigError
+from ..errors import ConfigError, FormatError
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
 from .paths import Only, Step, is_index
 from .walker import Leaf, Payload, Walker
+
+_PADDING = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +77,21 @@ def walk(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, 
 def rest(definition: Definition, payload: Payload, ros1: bool) -> int:
     """Bytes left over after walking all of `payload`."""
     return len(payload) - walk(definition, payload, (), ros1).width
+
+
+def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Definition]:
+    """With the sizes of a wstring's characters, in bytes, for which `payload` is as long as it says but for padding.
+
+    Writers count characters of 2 or 4 bytes, or bytes. One definition, or all where no wstring tells them apart.
+    """
+    fits: dict[int, list[Definition]] = {}
+    unknown = not definition.wide and any(f.type == "wstring" for some in definition.types.values() for f in some)
+    for size in (1, 2, 4) if unknown else ():
+        sized = replace(definition, wide=size)
+        with suppress(FormatError):
+            fits.setdefault(rest(sized, payload, ros1), []).append(sized)
+    least = min(fits, default=_PADDING)
+    return fits[least] if least < _PADDING and len(fits[least]) != 2 else []
 
 
 class Picker:

@@ -95,16 +95,22 @@ class Walker:
         self.pos += 8
 
     def _text(self, type_: str, wanted: Wanted) -> None:
-        if type_ == "wstring":
+        wide = self.definition.wide if type_ == "wstring" else 1
+        if not wide:
             raise FormatError(f"{self.definition.root}: a wstring; writers disagree on the size of its characters")
-        length = self._count()
+        length = self._count() * wide
         self._need(length, f"a text of {length} bytes")
         if wanted:
             self.constants.append((self.pos, self.pos + length))
-            text = str(self.payload[self.pos : self.pos + length], "utf-8", "replace").removesuffix("\0")
+            text = str(self.payload[self.pos : self.pos + length], self._code(type_), "replace").removesuffix("\0")
             for k, _ in wanted:
                 self.texts[k].append(text)
         self.pos += length
+
+    def _code(self, type_: str) -> str:
+        if type_ == "string":
+            return "utf-8"
+        return f"utf-{32 if self.definition.wide == 4 else 16}-{'be' if self.big else 'le'}"
 
     def _items(self, type_: str, count: int, wanted: Wanted, final: bool) -> None:
         least = self._least_size(type_)

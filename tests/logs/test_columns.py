@@ -411,8 +411,29 @@ def test_a_message_cut_inside_its_numbers_does_not_borrow_its_neighbour(batch):
     assert (found.sound.tolist(), dict(found.rejected)) == ([0, 2], {"malformed": 1})
 
 
-def test_text_whose_width_is_unknown_is_rejected_and_what_comes_before_it_is_not():
-    log, wide = Messages([b"\0\1\0\0" + struct.pack("<dI6s", 2.5, 3, b"a\0b\0c\0")]), topic("float64 x\nwstring y")
+WIDE = {1: "utf-16-le", 2: "utf-16-le", 4: "utf-32-le"}
+
+
+def _wide(text: str, size: int, x: float) -> bytes:
+    """A message `wstring y, float64 x`, of which writers count characters of `size` bytes, or bytes (1)."""
+    data = text.encode(WIDE[size])
+    body = struct.pack("<I", len(data) // size) + data
+    return b"\0\1\0\0" + body + bytes(-len(body) % 8) + struct.pack("<d", x)
+
+
+@pytest.mark.parametrize("size", [1, 2, 4])
+def test_the_width_of_a_text_is_what_the_length_of_its_message_tells(size):
+    """The first message, without any text, does not tell, and need not."""
+    some = [("", 1.5), ("\N{GREEK SMALL LETTER ALPHA}bcdefghi", 2.5), ("jk", 3.5), ("lmnopq", 4.5)]
+    log = Messages([_wide(text, size, x) for text, x in some])
+    found = columns(log, topic("wstring y\nfloat64 x"), ("y", "x"))
+    assert found.column("x").tolist() == [1.5, 2.5, 3.5, 4.5] and not found.rejected
+    assert found.column("y").ravel().tolist() == [text for text, _ in some]
+
+
+def test_text_whose_width_nothing_tells_is_rejected_and_what_comes_before_it_is_not():
+    """Of three characters, of any size, and four bytes or more that are left over."""
+    log, wide = Messages([b"\0\1\0\0" + struct.pack("<dI10s", 2.5, 3, b"a\0b\0c")]), topic("float64 x\nwstring y")
     assert columns(log, wide, ("x",)).column("x").tolist() == [2.5]
     assert dict(columns(log, wide, ("y",)).rejected) == {"malformed": 1}
 
