@@ -9,12 +9,12 @@ import numpy as np
 
 from ..settings import Estimation
 from ..types import Array, BodyModel
-from .lab import Belief, Heard, Lab, believed, estimated, printed
-from .records import Bound, Claim, Experiment, Trial, column, judge, panel
+from .beliefs import Belief, believed, estimated, printed
+from .lab import NAMES, Heard, Lab
+from .records import SIDES, Bound, Claim, Experiment, Trial, both, column, judge, panel
 
 START = (-0.8, 0.70, 0.60)
 """rad: the paper's prior, which has the wrong sign for shoulder 2."""
-NAMES = ("shoulder 1", "shoulder 2", "elbow")
 NEAR = 0.05
 """rad: a belief's size this close to the truth's has converged."""
 
@@ -38,7 +38,7 @@ def _run(lab: Lab, seed: int) -> Trial:
         "ours": descended(heard, bodies["ours"], ("encoders",), START)[0],
         "ours with vision": signed(heard, bodies["ours"]),
     }
-    figures = {f"{side} converged": converged(beliefs[side]) for side in ("printed", "ours")}
+    figures = {f"{side} converged": converged(beliefs[side]) for side in SIDES}
     figures |= {f"{name} shoulder": float(belief.x[-20:, 1].mean()) for name, belief in beliefs.items()}
     figures |= {f"{name} error": float(np.abs(b.error(10.0)).mean(axis=0).max()) for name, b in beliefs.items()}
     return {"figures": figures, "panels": _panels(beliefs)}
@@ -88,16 +88,13 @@ def converged(belief: Belief) -> float:
 
 
 def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
-    def both(name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        return column(trials, f"printed {name}"), column(trials, f"ours {name}")
-
-    settled = both("shoulder")
+    settled = both(trials, "shoulder")
     mirrored = [abs(v - 0.869) for v in settled[0]], [abs(v - 0.869) for v in settled[1]]
     seen = column(trials, "printed error"), column(trials, "ours with vision error")
     sign = "the sign is told when vision is asked which root explains the picture (ours; largest error of a joint)"
     return (
         judge("E2", "converges in about 5 s", "seconds until within 0.05 rad", "s",
-              Bound("≤", 6.0), both("converged")),
+              Bound("≤", 6.0), both(trials, "converged")),
         judge("E2", "squares hide the sign: shoulder 2 settles at +0.869, the truth being −0.869",
               "distance from +0.869", "rad", Bound("≤", NEAR), mirrored),
         judge("E2", sign, "mean absolute error from 10 s on", "rad", Bound("≤", NEAR), seen,

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from .lab import Belief, Heard, Lab, ours, printed
-from .records import Bound, Claim, Experiment, Table, Trial, column, judge, panel
+from .beliefs import Belief, ours, printed
+from .lab import Heard, Lab
+from .records import SIDES, Bound, Claim, Experiment, Table, Trial, column, judge, medians, panel, where
 
 DRIFT, BEGINS, FULL = 0.3, 8.0, 24.0
 """rad at the end · s when it begins · s when it is complete, from when on effects count."""
@@ -32,14 +33,14 @@ def _run(lab: Lab, seed: int) -> Trial:
         ("ours", "p+v"): (ours(heard, own, BOTH), ours(sound, own, BOTH)),
     }
     figures: dict[str, float] = {}
-    for side in ("printed", "ours"):
+    for side in SIDES:
         figures |= {f"{side} {k}": v for k, v in effects(*beliefs[side, "p+v"]).items()}
         figures[f"{side} alone"] = effects(*beliefs[side, "p"])["left"]
     for s in SWEEP:
         found = effects(printed(heard, own, BOTH, sigma_v=s), printed(sound, own, BOTH, sigma_v=s))
         figures |= {f"sigma {s:g} {k}": v for k, v in found.items()}
     shoulders = ((0, "shoulder 1"), (1, "shoulder 2"))
-    panels = [_panel(side, beliefs, i, name) for side in ("printed", "ours") for i, name in shoulders]
+    panels = [_panel(side, beliefs, i, name) for side in SIDES for i, name in shoulders]
     return {"figures": figures, "panels": panels}
 
 
@@ -68,18 +69,18 @@ def _panel(
 
 
 def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
-    def both(name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def sizes(name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
         return _sizes(trials, f"printed {name}"), _sizes(trials, f"ours {name}")
 
     return (
         judge("E3", "vision reduces the drift of shoulder 1 by at least a tenth", "share of the drift left", "1",
-              Bound("≤", 0.9), both("left"), _range(trials)),
+              Bound("≤", 0.9), sizes("left"), _range(trials)),
         judge("E3", "vision removes the drift (ours: at most a twentieth is left)", "share of the drift left", "1",
-              Bound("≤", 0.05), both("left"), _least(trials)),
+              Bound("≤", 0.05), sizes("left"), _least(trials)),
         judge("E3", "the price is a bias on shoulder 2", "bias of shoulder 2 that vision induces", "rad",
-              Bound("≥", INDUCED), both("second"), _price(trials)),
+              Bound("≥", INDUCED), sizes("second"), _price(trials)),
         judge("E3", "no joint but the drifting one is biased (ours)", "largest bias induced on another joint", "rad",
-              Bound("≤", INDUCED), both("others")),
+              Bound("≤", INDUCED), sizes("others")),
     )  # fmt: skip
 
 
@@ -88,35 +89,30 @@ def _sizes(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
 
 
 def _range(trials: Sequence[Trial]) -> str:
-    found = {s: float(np.nanmedian(column(trials, f"sigma {s:g} left"))) for s in SWEEP}
-    holds = [s for s, left in found.items() if left <= 0.9]
-    where = f"it holds for σ_v ≤ {max(holds):g}" if holds else "it holds for none of the σ_v tried"
+    holds = [s for s, left in medians(trials, "sigma {} left", SWEEP).items() if left <= 0.9]
+    told = f"it holds for σ_v ≤ {max(holds):g}" if holds else "it holds for none of the σ_v tried"
     alone = np.median(column(trials, "printed alone"))
     why = f"encoders alone leave {alone:.2f} of it in the printed model; the constant is σ_v (5 squared image widths)"
-    return f"{why}: with a learned body {where}"
+    return f"{why}: with a learned body {told}"
 
 
 def _least(trials: Sequence[Trial]) -> str:
-    found = {s: float(np.nanmedian(column(trials, f"sigma {s:g} left"))) for s in SWEEP}
-    told = ", ".join(f"{left:.2f} at {s:g}" for s, left in found.items())
+    told = ", ".join(f"{left:.2f} at {s:g}" for s, left in medians(trials, "sigma {} left", SWEEP).items())
     return f"for no σ_v does the printed model without offset states: with a learned body, by σ_v: {told}"
 
 
 def _price(trials: Sequence[Trial]) -> str:
-    found = {s: float(np.nanmedian(column(trials, f"sigma {s:g} second"))) for s in SWEEP}
+    found = medians(trials, "sigma {} second", SWEEP)
     told = ", ".join(f"{v:.3f} at {s:g}" for s, v in found.items())
-    holds = [f"{s:g}" for s, v in found.items() if v >= INDUCED]
-    where = f"it holds at {', '.join(holds)}" if holds else "it holds at none of them"
-    return f"the constant is σ_v (printed: 5): with a learned body, in rad by σ_v: {told}: {where}"
+    holds = where(s for s, v in found.items() if v >= INDUCED)
+    return f"the constant is σ_v (printed: 5): with a learned body, in rad by σ_v: {told}: {holds}"
 
 
 def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
-    def row(s: float) -> tuple[str, ...]:
-        names = ("left", "second", "others")
-        return (f"{s:g}", *(f"{np.nanmedian(column(trials, f'sigma {s:g} {name}')):.3f}" for name in names))
-
+    found = [medians(trials, f"sigma {{}} {name}", SWEEP) for name in ("left", "second", "others")]
+    rows = tuple((f"{s:g}", *(f"{by[s]:.3f}" for by in found)) for s in SWEEP)
     head = ("σ_v", "share of drift left", "bias induced on shoulder 2, rad", "largest induced on another joint, rad")
-    return (Table("Algorithm 1 with a learned body, by σ_v (medians)", head, tuple(row(s) for s in SWEEP)),)
+    return (Table("Algorithm 1 with a learned body, by σ_v (medians)", head, rows),)
 
 
 EXPERIMENT = Experiment("E3", "A drifting encoder", _run, _claims, _tables)

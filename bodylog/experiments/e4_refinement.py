@@ -4,13 +4,13 @@ They come right after half a second; the hand's strokes begin at 3 s.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from ..types import BodyModel
-from .lab import Belief, Heard, Lab, noisier, ours, printed, shaped, typed
-from .records import Bound, Claim, Experiment, Table, Trial, column, judge, panel
+from .beliefs import angles, mean_errors, noisier, ours, printed, shaped, typed
+from .lab import Heard, Lab
+from .records import SIDES, Bound, Claim, Experiment, Table, Trial, errors_table, judge, ratio, where
 
 SENSES = {
     "p": ("encoders",),
@@ -22,7 +22,6 @@ WORTH = 0.99
 """A sense adds accuracy when it takes off at least a hundredth of the error."""
 DURATION, SINCE = 16.0, 1.0
 """s: how long, and from when on errors count."""
-NAMES = ("shoulder 1", "shoulder 2", "elbow")
 WIDTHS = (12.0, 25.0, 50.0, 100.0, 200.0)
 """px: widths of f_s tried, b_1 = 1/(2 width²)."""
 NOISES = (0.0, 0.1, 0.3)
@@ -41,7 +40,8 @@ def _run(lab: Lab, seed: int) -> Trial:
     figures |= {f"learned {name}": printed(heard, own, SENSES[name]).rmse(SINCE) for name in ("p", "p+v")}
     for noise in NOISES:
         figures |= _noisy(noisier(heard, noise, seed), own, typed(paper), noise)
-    return {"figures": figures, "panels": _panels(beliefs)}
+    panels = [*(mean_errors(beliefs, side) for side in SIDES), *angles(beliefs, ("p", "p+v+t"))]
+    return {"figures": figures, "panels": panels}
 
 
 def _shaped(heard: Heard, body: BodyModel, width: float, name: str) -> float:
@@ -55,24 +55,9 @@ def _noisy(heard: Heard, own: BodyModel, paper: BodyModel, noise: float) -> dict
     return found | {f"printed {name} {noise:g}": printed(heard, paper, SENSES[name]).rmse(SINCE) for name in names}
 
 
-def _panels(beliefs: dict[tuple[str, str], Belief]) -> list[dict[str, Any]]:
-    shown = []
-    for side in ("printed", "ours"):
-        t = beliefs[side, "p"].t
-        mine = {name: b for (of, name), b in beliefs.items() if of == side}
-        lines = {name: np.interp(t, b.t, np.abs(b.x - b.true).mean(axis=1)) for name, b in mine.items()}
-        shown.append(panel(f"{side}: mean absolute error", "rad", t, lines))
-    reference = beliefs["printed", "p"]
-    for i, joint in enumerate(NAMES):
-        mine = {f"{side} {name}": beliefs[side, name] for side in ("printed", "ours") for name in ("p", "p+v+t")}
-        lines = {name: np.interp(reference.t, b.t, b.x[:, i]) for name, b in mine.items()}
-        shown.append(panel(joint, "rad", reference.t, lines | {"truth": reference.true[:, i]}))
-    return shown
-
-
 def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
     def claim(what: str, more: str, less: str, said: str) -> Claim:
-        figures = _ratio(trials, f"printed {more}", f"printed {less}"), _ratio(trials, f"ours {more}", f"ours {less}")
+        figures = ratio(trials, f"printed {more}", f"printed {less}"), ratio(trials, f"ours {more}", f"ours {less}")
         measured = f"error of {more.split()[0]} over error of {less.split()[0]}"
         return judge("E4", f"{what}, the prior being wrong", measured, "1", Bound("≤", WORTH), figures, said)
 
@@ -87,32 +72,23 @@ def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
     )
 
 
-def _ratio(trials: Sequence[Trial], more: str, less: str) -> list[float]:
-    return [a / b for a, b in zip(column(trials, more), column(trials, less), strict=True)]
-
-
 def _widths(trials: Sequence[Trial], more: str, less: str) -> str:
     """For which width of f_s the printed form of touch helps."""
-    found = {w: float(np.nanmedian(_ratio(trials, f"width {w:g} {more}", f"learned {less}"))) for w in WIDTHS}
-    told = ", ".join(f"{ratio:.3f} at {w:g} px" for w, ratio in found.items())
-    holds = [f"{w:g}" for w, ratio in found.items() if ratio <= WORTH]
-    where = f"it holds at {' and '.join(holds)} px" if holds else "it holds at none of them"
+    found = {w: float(np.nanmedian(ratio(trials, f"width {w:g} {more}", f"learned {less}"))) for w in WIDTHS}
+    told = ", ".join(f"{left:.3f} at {w:g} px" for w, left in found.items())
+    holds = where((w for w, left in found.items() if left <= WORTH), " px")
     why = "the constants are a_1 = 0.001 and b_1 = 1; with a_1 = 1 and a learned body, by the width 1/√(2 b_1)"
-    return f"{why}: {told}: {where}; the strokes fall some cm beside the effector's own point"
+    return f"{why}: {told}: {holds}; the strokes fall some cm beside the effector's own point"
 
 
 def _noises(trials: Sequence[Trial]) -> str:
-    found = {n: float(np.nanmedian(_ratio(trials, f"ours p+t {n:g}", f"ours p {n:g}"))) for n in NOISES}
-    told = ", ".join(f"{ratio:.3f} with {n:g} rad more" for n, ratio in found.items())
+    found = {n: float(np.nanmedian(ratio(trials, f"ours p+t {n:g}", f"ours p {n:g}"))) for n in NOISES}
+    told = ", ".join(f"{left:.3f} with {n:g} rad more" for n, left in found.items())
     return f"ours by the encoders' noise, 0.02 rad being their own: {told}"
 
 
 def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
-    rows = [
-        (name, *(f"{np.nanmedian(column(trials, f'{side} {name}')):.4f}" for side in ("printed", "ours")))
-        for name in SENSES
-    ]
-    return (Table("Median error from 1 s on, rad", ("senses", "printed model", "ours"), tuple(rows)),)
+    return (errors_table("Median error from 1 s on, rad", trials, SENSES),)
 
 
 EXPERIMENT = Experiment("E4", "Refinement from a wrong prior", _run, _claims, _tables)

@@ -7,8 +7,9 @@ import numpy as np
 
 from ..estimation.touch import LEAST
 from ..types import Array, BodyModel
-from .lab import Belief, Heard, Lab, noisier, ours, printed, shaped, typed
-from .records import Bound, Claim, Experiment, Table, Trial, column, judge, panel
+from .beliefs import Belief, noisier, ours, printed, shaped, typed
+from .lab import Heard, Lab
+from .records import Bound, Claim, Experiment, Table, Trial, column, judge, medians, panel
 
 DURATION, CALM = 20.0, 5.0
 """s: how long, and how long nothing touches."""
@@ -126,7 +127,7 @@ def _ratio_range(trials: Sequence[Trial]) -> str:
 
 
 def _trust(trials: Sequence[Trial]) -> str:
-    found = {s: float(np.median(column(trials, f"noise {s:g}"))) for s in NOISES}
+    found = medians(trials, "noise {}", NOISES)
     told = ", ".join(f"{drift:.2f} px with {s:g} rad more" for s, drift in found.items())
     return f"ours by the encoders' noise, 0.01 rad being their own: {told}"
 

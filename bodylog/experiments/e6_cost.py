@@ -3,12 +3,16 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..types import Array
 from .lab import Lab
 from .records import Bound, Claim, Experiment, Table, Trial, column, judge
+
+if TYPE_CHECKING:
+    from ..body.gp import GP
 
 SAMPLES = (400, 800, 1600)
 PREDICTED = (2000, 4000, 8000)
@@ -75,7 +79,8 @@ def _with_variance(n: int, rng: np.random.Generator) -> Callable[[], object]:
     return partial(_body(n, 3, rng).predict, np.zeros((1, 3)))
 
 
-def _body(n: int, m: int, rng: np.random.Generator):  # type: ignore[no-untyped-def]
+def _body(n: int, m: int, rng: np.random.Generator) -> "GP":
+    """A forward model of m joints learned from n samples, with the printed hyperparameters."""
     from ..body.paper import paper
     from ..body.train import build, samples
 

@@ -2,12 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..types import Array, BodyModel
-from .lab import ELSEWHERE, JOINTS, Heard, Lab, ours, printed
-from .records import Bound, Claim, Experiment, Trial, column, judge
+from ..settings import Estimation
+from ..types import BodyModel
+from .beliefs import ours, printed
+from .lab import ELSEWHERE, JOINTS, Heard, Lab
+from .records import Bound, Claim, Experiment, Trial, both, judge
+
+if TYPE_CHECKING:
+    from ..body.gp import GP
 
 LASTING = 60.0
 """s for which the belief is integrated."""
@@ -19,7 +25,7 @@ def _run(lab: Lab, seed: int) -> Trial:
     heard = lab.heard("horizontal", seed + ELSEWHERE, duration=12.0, noise=0.02)
     own, paper = (lab.body(preset, seed, "horizontal") for preset in ("default", "paper"))
     stable = _stable_steps(heard, own)
-    jacobian = _jacobian_errors(own)
+    jacobian, least = _jacobian_errors(_effector(own)), _least_eigenvalues(_effector(own))
     raw = _raw(heard)
     figures = {
         "printed prior": grown(heard, True), "ours prior": grown(heard, False),
@@ -28,7 +34,7 @@ def _run(lab: Lab, seed: int) -> Trial:
         "printed lag": printed(heard, paper, ("encoders", "vision")).rmse(2.0) / raw,
         "ours lag": ours(heard, own).rmse(2.0) / raw,
         "printed jacobian": jacobian[0], "ours jacobian": jacobian[1],
-        **_noise_errors(heard, own),
+        "printed least eigenvalue": least[0], "ours least eigenvalue": least[1],
     }  # fmt: skip
     return {"figures": figures, "panels": []}
 
@@ -49,7 +55,6 @@ def _stable_steps(heard: Heard, body: BodyModel) -> dict[str, float]:
     """Largest stable Euler step (s) with the printed variances, tracks in pixels or in image widths."""
     from ..estimation import predictive_coding as algorithm
     from ..estimation.plan import plan_for
-    from ..settings import Estimation
 
     settings = Estimation(method="predictive-coding", preset="paper", senses=("encoders", "vision"))
     plan, _, _ = plan_for(heard.features, body, settings)
@@ -73,48 +78,36 @@ def _raw(heard: Heard) -> float:
     return float(np.sqrt(np.mean((joints.values[:, columns] - heard.true(JOINTS, joints.t)) ** 2)))
 
 
-def _jacobian_errors(body: BodyModel) -> tuple[float, float]:
-    """Relative error of the Jacobian against central differences: with the length scales as printed, and ours."""
+def _effector(body: BodyModel) -> "GP":
+    from ..body.gp import GP
+
     model = body.senses["effector"]
-    x = np.median(model.samples, axis=0) + 0.05  # type: ignore[attr-defined]
+    assert isinstance(model, GP)
+    return model
+
+
+def _jacobian_errors(model: "GP") -> tuple[float, float]:
+    """Relative error of the Jacobian against central differences: with the length scales as printed, and ours."""
+    x = np.median(model.samples, axis=0) + 0.05
     steps = 1e-5 * np.eye(len(x))
     slopes = (model.predict(x + steps)[0] - model.predict(x - steps)[0]).T / 2e-5
     own = model.predict(x[None])[1][0]
-    as_printed = own * model.scales[0] ** 4  # type: ignore[attr-defined]
+    as_printed = own * model.scales[0] ** 4
     size = np.abs(slopes).max()
     return float(np.abs(as_printed - slopes).max() / size), float(np.abs(own - slopes).max() / size)
 
 
-def _noise_errors(heard: Heard, body: BodyModel) -> dict[str, float]:
-    """Error (px) of a GP with the learned kernel when σ_n² stands on every entry of K, and when on its diagonal."""
-    model = body.senses["effector"]
-    x, y = model.samples[::8], model.targets[::8]  # type: ignore[attr-defined]
-    scales, noise = model.scales[0], float(model.noise[0] / model.amplitude[0])  # type: ignore[attr-defined]
-    track = heard.features.tracks["effector"]
-    seen = np.isfinite(track.values).all(axis=1)
-    at = heard.true(body.joints, track.t[seen])
-    k, across = _kernel(x, x, scales), _kernel(at, x, scales)
-    centred, centre = y - y.mean(axis=0), y.mean(axis=0)
-
-    def error(covariance: Array) -> float:
-        found = across @ np.linalg.lstsq(covariance, centred, rcond=None)[0] + centre
-        return float(np.sqrt(np.mean((found - track.values[seen]) ** 2)))
-
-    smallest = np.linalg.eigvalsh(k + noise)[0], np.linalg.eigvalsh(k + noise * np.eye(len(k)))[0]
-    return {
-        "printed noise": error(k + noise), "ours noise": error(k + noise * np.eye(len(k))),
-        "printed least eigenvalue": float(smallest[0] / noise), "ours least eigenvalue": float(smallest[1] / noise),
-    }  # fmt: skip
-
-
-def _kernel(a: Array, b: Array, scales: Array) -> Array:
-    return np.asarray(np.exp(-0.5 * np.square((a[:, None] - b[None]) / scales).sum(axis=2)))
+def _least_eigenvalues(model: "GP") -> tuple[float, float]:
+    """The least eigenvalue of K over σ_n², with the learned kernel: σ_n² on every entry of K, and on its diagonal."""
+    x, noise = model.samples[::8], float(model.noise[0] / model.amplitude[0])
+    k = np.exp(-0.5 * np.square((x[:, None] - x[None]) / model.scales[0]).sum(axis=2))
+    everywhere, diagonal = np.linalg.eigvalsh(k + noise)[0], np.linalg.eigvalsh(k + noise * np.eye(len(k)))[0]
+    return float(everywhere / noise), float(diagonal / noise)
 
 
 def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
     def claim(text: str, name: str, measured: str, unit: str, bound: Bound, said: str) -> Claim:
-        figures = column(trials, f"printed {name}"), column(trials, f"ours {name}")
-        return judge("Errata", text, measured, unit, bound, figures, said)
+        return judge("Errata", text, measured, unit, bound, both(trials, name), said)
 
     return (
         claim("μ̇ = μ + λe_x keeps the belief within 10 rad for 60 s", "prior", "log₁₀ of the largest belief",

@@ -1,4 +1,4 @@
-"""Where experiments get their logs, bodies and beliefs: recorded and learned once, kept in a folder."""
+"""Where experiments get their logs and bodies: recorded and learned once, kept in a folder."""
 
 import json
 from collections.abc import Mapping
@@ -8,14 +8,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
-
 from .. import __version__, files, pipeline
-from ..settings import Body, Colours, Estimation, Fit, Settings
-from ..types import Array, BodyModel, Estimate, Features, Series
+from ..settings import Body, Colours, Fit, Settings
+from ..types import Array, BodyModel, Features, Series
+from .records import jsonable
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 """The paper's shoulder 1, shoulder 2 and elbow, the order of x."""
+NAMES = ("shoulder 1", "shoulder 2", "elbow")
+"""What the paper calls them."""
 EXPLORATION_S = 30.0
 """How long a body is explored for."""
 ELSEWHERE = 1000
@@ -89,96 +90,10 @@ class Lab:
         return Settings(colours=Colours(shapes=self.shapes))
 
 
-@dataclass(frozen=True, eq=False)
-class Belief:
-    """A belief over time: t (N,) s · x (N,M) rad, NaN after it diverged · true (N,M) rad."""
-
-    t: Array
-    x: Array
-    true: Array
-
-    def error(self, since: float) -> Array:
-        """Belief minus truth (K,M) rad from `since` s on."""
-        return np.asarray((self.x - self.true)[self.t >= since])
-
-    def rmse(self, since: float) -> float:
-        """Root mean square error over all joints (rad) from `since` s on; NaN when the belief diverged."""
-        return float(np.sqrt(np.mean(self.error(since) ** 2)))
-
-
-def ours(heard: Heard, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any) -> Belief:
-    """What our default believes."""
-    return believed(estimated(heard, body, Estimation(senses=senses, **settings)), heard)
-
-
-def estimated(heard: Heard, body: BodyModel, settings: Estimation) -> Estimate:
-    """The estimate by these settings."""
-    return pipeline.infer(heard.features, body, replace(Settings(), estimate=settings))
-
-
-def believed(found: Estimate, heard: Heard) -> Belief:
-    """An estimate beside the truth."""
-    return Belief(found.joints.t, found.joints.values, heard.true(found.joints.names, found.joints.t))
-
-
-def kalman(heard: Heard, body: BodyModel, start: tuple[float, ...] | None = None) -> Belief:
-    """What the paper's Kalman filter believes."""
-    return ours(heard, body, ("encoders",), method="kalman", start=start)
-
-
-def printed(
-    heard: Heard, body: BodyModel, senses: tuple[str, ...], start: tuple[float, ...] | None = None,
-    sigma_v: float | None = None, implicit: bool = False,
-) -> Belief:  # fmt: skip
-    """What Algorithm 1 believes with the printed constants, errata applied; `sigma_v` in place of the printed 5.
-
-    `implicit` puts the prediction errors at their equilibrium instead of integrating them.
-    """
-    from ..estimation import predictive_coding as algorithm
-    from ..estimation.plan import plan_for
-
-    settings = Estimation(method="predictive-coding", preset="paper", touch="literal", senses=senses, start=start)
-    plan, _, _ = plan_for(heard.features, body, settings)
-    if sigma_v is not None:
-        changed = [s if s.name == "encoders" else replace(s, sigma=np.full_like(s.sigma, sigma_v)) for s in plan.senses]
-        plan = replace(plan, senses=tuple(changed))
-    x, _, _ = (algorithm.implicitly if implicit else algorithm.explicitly)(plan)
-    return Belief(plan.t, x, heard.true(body.joints, plan.t))
-
-
-def noisier(heard: Heard, std: float, seed: int) -> Heard:
-    """The same log with more noise (rad) on its encoders."""
-    joints = heard.features.joints
-    assert joints is not None
-    noise = std * np.random.default_rng([seed, 11]).standard_normal(joints.values.shape)
-    return replace(heard, features=replace(heard.features, joints=replace(joints, values=joints.values + noise)))
-
-
-def typed(body: BodyModel) -> BodyModel:
-    """The body with the printed touch constants, a_1 = 0.001 and b_1 = 1 (1/px²)."""
-    return replace(body, touch=replace(body.touch, a1=0.001, b1=1.0))
-
-
-def shaped(body: BodyModel, width: float) -> BodyModel:
-    """The body with a_1 = 1 and f_s of another width 1/√(2 b_1) (px)."""
-    return replace(body, touch=replace(body.touch, a1=1.0, b1=1.0 / (2.0 * width**2)))
-
-
 def kept(path: Path, make: Any) -> Any:
     """The value in a JSON file; made by `make()` and kept there when it is not."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
         with files.replacing(path) as beside:
-            beside.write_text(json.dumps(_plain(make()), sort_keys=True), encoding="utf-8")
+            beside.write_text(json.dumps(jsonable(make()), sort_keys=True), encoding="utf-8")
     return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _plain(value: Any) -> Any:
-    """The value without numpy in it; what is not a finite number is null."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

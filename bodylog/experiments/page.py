@@ -18,7 +18,7 @@ from ..report.traces import Panel, Trace
 from ..types import Array
 from . import draw
 from .draw import REAL
-from .records import Claim, Table, Trial
+from .records import Claim, Table, Trial, jsonable
 from .table import EXPERIMENTS, TIMED
 
 
@@ -147,15 +147,7 @@ def _figure(out: Path, title: str, make: Callable[[Path], None]) -> Path:
 
 def _json(value: Any) -> str:
     """JSON, with null for what is not a finite number."""
-    return json.dumps(_finite(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not abs(value) < float("inf") else value
+    return json.dumps(jsonable(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 
 def _save(path: Path, text: str) -> None:

@@ -1,6 +1,6 @@
 """What an experiment is, what one seed of it found, and how a claim is judged over all seeds."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +9,8 @@ import numpy as np
 if TYPE_CHECKING:
     from .lab import Lab
 
+SIDES = ("printed", "ours")
+"""The printed model, its errata applied, and our default."""
 SHARE = 0.9
 """A claim holds when it does in at least this share of the seeds."""
 
@@ -102,8 +104,46 @@ def column(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
     return tuple(float("nan") if value is None else float(value) for value in found)
 
 
+def both(trials: Sequence[Trial], name: str) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """One figure of every seed, of either side."""
+    return column(trials, f"printed {name}"), column(trials, f"ours {name}")
+
+
+def ratio(trials: Sequence[Trial], more: str, less: str) -> list[float]:
+    """One figure over another, by seed."""
+    return [a / b for a, b in zip(column(trials, more), column(trials, less), strict=True)]
+
+
+def medians(trials: Sequence[Trial], name: str, tried: Iterable[float]) -> dict[float, float]:
+    """Of each constant tried the median over the seeds of the figure called `name`, in which {} is the constant."""
+    return {value: float(np.nanmedian(column(trials, name.format(f"{value:g}")))) for value in tried}
+
+
+def where(holds: Iterable[float], unit: str = "") -> str:
+    """At which of the constants tried a claim holds, in words."""
+    told = ", ".join(f"{value:g}" for value in holds)
+    return f"it holds at {told}{unit}" if told else "it holds at none of them"
+
+
+def errors_table(caption: str, trials: Sequence[Trial], senses: Iterable[str]) -> Table:
+    """Median errors (rad) of either side by senses."""
+    rows = [(name, *(f"{np.nanmedian(found):.4f}" for found in both(trials, name))) for name in senses]
+    return Table(caption, ("senses", "printed model", "ours"), tuple(rows))
+
+
 def panel(title: str, unit: str, t: Any, lines: Mapping[str, Any], most: int = 240) -> dict[str, Any]:
     """A plot over time t (N,) s for the page: lines {label: (N,)}, thinned to at most `most` points."""
     rows = np.unique(np.linspace(0, len(t) - 1, min(len(t), most)).astype(int))
     drawn = {name: [round(float(v), 6) for v in np.asarray(line)[rows]] for name, line in lines.items()}
     return {"title": title, "unit": unit, "t": [round(float(v), 4) for v in np.asarray(t)[rows]], "lines": drawn}
+
+
+def jsonable(value: Any) -> Any:
+    """The value without numpy in it; what is not a finite number is null."""
+    if isinstance(value, Mapping):
+        return {str(key): jsonable(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [jsonable(item) for item in value]
+    if isinstance(value, float | np.floating):
+        return float(value) if np.isfinite(value) else None
+    return value.item() if isinstance(value, np.generic) else value

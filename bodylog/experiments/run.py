@@ -2,7 +2,7 @@
 
 import multiprocessing
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -13,9 +13,12 @@ from ..errors import UsageError
 from ..files import made
 from ..workers import ended, ready
 from . import page
-from .lab import Lab, kept
+from .lab import EXPLORATION_S, Lab, kept
 from .records import Claim, Trial
 from .table import EXPERIMENTS, TIMED
+
+Task = tuple[str, int]
+"""An experiment's name and a seed."""
 
 Tell = Callable[[str, int, int], None]
 """Called with what is done, how many are done and how many there are."""
@@ -30,7 +33,7 @@ class Reproduction:
     seeds: int = 10
     jobs: int = 2
     size: tuple[int, int] = (320, 240)
-    exploration: float = 30.0
+    exploration: float = EXPLORATION_S
 
     @property
     def lab(self) -> Lab:
@@ -80,16 +83,17 @@ def trial_path(lab: Lab, name: str, seed: int) -> Path:
     return lab.folder / "trials" / f"{name}-{seed}-{lab.key({})}.json"
 
 
-def _finished(wish: Reproduction, tasks: list[tuple[str, int]]) -> Any:
+def _finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
     """Tasks as they are done, those in the folder first; what is timed runs alone, at the end."""
     lab = wish.lab
     there = [task for task in tasks if trial_path(lab, *task).exists()]
     yield from there
     left = [task for task in tasks if task not in there]
-    side_by_side = [task for task in left if task[0] not in TIMED]
-    if wish.jobs > 1 and len(side_by_side) > 1:
+    side_by_side = [task for task in left if task[0] not in TIMED] if wish.jobs > 1 else []
+    if len(side_by_side) > 1:
         yield from _pooled(lab, side_by_side, wish.jobs)
-    for task in left if wish.jobs == 1 or len(side_by_side) <= 1 else [t for t in left if t[0] in TIMED]:
+        left = [task for task in left if task not in side_by_side]
+    for task in left:
         trial(lab, *task)
         yield task
 
@@ -102,7 +106,7 @@ def _worked(lab: Lab, name: str, seed: int) -> Trial:
         os._exit(int(told.code or 0))
 
 
-def _pooled(lab: Lab, tasks: list[tuple[str, int]], jobs: int) -> Any:
+def _pooled(lab: Lab, tasks: list[Task], jobs: int) -> Iterator[Task]:
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), ready)
     try:
         with ended():

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.experiments.lab import ELSEWHERE, Lab, ours
+from bodylog.experiments.beliefs import ours
+from bodylog.experiments.lab import ELSEWHERE, Lab
 from bodylog.settings import Estimation
 
 SEEDS = range(10)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from bodylog.experiments.beliefs import Belief
 from bodylog.experiments.e2_nonlinear import Squared, converged
-from bodylog.experiments.lab import Belief
 
 
 def test_jacobian_of_squares_agrees_with_differences():

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from bodylog.experiments.beliefs import Belief
 from bodylog.experiments.e3_drift import effects, healed
-from bodylog.experiments.lab import Belief, Heard
+from bodylog.experiments.lab import Heard
 from bodylog.types import Features, Series
 
 T = np.arange(0.0, 30.0, 0.5)
