@@ -1,6 +1,7 @@
 """Picture payloads -> BGR: ROS and Foxglove images, raw or compressed, checked before memory is taken."""
 
 import binascii
+import re
 from base64 import b64decode
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -17,11 +18,22 @@ from .walker import Payload
 
 COMPRESSED = ("sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage")
 RAW = ("sensor_msgs/msg/Image", "foxglove_msgs/msg/RawImage", "foxglove.RawImage")
+_FFMPEG = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
+_VIDEO = ("foxglove_msgs/msg/CompressedVideo", "foxglove.CompressedVideo", _FFMPEG)
+_CODECS = re.compile(r"h\.?26[45]|hevc|avc1?|av1|vp[89]|mpeg-?[24]?", re.IGNORECASE)
+PACKETS = (
+    "a video's packets, not pictures; replay it through image_transport republish as CompressedImage, or save the video"
+    ' beside the log: [topics] camera = "file.mp4"'
+)
 _RAW_FIELDS = ("height", "width", "encoding", "step", "data")
 _FIELDS = {
     **dict.fromkeys(COMPRESSED, ("format", "data")),
     "sensor_msgs/msg/Image": (*_RAW_FIELDS, "is_bigendian"),
 }
+
+
+FIELDS = frozenset(_RAW_FIELDS)
+"""What a message of pictures has at least, unless it is of a known type."""
 
 
 class _Encoding(NamedTuple):
@@ -56,9 +68,16 @@ ENCODINGS: Mapping[str, _Encoding] = {
 
 def refusal(topic: Topic, text: str) -> str | None:
     """Why pictures with this format or encoding text cannot be read, or None."""
+    if topic.type in COMPRESSED and _CODECS.fullmatch(text.strip()):
+        return f"format {text!r} is {PACKETS}"
     if topic.type in COMPRESSED:
         return "compressedDepth holds depth, not a picture" if "compresseddepth" in text.lower() else None
     return None if text in ENCODINGS else f"encoding {text!r} is none of {', '.join(ENCODINGS)}"
+
+
+def is_packets(topic: Topic) -> bool:
+    """Whether a topic holds a video's packets, by its type."""
+    return topic.type in _VIDEO
 
 
 def text_field(topic: Topic) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import BodylogError
 from ..settings import Settings
 from ..types import Features, Finding, Frame, Health, Recording, Topic, Watched, Watcher
-from . import cameras, roles, video
+from . import cameras, offers, roles, video
 from . import frames as camera
 from .containers import Log, open_log
 from .streams import Stream, health, joints_of, remarks, series, streams
@@ -173,9 +173,9 @@ def _is_ours(log: Log) -> bool:
 
 def _findings(log: Log, heard: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
     found = {role: stream.role for role, stream in heard.items()}
-    advice = roles.advice(found)
-    unused = (roles.unused_joints, roles.unused_cameras)
+    advice = offers.advice(found)
+    unused = (offers.unused_joints, offers.unused_cameras)
     more = [finding for tell in unused for finding in tell(log.topics, settings.topics, found)]
     said = [Finding("info", f"roles, ready for robot.toml: {advice}")] if heard else []
-    broken = [Finding("warning", f"{text}; not considered for any role") for text in roles.unreadable(log.topics)]
+    broken = [Finding("warning", f"{text}; not considered for any role") for text in offers.unreadable(log.topics)]
     return (*said, *more, *broken, *(finding for stream in heard.values() for finding in remarks(stream)))

@@ -1,15 +1,14 @@
 """Which topic is what: guessed from types, names and counts, or as robot.toml says."""
 
-import json
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..errors import BodylogError, ConfigError, LogError
 from ..settings import Topics
-from ..types import Finding, Topic
+from ..types import Topic
 from . import images
-from .cameras import camera_name, cameras, is_video
+from .cameras import cameras, is_video
 from .columns import definition_of
 from .definitions import PRIMITIVES, Definition
 from .objects import reader
@@ -75,44 +74,13 @@ def roles(
 def _tracks_alone(topics: Sequence[Topic]) -> bool:
     """Whether a log carries tracks of an earlier run without the pictures."""
     return any(topic.name.startswith(f"{_OURS}track/") for topic in topics) and not any(
-        _camera_rank(topic) is not None for topic in topics
+        camera_rank(topic) is not None for topic in topics
     )
-
-
-def unused_joints(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
-    """That a log has more joint states than those guessed to be the robot's, and what to type to use them."""
-    others = sorted({topic.name for topic in topics if _is_raw(topic) and _joints_rank(topic) is not None})
-    others = [name for name in others if "joints" in found and name != found["joints"].topic]
-    if settings.joints is not None or not others:
-        return ()
-    said = f"joints: {found['joints'].topic} is used, {', '.join(others)} not"
-    return (Finding("info", f"{said}; for another, type: [topics] joints = {json.dumps(others[0])}"),)
-
-
-def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
-    """That a log has more cameras than the one guessed, and what to type to use them."""
-    if settings.cameras or "camera" not in found:
-        return ()
-    ranked = sorted(topic.name for topic in topics if _is_raw(topic) and _camera_rank(topic) is not None)
-    by_name = {camera_name(topic): topic for topic in reversed(ranked)} | {camera_name(found["camera"].path): ""}
-    others = sorted(topic for topic in by_name.values() if topic)
-    if not others:
-        return ()
-    first = found["camera"].path
-    said = f"camera: {first} is used, {', '.join(others)} not; for more, type: [topics] camera = "
-    return (Finding("info", said + json.dumps([first, *others])),)
-
-
-def advice(found: Mapping[str, Role]) -> str:
-    """The roles as one line ready to paste into robot.toml."""
-    paths = {role: [one.path for one in found.values() if one.role == role] for role in ROLES}
-    lines = (f"{role} = {json.dumps(said if len(said) > 1 else said[0])}" for role, said in paths.items() if said)
-    return f"topics = {{ {', '.join(lines)} }}"
 
 
 def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], int]) -> Sequence[Topic]:
     """The topics, less those joint states that are about as frequent as the best but speak of fewer joints."""
-    ranks = {topic.name: rank for topic in topics if _is_raw(topic) and (rank := _joints_rank(topic)) is not None}
+    ranks = {topic.name: rank for topic in topics if is_raw(topic) and (rank := joints_rank(topic)) is not None}
     most = max(ranks.values(), default=(0, 0))
     rivals = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
     if len(rivals) < 2:
@@ -122,17 +90,13 @@ def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], int]) -> 
     return [topic for topic in topics if topic.name not in fewer]
 
 
-def _is_raw(topic: Topic) -> bool:
+def is_raw(topic: Topic) -> bool:
+    """Whether a topic holds messages that are not ours."""
     return topic.messages > 0 and not topic.name.startswith(_OURS)
 
 
-def unreadable(topics: Sequence[Topic]) -> list[str]:
-    """Why topics that could play a role cannot: their definitions are broken."""
-    likely = [topic for topic in topics if any(rank(topic) is not None for rank in _RANKS.values())]
-    return [problem for topic in likely if (problem := _problem(topic)) is not None]
-
-
-def _problem(topic: Topic) -> str | None:
+def problem(topic: Topic) -> str | None:
+    """Why a topic's definition cannot be used, or None."""
     try:
         if topic.encoding == "protobuf":
             reader(topic)
@@ -144,11 +108,11 @@ def _problem(topic: Topic) -> str | None:
 
 
 def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
-    ranked = [(_RANKS[role](topic), topic) for topic in topics if _is_raw(topic)]
+    ranked = [(RANKS[role](topic), topic) for topic in topics if is_raw(topic)]
     usable = [(rank, topic) for rank, topic in ranked if rank is not None]
     for _, topic in sorted(usable, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
         field = _field(role, topic)
-        if field is not None and _problem(topic) is None:
+        if field is not None and problem(topic) is None:
             unsure = role == "skin" and not (_TOUCHED.search(topic.name) or "Skin" in topic.type)
             return Role(role, topic.name, field, _same(topics, topic), unsure)
     return None
@@ -164,8 +128,8 @@ def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
     except ConfigError as problem:
         raise ConfigError(f"{name}: [topics] {role}: {problem}") from problem
     same = [topic for topic in topics if topic.name == path.topic]
-    likely = [topic.name for topic in topics if _RANKS[role](topic) is not None]
-    others = [topic.name for topic in topics if topic.name != path.topic]
+    likely = [topic.name for topic in topics if RANKS[role](topic) is not None]
+    others = [topic.name for topic in topics if topic.name != path.topic and not _mistaken(role, topic)]
     none = "none, the log has no other" if topics else "none, the log is empty"
     possible = f"possible: {', '.join(sorted(likely or others)[:10]) or none}"
     if not same:
@@ -173,7 +137,8 @@ def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
     best = max(same, key=lambda topic: topic.messages)
     named = said[len(path.topic) :].removeprefix(".")
     if not named and _mistaken(role, best):
-        raise LogError(f'{name}: [topics] {role} = "{said}", but {path.topic} is {best.type}; {possible}')
+        what = best.type + (f" ({images.PACKETS})" if images.is_packets(best) else "")
+        raise LogError(f'{name}: [topics] {role} = "{said}", but {path.topic} is {what}; {possible}')
     field = named or _field(role, best)
     if field is None:
         raise LogError(f'{name}: {said} ({best.type}) has no array; say which: [topics] {role} = "{said}.field[:]"')
@@ -184,13 +149,14 @@ def _mistaken(role: str, topic: Topic) -> bool:
     """Whether a topic named for a role is of a type that another role reads whole, or a camera's without pictures."""
     if role != "camera" or topic.type == _JOINTS:
         return topic.type in (*images.COMPRESSED, *images.RAW, *(() if role in _ANGLES else (_JOINTS,)))
-    if topic.type in images.COMPRESSED + images.RAW or topic.encoding in ("json", "protobuf") or _problem(topic):
-        return False
+    if topic.type in images.COMPRESSED + images.RAW or topic.encoding in ("json", "protobuf") or problem(topic):
+        return images.is_packets(topic)
     definition = definition_of(topic)
-    return images.text_field(topic) not in {field.name for field in definition.types[definition.root]}
+    return not {field.name for field in definition.types[definition.root]}.issuperset(images.FIELDS)
 
 
-def _joints_rank(topic: Topic) -> tuple[int, ...] | None:
+def joints_rank(topic: Topic) -> tuple[int, ...] | None:
+    """How likely a topic tells the robot's joints; None when it cannot."""
     if topic.type != _JOINTS or _TRUTH.search(topic.name):
         return None
     return (not _WISHED.search(topic.name), topic.messages)
@@ -200,7 +166,8 @@ def _truth_rank(topic: Topic) -> tuple[int, ...] | None:
     return (topic.messages,) if topic.type == _JOINTS and _TRUTH.search(topic.name) else None
 
 
-def _camera_rank(topic: Topic) -> tuple[int, ...] | None:
+def camera_rank(topic: Topic) -> tuple[int, ...] | None:
+    """How likely a topic shows the robot; None when it cannot."""
     if topic.type not in images.COMPRESSED + images.RAW or _DEPTH.search(topic.name):
         return None
     colour, grey = bool(_COLOUR.search(topic.name)), bool(_GREY.search(topic.name))
@@ -214,11 +181,11 @@ def _skin_rank(topic: Topic) -> tuple[int, ...] | None:
     return (named, skin, not _WISHED.search(topic.name), topic.messages)
 
 
-_RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
-    "joints": _joints_rank,
+RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
+    "joints": joints_rank,
     "truth": _truth_rank,
     "reference": _truth_rank,
-    "camera": _camera_rank,
+    "camera": camera_rank,
     "skin": _skin_rank,
 }
 
@@ -229,7 +196,7 @@ def _field(role: str, topic: Topic) -> str | None:
         return ""
     if topic.encoding in ("json", "protobuf"):
         return None
-    return array_field(definition_of(topic)) if _problem(topic) is None else None
+    return array_field(definition_of(topic)) if problem(topic) is None else None
 
 
 def array_field(definition: Definition) -> str | None:

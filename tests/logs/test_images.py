@@ -276,6 +276,7 @@ def test_json_pictures_that_hold_something_else_are_refused(odd):
     [
         (COMPRESSED, "16UC1; compressedDepth png", "compressedDepth"),
         (IMAGE, "32FC1", "encoding '32FC1' is none of bgr8, "),
+        (COMPRESSED, "h264", "format 'h264' is a video's packets"),
         (IMAGE, "bgr8", None),
         (COMPRESSED, "jpeg", None),
     ],

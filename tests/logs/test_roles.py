@@ -6,7 +6,8 @@ import pytest
 
 from bodylog.errors import ConfigError, LogError
 from bodylog.logs.cameras import camera_name
-from bodylog.logs.roles import advice, roles, unreadable, unused_cameras, unused_joints
+from bodylog.logs.offers import advice, unreadable, unused_cameras, unused_joints
+from bodylog.logs.roles import roles
 from bodylog.settings import Topics
 from bodylog.types import Topic
 
@@ -200,6 +201,16 @@ def test_a_topic_of_another_roles_type_is_a_mistake(said, wrong, possible):
     with pytest.raises(LogError) as refused:
         roles(there, Topics(**said), "x.mcap")
     assert str(refused.value) == f'x.mcap: [topics] {role} = "{name}", but {name} is {wrong}; possible: {possible}'
+
+
+@pytest.mark.parametrize("kind", ["foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"])
+def test_a_video_in_packets_is_no_camera_and_what_to_do_about_it_is_said(kind):
+    there = topics(("/joint_states", JOINTS), ("/cam", kind, 10, b"string format\nstring encoding\nuint8[] data\n"))
+    (finding,) = unused_cameras(there, Topics(), roles(there, Topics(), "x.mcap"))
+    assert finding.severity == "warning"
+    assert finding.text.startswith("camera: /cam holds a video's packets, not pictures")
+    with pytest.raises(LogError, match=rf"/cam is {kind} \(a video's packets, .* republish .* possible: none"):
+        roles(there, Topics(camera="/cam"), "x.mcap")
 
 
 def test_a_field_named_may_be_of_any_type():
