@@ -1,14 +1,14 @@
 """Every method with every subset of the senses on one log, with and without truth."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .errors import EvidenceError, InputError, UsageError
-from .lies import named
 from .pipeline import Progress, infer, judge, observe
 from .refusals import about, gone, same_camera, same_size
+from .remarks import named
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Score
 
@@ -37,7 +37,7 @@ def compare(
     where no sense says anything.
     """
     from .body import model
-    from .estimation import METHODS, choices
+    from .estimation import choices
 
     learned = model.load(body)
     read, features = observe(log, settings, progress)
@@ -49,12 +49,11 @@ def compare(
         raise EvidenceError(f"{log}: {told}{gone(log, read.findings)}")
     rows: list[Row] = []
     refused: dict[str, InputError | UsageError] = {}
-    for method, senses in ((m, senses) for m in METHODS for senses in subsets if choices.usable(m, senses)):
-        asked = replace(settings.estimate, method=method, senses=senses, without=silent)
+    for asked in _asked(settings, subsets, silent):
         try:
-            rows.append(_row(features, learned, replace(settings, estimate=asked), read))
+            rows.append(_row(features, learned, asked, read))
         except (InputError, UsageError) as problem:
-            refused[_label(method, senses)] = problem
+            refused[_label(asked.estimate.method, asked.estimate.senses or ())] = problem
             continue
         if done is not None:
             done(rows[-1])
@@ -62,6 +61,19 @@ def compare(
         with about(log, read.findings):
             raise next(iter(refused.values()))
     return rows, (*read.findings, *features.findings, *cameras, *_remarks(rows, refused))
+
+
+def _asked(
+    settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]
+) -> Iterator[Settings]:
+    """Every method with every subset of the senses that it can do with, as settings."""
+    from .estimation import METHODS, choices
+
+    for method in METHODS:
+        for senses in subsets:
+            if choices.usable(method, senses):
+                asked = replace(settings.estimate, method=method, senses=senses, without=silent)
+                yield replace(settings, estimate=asked)
 
 
 def _row(features: Features, learned: BodyModel, settings: Settings, read: Recording) -> Row:

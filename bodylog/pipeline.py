@@ -8,8 +8,8 @@ from typing import Any
 
 from . import __version__
 from .files import sha256
-from .lies import named
-from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable, untold
+from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
+from .remarks import named, untold
 from .settings import Settings, plain
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 

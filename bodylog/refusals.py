@@ -8,7 +8,7 @@ from pathlib import Path
 from .errors import EvidenceError, InputError, LogError, ModelError, UsageError
 from .files import lasting
 from .settings import Colours, Settings
-from .types import BodyModel, Estimate, Features, Finding, Health, Recording, Series
+from .types import BodyModel, Features, Finding, Health, Recording
 
 
 def distinct(read: Path, out: Path) -> None:
@@ -75,16 +75,6 @@ def same_size(log: Path, learned: BodyModel, features: Features, settings: Setti
             f"{log}: camera: pictures are {size[0]} px wide, {width:g} px where the body was learned; fit a body from "
             f"a log of {size[0]} px, or go on with the rest: --without vision,touch"
         )
-
-
-def untold(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:
-    """A remark where there is no error against truth: no truth, or truth of other joints than the estimate's."""
-    if truth is None:
-        return (Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth"),)
-    if set(truth.names) & set(found.joints.names):
-        return ()
-    names = f"the truth is of {', '.join(truth.names)}, the estimate of {', '.join(found.joints.names)}"
-    return (Finding("warning", f"{names}, so no error against truth; name another in [topics] truth"),)
 
 
 @contextmanager

@@ -87,7 +87,7 @@ def test_pictures_of_another_width_than_learned_are_refused_unless_they_are_not_
 
 
 def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
-    from bodylog.lies import named
+    from bodylog.remarks import named
     from bodylog.types import Fault
 
     told = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))

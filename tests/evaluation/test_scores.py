@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.evaluation.scores import scores
-from bodylog.refusals import untold
+from bodylog.remarks import untold
 from bodylog.types import Estimate, Health, Series
 
 
