@@ -8,6 +8,16 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 STAGES = {"logs", "perception", "body", "estimation", "sim", "evaluation", "report"}
 RECORDS = {"types", "errors", "settings", "files", "threads"}
+LAYERS = (
+    {*RECORDS, "memory", "stopping", "torn"},
+    {"config", "stores", "workers"},
+    STAGES,
+    {"live", "dates", "inventory", "refusals", "remarks"},
+    {"pipeline"},
+    {"present", "comparison"},
+    {"batch", "experiments"},
+)
+PAGE = (ROOT / "docs" / "architecture.md").read_text()
 
 
 def _imported(path: Path) -> set[str]:
@@ -35,6 +45,22 @@ def test_stages_import_only_records_and_themselves():
         if allowed is not None and (extra := _imported(path) - allowed):
             wrong[str(path)] = extra
     assert not wrong
+
+
+def test_whatever_is_no_stage_imports_only_what_stands_below_it():
+    wrong = {}
+    for path in (ROOT / "bodylog").rglob("*.py"):
+        part = path.relative_to(ROOT / "bodylog").parts[0].removesuffix(".py")
+        if part not in STAGES | {"__init__"}:
+            (level,) = (k for k, layer in enumerate(LAYERS) if part in layer)
+            below = set().union(*LAYERS[: max(level, 1)], {part, "__version__"})
+            wrong |= {str(path): extra for extra in [_imported(path) - below] if extra}
+    assert not wrong
+
+
+def test_every_file_of_a_stage_stands_in_the_page_on_the_architecture():
+    files = {path.stem for stage in STAGES for path in (ROOT / "bodylog" / stage).glob("*.py")} - {"__init__"}
+    assert not {name for name in files if f"`{name}`" not in PAGE}, "say in docs/architecture.md what they are for"
 
 
 def test_library_never_prints_exits_or_reads_the_environment():

@@ -1,1 +1,1 @@
-"""Stage: report."""
+"""Report: records as figures, as a page, and as what a viewer shows."""

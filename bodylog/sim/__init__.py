@@ -1,4 +1,4 @@
-"""Stage sim: a robot arm that exists only on the processor, recorded as an ordinary log with the truth beside it."""
+"""Sim: a robot arm that exists only on the processor, recorded as an ordinary log with the truth beside it."""
 
 from .record import record
 from .scenarios import SCENARIOS
