@@ -5,22 +5,33 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .body.model import load as load_body
+    from .config import load as load_settings
+    from .errors import BodylogError
     from .estimation.streaming import Belief
     from .live import Estimator
+    from .pipeline import Result, estimate, evaluate, extract, fit, ingest, observe, record
+    from .settings import Settings
 
 __version__ = "0.1.0"
-__all__ = ["Belief", "Estimator", "__version__", "load_body"]
+__all__ = [
+    "Belief", "BodylogError", "Estimator", "Result", "Settings", "__version__", "estimate", "evaluate", "extract",
+    "fit", "ingest", "load_body", "load_settings", "observe", "record",
+]  # fmt: skip
 
 _HOMES = {
-    "Belief": ("bodylog.estimation.streaming", "Belief"),
-    "Estimator": ("bodylog.live", "Estimator"),
-    "load_body": ("bodylog.body.model", "load"),
+    "Belief": ("estimation.streaming", "Belief"),
+    "BodylogError": ("errors", "BodylogError"),
+    "Estimator": ("live", "Estimator"),
+    "Settings": ("settings", "Settings"),
+    "load_body": ("body.model", "load"),
+    "load_settings": ("config", "load"),
 }
+"""Where what is public stands, if not in the pipeline."""
 
 
 def __getattr__(name: str) -> Any:
     """What is public, imported when first asked for: `import bodylog` itself imports nothing heavy."""
-    if name not in _HOMES:
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
-    module, attribute = _HOMES[name]
-    return getattr(import_module(module), attribute)
+    module, attribute = _HOMES.get(name, ("pipeline", name))
+    return getattr(import_module(f"{__name__}.{module}"), attribute)

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import bodylog
+
 ROOT = Path(__file__).parents[1]
 STAGES = {"logs", "perception", "body", "estimation", "sim", "evaluation", "report"}
 RECORDS = {"types", "errors", "settings", "files", "threads"}
@@ -74,6 +76,11 @@ def test_library_never_prints_exits_or_reads_the_environment():
             if isinstance(node, ast.Import | ast.ImportFrom) and "click" in ast.unparse(node).split():
                 wrong.append(f"{path}:{node.lineno}")
     assert not wrong
+
+
+def test_all_that_is_public_is_there():
+    assert set(bodylog.__all__) == {name for name in bodylog.__all__ if getattr(bodylog, name)}
+    assert bodylog.estimate is bodylog.pipeline.estimate
 
 
 def test_importing_bodylog_and_asking_for_help_imports_nothing_heavy():
