@@ -1,14 +1,13 @@
 # bodylog as a container: arguments are the command's, exit codes are docs/ci.md's.
-#   docker build -t bodylog .
-#   docker run --rm -v "$PWD:/data" bodylog batch /data/logs -o /data/out --body /data/body.npz
-FROM python:3.11-slim AS build
-WORKDIR /src
-COPY . .
-RUN pip wheel --no-cache-dir --wheel-dir /wheels '.[all]'
-
+#   docker build -t bodylog .            (on an ARM machine with --platform linux/amd64: PyBullet has no wheel for it)
+#   docker run --rm --user "$(id -u):$(id -g)" -v "$PWD:/data" bodylog batch logs -o out --body body.npz
 FROM python:3.11-slim
-COPY --from=build /wheels /wheels
-RUN pip install --no-cache-dir --no-index --find-links /wheels 'bodylog[all]' && rm -rf /wheels
+COPY pyproject.toml README.md LICENSE /src/
+COPY bodylog /src/bodylog
+COPY cli /src/cli
+RUN pip install --no-cache-dir '/src[all]'
+# what --user names has no home: matplotlib and Dask keep settings in one
+ENV HOME=/tmp
 WORKDIR /data
 ENTRYPOINT ["bodylog"]
 CMD ["--help"]
