@@ -30,9 +30,10 @@ lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/mypy --strict bodylog cli
 
-# Side by side, one worker per core; for a single test, or in a debugger: .venv/bin/pytest -k NAME
+# Side by side, a worker with one thread of linear algebra per core: more of them would spin while they wait.
+# For a single test, or in a debugger: .venv/bin/pytest -k NAME
 test: lint wheel
-	$(BIN)/pytest --numprocesses auto --dist worksteal
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
 
 soak: $(VENV)/installed
 	$(BIN)/pytest -m soak
