@@ -1,6 +1,6 @@
 """A body learned from pictures dated as the encoders are: the body itself tells how late a camera was."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 from typing import TYPE_CHECKING, Any
@@ -60,12 +60,17 @@ def learned(
         if _missed(after, surest) > least * _missed(turn, surest):
             break
         turn, begun = after, begun | set(surest)
-    said = [
-        Finding(f.severity, f"log {k + 1}: {f.text}" if len(features) > 1 else f.text)
-        for k, (delays, rest) in enumerate(zip(turn.late, turn.rests, strict=True))
-        for f in dating.told(delays, {name: rest[name].std_error for name in begun if name in rest}, rest, fixed)
-    ]
-    return replace(turn.found, findings=(*said, *turn.found.findings))
+    return replace(turn.found, findings=(*_said(turn, fixed, begun), *turn.found.findings))
+
+
+def _said(turn: _Turn, fixed: Delays, begun: set[str]) -> Iterator[Finding]:
+    """What was taken off each log's pictures, where any was, and what the log has against what is `fixed`."""
+    from .estimation import dating
+
+    for k, (delays, rest) in enumerate(zip(turn.late, turn.rests, strict=True)):
+        sure = {name: rest[name].std_error for name in begun if name in rest}
+        for said in dating.told(delays, sure, rest, fixed):
+            yield replace(said, text=f"log {k + 1}: {said.text}") if len(turn.late) > 1 else said
 
 
 def _stepped(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequence[Delays], Delays]:
