@@ -32,7 +32,8 @@ lint: $(VENV)/installed
 
 # Side by side, a worker with one thread of linear algebra per core: more of them would spin while they wait.
 # For a single test, or in a debugger: .venv/bin/pytest -k NAME
-test: lint wheel
+test: $(VENV)/installed
+	$(MAKE) --jobs=2 lint wheel
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
 
 soak: $(VENV)/installed
