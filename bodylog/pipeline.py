@@ -176,6 +176,8 @@ def ingest(
     from .logs import ingest as tidy
 
     distinct(log, out)
+    for form in tables or {}:
+        export.saver(form)  # refused before the log is read
     findings = tuple(tidy.ingest(log, out, settings, **window))
     for form, folder in (tables or {}).items():
         export.export(recording.read(out, Settings()), folder, form)

@@ -87,5 +87,5 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except OSError as err:
         if err.filename is None and err.errno != errno.ENOSPC:
             raise
-        click.echo(f"bodylog: {os.fsdecode(err.filename or 'output')}: {err.strerror}", err=True)
+        say(OSError(f"{os.fsdecode(err.filename or 'output')}: {err.strerror}"))
         return 65

@@ -65,7 +65,9 @@ def _groups(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -
 
 
 def _tell(row: dict[str, Any], done: int, total: int) -> None:
-    click.echo(f"[{done}/{total}] {row['name']}: {row['status']}{_why(row)}", err=True)
+    from .output import line
+
+    line(f"[{done}/{total}] {row['name']}: {row['status']}{_why(row)}", err=True)
 
 
 def _why(row: dict[str, Any]) -> str:
@@ -73,8 +75,10 @@ def _why(row: dict[str, Any]) -> str:
 
 
 def _summary(rows: list[dict[str, Any]]) -> None:
+    from .output import line
+
     for row in rows:
-        click.echo(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{_why(row)}")
+        line(f"{row['exit_code']:>3}  {row['name']}  {row['status']}{_why(row)}")
 
 
 def _shard(text: str) -> tuple[int, int]:

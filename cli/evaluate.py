@@ -55,9 +55,9 @@ def _name(log: Path) -> str:
 
 
 def _print(results: "dict[str, Result]") -> None:
-    from .output import table, talk
+    from .output import line, table, talk
 
     for path, result in results.items():
         talk(result.findings, quiet=True)
-        click.echo(path)
+        line(path)
         table(result.scores)

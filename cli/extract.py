@@ -4,13 +4,15 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, clock_option, common_options, fast_option, log_argument, out_option
+from .options import FOLDER, Common, clock_option, common_options, fast_option, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog extract run.bag -o features.mcap")
 @log_argument
 @out_option("The features MCAP to write.")
-@click.option("--csv", type=PATH, metavar="DIR", help="Also write tracks, touches, strokes and synchrony there as CSV.")
+@click.option(
+    "--csv", type=FOLDER, metavar="DIR", help="Also write tracks, touches, strokes and synchrony there as CSV."
+)
 @fast_option
 @clock_option
 @common_options

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, common_options, log_argument, out_option
+from .options import FOLDER, Common, common_options, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog ingest run.bag -o tidy.mcap --start 2 --end 30")
@@ -12,8 +12,8 @@ from .options import PATH, Common, common_options, log_argument, out_option
 @out_option("The tidy MCAP to write.")
 @click.option("--start", type=float, metavar="S", help="Leave out what came before (s since start).")
 @click.option("--end", type=float, metavar="S", help="Leave out what came after.")
-@click.option("--csv", type=PATH, metavar="DIR", help="Also write the signals there, a CSV file per role.")
-@click.option("--parquet", type=PATH, metavar="DIR", help="Also write them as Parquet.")
+@click.option("--csv", type=FOLDER, metavar="DIR", help="Also write the signals there, a CSV file per role.")
+@click.option("--parquet", type=FOLDER, metavar="DIR", help="Also write them as Parquet.")
 @common_options
 def ingest(
     log: Path,

@@ -36,6 +36,18 @@ class Log(click.Path):
         return ctx.with_resource(stores.local(value, Path(gettempdir())))
 
 
+class Folder(click.Path):
+    """A folder to write into, which may not be there yet; refused, before anything is done, where a file is."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Path."""
+        path = Path(value)
+        if any(place.exists() and not place.is_dir() for place in (path, *path.parents)):
+            self.fail(f"{value}: a file is in its place; give the name of a folder", param, ctx)
+        return path
+
+
+FOLDER = Folder(path_type=Path)
 LOG = Log()
 ANYWHERE = Log(late=True)
 

@@ -28,7 +28,7 @@ def show(result: "Result", as_json: bool, quiet: bool = False, **further: Any) -
     else:
         table(() if quiet else result.scores)
         if result.output is not None:
-            click.echo(f"wrote {result.output}", err=True)
+            line(f"wrote {result.output}", err=True)
     return lost(result.findings)
 
 

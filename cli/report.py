@@ -4,13 +4,13 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, common_options, log_argument, out_option
+from .options import FOLDER, Common, common_options, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog report run.mcap -o report.html")
 @log_argument
 @out_option("The page to write (.html).")
-@click.option("--figures", type=PATH, metavar="DIR", help="Also draw figures (PNG and SVG) into this folder.")
+@click.option("--figures", type=FOLDER, metavar="DIR", help="Also draw figures (PNG and SVG) into this folder.")
 @common_options
 def report(log: Path, out: Path, figures: Path | None, common: Common, as_json: bool) -> int:
     """One self-contained HTML page on an annotated log."""

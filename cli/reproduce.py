@@ -31,14 +31,14 @@ def reproduce(experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, as
     from bodylog.experiments import reproduce as run
     from bodylog.pipeline import Result
 
-    from .output import as_data, data
+    from .output import as_data, data, line
 
     claims = run(Reproduction(out, experiments, seeds, jobs), _teller())
     if as_json:
         data(as_data(Result(out / "index.html")) | {"claims": [asdict(claim) for claim in claims]})
     else:
         _table(claims)
-        click.echo(f"wrote {out / 'index.html'}", err=True)
+        line(f"wrote {out / 'index.html'}", err=True)
 
 
 def _teller() -> "Callable[[str, int, int], None]":

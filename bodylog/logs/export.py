@@ -16,14 +16,19 @@ FORMATS = ("csv", "parquet")
 _ROWS = 65536
 
 
+def saver(form: str) -> Callable[[Mapping[str, Array], Path], None]:
+    """What writes a table to a file of that form; UsageError for an unknown one, or for Parquet without pyarrow."""
+    if form not in FORMATS:
+        raise UsageError(f"export as {form!r}: possible are {', '.join(FORMATS)}")
+    return _csv if form == "csv" else _parquet()
+
+
 def export(recording: Recording, folder: Path, form: str, window: Window = ALWAYS) -> tuple[Path, ...]:
     """Write joints, truth and skin to folder/<role>.<form>, a row per message: stamp_ns, t (s), one column per name.
 
     UsageError for an unknown form, or when Parquet is asked for and pyarrow is not installed.
     """
-    if form not in FORMATS:
-        raise UsageError(f"export as {form!r}: possible are {', '.join(FORMATS)}")
-    save = _csv if form == "csv" else _parquet()
+    save = saver(form)
     made(folder)
     paths = []
     for role, series in signals(recording).items():
@@ -109,4 +114,9 @@ def _parquet() -> Callable[[Mapping[str, Array], Path], None]:
         pyarrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError:
         raise UsageError('Parquet needs pyarrow; type: pip install "bodylog[parquet]", or use --csv') from None
-    return lambda table, path: parquet.write_table(pyarrow.table(dict(table)), path)
+
+    def save(table: Mapping[str, Array], path: Path) -> None:
+        with path.open("wb") as stream:
+            parquet.write_table(pyarrow.table(dict(table)), stream)
+
+    return save

@@ -55,7 +55,7 @@ class Messages:
 
 def string(text: str) -> bytes:
     """A length-prefixed UTF-8 string."""
-    raw = text.encode()
+    raw = text.encode(errors="backslashreplace")
     return struct.pack("<I", len(raw)) + raw
 
 

@@ -35,11 +35,15 @@ def recording(source: Path, out: Path, identity: str, companion: Companion) -> d
     Returns why by entity that Rerun cannot show, of which `companion` is told. LogError: Rerun refuses the log.
     """
     with TemporaryDirectory() as folder, replacing(out) as beside:
-        converted, drawn = Path(folder) / "log.rrd", Path(folder) / "companion.rrd"
+        names = ("log.mcap", "log.rrd", "companion.rrd", "merged.rrd")
+        log, converted, drawn, merged = (Path(folder) / name for name in names)
+        log.symlink_to(source.resolve())  # names that are not UTF-8 end Rerun
+        merged.symlink_to(beside.resolve())
+        identity = identity.encode(errors="backslashreplace").decode()
         named = ["--application-id", APPLICATION, "--recording-id", identity]
-        unshown = _run(["mcap", "convert", str(source.resolve()), *named, "-o", str(converted)], Path(folder), source)
+        unshown = _run(["mcap", "convert", str(log), *named, "-o", str(converted)], Path(folder), source)
         companion(drawn, identity, unshown)
-        _run(["rrd", "merge", str(converted), str(drawn), "-o", str(beside)], Path(folder), source)
+        _run(["rrd", "merge", str(converted), str(drawn), "-o", str(merged)], Path(folder), source)
     return unshown
 
 

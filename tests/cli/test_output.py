@@ -30,6 +30,27 @@ def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, bodylog) 
     assert "\\x1b[2J" in capsys.readouterr().out
 
 
+def test_files_may_be_called_anything(tmp_path: Path, capsys, bodylog) -> None:
+    """Bytes that are no UTF-8, and signs that a terminal obeys."""
+    folder = tmp_path / "\udcff\n%s"
+    folder.mkdir()
+    rows = [(T0 + k * 10**7, joint_state(T0 + k * 10**7, ("a",), (0.1 * k,))) for k in range(20)]
+    log = write(folder / "x\udcfe.mcap", [joints("/joints", rows)])
+    capsys.readouterr()
+    tables = ("--csv", folder / "csv\udcff", "--parquet", folder / "parquet\udcff")
+    assert bodylog("ingest", log, "-o", folder / "out\n.mcap", *tables) == 0
+    assert capsys.readouterr().err.splitlines()[-1] == f"wrote {tmp_path}/\\udcff\\n%s/out\\n.mcap"
+    assert {file.name for file in folder.rglob("joints.*")} == {"joints.csv", "joints.parquet"}
+
+
+def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path: Path, capsys, bodylog) -> None:
+    taken = write(tmp_path / "x.mcap", [joints("/joints", [(T0, joint_state(T0, ("a",), (0.1,)))])])
+    for typed in (("ingest", "--csv", taken), ("extract", "--csv", taken / "in"), ("report", "--figures", taken)):
+        assert bodylog(typed[0], taken, "-o", tmp_path / "out", *typed[1:]) == 2
+        assert "a file is in its place; give the name of a folder" in capsys.readouterr().err
+        assert [*tmp_path.iterdir()] == [taken]
+
+
 def test_names_that_an_output_cannot_write_are_told_by_their_codes(tmp_path: Path) -> None:
     rows = [(T0 + k * 10**7, joint_state(T0 + k * 10**7, ("ä", "🤖"), (0.1 * k, 0.0))) for k in range(20)]
     log = write(tmp_path / "x.mcap", [joints("/joints", rows)])

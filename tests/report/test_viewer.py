@@ -161,13 +161,16 @@ def raw(encoding):
 
 @there
 def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(bodylog, tmp_path, capsys):
-    log, out, config = tmp_path / "raw.mcap", tmp_path / "raw.rrd", tmp_path / "robot.toml"
+    log, out, config = tmp_path / "raw\udcff.mcap", tmp_path / "raw\udcff.rrd", tmp_path / "robot.toml"
     write(log, [raw(encoding) for encoding in ("uyvy", "rgb8", "weird")])
     config.write_text('[topics]\ncamera = "/uyvy"\n')
     capsys.readouterr()
     assert bodylog("view", log, "-o", out, "--config", config) == 0
+    out.rename(tmp_path / "raw.rrd")
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
-    assert said == [f"warning: {log}: /weird: left out, Rerun cannot show it: got weird"]
+    named = f"{tmp_path}/raw\\udcff.mcap"
+    assert said == [f"warning: {named}: /weird: left out, Rerun cannot show it: got weird"]
+    out = tmp_path / "raw.rrd"
     assert len(values(out, "/rgb8", "Image:buffer")[0]) == 3
     ns, pictures = values(out, "/uyvy", "EncodedImage:blob")
     assert ns.tolist() == [T0, T0 + 1, T0 + 2] and bytes(pictures[0][0]).startswith(b"\xff\xd8\xff")
