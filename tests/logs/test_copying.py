@@ -91,7 +91,7 @@ def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
 
     def slow(path, size):
         for piece in whole(path, size):
-            time.sleep(0.02)
+            time.sleep(0.2)
             given.append(len(piece))
             yield piece
 

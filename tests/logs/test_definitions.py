@@ -137,9 +137,9 @@ def test_bytes_that_are_no_text_are_refused():
 def test_a_definition_that_doubles_at_every_level_is_read_at_once():
     levels = [f"MSG: p/L{n}\nL{n + 1} a\nL{n + 1} b\n" for n in range(40)]
     text = ("=" * 9 + "\n").join(["L0 x\n", *levels, "MSG: p/L40\n"])
-    started = time.perf_counter()
+    started = time.process_time()
     assert len(parse(text.encode(), "p/msg/T", "ros1msg").types) == 42
-    assert time.perf_counter() - started < 1
+    assert time.process_time() - started < 1
 
 
 @pytest.mark.parametrize("version", [1, 2])
