@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextvars import ContextVar
+from itertools import islice
 
 import numpy as np
 
@@ -68,13 +69,23 @@ def tracks(seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[s
     unseen = [name for name in colours if health[name].used == 0]
     if not t.size:
         findings.append(Finding("warning", "camera: no picture in this log; no tracks, no strokes"))
-    elif unseen:
+    elif unseen and not broken.all():
         instead = _saturated(frames(), t.size)
         taken = {other for name, colour in colours.items() for other in covered(resolve(colour, name))}
         findings += [_unseen(name, colours[name], t.size, instead, taken) for name in unseen]
     if broken.any():
-        findings.append(Finding("lost", f"{int(broken.sum())} of {t.size} pictures could not be decoded"))
+        said = f"{int(broken.sum())} of {t.size} pictures could not be decoded"
+        findings.append(Finding("lost", f"{said}, the first for this: {_why(frames(), int(broken.argmax()))}"))
     return tracks, health, tuple(findings)
+
+
+def _why(frames: Iterator[Frame], number: int) -> str:
+    """What is wrong with a frame."""
+    try:
+        next(islice(frames, number, None)).decode(1)
+    except InputError as problem:
+        return str(problem)
+    return "unknown"
 
 
 def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:

@@ -230,7 +230,11 @@ def test_a_picture_that_cannot_be_decoded_is_a_gap_and_a_loss() -> None:
     tracks, health, findings = colour.track(lambda: iter(frames), {"effector": "green"})
     assert health["effector"].rejected == {"undecodable picture": 1}
     assert np.isnan(tracks["effector"].values[3]).all()
-    assert [finding.severity for finding in findings] == ["lost"]
+    (lost,) = findings
+    why = "the first for this: log.mcap: /camera: picture 3: not a JPEG"
+    assert (lost.severity, lost.text) == ("lost", f"1 of 9 pictures could not be decoded, {why}")
+    _, _, none = colour.track(lambda: (replace(frame, decode=broken) for frame in whole), {"effector": "green"})
+    assert [finding.severity for finding in none] == ["lost"], "what was not looked at has no colour to propose"
 
 
 def test_pictures_are_decoded_a_bounded_number_ahead_and_the_threads_end() -> None:
