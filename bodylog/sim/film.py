@@ -9,7 +9,7 @@ from ..types import Array
 from . import camera as cameras
 from . import messages
 from .head import SWING
-from .stage import FRAME, SIDE_FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
+from .stage import FRAME, SIDE_FRAME, START_NS, Item, Stage, log_times, seen_hand, stamps_of
 from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS
 
 _CAMERA_HZ = 20.0
@@ -70,7 +70,7 @@ def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
         t = stamps / 1e9
         q, hands = stage.wish.plan.motion.position(t), seen_hand(stage, t)
-        for row, log in enumerate(late(stamps, 8.0, 14.0, rng)):
+        for row, log in enumerate(log_times(stamps, 8.0, 14.0, rng)):
             if stage.head is not None and view.frame == FRAME:
                 view, shot = replace(view, camera=stage.seen_from(t[row])), None
             if shot is None or not np.array_equal(shot.q, q[row]):

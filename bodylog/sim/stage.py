@@ -119,8 +119,8 @@ def stamps_of(duration: float, rate: float, offset_ns: int) -> Iterator[Array]:
         yield np.rint(np.arange(first, min(first + _BLOCK, count)) * (1e9 / rate)).astype(np.int64) + offset_ns
 
 
-def late(stamps: Array, least_ms: float, most_ms: float, rng: np.random.Generator) -> Array:
-    """Log times for stamps: later by least to most ms."""
+def log_times(stamps: Array, least_ms: float, most_ms: float, rng: np.random.Generator) -> Array:
+    """When a recorder got what is stamped so (ns since the start): ns since the epoch, least to most ms later."""
     return START_NS + stamps + rng.uniform(least_ms * 1e6, most_ms * 1e6, len(stamps)).astype(np.int64)
 
 

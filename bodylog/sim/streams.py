@@ -9,7 +9,7 @@ from . import hand, messages, skin
 from .camera import ellipse_centre
 from .head import JOINT
 from .plan import Contact, Plan
-from .stage import FRAME, START_NS, Item, Stage, late, seen_hand, stamps_of
+from .stage import FRAME, START_NS, Item, Stage, log_times, seen_hand, stamps_of
 from .world import HAND_RADIUS
 
 _JOINT_HZ, _SKIN_HZ = 100.0, 100.0
@@ -31,7 +31,7 @@ def encoder_items(stage: Stage) -> Iterator[Item]:
             angle, turn = stage.head.angle(t)[:, None], stage.head.rate(t)[:, None]
             q, rate, speed = np.hstack([q, angle]), np.hstack([rate, turn]), np.hstack([speed, turn])
             read = np.hstack([read, angle + rng.normal(0.0, 1.0, angle.shape) * stage.wish.noise])
-        for row, (stamp, log) in enumerate(zip(stamps + START_NS, late(stamps, 4.0, 6.0, rng), strict=True)):
+        for row, (stamp, log) in enumerate(zip(stamps + START_NS, log_times(stamps, 4.0, 6.0, rng), strict=True)):
             seen = messages.joint_state(int(stamp), names, read[row, order], speed[row, order])
             yield Item(int(log), int(stamp), "/joint_states", seen)
             truth = messages.joint_state(int(stamp), true_names, q[row], rate[row])
@@ -52,7 +52,7 @@ def skin_items(stage: Stage) -> Iterator[Item]:
     for stamps in stamps_of(stage.wish.duration, _SKIN_HZ, 2_000_000):
         place = hand.path(stage.wish.plan.contacts, stage.column, stamps / 1e9, seen=False)
         data = skin.read(skin.proximity(place, HAND_RADIUS, base), rng)
-        for row, (stamp, log) in enumerate(zip(stamps + START_NS, late(stamps, 2.0, 4.0, rng), strict=True)):
+        for row, (stamp, log) in enumerate(zip(stamps + START_NS, log_times(stamps, 2.0, 4.0, rng), strict=True)):
             yield Item(int(log), int(stamp), "/skin", messages.skin_array(int(stamp), data[row]))
 
 
