@@ -141,6 +141,10 @@ LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
 """Of numbers, the least and the most."""
 
 
+LATEST = 3600.0
+"""s: what a camera dates its pictures late by, at most."""
+
+
 def _allowed(section: str, key: str, value: Any, where: str) -> None:
     possible = ALLOWED.get((section, key))
     if possible and value not in possible:
@@ -157,6 +161,9 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
         raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto or a number of seconds")
     if (section, key) == ("time", "delay") and isinstance(value, str) and value not in ("auto", "off"):
         raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto, off or {{camera = seconds}}")
+    late = value.values() if (section, key) == ("time", "delay") and isinstance(value, Mapping) else ()
+    if any(abs(seconds) > LATEST for seconds in late):
+        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be at most {LATEST:g} s")
     if (section, key) == ("topics", "camera") and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):
         raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must be a topic, or several different ones")
     if (section, key) == ("colours", "shapes") and (bad := next((name for name in value if "/" in name), None)):

@@ -55,7 +55,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     from bodylog.stopping import Stopped, calm
 
     from .commands import Unheard, bodylog
-    from .output import say
+    from .output import line, say
 
     try:
         code = bodylog.main(arguments, prog_name="bodylog", standalone_mode=False)
@@ -69,14 +69,14 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as err:
         context = getattr(err, "ctx", None)
         path = context.command_path if context else "bodylog"
-        click.echo(f"bodylog: {' '.join(err.format_message().split()).rstrip('.')}; type: {path} --help", err=True)
+        line(f"bodylog: {' '.join(err.format_message().split()).rstrip('.')}; type: {path} --help", err=True)
         return err.exit_code
     except (click.Abort, KeyboardInterrupt):
-        click.echo("bodylog: interrupted; nothing half-written was left", err=True)
+        line("bodylog: interrupted; nothing half-written was left", err=True)
         return 130
     except Stopped as err:
         calm()
-        click.echo("bodylog: stopped; nothing half-written was left", err=True)
+        line("bodylog: stopped; nothing half-written was left", err=True)
         return int(err.code or 0)
     except MemoryError as err:
         say(MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log"))

@@ -44,6 +44,8 @@ def batch(
 
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
+    if not all(logs):
+        raise click.BadParameter("a name is expected, and this is empty", param_hint="LOG")
     groups = _groups(logs, common.settings(estimate=options.estimation(typed)), what)
     plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), **how)
     rows = run(plan, _tell)
@@ -92,6 +94,6 @@ def _bytes(text: str | None) -> int | None:
     if text is None:
         return None
     found = re.fullmatch(r"(\d+(?:\.\d+)?)([KMGT]?)B?", text.upper())
-    if not found:
+    if not found or not float(found[1]):
         raise click.BadParameter(f"{text!r}; it must be a size, e.g. 4G", param_hint="--memory")
     return int(float(found[1]) * 1024 ** " KMGT".index(found[2] or " "))

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import click
 
-from .options import FOLDER, Common, common_options, log_argument, out_option
+from .options import FOLDER, Common, common_options, finite, log_argument, out_option
 
 
 @click.command(epilog="Example: bodylog ingest run.bag -o tidy.mcap --start 2 --end 30")
 @log_argument
 @out_option("The tidy MCAP to write.")
-@click.option("--start", type=float, metavar="S", help="Leave out what came before (s since start).")
-@click.option("--end", type=float, metavar="S", help="Leave out what came after.")
+@click.option("--start", type=float, callback=finite, metavar="S", help="Leave out what came before (s since start).")
+@click.option("--end", type=float, callback=finite, metavar="S", help="Leave out what came after.")
 @click.option("--csv", type=FOLDER, metavar="DIR", help="Also write the signals there, a CSV file per role.")
 @click.option("--parquet", type=FOLDER, metavar="DIR", help="Also write them as Parquet.")
 @common_options
@@ -30,5 +30,7 @@ def ingest(
 
     from .output import show
 
+    if start is not None and end is not None and start >= end:
+        raise click.BadParameter(f"{start:g} s is not before --end {end:g}", param_hint="--start")
     tables = {form: folder for form, folder in (("csv", csv), ("parquet", parquet)) if folder is not None}
     return show(pipeline.ingest(log, out, common.settings(), tables, start=start, end=end), as_json)

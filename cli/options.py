@@ -1,6 +1,8 @@
 """Options that several commands share, and how they become settings."""
 
 import functools
+import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,15 +14,28 @@ if TYPE_CHECKING:
     from bodylog.settings import Settings
 
 Command = TypeVar("Command", bound=Callable[..., Any])
-PATH = click.Path(path_type=Path)
 
 
-class Log(click.Path):
+class Named(click.Path):
+    """A path that says something: "", which an unset variable leaves, would be the current folder."""
+
+    def __init__(self) -> None:
+        """Of a file that need not be there."""
+        super().__init__(path_type=Path)
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Path."""
+        if not os.fspath(value):
+            self.fail("a name is expected, and this is empty", param, ctx)
+        return Path(value)
+
+
+class Log(Named):
     """A log: a path, or a URL whose file is fetched for the time of the command, or by the command itself if `late`."""
 
     def __init__(self, late: bool = False) -> None:
         """Fetch now, or leave URLs as they are."""
-        super().__init__(path_type=Path)
+        super().__init__()
         self._late = late
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -28,7 +43,7 @@ class Log(click.Path):
         from bodylog import stores
 
         if not isinstance(value, str) or not stores.is_url(value):
-            return Path(value)
+            return super().convert(value, param, ctx)
         if self._late or ctx is None:
             return value
         from tempfile import gettempdir
@@ -36,20 +51,28 @@ class Log(click.Path):
         return ctx.with_resource(stores.local(value, Path(gettempdir())))
 
 
-class Folder(click.Path):
+class Folder(Named):
     """A folder to write into, which may not be there yet; refused, before anything is done, where a file is."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Path."""
-        path = Path(value)
+        path = super().convert(value, param, ctx)
         if any(place.exists() and not place.is_dir() for place in (path, *path.parents)):
             self.fail(f"{value}: a file is in its place; give the name of a folder", param, ctx)
         return path
 
 
-FOLDER = Folder(path_type=Path)
+PATH = Named()
+FOLDER = Folder()
 LOG = Log()
 ANYWHERE = Log(late=True)
+
+
+def finite(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
+    """An option's number, if it is one."""
+    if value is not None and not math.isfinite(value):
+        raise click.BadParameter(f"{value} where a finite number is expected")
+    return value
 
 
 def log_argument(function: Command) -> Command:

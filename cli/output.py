@@ -1,6 +1,7 @@
 """How results are shown: data on standard output, talk on standard error."""
 
 import json
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -56,7 +57,12 @@ def say(problem: Exception) -> None:
 def line(text: str, err: bool = False) -> None:
     """Print one line; signs that a terminal obeys, which names in a log may hold, as their codes."""
     plain = (c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
-    click.echo("".join(plain), err=err)
+    try:
+        click.echo("".join(plain), err=err)
+    except OSError:
+        if not err:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # nobody hears what is said: the work goes on
 
 
 def as_data(result: "Result") -> dict[str, Any]:

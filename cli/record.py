@@ -5,17 +5,25 @@ from typing import Any
 
 import click
 
-from .options import out_option
+from .options import finite, out_option
 
 
 @click.command(epilog="Example: bodylog record babble -o explore.mcap --seed 1 --duration 40")
 @click.argument("scenario")
 @out_option("The log to write (.mcap).")
 @click.option("--seed", type=int, default=0, show_default=True, help="Same seed, same bytes.")
-@click.option("--duration", type=click.FloatRange(0, min_open=True), metavar="S", help="Default: the scenario's.")
+@click.option(
+    "--duration",
+    type=click.FloatRange(0, min_open=True),
+    callback=finite,
+    metavar="S",
+    help="Default: the scenario's.",
+)
 @click.option("--image", type=click.Choice(["jpeg", "raw"]), default="jpeg", show_default=True)
 @click.option("--size", metavar="WxH", default="640x480", show_default=True, help="Picture size.")
-@click.option("--noise", type=click.FloatRange(0), metavar="RAD", help="Standard deviation of the encoders.")
+@click.option(
+    "--noise", type=click.FloatRange(0), callback=finite, metavar="RAD", help="Standard deviation of the encoders."
+)
 @click.option("--full", is_flag=True, help="babble: move every joint.")
 @click.option("--arm", default="ur5", show_default=True, help="ur5 or seven.")
 @click.option("--variant", help="Of the scenario, e.g. touch: synchronous, late, jitter, wide-jitter.")

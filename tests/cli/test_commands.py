@@ -145,6 +145,13 @@ def _wrong(robot, tmp_path):
         "bad delay": (2, "auto, off or NAME=S", ("estimate", reach, *estimate, "--delay", "camera=soon")),
         "no such camera": (2, "'left' is none of joints", ("estimate", reach, *estimate, "--delay", "left=0.05")),
         "endless delay": (2, "must be text or a table", ("fit", explore, "-o", out, "--delay", "camera=inf")),
+        "long delay": (2, "at most 3600 s", ("estimate", reach, *estimate, "--delay", "1e9")),
+        "no window": (2, "not before --end 2", ("ingest", reach, "-o", out, "--start", "3", "--end", "2")),
+        "no second": (2, "finite number", ("ingest", reach, "-o", out, "--start", "nan")),
+        "no length": (2, "finite number", ("record", "reach", "-o", out, "--duration", "inf")),
+        "no memory": (2, "must be a size", ("batch", reach, "-o", tmp_path / "b", *estimate[2:], "--memory", "0")),
+        "no name": (2, "a name is expected", ("estimate", "", *estimate)),
+        "no name for a batch": (2, "a name is expected", ("batch", "", "-o", tmp_path / "batch", *estimate[2:])),
         "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "joint_rmse")),
     }
 
@@ -154,7 +161,8 @@ NAMES = (
     *("unknown method", "unknown sense", "unheard sense", "unknown scenario", "absent folder", "no estimate"),
     *("onto itself", "no bound", "unknown option", "bad clock offset", "unknown method, absent log", "empty senses"),
     *("empty joints", "no number", "no body for a batch", "too many steps", "bad delay", "no such camera"),
-    "endless delay",
+    *("endless delay", "long delay", "no window", "no second", "no length", "no memory", "no name"),
+    "no name for a batch",
 )
 
 

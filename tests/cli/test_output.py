@@ -51,6 +51,14 @@ def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path
         assert [*tmp_path.iterdir()] == [taken]
 
 
+def test_what_nobody_hears_changes_no_exit_code(tmp_path: Path) -> None:
+    """/dev/full takes nothing: as a terminal that is gone."""
+    command = [sys.executable, "-m", "bodylog_cli", "info"]
+    for typed, code in ((tmp_path / "absent", 65), ("--unknown", 2)):
+        with open("/dev/full", "w") as full:
+            assert subprocess.run([*command, str(typed)], stderr=full, timeout=60).returncode == code
+
+
 def test_names_that_an_output_cannot_write_are_told_by_their_codes(tmp_path: Path) -> None:
     rows = [(T0 + k * 10**7, joint_state(T0 + k * 10**7, ("ä", "🤖"), (0.1 * k, 0.0))) for k in range(20)]
     log = write(tmp_path / "x.mcap", [joints("/joints", rows)])
