@@ -20,8 +20,9 @@ _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 def replacing(path: Path) -> Iterator[Path]:
     """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
 
-    Of a link, what it leads to is replaced, or made. What killed runs left in that folder goes first. UsageError when
-    `path` is in no folder, or no file; OSError, which names `path`, where there is no room.
+    Of a link, what it leads to is replaced, or made; who may read what is replaced may read what replaces it. What
+    killed runs left in that folder goes first. UsageError when `path` is in no folder, or no file; OSError, which names
+    `path`, where there is no room, or it may not be written to.
     """
     if path.is_symlink():
         path = _behind(path)
@@ -29,12 +30,16 @@ def replacing(path: Path) -> Iterator[Path]:
         raise UsageError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
     if not path.parent.is_dir():
         raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise OSError(errno.EACCES, "is write-protected; give another name with -o", os.fspath(path))
     forsake(path.parent, f".*{_PART}")
     beside = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
     try:
         beside.unlink(missing_ok=True)  # of this number's earlier process, where files cannot be locked
         with _begun(beside):
             yield beside
+            if path.exists():
+                shutil.copymode(path, beside)
             sync(beside)
             os.replace(beside, path)
             sync(path.parent)

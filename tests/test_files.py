@@ -59,6 +59,19 @@ def test_of_a_link_what_it_leads_to_is_written_beside_itself(tmp_path):
     assert (elsewhere / "out.bin").read_bytes() == b"second" and [*elsewhere.iterdir()] == [elsewhere / "out.bin"]
 
 
+def test_who_may_read_and_write_a_file_is_who_may_do_so_after(tmp_path, monkeypatch):
+    path = tmp_path / "out.bin"
+    path.write_bytes(b"mine")
+    path.chmod(0o640)
+    with replacing(path) as beside:
+        beside.write_bytes(b"new")
+    assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"new", 0o640)
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write to everything
+    with pytest.raises(OSError, match="write-protected"), replacing(path):
+        pass
+    assert [*tmp_path.iterdir()] == [path] and path.read_bytes() == b"new"
+
+
 def test_links_that_lead_nowhere_are_refused(tmp_path):
     astray, circle = tmp_path / "astray", tmp_path / "circle"
     astray.symlink_to("no/out.bin")
