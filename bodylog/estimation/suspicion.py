@@ -52,7 +52,8 @@ def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Arr
         psi = -np.einsum("dmf,mkf->dkf", track.jac, _at(solved, shift, track.events))
         score[track.events] += np.einsum("dkf,df->fk", psi, track.pull)
         weight[track.events] += np.einsum("dkf,dkf->fk", psi, np.einsum("def,ekf->dkf", track.inverse, psi))
-    return _won(problem.timeline.t, score, weight, walk)
+    often = 1.0 if problem.precision.likeliest is None else _scatter(solved)
+    return _won(problem.timeline.t, score / often, weight / often, walk)
 
 
 def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
@@ -145,6 +146,16 @@ def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
     said = np.where(heard, np.clip(d, -CLIP, CLIP), 0.0)
     score, weight = (psi * said[:, :, None]).sum(axis=1), (psi * psi).sum(axis=1)
     return solved.fold.unfold(score), solved.fold.unfold(weight)
+
+
+def _scatter(solved: Solution) -> Array:
+    """How many times their variance each encoder's innovations scatter (M,), 1 at least.
+
+    A smoother's way forth lags behind the arm, which passes for an offset unless what is said counts so much less.
+    """
+    d = np.nan_to_num(solved.trace.encoder_d)
+    heard = np.isfinite(solved.trace.encoder_d).sum(axis=(0, 2))
+    return np.maximum(np.square(np.clip(d, -CLIP, CLIP)).sum(axis=(0, 2)) / np.maximum(heard, 1), 1.0)
 
 
 def _spread(solved: Solution) -> Array:
