@@ -112,6 +112,32 @@ def test_simulated_reaches(tmp_path, cameras):
     judge(rows)
 
 
+def test_still_arms_in_drawn_postures(tmp_path, monkeypatch):
+    pytest.importorskip("pybullet")
+    from bodylog.sim import motion, plan, scenarios
+
+    def stands(request):
+        away = 0.7 * plan.swing(request, None) * request.rng.uniform(-1, 1, len(request.arm.home))
+        return plan.Plan(motion.still(np.array(request.arm.home) + away), 0.01, plan.plain)
+
+    monkeypatch.setitem(scenarios.SCENARIOS, "still", plan.Scenario("an arm that stands still", stands, 30.0))
+    explored = [seen(tmp_path, "babble", seed, 1)[1] for seed in SEEDS]
+    learned = [body.learn([one], Settings(body=Body(joints=UR5)), {}).model for one in explored]
+    ratios = {method: [] for method in FACTORS}
+    for seed in range(3 * len(SEEDS)):
+        read, features = seen(tmp_path, "still", seed, 1)
+        for method, found in ratios.items():
+            belief = estimate(features, learned[seed % len(SEEDS)], Estimation(method=method))
+            score = {s.name: s.value for s in scores(belief, read.truth, None)}
+            found.append([score[f"nees/{name}"] for name in UR5])
+    for method, found in ratios.items():
+        mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
+        print(f"\n{method}: nees {mean.round(3)} ± {error.round(3)}")
+        # pan is told by pictures, of one place and hence with one error in a log
+        assert 0.5 < mean[0] < 1.5
+        assert all(0.85 < one < 1.2 for one in mean[1:])
+
+
 def test_drawn_worlds_whose_model_is_known(world):
     rows = []
     for seed in SEEDS:
