@@ -155,7 +155,8 @@ def _scatter(solved: Solution) -> Array:
     """
     d = np.nan_to_num(solved.trace.encoder_d)
     heard = np.isfinite(solved.trace.encoder_d).sum(axis=(0, 2))
-    return np.maximum(np.square(np.clip(d, -CLIP, CLIP)).sum(axis=(0, 2)) / np.maximum(heard, 1), 1.0)
+    squares = np.square(np.clip(d, -CLIP, CLIP)).sum(axis=(0, 2))
+    return np.asarray(np.maximum(squares / np.maximum(heard, 1), 1.0))
 
 
 def _spread(solved: Solution) -> Array:
