@@ -24,7 +24,7 @@ def test_a_sound_estimate_is_not_doubted(world, method, seed):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 def test_noise_that_is_not_the_bodys_is_said_with_what_to_type(world, method):
-    drawn = world(3, duration=10.0)
+    drawn = world(3, duration=5.0)
     calm = replace(drawn.body.noise, encoder=tuple(v / 30.0 for v in drawn.body.noise.encoder))
     found = estimate(drawn.features, replace(drawn.body, noise=calm), Estimation(method=method, precision="model"))
     (text,) = [text for text in doubted(found) if text.startswith("encoders: ")]
@@ -44,7 +44,7 @@ def test_an_offset_that_may_not_be_estimated_is_said(world):
 
 
 def test_two_publishers_on_one_topic_are_suspected(world):
-    drawn = world(5, duration=10.0)
+    drawn = world(5, duration=5.0)
     joints = drawn.features.joints
     values = np.where(np.arange(len(joints.t))[:, None] % 2, 0.5, joints.values)
     features = replace(drawn.features, joints=replace(joints, values=values))

@@ -100,35 +100,35 @@ def test_a_mistaken_first_reading_is_overruled_by_the_next(world, row):
 
 
 @pytest.mark.parametrize("size", [0.1, *(pytest.param(size, marks=pytest.mark.soak) for size in (0.3, 1.0))])
-def test_an_encoder_that_lies_after_a_silence_is_not_followed(world, size):
-    for seed in range(2):
-        drawn = world(seed, duration=14.0, encoder_std=0.01)
-        features = muted(drawn.features, 6.0, 9.0, ("pan",))
-        features = shifted(features, size, features.joints.t >= 9.0, "pan")
-        rmse, nees, faults, _ = judged(features, drawn, 0.0)
-        assert rmse < 0.02 and nees < 2.0
-        assert [fault.name for fault in faults] == (["pan"] if size < 1.0 else [])
+@pytest.mark.parametrize("seed", seeds(1, 2))
+def test_an_encoder_that_lies_after_a_silence_is_not_followed(world, size, seed):
+    drawn = world(seed, duration=14.0, encoder_std=0.01)
+    features = muted(drawn.features, 6.0, 9.0, ("pan",))
+    features = shifted(features, size, features.joints.t >= 9.0, "pan")
+    rmse, nees, faults, _ = judged(features, drawn, 0.0)
+    assert rmse < 0.02 and nees < 2.0
+    assert [fault.name for fault in faults] == (["pan"] if size < 1.0 else [])
 
 
-def test_pictures_of_something_else_lose_the_arm_only_until_they_are_right(world):
-    for seed in range(3):
-        drawn = world(seed, duration=14.0, encoder_std=0.01)
-        track = drawn.features.tracks["effector"]
-        other = np.array([60.0, 180.0]) + np.random.default_rng(seed).normal(0.0, 0.4, track.values.shape)
-        wrong = np.where(((track.t >= 6.0) & (track.t < 8.0))[:, None], other, track.values)
-        features = muted(replace(drawn.features, tracks={"effector": replace(track, values=wrong)}), 6.0, 8.0)
-        rmse, nees, _, (lost,) = judged(features, drawn, 8.4, bias="off")
-        assert rmse < 0.006 and nees < 1.3
-        assert "until 8." in lost
+@pytest.mark.parametrize("seed", seeds(1, 3))
+def test_pictures_of_something_else_lose_the_arm_only_until_they_are_right(world, seed):
+    drawn = world(seed, duration=14.0, encoder_std=0.01)
+    track = drawn.features.tracks["effector"]
+    other = np.array([60.0, 180.0]) + np.random.default_rng(seed).normal(0.0, 0.4, track.values.shape)
+    wrong = np.where(((track.t >= 6.0) & (track.t < 8.0))[:, None], other, track.values)
+    features = muted(replace(drawn.features, tracks={"effector": replace(track, values=wrong)}), 6.0, 8.0)
+    rmse, nees, _, (lost,) = judged(features, drawn, 8.4, bias="off")
+    assert rmse < 0.006 and nees < 1.3
+    assert "until 8." in lost
 
 
 @pytest.mark.parametrize("encoder_hz", [50.0, *(pytest.param(hz, marks=pytest.mark.soak) for hz in (10.0, 400.0))])
-def test_a_belief_that_is_not_lost_is_left_alone(world, encoder_hz):
-    for seed in range(3):
-        drawn = world(seed, duration=8.0, encoder_hz=encoder_hz, hidden=(3.0, 4.5), blunder=0.05)
-        assert not judged(drawn.features, drawn, 0.0)[3]
-        assert not judged(muted(drawn.features, 4.0, 4.8), drawn, 0.0)[3]
-        assert not judged(drawn.features, drawn, 0.0, start=tuple(drawn.truth.values[0] + 1.0))[3]
+@pytest.mark.parametrize("seed", seeds(1, 3))
+def test_a_belief_that_is_not_lost_is_left_alone(world, encoder_hz, seed):
+    drawn = world(seed, duration=8.0, encoder_hz=encoder_hz, hidden=(3.0, 4.5), blunder=0.05)
+    assert not judged(drawn.features, drawn, 0.0)[3]
+    assert not judged(muted(drawn.features, 4.0, 4.8), drawn, 0.0)[3]
+    assert not judged(drawn.features, drawn, 0.0, start=tuple(drawn.truth.values[0] + 1.0))[3]
 
 
 @pytest.mark.soak

@@ -24,9 +24,10 @@ def _found(rng: np.random.Generator, others: float) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("others", [0.02, 0.2, 0.9])
-def test_stretches_are_linked_as_frame_by_frame(others: float, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("count", [10, pytest.param(40, marks=pytest.mark.soak)])
+def test_stretches_are_linked_as_frame_by_frame(others: float, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(int(100 * others))
-    logs = [_found(rng, others) for _ in range(40)]
+    logs = [_found(rng, others) for _ in range(count)]
     at_once = [choose.best(t, found, 320.0) for t, found in logs]
     monkeypatch.setattr(choose, "_alone", lambda t, found, reach: list(range(len(t))))
     for (t, found), (track, why) in zip(logs, at_once, strict=True):
