@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from .files import is_archive, made
 from .pipeline import Progress, Result, doctor, ingest, judge, observe, topic_of
 from .refusals import about, distinct
 from .settings import Settings, plain
+from .stores import naming
 from .types import Estimate, Features, Finding, Recording
 
 if TYPE_CHECKING:
@@ -71,24 +72,51 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
     """A log as a Rerun recording, what was seen and believed drawn over its pictures; without `out` in a window."""
     from tempfile import TemporaryDirectory
 
-    from .logs import recording
-    from .report import companion, viewer
+    from .report import viewer
 
     if out is not None:
         distinct(log, out)
     viewer.ready()
     with TemporaryDirectory() as folder:
-        source, lost = _as_mcap(log, Path(folder) / "log.mcap", settings)
-        read = recording.read(source, settings, settings.input.strict)
-        found, remarks = _estimate(log, source, read)
         recorded = Path(folder) / "log.rrd" if out is None else out
-        cameras = _cameras(source, read)
-        drawn = partial(companion.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
-        unshown = viewer.recording(source, recorded, f"{log.name} {read.start_ns}", drawn)
+        source, lost = _as_mcap(log, Path(folder) / "log.mcap", settings)
+        try:
+            result = _recorded(log, source, recorded, settings)
+        except LogError as refused:
+            source, lost = _tidied(log, Path(folder) / "tidy.mcap", settings, refused)
+            result = _recorded(log, source, recorded, settings)
         if out is None:
             viewer.show(recorded)
-    findings = (*lost, *read.findings, *remarks, *_left_out(log, unshown, cameras))
+    return replace(result, output=out, findings=(*lost, *result.findings))
+
+
+def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
+    """The recording of `source`, which holds what is to be seen of `log`."""
+    from .logs import recording
+    from .report import companion, viewer
+
+    read = recording.read(source, settings, settings.input.strict)
+    found, remarks = _estimate(log, source, read)
+    cameras = _cameras(source, read)
+    drawn = partial(companion.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
+    with naming(source, str(log)):
+        unshown = viewer.recording(source, out, f"{log.name} {read.start_ns}", drawn)
+    findings = (*read.findings, *remarks, *_left_out(log, unshown, cameras))
     return Result(out, () if found is None else judge(found, read), findings=findings)
+
+
+def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
+    """What `ingest` makes of a log that Rerun `refused`, raised where that would be nothing, or no estimate."""
+    from .logs.containers import open_log
+
+    with open_log(log, settings.input.strict) as opened:
+        ours = any(topic.name.startswith("/bodylog/") for topic in opened.topics)
+    with suppress(LogError):
+        if not ours:
+            lost = ingest(log, out, settings).findings
+            said = f"{str(refused).partition('; type: ')[0]}; its joints, skin and pictures alone are shown"
+            return out, (*lost, Finding("warning", said))
+    raise refused
 
 
 def _left_out(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, Camera]") -> list[Finding]:

@@ -15,8 +15,10 @@ from ..files import replacing
 APPLICATION = "bodylog"
 PROGRAM = (sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())")
 """Rerun with its exit code, which `python -m rerun_cli` drops."""
-_PASSED = re.compile(r"\(entity: `(/[^`]*)`.*?\): (?:.*\], )?(.*)")
-"""Of an error that is about one entity, its path and what is wrong."""
+_PASSED = re.compile(r"(?:\(entity: `(/[^`]*)`.*?\)|decode message on channel (\S+)): (?:.*\], )?(.*)")
+"""Of an error that is about one entity or topic, its path and what is wrong."""
+_WHERE = re.compile(r"^.* ERROR [\w:]+: ")
+"""The time, and a place in its own source."""
 Companion = Callable[[Path, str, Mapping[str, str]], None]
 """Writes a recording to a file, by identity, beside one that lacks what of some entities could not be shown."""
 SECONDS = 600.0
@@ -73,15 +75,14 @@ def _run(arguments: Sequence[str], home: Path, source: Path) -> dict[str, str]:
     errors = [line for line in _plain(done.stderr).splitlines() if " ERROR " in line]
     passed = [_PASSED.search(line) for line in errors]
     if done.returncode or None in passed:  # it ends with 0 when it could read nothing
-        repair = f"bodylog doctor {source} --repair whole.mcap"
-        raise LogError(f"{source}: Rerun cannot read it ({_last(done.stderr)}); type: {repair}")
-    return {found[1]: found[2] for found in passed if found}
+        raise LogError(f"{source}: Rerun cannot read it ({_last(done.stderr)}); type: bodylog doctor {source}")
+    return {found[1] or found[2]: found[3] for found in passed if found}
 
 
 def _last(said: str) -> str:
     """The last error, or else the last line, Rerun spoke of."""
     lines = [line.strip() for line in _plain(said).splitlines() if line.strip()]
-    return ([line for line in lines if " ERROR " in line] or lines or ["it said nothing"])[-1]
+    return ([_WHERE.sub("", line) for line in lines if " ERROR " in line] or lines or ["it said nothing"])[-1]
 
 
 def _plain(said: str) -> str:

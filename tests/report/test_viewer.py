@@ -12,7 +12,7 @@ from bodylog.errors import LogError, UsageError
 from bodylog.report import companion, viewer
 from bodylog.report.companion import ellipses
 
-from ..logs.writing import T0, Stream, cdr, define, header, write
+from ..logs.writing import T0, Stream, cdr, define, header, joint_state, joints, write
 from .records import estimate, features
 from .test_html import HOSTILE, hostile_parts
 
@@ -174,6 +174,23 @@ def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(bodyl
     assert len(values(out, "/rgb8", "Image:buffer")[0]) == 3
     ns, pictures = values(out, "/uyvy", "EncodedImage:blob")
     assert ns.tolist() == [T0, T0 + 1, T0 + 2] and bytes(pictures[0][0]).startswith(b"\xff\xd8\xff")
+
+
+@there
+def test_of_a_log_that_rerun_refuses_whole_what_plays_a_role_is_shown(bodylog, tmp_path, capsys):
+    log, out = tmp_path / "bad.mcap", tmp_path / "bad.rrd"
+    broken = Stream("/bad", "broken_msgs/msg/Garbage", b"!!", [(T0, b"\0\1\0\0")])
+    rows = [(T0 + i, joint_state(T0 + i, ("a",), (0.1 * i,))) for i in range(5)]
+    write(log, [broken, joints("/joints", rows)])
+    capsys.readouterr()
+    assert bodylog("view", log, "-o", out) == 0
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if "Rerun" in line]
+    assert said.startswith(f"warning: {log}: Rerun cannot read it (Failed to load MCAP file: Invalid schema broken")
+    assert said.endswith("its joints, skin and pictures alone are shown")
+    assert len(values(out, "/joint_states/position", "Scalars:scalars")[0]) == 5
+    write(log, [broken])
+    assert bodylog("view", log, "-o", out) == 65
+    assert f"bodylog: {log}: Rerun cannot read it (Failed to load" in capsys.readouterr().err
 
 
 @there
