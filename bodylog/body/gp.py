@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class GP:
     samples: Array
     targets: Array
     spread: Array
+    misfit: ClassVar[float] = MISFIT
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""

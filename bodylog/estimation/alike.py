@@ -3,7 +3,8 @@
 The model's error goes with the posture, perception's with where among the pixels a thing lies: frames from nearly the
 same place err alike, and a belief is to be no surer than that common error E (px²). Where joints move with white
 acceleration, q (px²/s³) as pictures see it, a filter that hears noise of density R (px² s) comes to the variance
-√2 R^¾ q^¼, a smoother to R^¾ q^¼ / 2√2. That is E when alike frames within (E/4q)^⅓ s, or 4(E/q)^⅓ s, count as one.
+√2 R^¾ q^¼, a smoother to R^¾ q^¼ / 2√2. That is E when alike frames within (E/4q)^⅓ s, or 4(E/q)^⅓ s, count as one,
+and a share s of it is E when that is s^(−4/3) times as long.
 """
 
 from collections.abc import Sequence
@@ -29,13 +30,15 @@ interpolated, (1 − x) e₀ + x e₁, to 2/3.
 class Likeness:
     """When frames of a track err alike: postures within reach (M,) rad, places within `near` px, 0 where never.
 
-    process (M,) rad²/s³: the joints' white acceleration · share: PAST or WHOLE.
+    process (M,) rad²/s³: the joints' white acceleration · share: PAST or WHOLE · stated () or (M,): what share of the
+    variance a belief comes to is stated, which is to be the common error.
     """
 
     process: Array
     reach: Array
     near: float
     share: float
+    stated: Array | float = 1.0
 
     def postures(self, step: Array) -> Array:
         """How alike (…,) the model errs, joints being a step (…,M) rad apart."""
@@ -45,10 +48,13 @@ class Likeness:
         """How alike (…,) perception errs, places being a step (…,D) px apart."""
         return np.asarray((self.near > 0) * np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / (self.near or 1.0)))
 
-    def fade(self, dt: Array, pixel: Array, model: Array, jac: Array) -> Array:
-        """Share κ (F,) of frames dt (F,) s ago that still counts: (1 + κ) / (1 − κ) is span/dt, dt much shorter."""
-        error = np.einsum("fd->f", model + pixel * (self.near > 0))
-        drift = np.einsum("fdm,m->f", np.square(jac), self.share * self.process)
+    def fade(self, dt: Array, lasting: Array, jac: Array) -> Array:
+        """Share κ (F,) of frames dt (F,) s ago that still counts, of variance `lasting` (F,D) px² in common.
+
+        (1 + κ) / (1 − κ) is span/dt, dt much shorter.
+        """
+        error = np.einsum("fd->f", lasting)
+        drift = np.einsum("fdm,m->f", np.square(jac), self.stated**4 * self.share * self.process)
         span = np.cbrt(error / np.maximum(drift, 1e-9))
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
@@ -71,11 +77,10 @@ def variances(
     """
     if not len(t):
         return pixel + model
-    fade = like.fade(np.diff(t), pixel[1:], model[1:], jac[1:])
-    spots, postures = (
-        like.times(counts(fade * alike), np.append(0.0, alike))[:, None]
-        for alike in (like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0)))
-    )
+    alike = like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0))
+    lasting = pixel[1:] * alike[0][:, None] + model[1:] * alike[1][:, None]
+    fade = like.fade(np.diff(t), lasting, jac[1:])
+    spots, postures = (like.times(counts(fade * one), np.append(0.0, one))[:, None] for one in alike)
     return np.asarray(pixel * spots + often * model * postures)
 
 
@@ -139,8 +144,8 @@ class Sight:
         last, count, alike = self.memory, np.ones(2), np.zeros(2)
         if last.place is not None and last.point is not None:
             dt = np.array([self.t - last.t])
-            fade = float(self.like.fade(dt, self.var[None], model[None], jac[None])[0])
             alike = np.array([self.like.spots(self.value - last.place), self.like.postures(x - last.point)])
+            fade = float(self.like.fade(dt, (self.var * alike[0] + model * alike[1])[None], jac[None])[0])
             count += fade * alike * last.count
         spots, postures = self.like.times(count, alike)
         return mean, jac, model, self.var * spots + model * postures, Memory(self.t, self.value, x, count)

@@ -6,6 +6,7 @@ how far the path moves with q. Of a steady variance V noise makes 3/4, which gro
 falls as ω^−p motion leaves what falls as q^(−(p − 1)/4): their sum is least where this is one (p − 1)th of the noise's.
 p is 4 under white acceleration, 6 under white jerk and 8 where jerk jumps, as in reaches of least jerk (Flash & Hogan
 1985); it shows in how fast the moves fall with q. Beyond 6 the error hardly falls, and q stays what it is at 6.
+What is stated of V is what noise makes and what motion adds, as far as the path still moves there.
 """
 
 from dataclasses import replace
@@ -30,8 +31,13 @@ MOST = np.array([2.434, 2.674, 2.934, 2.934, 2.934])
 
 With H(q) = 1/(1 + u⁴/q) and motion a u^−p these are ∫ (H(2) − H(½))² (1 + a u^−p) du and ∫ (H(2) − H(½))² du.
 """
-STATED = np.array([1.0, 0.9375, 0.9, 0.859, 0.832])
-"""For each p, the share of V that the error is there: ∫ H² + (1 − H)² a u^−p du over ∫ H du."""
+LEFT = np.array([2.388, 1.535, 1.062, 0.771, 0.579])
+"""For each p, what motion adds to the error, over how far it moves the path by one STEP about there.
+
+That is ∫ (1 − H)² u^−p du over ∫ (H(2) − H(½))² u^−p du, whatever the motion's strength.
+"""
+NOISE, SWAY = 0.75, 0.073
+"""Shares of V that noise makes of the error, ∫ H² du, and of the path's mean squared move by one STEP."""
 TURNS = 2
 """Times stretches hand over their ends."""
 
@@ -41,7 +47,7 @@ def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
 
     `told` is the solution of its filter.
     """
-    moved = np.square(np.diff(_paths(part, told), axis=0)).mean(axis=1)
+    moved = np.square(np.diff(_paths(part, told, FACTORS)[0], axis=0)).mean(axis=1)
     # noise's share of it grows as q^¼
     noise = moved[-1] * (FACTORS[:-1] / FACTORS[-2])[:, None] ** 0.25
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
@@ -49,7 +55,14 @@ def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
     over = np.log(ratios / np.interp(power, POWERS, MOST))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
     factor = FACTORS[0] if last < 0 else FACTORS[last] * STEP ** (0.5 + over[last] / (over[last] - over[last + 1]))
-    return np.asarray(part.precision.process * factor), float(np.interp(power, POWERS, STATED))
+    return np.asarray(part.precision.process * factor), _stated(part, told, float(factor), power)
+
+
+def _stated(part: Problem, told: tuple[Brief, Solution], factor: float, power: float) -> float:
+    """The share of V that the error is at a factor: noise's, and motion's by how far the path moves there."""
+    paths, var = _paths(part, told, factor * STEP ** np.array([-0.5, 0.5]))
+    moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1])).mean())
+    return float(np.clip(NOISE + np.interp(power, POWERS, LEFT) * (moved - SWAY), NOISE, 1.0))
 
 
 def _power(ratios: Array) -> float:
@@ -61,13 +74,16 @@ def _power(ratios: Array) -> float:
     return float(np.clip(4.0 * np.log(before / after) / np.log(STEP), POWERS[0], POWERS[-1]))
 
 
-def _paths(part: Problem, told: tuple[Brief, Solution]) -> Array:
-    """Smoothed angles (G,E,M) of the log in brief for each of FACTORS, along the tangents of `told`."""
-    (brief, first), g, m = told, len(FACTORS), len(part.start)
+def _paths(part: Problem, told: tuple[Brief, Solution], factors: Array) -> tuple[Array, Array]:
+    """Smoothed angles (G,E,M) of the log in brief for each of the factors, along the tangents of `told`; and V there.
+
+    A steady smoother has a quarter of its filter's variance.
+    """
+    (brief, first), g, m = told, len(factors), len(part.start)
     few, fold = replace(part, timeline=brief.problem.timeline), brief.fold
     first.tangents.draw(few, fold, brief.readings)
-    processes = part.precision.process[:, None] * FACTORS
-    precisions = [replace(part.precision, process=process) for process in processes.T]
+    processes = part.precision.process[:, None] * factors
+    precisions = [replace(part.precision, process=process, stated=NOISE) for process in processes.T]
     var = [first.tangents.weighed(replace(few, precision=p), fold, brief.readings, WHOLE) for p in precisions]
     tiled = tile(brief, np.stack(var, axis=-1), processes)
     dynamics = replace(few.dynamics, process=np.tile(processes, fold.count))
@@ -81,5 +97,7 @@ def _paths(part: Problem, told: tuple[Brief, Solution]) -> Array:
     for _ in range(TURNS):
         after, start = adjoint.adjoints(tiled, trace, ends)
         ends[:, :-g] = start[:, g:]
-    x = adjoint.means(trace, after)[:, :m].reshape(fold.length, m, fold.count, g)
-    return np.stack([fold.unfold(x[..., k]) for k in range(g)])
+    x, var = adjoint.means(trace, after)[:, :m], 0.25 * np.einsum("liic->lic", trace.p[:, :m, :m])
+    tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
+    paths, variances = (np.stack([fold.unfold(part[..., k]) for k in range(g)]) for part in tiles)
+    return paths, variances

@@ -34,7 +34,9 @@ class Tangents:
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
         self._var = tuple(np.ones((len(x), 2)) for x in points)
-        common, counted = [one.common for one in sightings], [int(some.sum()) for some in seen]
+        # what no kernel can follow is each model's own
+        common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
+        counted = [int(some.sum()) for some in seen]
         models = [one.model for one, share, count in zip(sightings, common, counted, strict=True) if share * count > 0]
         told = directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
         self._repeated = repeated(counted, common, told)
@@ -83,8 +85,9 @@ class Tangents:
         """Variances (F,D), of alike frames such that together they say no more than they know."""
         var, seen = precision.scale.get(sighting.name, 1.0) * sighting.var, self._seen[index]
         # a belief by the past alone errs by far more than models do, and pays for what is no noise in its rates
-        often = self._repeated[index] if share == WHOLE else 1.0
-        like = Likeness(precision.process, reach(sighting.model), precision.near.get(sighting.name, 0.0), share)
+        often, stated = (self._repeated[index], precision.stated) if share == WHOLE else (1.0, 1.0)
+        near = precision.near.get(sighting.name, 0.0)
+        like = Likeness(precision.process, reach(sighting.model), near, share, stated)
         var[seen] = variances(
             like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
             self._model_var[index][seen], often,

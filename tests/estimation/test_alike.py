@@ -76,6 +76,26 @@ def test_a_lasting_error_counts_as_often_as_two_frames_tell_it():
             assert like.times(1.0, alike_by) == pytest.approx(lasting / (last**2 + before**2).mean(), rel=1e-4)
 
 
+@pytest.mark.parametrize(("share", "steady"), [(alike.PAST, np.sqrt(2.0)), (alike.WHOLE, np.sqrt(0.125))])
+@pytest.mark.parametrize("stated", [0.75, 1.0])
+def test_of_frames_that_never_change_what_they_have_in_common_is_stated(share, steady, stated):
+    dt, error, jac, many = 1e-3, 0.002, np.eye(3)[:2], 10_000
+    like = alike.Likeness(np.full(3, 0.02), np.array(0.1), 0.0, share, stated)
+    t, still, models = dt * np.arange(many), np.zeros((many, 3)), np.full((many, 2), error)
+    found = alike.variances(like, t, still[:, :2], still, np.tile(jac, (many, 1, 1)), 0.0 * models, models)
+    assert stated * steady * (found[-1] * dt) ** 0.75 * 0.02**0.25 == pytest.approx(np.full(2, error), rel=0.01)
+
+
+def test_what_errs_anew_makes_nothing_else_last(world):
+    t, places, points, jac, pixel, model = passed(world, 3, 0.02)
+    like = alike.Likeness(PROCESS, np.array(0.1), 0.0, alike.WHOLE)
+    once, ten = (alike.variances(like, t, places, points, jac, noise, model) - noise for noise in (pixel, 10.0 * pixel))
+    np.testing.assert_allclose(once, ten, rtol=1e-9)
+    far = alike.Likeness(PROCESS, np.array(0.1), alike.NEAR, alike.WHOLE)
+    apart = places + 100.0 * np.arange(len(t))[:, None]
+    np.testing.assert_allclose(alike.variances(far, t, apart, points, jac, pixel, model) - pixel, once, rtol=1e-9)
+
+
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 def test_a_resting_arm_is_known_no_better_than_its_model(world, method):
     inside = []

@@ -47,8 +47,10 @@ def test_of_motion_that_much_is_left_of_the_steady_variance(power):
     moved = np.square(passed(root) - passed(1.0 / root))
     strength = (least.MOST[power == least.POWERS][0] - 1.0) * whole(moved) / whole(moved * spectrum)
     motion = strength * whole((1.0 - passed(1.0)) ** 2 * spectrum)
-    stated = least.STATED[power == least.POWERS][0]
-    assert (noise + motion) / whole(passed(1.0)) == pytest.approx(stated, rel=2e-3)
+    left = least.LEFT[power == least.POWERS][0]
+    sway = whole(moved + moved * strength * spectrum) / whole(passed(1.0))
+    assert whole(passed(1.0) ** 2) / whole(passed(1.0)) == pytest.approx(least.NOISE, rel=2e-3)
+    assert (noise + motion) / whole(passed(1.0)) == pytest.approx(least.NOISE + left * (sway - least.SWAY), rel=2e-3)
     slope = noise / 4.0 - 2.0 * strength * whole(passed(1.0) * (1.0 - passed(1.0)) ** 2 * spectrum)
     assert power > 6.0 or abs(slope) < 2e-3 * noise
 
@@ -71,4 +73,4 @@ def test_given_variances_are_heard_as_they_are(world):
     np.testing.assert_array_equal(given.settings["process"], [0.3] * 3)
     assert given.settings["stated"] == [1.0] * 3
     learned = estimate(drawn.features, drawn.body, Estimation(method="smoother"))
-    assert 0.83 < min(learned.settings["stated"]) <= max(learned.settings["stated"]) <= 1.0
+    assert 0.75 <= min(learned.settings["stated"]) <= max(learned.settings["stated"]) < 0.9
