@@ -3,6 +3,7 @@
 from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 from .body import encoders
 from .estimation import dating, streaming
@@ -12,19 +13,20 @@ from .types import BodyModel
 
 
 class Estimator(streaming.Estimator):
-    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own."""
+    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
         self, body: BodyModel, settings: Estimation | None = None, lag: float = streaming.LAG,
-        delay: Mapping[str, float] | None = None,
+        delay: Mapping[str, float] | None = None, learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """A filter for `body` with the senses, start and bias of `settings`; what comes up to `lag` s late is heard.
 
         `delay`: how much later (s) than it was each camera dates what it shows, {name: s}; None: as where the body was
-        learned. UsageError for settings that need the whole log, and where a reading does not tell the angle.
+        learned · `learned`: the settings of an estimate, whose variances are used. UsageError for settings that need
+        the whole log, for variances that are not this body's, and where a reading does not tell the angle.
         """
         tell = encoders.teller(body)  # refuses where a slope vanishes, by which plain divides
-        super().__init__(encoders.plain(body), settings, lag, tell)
+        super().__init__(encoders.plain(body), settings, lag, tell, learned)
         self._delays = dating.as_learned(body) if delay is None else dating.named(delay, dating.cameras(body.senses))
 
     def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> streaming.Belief:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Finding
 from . import motion
@@ -38,8 +39,9 @@ class Precision:
         encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
         plain = {"encoder": encoder, "process": process, "drift": drift, "scale": dict(self.scale)}
         fewer = {" ".join(view) or "none": [float(v) for v in process] for view, process in self.fewer.items()}
-        stated = np.broadcast_to(self.stated, self.process.shape).tolist()
-        return {**plain, "stated": stated, **({"process_in_view": fewer} if fewer else {})}
+        plain["near"], plain["stated"] = dict(self.near), np.broadcast_to(self.stated, self.process.shape).tolist()
+        likeliest = {} if self.likeliest is None else {"likeliest": self.likeliest.tolist()}
+        return {**plain, **likeliest, **({"process_in_view": fewer} if fewer else {})}
 
     def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "Precision":
         """With processes (M,) by evidence alone, but no joint trusted to hold still for longer than motion.MEMORY.
@@ -76,6 +78,31 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precis
         return Precision(encoder, process, None, scale, near)
     encoder, evident = motion.learn(evidence.encoders, encoder, process)
     return Precision(encoder, process, None, scale, near).held(evident, evidence.encoders)
+
+
+def carried(body: BodyModel, found: Mapping[str, Any] | None) -> Precision:
+    """A filter's, as the body has them, or as an estimate's settings do (`Precision.plain`).
+
+    UsageError where these are not of this body.
+    """
+    if found is None:
+        return Precision(np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {})
+    if "likeliest" in found:  # a smoother's process variances are not a filter's
+        found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
+    encoder, process, stated = (_positive(found, name, len(body.joints)) for name in ("encoder", "process", "stated"))
+    return Precision(encoder, process, None, dict(found.get("scale", {})), dict(found.get("near", {})), stated)
+
+
+def _positive(found: Mapping[str, Any], name: str, count: int) -> Array:
+    """Numbers (M,) above 0 that settings have; UsageError where they have not."""
+    try:
+        values = np.asarray(found.get(name), float)
+    except (TypeError, ValueError):
+        values = np.empty(0)
+    if values.shape == (count,) and (values > 0).all() and np.isfinite(values).all():
+        return values
+    text = f"learned: {name} is {found.get(name)!r}, possible: {count} numbers above 0, as an estimate by this body has"
+    raise UsageError(text)
 
 
 def warned(evidence: Evidence, body: BodyModel, settings: Estimation) -> Evidence:

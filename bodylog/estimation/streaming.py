@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from .incoming import Angles, Incoming, Place, Tell, Told, finite
 from .instant import Motion, hear
 from .lost import START_STD, Watch, forget
 from .outset import OFFSET_STD
+from .precision import carried
 from .recent import Instant, Recent, State
 from .scan import Dynamics
 
@@ -43,20 +45,23 @@ class Belief:
 
 
 class Estimator:
-    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own."""
+    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
-        self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, tell: Tell = np.asarray
-    ) -> None:
+        self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, tell: Tell = np.asarray,
+        learned: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
         """A filter for `body` with the senses, start and bias of `settings`; what comes up to `lag` s late is heard.
 
-        `tell` makes angles of what encoders read. UsageError for settings that need the whole log.
+        `tell` makes angles of what encoders read · `learned`: the settings of an estimate, whose variances are used.
+        UsageError for settings that need the whole log, and for variances that are not this body's.
         """
         settings = settings or GIVEN
         _needs_no_log(settings, body)
         if not lag >= 0:
             raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
         self._body, self._settings, self._lag = body, settings, lag
+        self._precision = carried(body, learned)
         self._incoming = Incoming(body, settings, tell)
         self._first = np.full(len(body.joints), np.nan)
         self._recent: Recent | None = None
@@ -98,24 +103,23 @@ class Estimator:
     def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
         m = len(self._body.joints)
         bias = now.z[2 * m :] if len(now.z) > 2 * m else None
-        return Belief(now.t, now.z[:m], now.z[m : 2 * m], now.p[:m, :m], nats, errors, bias, lost)
+        cov = self._precision.of(now.p[:m, :m])
+        return Belief(now.t, now.z[:m], now.z[m : 2 * m], cov, nats, errors, bias, lost)
 
     def _begin(self, angles: Array | None) -> Recent:
         """No instant yet, and what is known before the first."""
-        names, given, noise = self._body.joints, self._settings.start, self._body.noise
+        names, given, precision = self._body.joints, self._settings.start, self._precision
         self._first = self._first if angles is None else np.where(np.isfinite(self._first), self._first, angles)
         x = self._first if given is None else np.array(given, float)
         if not np.isfinite(x).all():
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
             raise LogError(f"joints: no reading tells where {unknown} starts; tell all joints first, or give `start`")
-        process, drift = np.array(noise.process, float), None
-        if self._settings.bias == "on":
-            drift = np.full(len(names), WALKS[1])
-        habit = usual(self._incoming.silent, self._incoming.wanted, process, x)
-        dynamics = Dynamics(process, drift, None if habit is None else habit.joints)
-        encoder_var, models = np.array(noise.encoder, float), self._incoming.models
-        like = {name: Likeness(process, reach(model), 0.0, PAST) for name, model in models.items()}
-        one = _Filter(Motion(dynamics), habit, encoder_var, like, models)
+        drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
+        habit = usual(self._incoming.silent, self._incoming.wanted, precision.process, x)
+        dynamics = Dynamics(precision.process, drift, None if habit is None else habit.joints)
+        models, near = self._incoming.models, precision.near
+        like = {n: Likeness(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
+        one = _Filter(Motion(dynamics), habit, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
         return Recent(State(-np.inf, z, np.diag(std**2), Watch.begun(len(x))), self._lag, one.hear)
@@ -128,6 +132,7 @@ class _Filter:
     motion: Motion
     habit: Habit | None
     encoder_var: Array
+    scale: Mapping[str, float]
     like: Mapping[str, Likeness]
     models: Mapping[str, ForwardModel]
 
@@ -140,13 +145,16 @@ class _Filter:
         if lost is not None:
             forget(z, p, lost, said)
         here = {
-            name: before.watch.remembered(name, Sight(self.models[name], at.t, *place, self.like[name], Memory()))
+            name: before.watch.remembered(name, self._sight(name, at.t, *place))
             for name, place in at.places.items()
         }
         found = hear(self.motion, z, p, *self._encoders(said, dt), list(here.values()))
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
         watch = before.watch.after(at.t, borne, here, found.memories)
         return State(at.t, found.z, found.p, watch, found.nats, errors, lost)
+
+    def _sight(self, name: str, t: float, place: Array, var: Array) -> Sight:
+        return Sight(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], Memory())
 
     def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
         """Angles and variances (M,) rad², with a reminder of where joints without an encoder are wont to be."""

@@ -1,6 +1,7 @@
 """The filter fed message by message against the one that has the whole log."""
 
 import gc
+import json
 import re
 import tracemalloc
 from collections.abc import Callable, Iterable
@@ -119,6 +120,27 @@ def test_a_lost_belief_is_found_again_as_in_the_batch(world, seed, names):
 def test_whatever_is_the_faster(world, encoder_hz):
     drawn = world(0, duration=6.0, encoder_hz=encoder_hz)
     check(drawn.features, drawn.body, replace(MODEL, rate=None if encoder_hz < 100 else 100.0))
+
+
+def test_variances_that_a_log_taught_are_heard_beside_a_robot(world):
+    for seed, speed in ((0, 0.5), (1, 0.0)):
+        drawn = world(seed, duration=6.0, speed=speed, blunder=0.05)
+        batch = estimate(drawn.features, drawn.body, Estimation(bias="off"))
+        messages, settings = told(drawn.features, drawn.body), json.loads(json.dumps(batch.settings))
+        assert_same(step(Estimator(drawn.body, MODEL, learned=settings), messages), batch)
+        assert (min(settings["stated"]) < 1.0) is (speed == 0.0)
+    drawn = world(0, duration=6.0)
+    one, whole = (estimate(drawn.features, drawn.body, Estimation(m, bias="off")) for m in ("laplace", "smoother"))
+    beliefs = step(Estimator(drawn.body, MODEL, learned=whole.settings), told(drawn.features, drawn.body))
+    assert_same(beliefs, one)
+
+
+@pytest.mark.parametrize("encoder", [None, "loud", [1.0], [1e-4, 1e-4, 0.0], [1e-4, 1e-4, float("nan")]])
+def test_variances_that_are_not_the_bodys_are_refused(world, encoder):
+    drawn = world(0, duration=1.0)
+    settings = {"encoder": encoder, "process": [0.1] * 3, "stated": [1.0] * 3}
+    with pytest.raises(UsageError, match=re.escape(f"learned: encoder is {encoder!r}, possible: 3 numbers above 0")):
+        Estimator(drawn.body, MODEL, learned=settings)
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
