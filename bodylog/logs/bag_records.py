@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ..errors import FormatError
+from .mapping import forget, void
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
@@ -106,6 +107,8 @@ def _resync(data: memoryview, start: int, end: int) -> int:
     """The first byte from `start` where a whole record begins, or `end`."""
     window = 1 << 20
     for low in range(start, end, window):
+        if void(data, low, min(end, low + window)):
+            continue
         text = bytes(data[low : min(end, low + window + _BACK)])
         at = text.find(_OP)
         while at >= 0:
@@ -113,6 +116,7 @@ def _resync(data: memoryview, start: int, end: int) -> int:
             if found is not None:
                 return found
             at = text.find(_OP, at + 1)
+        forget(data, low, min(end, low + window))
     return end
 
 

@@ -3,6 +3,8 @@
 import mmap
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import BodylogError, LogError
 from ..types import Array
 from .sparse import Sparse, sparse
@@ -53,6 +55,15 @@ def bring(data: memoryview, start: int, end: int) -> None:
     """Have the bytes between two of a remote file there before they are touched; a file of this machine has its own."""
     if isinstance(data.obj, Sparse):
         data.obj.bring(start, min(end, len(data)))
+
+
+def void(data: memoryview, start: int, end: int) -> bool:
+    """Whether all bytes between two are 0, as where a file was given room and never written; their pages are let go."""
+    fetch(data, start, end)
+    if np.frombuffer(data, np.uint8, end - start, start).any():
+        return False
+    forget(data, start, end)
+    return True
 
 
 def forget(data: memoryview, start: int, end: int) -> None:

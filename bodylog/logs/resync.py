@@ -8,6 +8,7 @@ from ..errors import FormatError
 from ..types import Array
 from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, heads_of
 from .compression import NAMES
+from .mapping import forget, void
 from .records import (
     CHANNEL,
     CHUNK,
@@ -72,6 +73,8 @@ def _chunked(data: memoryview, start: int, end: int) -> bool:
     if _chunk_like(data, start):
         return True
     for low in range(start, end, _WINDOW):
+        if void(data, low, min(end, low + _WINDOW)):
+            continue
         heads = heads_of(data[low : min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)])
         likely = (heads["opcode"] == CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
         if any(_chunk_like(data, low + int(at)) for at in np.flatnonzero(likely)):
@@ -129,10 +132,13 @@ def resync(
     known = np.zeros(1 << 16, bool)
     known[list(channels)] = True
     for low in range(start, end, _WINDOW):
+        if void(data, low, min(end, low + _WINDOW)):
+            continue
         high = min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)
         for at in _candidates(data[low:high], end - low, list(opcodes), known):
             if _convincing(data, low + at, end):
                 return low + at
+        forget(data, low, high)
     return None
 
 

@@ -41,7 +41,7 @@ def propose(
     picked = _picked(recording)
     count = sum(1 for _ in picked())
     if not count:
-        raise LogError("no pictures to take colours from; type: bodylog info LOG")
+        raise LogError(f"{_none(recording)}; type: bodylog info LOG")
     ranges = [_range(hue) for hue in _peaks(image for _, image in picked())]
     if not ranges:
         raise LogError(f"nothing saturated in {count} pictures, so no colour to tell things by; type: bodylog view LOG")
@@ -73,6 +73,16 @@ def _picked(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]
             yield frame.t, image
 
     return pictures
+
+
+def _none(recording: Recording) -> str:
+    """Why there are no pictures: there are none, or the first cannot be decoded."""
+    for frame in recording.frames() if recording.frames else ():
+        try:
+            frame.decode(1)
+        except FormatError as problem:
+            return f"no picture can be decoded: {problem}"
+    return "no pictures to take colours from"
 
 
 def _peaks(images: Iterable[Array]) -> list[int]:

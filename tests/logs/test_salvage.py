@@ -237,6 +237,19 @@ def test_a_cut_anywhere_leaves_what_came_before(name: str, tmp_path: Path) -> No
         before = len(found)
 
 
+@pytest.mark.parametrize("name", ["none.mcap", "zstd.mcap", "bz2.bag", "lz4.bag"])
+def test_a_file_that_was_given_room_and_never_filled_is_read_as_far_as_it_was(name: str, tmp_path: Path) -> None:
+    """As a recorder that is killed, or a disk that loses its power, leaves it: ending in zeros."""
+    content, path = (FOLDER / name).read_bytes(), tmp_path / name
+    path.write_bytes(content[: len(content) * 2 // 3])
+    found = read(path)[0]
+    with path.open("r+b") as stream:
+        stream.truncate((4 << 20) + 12345)
+    padded, findings = read(path)
+    assert found and set(padded) <= set(found) and len(padded) >= len(found) - MESSAGES // 2
+    assert [finding.severity for finding in findings].count("lost")
+
+
 def _streams(path: Path) -> Iterator[bytes]:
     from mcap.reader import NonSeekingReader
 

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.errors import FormatError, LogError
 from bodylog.perception.palette import propose
-from bodylog.types import Recording, Series
+from bodylog.types import Array, Recording, Series
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
@@ -46,6 +46,17 @@ def test_no_pictures_is_an_error_that_names_the_log() -> None:
         propose(scenes.recording())
 
 
+def test_pictures_that_cannot_be_decoded_are_an_error_that_says_why() -> None:
+    def broken(_: int) -> Array:
+        raise FormatError("/camera: not a JPEG")
+
+    film = _film()
+    assert film.frames is not None
+    frames = [replace(frame, decode=broken) for frame in film.frames()]
+    with pytest.raises(LogError, match="no picture can be decoded: /camera: not a JPEG; type: bodylog info"):
+        propose(replace(film, frames=lambda: iter(frames)))
+
+
 def test_readings_that_are_none_do_not_count_against_the_others() -> None:
     film, values = _film(), np.column_stack([ANGLES, np.full(len(T), np.nan)])
     values[20:, 0] = np.nan
@@ -68,5 +79,5 @@ def test_pictures_of_two_sizes_and_damaged_ones_are_shown_as_far_as_they_go() ->
     odd[30:] = [replace(f, decode=lambda k, f=f: f.decode(2 * k)) for f in odd[30:]]
     proposals, sheet = propose(replace(film, frames=lambda: iter(odd)))
     assert "green" in {one.name for one in proposals} and sheet.shape == (480, 960, 3)
-    with pytest.raises(LogError, match="no pictures"):
+    with pytest.raises(LogError, match="no picture can be decoded: cut off"):
         propose(replace(film, frames=lambda: iter([replace(f, decode=damaged) for f in frames])))
