@@ -30,24 +30,30 @@ def evaluate(
     In a batch's folder the logs are OUT/NAME/annotated.mcap; the baseline is looked up by NAME.
     """
     from bodylog import pipeline
+    from bodylog.errors import BoundError
     from bodylog.evaluation import baseline as earlier
     from bodylog.evaluation import bounds as rules
 
-    from .output import as_data, data, lost
+    from .output import as_data, data, each, lost, say
 
     wanted, share = [rules.parse(text) for text in bounds], earlier.tolerance(tolerance)
     before = earlier.load(baseline) if baseline else None
     chosen = common.settings()
-    results = {str(log): pipeline.evaluate(log, chosen) for log in logs}
+    results, refused = each(logs, lambda log: pipeline.evaluate(log, chosen))
     if as_json:
         shown = [{"path": path, **as_data(result)} for path, result in results.items()]
-        data(shown[0] if len(shown) == 1 else shown)
+        data(shown[0] if len(logs) == 1 else shown)
     else:
         _print(results)
-    rules.check({path: result.scores for path, result in results.items()}, wanted)
-    if before is not None:
-        earlier.check({_name(log): results[str(log)].scores for log in logs}, before, share)
-    return max(lost(result.findings) for result in results.values())
+    try:
+        rules.check({path: result.scores for path, result in results.items()}, wanted)
+        if before is not None:
+            earlier.check({_name(log): results[str(log)].scores for log in logs if str(log) in results}, before, share)
+    except BoundError as broken:
+        if not refused:
+            raise
+        say(broken)
+    return refused or max(lost(result.findings) for result in results.values())
 
 
 def _name(log: Path) -> str:

@@ -49,6 +49,18 @@ def test_a_broken_bound_ends_with_4_and_says_which(tmp_path, capsys, bodylog, ro
     assert bodylog("evaluate", out, "--fail-if", "joint_rmse>1") == 0
 
 
+def test_of_many_evaluated_one_that_holds_nothing_hides_no_other(tmp_path, capsys, bodylog, robot):
+    out = tmp_path / "out.mcap"
+    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    typed = ("evaluate", out, tmp_path / "empty.mcap", "--json", "--fail-if", "joint_rmse>1e-9")
+    capsys.readouterr()
+    assert bodylog(*typed) == 65
+    shown, said = capsys.readouterr()
+    assert [one["path"] for one in json.loads(shown)] == [str(out)]
+    assert "empty.mcap: the file is empty" in said and "joint_rmse is" in said
+
+
 def test_named_senses_are_used_and_no_others(tmp_path, capsys, bodylog, robot):
     out = tmp_path / "out.mcap"
     typed = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json")
