@@ -129,12 +129,13 @@ ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = {
 
 LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
     ("topics", "rate"): (1e-3, 1e6),
+    ("topics", "start"): (-9e9, 9e9),
     ("skin", "threshold"): (0, 1),
     ("skin", "release"): (0, 1),
     ("skin", "shortest"): (0, 3600),
     ("skin", "columns"): (1, 10**6),
     ("estimate", "rate"): (1e-3, 1e15),
-    ("fit", "samples"): (1, 10**9),
+    ("fit", "samples"): (8, 10**9),
     ("fit", "every"): (1, 10**9),
     ("fit", "seed"): (0, 2**63),
 }
