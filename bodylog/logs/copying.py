@@ -19,16 +19,20 @@ class Copy:
     """The digest of `source` to come, and its first `end` bytes on their way to `target`, for as long as a `with`."""
 
     def __init__(self, source: Path, target: Path | None = None, end: int = 0) -> None:
-        """Begin, with a short log to copy not before `begin` or `digest`; without `target` nothing is copied."""
+        """A short log is not copied before `begin` or `digest`; without `target` nothing is copied."""
         self._source, self._target, self._end = source, target, end
         self._size = 0 if target is None else source.stat().st_size
         self._begun, self._stopped, self._pool = Event(), Event(), ThreadPoolExecutor(1)
         if target is None or self._size > _LONG:
             self.begin()
-        self._digest = self._pool.submit(self._read)
 
     def __enter__(self) -> "Copy":
-        """The copy itself."""
+        """The copy itself, under way."""
+        try:
+            self._digest = self._pool.submit(self._read)
+        except BaseException:  # told to stop while the thread begins: it would wait for ever
+            self.__exit__()
+            raise
         return self
 
     def __exit__(self, *_: object) -> None:
