@@ -27,7 +27,7 @@ class Literal:
         apart = mean[0] - self.hand[k]
         best = self.constants.a1 * self.temporal[k]
         g = best * np.exp(-self.constants.b1 * float(apart @ apart))
-        # METHOD 3: ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J
+        # ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J
         return float(best - g) / VARIANCE, -2.0 * self.constants.b1 * g * (apart @ jac[0])
 
 

@@ -1,4 +1,4 @@
-"""Touch as a sighting (METHOD 3): while the skin is stroked in time with what is seen, the hand is at the effector."""
+"""Touch as a sighting: while the skin is stroked in time with what is seen, the hand is at the effector."""
 
 import numpy as np
 
