@@ -8,6 +8,9 @@ import numpy as np
 from ..types import Array, ForwardModel
 from .senses import Evidence
 
+LASTING = 4.0
+"""How many times their process variance joints move that pictures hardly hold: in seconds, accelerations that last take
+an arm farther than white ones, of which encoders' noise shows some tenths of a second."""
 WIDER = 2.0
 """How many times the spread of the explored angles a joint may be from their mean, in one standard deviation."""
 
@@ -28,6 +31,14 @@ class Habit:
         var[1:, self.joints] = self.density[self.joints] / dt[1:, None]
         return encoders, var
 
+    def remind(self, said: Array, var: Array, joints: Array, since: Array) -> tuple[Array, Array, Array]:
+        """Readings said (M,) rad and variances with a reminder of those `joints` (M,) bool that say nothing; and which.
+
+        since (M,): s after the last one.
+        """
+        own = joints & self.joints & ~np.isfinite(said)
+        return np.where(own, self.mean, said), np.where(own, self.density / since, var), own
+
 
 def habit(evidence: Evidence, process: Array, start: Array) -> Habit | None:
     """The habit of joints that no encoder of a log speaks of, by what its tracks' models were learned from."""
@@ -35,6 +46,11 @@ def habit(evidence: Evidence, process: Array, start: Array) -> Habit | None:
     if evidence.encoders is not None:
         silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
     return usual(silent, {s.name: s.model for s in evidence.sightings}, process, start)
+
+
+def wont(models: Mapping[str, ForwardModel], process: Array, start: Array) -> Habit | None:
+    """The habit of joints adrift, all that may be; process (M,) rad²/s³ as it is where encoders speak."""
+    return usual(np.ones(len(process), bool), models, LASTING * process, start)
 
 
 def usual(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> Habit | None:

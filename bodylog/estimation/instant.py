@@ -1,5 +1,6 @@
 """One instant at a time: the same filter in plain matrices, linearised anew until the belief of this instant rests."""
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +21,8 @@ RESTING = 1e-12
 class Moment:
     """After an instant: state z (K,), p (K,K) · nats · point (M,) of linearisation · what each track remembers now.
 
-    Errors in standard deviations: encoder_d (M,), NaN where silent, and `errors` (2,) of each track.
+    Errors in standard deviations: encoder_d (M,), NaN where silent, and `errors` (2,) of each track · lines: the tracks
+    as heard, but for the gate.
     """
 
     z: Array
@@ -30,6 +32,7 @@ class Moment:
     encoder_d: Array
     errors: tuple[Array, ...]
     memories: tuple[Memory, ...]
+    lines: "Lines | None" = None
 
 
 class Motion:
@@ -58,9 +61,15 @@ class Motion:
         p = f @ p @ f.T + spread
         return f @ z, 0.5 * (p + p.T)
 
+    def recalling(self, joints: Array) -> "Motion":
+        """The same where what is said of these joints, too, (M,) bool, is no encoder's."""
+        other = copy.copy(self)
+        other.recalled = joints if self.recalled is None else self.recalled | joints
+        return other
+
 
 @dataclass(frozen=True, eq=False)
-class _Lines:
+class Lines:
     """Tracks as straight lines about one point (M,): y (T,2) = jac (T,2,M) x with variance var (T,2); memory of it."""
 
     point: Array
@@ -72,20 +81,24 @@ class _Lines:
 
 def hear(
     motion: Motion, z: Array, p: Array, encoders: Array, encoder_var: Array, sights: Sequence[Sight],
-    resting: float = RESTING,
+    resting: float = RESTING, adrift: bool = False,
 ) -> Moment:  # fmt: skip
     """What comes of z (K,), p (K,K) once encoders (M,) rad, NaN where silent, and sights are heard.
 
-    `resting` (rad) is how little the point of linearisation may still move.
+    `resting` (rad) is how little the point of linearisation may still move · adrift: a tangent would not do.
     """
     encoder_var, encoder_d = _gated_encoders(motion, z, p, encoders, encoder_var)
     told = _encoders(motion, z, p, encoders, encoder_var)
     if not sights:
         return Moment(*told, told[0][: motion.joints], encoder_d, (), ())
-    lines, errors = _rested(motion.joints, (z, p), told[:2], sights, resting)
+    whole, errors = _secants(motion.joints, (z, p), told[:2], sights) if adrift else (None, ())
+    if whole is None:
+        lines, errors = _rested(motion.joints, (z, p), told[:2], sights, resting)
+    else:
+        lines = replace(whole, var=_gated(*_news(motion.joints, (z, p), whole), whole.var))
     z, p, seen = _seen(z, p, lines)
     z, p, nats = _encoders(motion, z, p, encoders, encoder_var)
-    return Moment(z, p, seen + nats, lines.point, encoder_d, errors, lines.memories)
+    return Moment(z, p, seen + nats, lines.point, encoder_d, errors, lines.memories, whole)
 
 
 def _gated_encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tuple[Array, Array]:
@@ -123,20 +136,19 @@ def _encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tu
 
 def _rested(
     m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[Sight], resting: float
-) -> tuple[_Lines, tuple[Array, ...]]:
+) -> tuple[Lines, tuple[Array, ...]]:
     """The sights' lines about where the belief rests, or moves least, that they make of what the encoders `told`.
 
     And their errors in standard deviations. These and the gate are by the `prior`, so that order is no matter.
     """
-    x, p, errors = prior[0][:m], prior[1][:m, :m], np.empty((len(sights), 2))
+    x, errors = prior[0][:m], np.empty((len(sights), 2))
     went = last = np.zeros(m)
     least, best = np.inf, None
     for iteration in range(ITERATIONS):
         lines, model_var = _lines(x, sights)
-        lean, nu = lines.jac @ p @ lines.jac.transpose(0, 2, 1), lines.y - lines.jac @ prior[0][:m]
+        lean, nu = _news(m, prior, lines)
         if iteration == 0:
-            pixels = np.array([sight.var for sight in sights])
-            errors = nu / np.sqrt(np.einsum("tdd->td", lean) + pixels + model_var)
+            errors = _apart(lean, nu, sights, model_var)
         lines = replace(lines, var=_gated(lean, nu, lines.var))
         ph, cov, left = _foretold(*told, lines)
         move = told[0][:m] + ph[:m] @ np.linalg.solve(cov, left) - x
@@ -151,6 +163,44 @@ def _rested(
     return best, tuple(errors)
 
 
+def _secants(
+    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[Sight]
+) -> tuple[Lines, tuple[Array, ...]]:
+    """The sights' lines through x ± √M σ along each axis of what the encoders `told`; errors by the prior's tangents.
+
+    What a line misses there is noise: a wide belief's tangent says what no picture shows. Rows are turned such that
+    their noise is independent.
+    """
+    at, model_var = _lines(prior[0][:m], sights)
+    errors = _apart(*_news(m, prior, at), sights, model_var)
+    x, (var, axes) = told[0][:m], np.linalg.eigh(told[1][:m, :m])
+    steps = np.sqrt(m * np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T
+    y, jac, noise, memories = [], [], [], []
+    for sight in sights:
+        *_, own, memory = sight.at(x)
+        there, back = np.split(sight.model.predict(np.concatenate([x + steps, x - steps]))[0], 2)
+        middle, slope = 0.5 * (there + back), np.linalg.solve(steps, 0.5 * (there - back)).T
+        missed = middle - middle.mean(axis=0)
+        spread, turn = np.linalg.eigh(missed.T @ missed / m + np.diag(own))
+        y.append(turn.T @ (sight.value - middle.mean(axis=0) + slope @ x))
+        jac.append(turn.T @ slope)
+        noise.append(spread)
+        memories.append(memory)
+    return Lines(x, np.array(y), np.array(jac), np.array(noise), tuple(memories)), tuple(errors)
+
+
+def _news(m: int, prior: tuple[Array, Array], lines: Lines) -> tuple[Array, Array]:
+    """H P Hᵀ (T,2,2) of the lines, and what they say beyond the prior (T,2)."""
+    z, p = prior
+    return lines.jac @ p[:m, :m] @ lines.jac.transpose(0, 2, 1), lines.y - lines.jac @ z[:m]
+
+
+def _apart(lean: Array, nu: Array, sights: Sequence[Sight], model_var: Array) -> Array:
+    """News nu (T,2) in standard deviations, as perception and the model have these."""
+    pixels = np.array([sight.var for sight in sights])
+    return np.asarray(nu / np.sqrt(np.einsum("tdd->td", lean) + pixels + model_var))
+
+
 def _accelerated(move: Array, last: Array, went: Array) -> Array:
     """How far to go where Gauss–Newton says `move` (M,), and said `last` before one went `went`: Anderson mixing."""
     turn = move - last
@@ -158,11 +208,11 @@ def _accelerated(move: Array, last: Array, went: Array) -> Array:
     return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
 
 
-def _lines(x: Array, sights: Sequence[Sight]) -> tuple[_Lines, Array]:
+def _lines(x: Array, sights: Sequence[Sight]) -> tuple[Lines, Array]:
     """The tracks' lines about x, and the model's variance (T,2) there."""
     *found, memories = zip(*(sight.at(x) for sight in sights), strict=True)
     mean, jac, model, var = (np.array(part) for part in found)
-    return _Lines(x, np.array([sight.value for sight in sights]) - mean + jac @ x, jac, var, memories), model
+    return Lines(x, np.array([sight.value for sight in sights]) - mean + jac @ x, jac, var, memories), model
 
 
 def _gated(lean: Array, nu: Array, var: Array) -> Array:
@@ -172,7 +222,7 @@ def _gated(lean: Array, nu: Array, var: Array) -> Array:
     return np.asarray(var + np.stack([a, c], axis=1) * _excess(d2)[:, None])
 
 
-def _foretold(z: Array, p: Array, lines: _Lines) -> tuple[Array, Array, Array]:
+def _foretold(z: Array, p: Array, lines: Lines) -> tuple[Array, Array, Array]:
     """Of all rows R of the lines: P Hᵀ (K,R), H P Hᵀ + R (R,R), innovations (R,)."""
     m = lines.jac.shape[2]
     h = lines.jac.reshape(-1, m)
@@ -180,7 +230,7 @@ def _foretold(z: Array, p: Array, lines: _Lines) -> tuple[Array, Array, Array]:
     return ph, h @ ph[:m] + np.diag(lines.var.ravel()), lines.y.ravel() - h @ z[:m]
 
 
-def _seen(z: Array, p: Array, lines: _Lines) -> tuple[Array, Array, float]:
+def _seen(z: Array, p: Array, lines: Lines) -> tuple[Array, Array, float]:
     """z, p given the lines, and their nats."""
     ph, s, nu = _foretold(z, p, lines)
     gain = np.linalg.solve(s, ph.T).T

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..types import Array, Finding
 from .alike import Memory, Sight
+from .habit import Habit
 from .silences import NAMED
 
 START_STD = 1.0
@@ -26,19 +27,36 @@ APART = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """When each encoder bore out the belief last, (M,) s, −∞ for never, and what was last seen of each track."""
+    """When each encoder bore out the belief last, (M,) s, −∞ for never, and what was last seen of each track.
+
+    loose (M,) bool: joints that were adrift by the last picture, and have not been borne out since.
+    """
 
     borne: Array
     seen: Mapping[Any, Sight]
+    loose: Array
 
     @staticmethod
     def begun(joints: int) -> "Watch":
         """Before the first instant."""
-        return Watch(np.full(joints, -np.inf), {})
+        return Watch(np.full(joints, -np.inf), {}, np.zeros(joints, bool))
 
     def mute(self, t: float) -> Array:
         """Joints (M,) bool whose encoders have long said nothing by t (s), or have been contradicting since then."""
         return np.asarray(t - self.borne > SILENCE)
+
+    def adrift(self, t: float) -> Array:
+        """Joints (M,) bool silent for long by t (s) that what is seen, no more numbers than joints, hardly holds."""
+        silent = self.mute(t) & np.isfinite(self.borne)
+        numbers = sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
+        return np.asarray(silent & (0 < numbers <= silent.sum()))
+
+    def reminded(self, t: float, wont: Habit | None, said: Array, var: Array) -> tuple[Array, Array, Array]:
+        """Readings said (M,) rad, NaN if silent, and variances with reminders of joints adrift by t (s); of which."""
+        if wont is None:
+            return said, var, np.zeros(len(said), bool)
+        last = np.maximum(self.borne, max((sight.t for sight in self.seen.values()), default=-np.inf))
+        return wont.remind(said, var, self.adrift(t), t - last)
 
     def remembered(self, track: Any, sight: Sight) -> Sight:
         """A sight of a track with what is remembered of its last one."""
@@ -47,7 +65,8 @@ class Watch:
     def after(self, t: float, borne: Array, here: Mapping[Any, Sight], memories: Iterable[Memory]) -> "Watch":
         """The same once encoders bore the belief out at t (s), (M,) bool, and sights were heard and left memories."""
         seen = {track: replace(sight, memory=left) for (track, sight), left in zip(here.items(), memories, strict=True)}
-        return Watch(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen)
+        loose = (self.adrift(t) if seen else self.loose) & ~borne
+        return Watch(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen, loose)
 
     def judge(self, t: float, z: Array, p: Array, said: Array, var: Array) -> tuple[Array | None, Array]:
         """Joints (M,) bool that the belief z (K,), p (K,K) lost by t (s), or None; those whose encoders bear it out.

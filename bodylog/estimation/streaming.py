@@ -11,7 +11,7 @@ from ..settings import Estimation
 from ..types import Array, BodyModel, ForwardModel, Health
 from .alike import PAST, Likeness, Memory, Sight, reach
 from .bias import WALKS
-from .habit import Habit, usual
+from .habit import LASTING, Habit, usual, wont
 from .incoming import Angles, Incoming, Place, Tell, Told, finite
 from .instant import Motion, hear
 from .lost import START_STD, Watch, forget
@@ -119,7 +119,8 @@ class Estimator:
         dynamics = Dynamics(precision.process, drift, None if habit is None else habit.joints)
         models, near = self._incoming.models, precision.near
         like = {n: Likeness(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
-        one = _Filter(Motion(dynamics), habit, precision.encoder, precision.scale, like, models)
+        adrift = wont(self._incoming.wanted, precision.process, x)
+        one = _Filter(Motion(dynamics), habit, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
         return Recent(State(-np.inf, z, np.diag(std**2), Watch.begun(len(x))), self._lag, one.hear)
@@ -131,6 +132,7 @@ class _Filter:
 
     motion: Motion
     habit: Habit | None
+    wont: Habit | None
     encoder_var: Array
     scale: Mapping[str, float]
     like: Mapping[str, Likeness]
@@ -140,7 +142,8 @@ class _Filter:
         """The state after an instant, from the one before it."""
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
         said = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
-        z, p = self.motion.move(before.z, before.p, dt)
+        loose = before.watch.loose
+        z, p = self.motion.move(before.z, before.p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
         lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var)
         if lost is not None:
             forget(z, p, lost, said)
@@ -148,7 +151,11 @@ class _Filter:
             name: before.watch.remembered(name, self._sight(name, at.t, *place))
             for name, place in at.places.items()
         }
-        found = hear(self.motion, z, p, *self._encoders(said, dt), list(here.values()))
+        angles, var, motion = *self._encoders(said, dt), self.motion
+        if adrift := bool(here and before.watch.adrift(at.t).any()):
+            angles, var, reminded = before.watch.reminded(at.t, self.wont, angles, var)
+            motion = motion.recalling(reminded)
+        found = hear(motion, z, p, angles, var, list(here.values()), adrift=adrift)
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
         watch = before.watch.after(at.t, borne, here, found.memories)
         return State(at.t, found.z, found.p, watch, found.nats, errors, lost)

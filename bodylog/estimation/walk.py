@@ -8,11 +8,12 @@ from ..types import Array
 from .alike import PAST, WHOLE, Likeness, Memory, Sight, reach
 from .brief import encoder_rows, full
 from .folds import Fold, fold_for
-from .instant import RESTING, Motion, hear
+from .habit import LASTING, wont
+from .instant import RESTING, Moment, Motion, hear
 from .laplace import Problem, Solution
 from .lost import SILENCE, Watch, forget
 from .outset import prior, priors
-from .scan import scan
+from .scan import Readings, scan
 from .tangents import Tangents
 
 ROUGHLY = 1e-3
@@ -22,10 +23,24 @@ FIRST = 4
 
 
 @dataclass(frozen=True, eq=False)
+class Adrift:
+    """What was heard `at` an instant of joints adrift: encoders said (M,) rad and var with reminders, which
+    tracks, and what came of it.
+    """
+
+    at: int
+    said: Array
+    var: Array
+    tracks: tuple[int, ...]
+    told: Moment
+
+
+@dataclass(frozen=True, eq=False)
 class Walked:
     """The filter gone through: points (E,M) rad of linearisation, where a fold's stretches start, z (K,C), p (K,K,C).
 
-    anew: when (R,) s it lost which joints (R,M), or None · watch: what it heard last.
+    anew: when (R,) s it lost which joints (R,M), or None · watch: what it heard last · more (E,M): how many times the
+    process variance moved joints · adrift: where pictures hardly held them.
     """
 
     points: Array
@@ -33,6 +48,8 @@ class Walked:
     p: Array
     anew: tuple[Array, Array] | None
     watch: Watch
+    more: Array
+    adrift: tuple[Adrift, ...]
 
 
 def led(problem: Problem) -> Problem:
@@ -43,7 +60,7 @@ def led(problem: Problem) -> Problem:
     if not doubted and not _quiet(problem, line[-1:]):
         return replace(problem, anew=first.anew)
     whole = _stepped(problem, PAST, ROUGHLY, _only(len(line)))
-    stepwise = doubted or _quiet(problem, line[:0])
+    stepwise = doubted or _quiet(problem, line[:0]) or len(whole.adrift) > 0
     return replace(problem, path=(line, whole.points), anew=whole.anew, stepwise=stepwise)
 
 
@@ -55,7 +72,28 @@ def walk(problem: Problem, remember: bool = False) -> Solution:
     tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
     tangents.share, readings = share, full(replace(problem, anew=found.anew), fold)
     tangents.draw(problem, fold, readings)
-    return Solution(fold, readings, tangents, scan(readings, problem.dynamics, found.z, found.p, remember))
+    if not found.adrift:
+        return Solution(fold, readings, tangents, scan(readings, problem.dynamics, found.z, found.p, remember))
+    readings = replace(readings, more=fold.fold(found.more, 1.0))
+    _write(found.adrift, fold, readings)
+    trace = scan(readings, problem.dynamics, found.z, found.p, remember)
+    at = np.array([one.at for one in found.adrift])
+    # reminders are no readings: they have no error and cost nothing
+    fold.put(trace.nats, at, np.array([one.told.nats for one in found.adrift]))
+    fold.put(trace.encoder_d, at, np.stack([one.told.encoder_d for one in found.adrift]))
+    return Solution(fold, readings, tangents, trace)
+
+
+def _write(adrift: tuple[Adrift, ...], fold: Fold, readings: Readings) -> None:
+    """What was heard of joints adrift, as it was, into the readings."""
+    for one in adrift:
+        at, lines = np.array([one.at]), one.told.lines
+        assert lines is not None
+        fold.put(readings.encoders, at, one.said[None])
+        fold.put(readings.encoder_var, at, one.var[None])
+        for track, *rows in zip(one.tracks, lines.y, lines.jac, lines.var, strict=True):
+            for folded, row in zip((readings.y, readings.jac, readings.var), rows, strict=True):
+                fold.put(folded[:, track], at, row[None])
 
 
 def _only(events: int) -> Fold:
@@ -89,22 +127,30 @@ def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walk
     encoders, var = encoder_rows(problem, len(line))
     own = encoders if motion.recalled is None else np.where(motion.recalled, np.nan, encoders)
     points, lost, watch = np.empty((len(line), m)), dict[float, Array](), Watch.begun(m)
-    sights, more = _sights(problem, share, len(line)), problem.more
+    sights, adrift, more = _sights(problem, share, len(line)), list[Adrift](), np.ones((len(line), m))
+    more[:] = 1.0 if problem.more is None else problem.more[: len(line)]
+    usual = wont({s.name: s.model for s in problem.evidence.sightings}, problem.precision.process, problem.start)
     (z, p), (begin_z, begin_p) = prior(problem), priors(problem, fold)
     for k, dt in enumerate(np.diff(line, prepend=line[0])):
         if k and k % fold.length == 0:
             begin_z[:, k // fold.length], begin_p[..., k // fold.length] = z, p
-        z, p = motion.move(z, p, dt, None if more is None else more[k])
+        more[k, watch.loose] = LASTING
+        z, p = motion.move(z, p, dt, more[k])
         joints, borne = watch.judge(line[k], z, p, own[k], var[k])
         if joints is not None:
             forget(z, p, joints, own[k])
             lost[line[k]] = joints
         here = {track: watch.remembered(track, sight) for track, sight in sights.get(k, ())}
-        found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting)
+        if here and watch.adrift(line[k]).any():
+            said, said_var, reminded = watch.reminded(line[k], usual, encoders[k], var[k])
+            found = hear(motion.recalling(reminded), z, p, said, said_var, list(here.values()), adrift=True)
+            adrift.append(Adrift(k, said, said_var, tuple(here), found))
+        else:
+            found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting)
         z, p, points[k] = found.z, found.p, found.point
         watch = watch.after(line[k], borne, here, found.memories)
     anew = (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
-    return Walked(points, begin_z, begin_p, anew, watch)
+    return Walked(points, begin_z, begin_p, anew, watch, more, tuple(adrift))
 
 
 def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple[int, Sight]]]:

@@ -44,6 +44,13 @@ class Arm:
         return self.place(x), jac, np.full((len(x), 2), self.blur)
 
 
+@dataclass(frozen=True)
+class Explored(Arm):
+    """The same, remembering at which angles (N,3) rad it was explored."""
+
+    samples: Array = field(default_factory=lambda: motion(np.linspace(0.0, 60.0, 80), np.random.default_rng(77)))
+
+
 @dataclass
 class World:
     features: Features

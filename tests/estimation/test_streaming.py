@@ -17,6 +17,7 @@ from bodylog.estimation import estimate, touch
 from bodylog.estimation.streaming import Belief, Estimator
 from bodylog.settings import Estimation, Settings
 from bodylog.types import BodyModel, Estimate, Features, Series
+from tests.estimation.conftest import Explored
 from tests.seeds import seeds
 
 MODEL = Estimation(precision="model", bias="off")
@@ -114,6 +115,18 @@ def test_a_lost_belief_is_found_again_as_in_the_batch(world, seed, names):
     said = [finding.text for finding in batch.findings if finding.text.startswith("belief: lost")]
     assert len(lost) == len(said) and all(f"{belief.t:.3f} s" in text for belief, text in zip(lost, said, strict=True))
     assert lost or len(names) == 2
+
+
+@pytest.mark.parametrize("end", [5.0, *(pytest.param(end, marks=pytest.mark.soak) for end in (8.0, 20.0))])
+@pytest.mark.parametrize("names", [["pan", "lift", "elbow"], ["elbow", "lift"]])
+@pytest.mark.parametrize("seed", seeds(1, 4))
+def test_joints_adrift_are_where_the_batch_has_them(world, seed, names, end):
+    drawn = world(seed, duration=9.0, encoder_hz=40.0, model=Explored(), blunder=0.02)
+    joints = drawn.features.joints
+    gone = np.outer((joints.t >= 3.0) & (joints.t < end), np.isin(joints.names, names))
+    keep, values = ~gone.all(axis=1), np.where(gone, np.nan, joints.values)
+    joints = replace(joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep])
+    check(replace(drawn.features, joints=joints), drawn.body)
 
 
 @pytest.mark.parametrize("encoder_hz", [10.0, 400.0])
