@@ -3,9 +3,10 @@
 import json
 import sys
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,9 @@ def load(path: Path) -> BodyModel:
     try:
         with zipfile.ZipFile(path) as archive:
             return _read(path, archive)
-    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError) as error:
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
+        if getattr(error, "filename", None) is not None:  # the file's, not of a place that is none in it
+            raise
         raise ModelError(f"{path}: not a whole .npz file ({error}); type: bodylog fit LOG -o body.npz") from error
 
 
@@ -234,7 +237,7 @@ def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Arra
     with archive.open(info) as stream:
         try:
             shape, _, dtype = _READERS[np.lib.format.read_magic(stream)](stream)
-        except (ValueError, KeyError) as error:
+        except (ValueError, KeyError, SyntaxError, TokenError) as error:
             raise ModelError(f"{path}: field {member[:-4]}: not an array; fit the body again") from error
         size = info.file_size - stream.tell()
         sound = dtype.kind == "U" if kind == "U" else dtype == np.dtype("<f8")
@@ -244,7 +247,4 @@ def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Arra
         return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
 
-_READERS: dict[tuple[int, int], Callable[[Any], tuple[Any, ...]]] = {
-    (1, 0): np.lib.format.read_array_header_1_0,
-    (2, 0): np.lib.format.read_array_header_2_0,
-}
+_READERS: Any = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}

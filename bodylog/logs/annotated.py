@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError, LogError
+from ..errors import ConfigError, FormatError, LogError
 from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
 from .append import NAME, ROOT
 from .columns import columns_of
@@ -123,7 +123,10 @@ class _Table:
 
     def __init__(self, log: Log, start_ns: int, path: Path) -> None:
         topics = {t.id: t for t in log.topics if t.name.startswith(ROOT) and t.type in _FIELDS}
-        found = columns_of(log, {number: (topic, _FIELDS[topic.type]) for number, topic in topics.items()})
+        try:
+            found = columns_of(log, {number: (topic, _FIELDS[topic.type]) for number, topic in topics.items()})
+        except (ConfigError, FormatError) as problem:
+            raise FormatError(f"{path}: {problem}") from None
         self.columns = {topics[number].name: columns for number, columns in found.items()}
         self.start_ns, self.path = start_ns, path
 

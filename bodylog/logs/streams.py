@@ -7,7 +7,7 @@ from itertools import islice
 
 import numpy as np
 
-from ..errors import BodylogError, ConfigError, LogError
+from ..errors import BodylogError, ConfigError, FormatError, LogError
 from ..settings import Settings
 from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import images, signals
@@ -88,6 +88,8 @@ def _columns(log: Source, found: Mapping[str, Role], name: str) -> dict[str, tup
     except ConfigError as problem:
         asked = ", ".join(f'{role.role} = "{role.path}"' for role in found.values() if role.field)
         raise ConfigError(f"{name}: [topics] {asked}: {problem}") from problem
+    except FormatError as problem:
+        raise FormatError(f"{name}: {problem}") from problem
     return {name: (role, tuple(read[topic.id] for topic in role.topics)) for name, role in found.items()}
 
 

@@ -71,6 +71,12 @@ def _poison(name: str, value: float) -> Callable[[Path], None]:
     return _rewrite(lambda arrays: arrays[name].flat.__setitem__(0, value))
 
 
+def _unclosed(path: Path) -> None:
+    """An array whose header is cut short, in a sound archive."""
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("header.npy", b"\x93NUMPY\1\0\x20\0" + b"{'descr': ('<U1',".ljust(32))
+
+
 def _liar(path: Path) -> None:
     """A member whose header promises far more than the file holds."""
     with zipfile.ZipFile(path, "w") as archive, archive.open("header.npy", "w") as stream:
@@ -93,6 +99,8 @@ _BROKEN = {
     "not a zip": (lambda p: p.write_bytes(b"hello"), "not a whole .npz file"),
     "truncated": (lambda p: p.write_bytes(p.read_bytes()[:-900]), "not a whole .npz file"),
     "flipped": (lambda p: p.write_bytes(p.read_bytes()[:3000] + b"\xff\x00" + p.read_bytes()[3002:]), "not a whole"),
+    "bytes lost": (lambda p: p.write_bytes(p.read_bytes()[:1000] + p.read_bytes()[4000:]), "not a whole .npz file"),
+    "unclosed": (_unclosed, "field header: not an array"),
     "liar": (_liar, "header: found float64"),
     "other arrays": (lambda p: np.savez(p, a=np.ones(3)), "field header: missing"),
     "other kind": (_header(kind="weights"), "field kind: not a bodylog body model"),

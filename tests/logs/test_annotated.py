@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.errors import LogError
+from bodylog.errors import FormatError, LogError
 from bodylog.logs.annotate import annotate, write
 from bodylog.logs.annotated import describe, read_estimate, read_features, read_metadata
 from bodylog.logs.containers import open_log
@@ -54,6 +54,15 @@ def test_features_come_back_as_they_were(tmp_path, seed):
     assert np.array_equal([(s.touch, s.weight, s.delay) for s in again.synchrony], pairs, equal_nan=True)
     assert again.strokes == features.strokes
     assert [s.stroke for s in again.synchrony] == [s.stroke for s in features.synchrony] == [None, 0, 2, 3]
+
+
+@pytest.mark.parametrize(("old", "new"), [(b"float64[] data", b"float64  9data"), (b"Header header", b"Header headEr")])
+def test_a_definition_that_is_damaged_is_refused_with_the_log_it_is_in(tmp_path, old, new):
+    features, estimate = found()
+    outgoing = [replace(o, definition=o.definition.replace(old, new)) for o in from_features(features, START)]
+    write(outgoing, describe(estimate), tmp_path / "log.mcap")
+    with open_log(tmp_path / "log.mcap") as log, pytest.raises(FormatError, match=r"log\.mcap: .*bodylog_msgs"):
+        read_features(log, START)
 
 
 def test_touches_at_the_same_moment_keep_their_synchrony(tmp_path):
