@@ -1,4 +1,4 @@
-"""The paper's Algorithm 1, with the errata of docs/method.md: gradient descent on free energy, one Euler step per instant.
+"""The paper's Algorithm 1, its errata (docs/method.md) mended: descent on free energy, one Euler step per instant.
 
 The explicit step integrates belief, errors and prior as printed; the linearly implicit one puts the errors at their
 equilibrium and divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
