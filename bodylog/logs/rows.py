@@ -10,17 +10,21 @@ from .layouts import Layout
 from .walker import Leaf
 
 _BLOCK = 512
+_BYTES = 1 << 20
+"""Of rows compared at a time: so many as a rule, fewer of those so long that copies of their template would fill
+memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A layout made ready to compare a block of rows, `words` times eight bytes each, with its constants.
+    """A layout made ready to compare `block` rows at a time, `words` times eight bytes each, with its constants.
 
     mask, reference (block · words,): which bits are constant, and what they are.
     """
 
     layout: Layout
     words: int
+    block: int
     mask: Array
     reference: Array
 
@@ -32,18 +36,19 @@ def template(layout: Layout, payload: bytes) -> Template:
     for start, stop in layout.constants:
         mask[start:stop] = 0xFF
         reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
-    return Template(layout, words, *(np.tile(row.view(np.uint64), _BLOCK) for row in (mask, reference)))
+    block = max(1, min(_BLOCK, _BYTES // max(1, layout.width)))
+    return Template(layout, words, block, *(np.tile(row.view(np.uint64), block) for row in (mask, reference)))
 
 
 def agrees(rows: Array, known: Template) -> Array:
     """True (n,) for the rows whose constant bytes are the template's."""
     words, same = rows.view(np.uint64).reshape(-1), np.ones(len(rows), bool)
     # Block by block: fresh pages for a temporary as large as the rows cost more than the comparison.
-    for start in range(0, len(rows), _BLOCK):
-        block = words[start * known.words : (start + _BLOCK) * known.words]
+    for start in range(0, len(rows), known.block):
+        block = words[start * known.words : (start + known.block) * known.words]
         differs = (block ^ known.reference[: len(block)]) & known.mask[: len(block)]
         if differs.max(initial=0):
-            same[start : start + _BLOCK] = np.logical_not(differs.reshape(-1, known.words).any(axis=1))
+            same[start : start + known.block] = np.logical_not(differs.reshape(-1, known.words).any(axis=1))
     return same
 
 

@@ -300,6 +300,15 @@ def test_a_length_that_lies_is_refused_before_memory_is_taken(count):
     assert found.sound.tolist() == [1]
 
 
+def test_a_long_message_takes_a_few_times_its_own_memory():
+    payload = b"\0\1\0\0" + struct.pack("<I", 1 << 20) + bytes(1 << 20)
+    tracemalloc.start()
+    found = columns(Messages([payload]), topic("uint8[] x"), ("x",))
+    assert tracemalloc.get_traced_memory()[1] < 64 << 20
+    tracemalloc.stop()
+    assert found.parts[0].values[0].shape == (1, 1 << 20)
+
+
 @pytest.mark.parametrize("text", ["float64[2000000000] x", "Inner[2000000000] x\n===\nMSG: test_msgs/Inner\nfloat64 a"])
 def test_a_definition_that_lies_about_its_size_is_refused_at_once(text):
     tracemalloc.start()
