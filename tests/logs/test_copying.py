@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import os
+import threading
 import time
 from concurrent.futures import CancelledError
 
@@ -69,6 +70,14 @@ def test_a_short_log_waits_to_be_copied_and_a_long_one_does_not(tmp_path, monkey
     (tmp_path / "out").write_bytes(b"")
     with Copy(tmp_path / "in", tmp_path / "out", len(raw)):
         _until(lambda: (tmp_path / "out").read_bytes() == raw)
+
+
+def test_what_waits_to_be_copied_keeps_no_process_that_was_told_to_stop_from_ending(tmp_path):
+    (tmp_path / "in").write_bytes(bytes(PIECE))
+    (tmp_path / "out").write_bytes(b"")
+    before = threading.active_count()
+    Copy(tmp_path / "in", tmp_path / "out", PIECE)  # told to stop here, before the block is entered
+    assert threading.active_count() == before
 
 
 def _until(done):
