@@ -62,11 +62,21 @@ def test_a_sound_log_is_not_weighed(world, monkeypatch):
 
 
 def test_that_the_way_forth_of_a_smoother_lags_is_no_offset(world, learned, monkeypatch):
-    # not even the likeliest filter is asked, which costs more than half of the smoother
-    monkeypatch.setattr(filtering, "solve", _never)
+    monkeypatch.setattr(bias, "choose", _never)
     for seed in (7, 8):
         drawn = world(seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
         assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
+
+
+def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, monkeypatch):
+    promised = []
+    monkeypatch.setattr(bias, "promise", lambda *given: promised.append(promise(*given)) or promised[-1])
+    for seed in (2, 3):
+        drawn = world(seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
+        estimate(drawn.features, learned, Estimation(method="smoother"))
+    assert len(promised) == 2
+    # a nat for eight half-second spans, from which a log of ten minutes keeps far from GAIN
+    assert max(gain.max() for gain, _, _ in promised) < -30.0
 
 
 def test_a_learned_bodys_own_error_accuses_no_encoder(world, learned):
