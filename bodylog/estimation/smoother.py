@@ -52,7 +52,8 @@ class Smooth(Path):
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief: at each output time, all that the whole log says about it."""
     problem, warm, faults = pose(features, body, settings)
-    problem, smooth = settled(problem, warm, settings, solve, once)
+    solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
+    problem, smooth = settled(problem, warm, settings, solver, once)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
     z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov))
     beliefs = Beliefs(
