@@ -157,7 +157,8 @@ def costs(
             pixels = np.zeros_like(readings.var[:, index])
             fold.put(pixels, events, sighting.var)
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
-            var[:, index] += pixels[..., None] * more
+            # a lasting error counts for less than itself where a filter extrapolates
+            var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
     tiled = tile(brief, var, candidates[:, :m].T)
     dynamics = replace(few.dynamics, process=np.tile(candidates[:, :m].T, fold.count))
     trace = scan(tiled, dynamics, np.repeat(z, g, axis=-1), np.repeat(p, g, axis=-1), every=g)

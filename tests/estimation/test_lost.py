@@ -169,3 +169,9 @@ def test_it_is_found_again_in_every_world(world, names, silence, encoder_std):
     print(f"{'+'.join(names):15s} {silence:4.0f} s, {encoder_std} rad: {np.sort(worst)[-2:]}, {np.mean(ratios):.2f}")
     # a posture's other solution may last until a picture tells
     assert np.sort(worst)[-2] < 1.2 and max(worst) < 10.0 and 0.8 < np.mean(ratios) < 1.3
+
+
+def test_a_pixel_factor_below_one_leaves_variances_positive(world):
+    drawn = world(9, duration=11.0, encoder_std=0.006)
+    rmse, _, faults, _ = judged(muted(drawn.features, 6.0, 7.0, ("pan", "lift")), drawn, 7.0)
+    assert rmse < 0.006 and not faults
