@@ -20,6 +20,7 @@ from .brief import Brief, tile
 from .laplace import Problem, Solution
 from .outset import handed_over, priors
 from .scan import scan
+from .views import LONG
 
 STEP = 4.0
 FACTORS = STEP ** np.arange(-3.0, 3.0)
@@ -47,7 +48,8 @@ def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
 
     `told` is the solution of its filter.
     """
-    moved = np.square(np.diff(_paths(part, told, FACTORS)[0], axis=0)).mean(axis=1)
+    heard = _heard(part, told[0].problem.timeline.t)
+    moved = np.square(np.diff(_paths(part, told, FACTORS)[0][:, heard], axis=0)).mean(axis=1)
     # noise's share of it grows as q^¼
     noise = moved[-1] * (FACTORS[:-1] / FACTORS[-2])[:, None] ** 0.25
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
@@ -58,10 +60,22 @@ def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
     return np.asarray(part.precision.process * factor), _stated(part, told, float(factor), power)
 
 
+def _heard(part: Problem, t: Array) -> Array:
+    """Which of the times t (E,) s are in no long silence of an encoder, where a path moves with q as nowhere else."""
+    encoders = part.evidence.encoders
+    known = np.empty(0) if encoders is None else encoders.t[np.isfinite(encoders.values).all(axis=1)]
+    if len(known) < 2:
+        return np.ones(len(t), bool)
+    steps = np.diff(known)
+    quick = np.concatenate([[True], steps <= LONG * np.median(steps), [True]])
+    return quick[np.searchsorted(known, t)]
+
+
 def _stated(part: Problem, told: tuple[Brief, Solution], factor: float, power: float) -> float:
     """The share of V that the error is at a factor: noise's, and motion's by how far the path moves there."""
     paths, var = _paths(part, told, factor * STEP ** np.array([-0.5, 0.5]))
-    moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1])).mean())
+    heard = _heard(part, told[0].problem.timeline.t)
+    moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1]))[heard].mean())
     return float(np.clip(NOISE + np.interp(power, POWERS, LEFT) * (moved - SWAY), NOISE, 1.0))
 
 
