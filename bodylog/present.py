@@ -169,7 +169,7 @@ def _frame_id(log: Path, topic: str) -> str:
     from .logs.containers import open_log
 
     with open_log(log) as opened:
-        (of,) = (one for one in opened.topics if one.name == topic)
+        of = next(one for one in opened.topics if one.name == topic)  # two publishers may declare two schemas
         for field in ("header.frame_id", "frame_id"):
             with suppress(FormatError, LogError, IndexError):  # no such field, or no message
                 return str(np.ravel(columns(opened, of, (field,)).column(field))[0])

@@ -79,7 +79,7 @@ def as_data(result: "Result") -> dict[str, Any]:
 
 def data(value: Any) -> None:
     """Print JSON; NaN, which JSON lacks, becomes null."""
-    click.echo(json.dumps(_finite(value), indent=2, default=_plain))
+    click.echo(json.dumps(_finite(value), indent=2, default=str))
 
 
 def _finite(value: Any) -> Any:
@@ -87,11 +87,9 @@ def _finite(value: Any) -> Any:
         return {str(key): _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
+    if hasattr(value, "tolist"):
+        return _finite(value.tolist())
     return None if isinstance(value, float) and (value != value or abs(value) == float("inf")) else value
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if hasattr(value, "tolist") else str(value)
 
 
 def talk(findings: "Sequence[Finding]", quiet: bool = False) -> None:

@@ -1,5 +1,6 @@
 """Logs behind URLs: found, glimpsed by ranges, fetched whole, and their errors in one line."""
 
+import gc
 import json
 import os
 import shutil
@@ -156,3 +157,12 @@ def test_names_from_urls_are_safe():
     assert stores.name_of("s3://bucket/run 1.mcap?versionId=3") == "run_1.mcap"
     assert stores.name_of("http://host/%2e%2e%2fetc%2fpasswd") == "passwd"
     assert not stores.is_url("C:/logs/run.mcap")
+
+
+def test_glimpse_leaves_no_descriptor_open():
+    url = FILES[0].resolve().as_uri()
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(3):
+        inventory.info(url, Settings())
+    gc.collect()
+    assert len(os.listdir("/proc/self/fd")) <= before

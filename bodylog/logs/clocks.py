@@ -84,7 +84,7 @@ def repeats(t_ns: Array) -> Array:
     near, again = np.flatnonzero(_near(t_ns)), np.zeros(len(t_ns), bool)
     t = t_ns[near]
     steps, behind = np.diff(t), np.maximum.accumulate(t) - t
-    if behind.max(initial=0) <= BACK or np.mean(steps < 0) > _FEW:
+    if behind.max(initial=0) <= BACK or np.mean(steps < 0) > _FEW or not (steps > 0).any():
         return again
     # all that follows a latest message, until there is a later one
     run = np.cumsum(behind == 0) - 1

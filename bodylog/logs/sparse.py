@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import Lock
+from weakref import finalize
 
 _BLOCK = 1 << 18
 _ENDS = 1 << 20
@@ -75,6 +76,7 @@ def sparse(path: Path) -> Sparse | None:
     read, size = _GLIMPSED[path]
     handle = os.open(path, os.O_RDWR)
     found = Sparse(handle, 0, access=mmap.ACCESS_READ)
+    finalize(found, os.close, handle)
     found.missing, found.remote, found.lock, found.handle = set(range(-(-size // _BLOCK))), read, Lock(), handle
     found.bring(0, min(_BLOCK, size))
     found.bring(max(0, size - _ENDS), size)

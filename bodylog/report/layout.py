@@ -1,6 +1,7 @@
 """A layout for Foxglove and Lichtblick: the picture with its overlay, the belief, errors and free energy over time."""
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ def layout(camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> 
     joints = enumerate(estimate.joints.names)
     senses = {name: errors.names for name, errors in estimate.errors.items()}
     panels: dict[str, Any] = {
-        "Plot!belief": _plot([(_item("joint_states.position", k), name) for k, name in joints]),
+        "Plot!belief": _plot([(_item("joint_states", "position", k), name) for k, name in joints]),
         "Plot!errors": _plot(_errors(senses)),
         "Plot!free_energy": _plot([(f"{ROOT}/free_energy.data", "free energy, nats")]),
         "Image!camera": _image(camera, f"{ROOT}/annotations"),
@@ -44,14 +45,22 @@ def layout(camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> 
 
 def _errors(senses: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
     return [
-        (_item(f"prediction_error/{sense}.data", k), f"{sense} {name}, σ")
+        (_item(f"prediction_error/{sense}", "data", k), f"{sense} {name}, σ")
         for sense, names in senses.items()
         for k, name in enumerate(names)
     ]
 
 
-def _item(path: str, index: int) -> str:
-    return f"{ROOT}/{path}[{index}]"
+def _item(topic: str, field: str, index: int) -> str:
+    return f"{_quoted(f'{ROOT}/{topic}')}.{field}[{index}]"
+
+
+def _quoted(topic: str) -> str:
+    """A topic in a message path: in double quotes where it holds more than letters, digits, underscores and slashes."""
+    if re.fullmatch("[A-Za-z0-9_/]+", topic):
+        return topic
+    escaped = topic.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
 
 
 def _plot(lines: Sequence[tuple[str, str]]) -> dict[str, Any]:

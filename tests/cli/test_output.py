@@ -1,11 +1,14 @@
 """What names in a log may hold is printed, not obeyed."""
 
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
+from bodylog_cli import output
 
 from tests.logs.test_recording import camera, compressed, joint_state, joints
 from tests.logs.writing import T0, write
@@ -66,3 +69,10 @@ def test_names_that_an_output_cannot_write_are_told_by_their_codes(tmp_path: Pat
     done = subprocess.run(command, capture_output=True, env={**os.environ, "PYTHONIOENCODING": "latin-1"}, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "joint names: ä, \\U0001f916" in done.stdout.decode("latin-1")
+
+
+def test_data_prints_numbers_that_are_not_finite_as_null(capsys) -> None:
+    output.data({"a": np.array([[1.0, np.nan], [np.inf, 2.0]]), "b": np.float64("nan"), "c": Path("x")})
+    assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == {
+        "a": [[1.0, None], [None, 2.0]], "b": None, "c": "x",
+    }  # fmt: skip

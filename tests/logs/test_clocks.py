@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.logs.clocks import date, is_sound, largest_gap, seconds
+from bodylog.logs.clocks import date, is_sound, largest_gap, repeats, seconds
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
@@ -177,3 +177,7 @@ def test_a_part_written_late_is_no_clock_set_back():
 def test_whether_times_fall():
     t = T0 + 20 * MS * np.arange(50)
     assert [date(given, None, "auto").falls for given in (t, t[::-1], t[:1], t[:0])] == [False, True, False, False]
+
+
+def test_repeats_of_a_clock_that_never_rises_are_none():
+    assert not repeats(np.array([T0] * 99 + [T0 - 10_000 * MS])).any()

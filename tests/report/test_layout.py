@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 from bodylog.report.layout import layout, write
 
@@ -32,3 +33,12 @@ def test_same_bytes_twice(tmp_path):
     for name in ("a", "b"):
         write(tmp_path / name, None, estimate(), {})
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_layout_quotes_topics_with_special_characters():
+    found = estimate()
+    (sense, errors), *_ = found.errors.items()
+    made = layout("/cam", replace(found, errors={'front-camera/"a\\': errors, sense: errors}), {})
+    values = [line["value"] for line in made["configById"]["Plot!errors"]["paths"]]
+    assert values[0] == '"/bodylog/prediction_error/front-camera/\\"a\\\\".data[0]'
+    assert values[-1].startswith(f"/bodylog/prediction_error/{sense}.data[")

@@ -143,6 +143,13 @@ def test_the_frame_of_pictures_in_protobuf_is_told_beside_a_header_they_have_not
 
 
 @there
+def test_frame_id_of_a_topic_with_two_schemas_is_the_first_ones(tmp_path):
+    kind, image = "sensor_msgs/msg/CompressedImage", dict(format="jpeg", data=np.zeros(4, np.uint8))
+    messages = [(T0 + k, cdr(kind, header=header(T0 + k, "cam"), **image)) for k in range(2)]
+    streams = [Stream("/cam", kind, define(kind) + more, messages) for more in (b"", b"# another")]
+    assert present._frame_id(write(tmp_path / "two.mcap", streams), "/cam") == "cam"
+
+
 def test_of_a_log_cut_short_what_is_sound_is_shown(bodylog, annotated, tmp_path):
     whole = annotated.read_bytes()
     for bytes_left, code in ((len(whole) // 2, 3), (len(whole) - 10, 0)):
