@@ -13,9 +13,9 @@ from typing import Any
 from . import files
 from .errors import ConfigError
 from .settings import Estimation, Settings
+from .sources import check_colour, parse, spelled
 
 _MOST_BYTES = 1 << 20
-NAMED_COLOURS = ("blue", "cyan", "green", "magenta", "orange", "red", "yellow")
 
 
 def load(path: Path | None, overrides: Mapping[str, Mapping[str, Any]] | None = None) -> Settings:
@@ -32,7 +32,13 @@ def merge(settings: Settings, given: Mapping[str, Any], where: str) -> Settings:
         _known(section, [f.name for f in fields(settings)], where, "section", f"[{section}]")
         if not isinstance(values, Mapping):
             raise ConfigError(f"{where}: [{section}] is {values!r}; it must be a table of keys")
-        settings = replace(settings, **{section: _section(getattr(settings, section), section, values, where)})
+        current: Any = getattr(settings, section)
+        merged: Any
+        if section == "features":
+            merged = {**current, **{str(name): parse(str(name), value, where) for name, value in values.items()}}
+        else:
+            merged = _section(current, section, values, where)
+        settings = replace(settings, **{section: merged})
     return settings
 
 
@@ -171,21 +177,8 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
         raise ConfigError(f"{where}: {section}.{key} names {bad!r}; a feature's name has no /, which ends a camera's")
     if section == "colours":
         for colour in value.values() if key == "shapes" else [value]:
-            _colour(colour, f"{where}: {section}.{key}")
-
-
-RANGES = "{low = [h,s,v], high = [h,s,v]} with h 0..180, s and v 0..255"
-
-
-def _colour(colour: Any, what: str) -> None:
-    if isinstance(colour, str) and colour not in NAMED_COLOURS:
-        raise ConfigError(f"{what} is {colour!r}; possible: {', '.join(NAMED_COLOURS)}, or {RANGES}")
-    if isinstance(colour, Mapping) and (set(colour) != {"low", "high"} or not all(_hsv(v) for v in colour.values())):
-        raise ConfigError(f"{what} is {dict(colour)!r}; it must be {RANGES}")
-
-
-def _hsv(values: tuple[int, ...]) -> bool:
-    return len(values) == 3 and 0 <= values[0] <= 180 and all(0 <= v <= 255 for v in values[1:])
+            if not isinstance(colour, bool):  # of `fast`
+                check_colour(colour, f"{where}: {section}.{key}")
 
 
 def toml(settings: Any) -> str:
@@ -194,6 +187,9 @@ def toml(settings: Any) -> str:
 
 
 def _toml_section(name: str, section: Any) -> str:
+    if isinstance(section, Mapping):
+        values = {feature: spelled(source) for feature, source in section.items()}
+        return "\n".join([f"[{name}]", *(f"{_toml_key(k)} = {toml_value(v)}" for k, v in values.items()), ""])
     assert is_dataclass(section)
     lines = [_toml_line(f.name, getattr(section, f.name)) for f in fields(section)]
     return "\n".join([f"[{name}]", *lines, ""])

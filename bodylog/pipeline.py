@@ -10,7 +10,7 @@ from . import __version__
 from .files import sha256
 from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
 from .remarks import named, untold
-from .settings import Settings, plain
+from .settings import Settings, plain, wanted
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
 Progress = Callable[[int], None]
@@ -39,22 +39,20 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
 
 def observe(log: Path, settings: Settings, progress: Progress | None = None) -> tuple[Recording, Features]:
     """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over."""
+    from . import perception
     from .logs import recording
 
     def looking() -> Watcher:
-        from . import perception
-
         return perception.looking(settings, progress)
 
     read = recording.read(log, settings, settings.input.strict, looking)
     if read.features is None:
-        from . import perception
-
         seen = perception.observe(read, settings, progress)
         return read, replace(seen, reference=read.reference, cameras=_cameras(read))
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
     remarks = (*read.features.findings, carried)
-    return read, replace(read.features, joints=read.joints, reference=read.reference, findings=remarks)
+    boards = perception.rigid(wanted(read.settings), read.features.tracks)
+    return read, replace(read.features, joints=read.joints, reference=read.reference, findings=remarks, boards=boards)
 
 
 def extract(

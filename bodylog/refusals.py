@@ -8,6 +8,7 @@ from pathlib import Path
 from .errors import EvidenceError, InputError, LogError, ModelError, UsageError
 from .files import lasting
 from .settings import Colours, Settings
+from .sources import feature_of, group_of
 from .types import BodyModel, Features, Finding, Health, Recording
 
 
@@ -25,23 +26,26 @@ def something_seen(log: Path, features: Features) -> None:
 
 
 def teachable(log: Path, found: Features, settings: Settings) -> None:
-    """LogError when a body cannot be learned from a log: no joints, no reference where one is named, no effector."""
+    """LogError when a body cannot be learned from a log: no joints, no reference or feature where one is named."""
     if found.joints is None or not len(found.joints.t):
         raise LogError(f"{log}: no joint readings to learn from; type: bodylog info {log}")
     if found.reference is None and (said := settings.topics.reference):
         raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
-    insist(log, {n: h for n, h in found.health.items() if n.split("/")[-1] == "effector"}, found, settings)
+    needed = {"effector", *settings.features} - {"hand"}
+    insist(log, {n: h for n, h in found.health.items() if feature_of(n) in needed}, found, settings)
 
 
 def insist(
     log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
 ) -> None:
-    """EvidenceError when a track gave nothing though robot.toml names its camera or colour: named is not guessed."""
+    """EvidenceError when a feature gave nothing though robot.toml names it or its camera: named is not guessed."""
     said = {"effector": settings.colours.effector != Colours().effector, **dict.fromkeys(settings.colours.shapes, True)}
+    said |= dict.fromkeys(settings.features, True)
+    some = {group_of(name) for name, used in used_of.items() if used.used}
     for name, used in used_of.items():
-        explicit = said.get(name.split("/")[-1])
-        if explicit is not None and not used.used and (explicit or settings.topics.cameras):
-            seen = f"{name}: nothing usable in {used.seen} pictures of the camera or colour that robot.toml names"
+        explicit = said.get(name.split("/")[-1], said.get(feature_of(name)))
+        if explicit is not None and group_of(name) not in some and (explicit or settings.topics.cameras):
+            seen = f"{name}: nothing usable in {used.seen} pictures of the camera or feature that robot.toml names"
             told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
             raise EvidenceError(f"{log}: {told}{instead.format(name)}")
 

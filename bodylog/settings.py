@@ -4,8 +4,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-Colour = str | Mapping[str, tuple[int, int, int]]
-"""A name ("green"), or {"low": (h, s, v), "high": (h, s, v)} in OpenCV ranges; low h > high h wraps around red."""
+from .sources import Colour, ColourSource, Source, spelled
+
+__all__ = [
+    "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Input", "Settings", "Skin", "Source", "Time", "Topics",
+    "plain", "wanted",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -127,11 +131,12 @@ class Estimation:
 
 @dataclass(frozen=True)
 class Settings:
-    """All sections."""
+    """All sections; `features` {name: source} says where each track comes from, beside [colours]."""
 
     input: Input = field(default_factory=Input)
     topics: Topics = field(default_factory=Topics)
     body: Body = field(default_factory=Body)
+    features: Mapping[str, Source] = field(default_factory=dict)
     colours: Colours = field(default_factory=Colours)
     skin: Skin = field(default_factory=Skin)
     time: Time = field(default_factory=Time)
@@ -144,4 +149,17 @@ def plain(settings: Settings) -> dict[str, Any]:
     """The settings as nested plain values, to be written beside a result."""
     from dataclasses import asdict
 
-    return asdict(settings)
+    return asdict(settings) | {"features": {name: spelled(source) for name, source in settings.features.items()}}
+
+
+def wanted(settings: Settings) -> dict[str, Source]:
+    """Every feature to look for and its source: [colours], then [features], which wins.
+
+    Once [features] names anything, the effector's colour is looked for only where it is not the default.
+    """
+    colours = settings.colours
+    found: dict[str, Source] = {"effector": ColourSource(colours.effector), "hand": ColourSource(colours.hand)}
+    if settings.features and colours.effector == Colours().effector:
+        del found["effector"]
+    found |= {name: ColourSource(colour) for name, colour in colours.shapes.items()}
+    return found | dict(settings.features)

@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from .settings import Settings
 
 Array = NDArray[Any]
+Board = tuple[tuple[str, ...], Array]
+"""Names of K tracks that lie on one rigid thing, and where on it: (K,3) m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +177,8 @@ class Features:
 
     `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of those names.
     `picture_size` is (width, height) in px where it is known; `reference` the true angles where a log to learn from
-    has them; `cameras` {camera: topic} whose pictures the tracks are of, "" the first one.
+    has them; `cameras` {camera: topic} whose pictures the tracks are of, "" the first one; `boards` {feature: (track
+    names (K,), (K,3) m)} the tracks that lie on one rigid thing, and where on it.
     """
 
     joints: Series | None
@@ -188,6 +191,7 @@ class Features:
     picture_size: tuple[int, int] | None = None
     reference: Series | None = None
     cameras: Mapping[str, str] = field(default_factory=dict)
+    boards: Mapping[str, Board] = field(default_factory=dict)
 
     @property
     def effector(self) -> Series | None:

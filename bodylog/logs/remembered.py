@@ -5,8 +5,10 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from ..errors import LogError
+from ..errors import ConfigError, LogError
 from ..settings import Body, Settings, Time, Topics
+from ..sources import Source
+from ..sources import parse as parse_source
 from .annotated import read_metadata
 from .containers import Log
 from .paths import parse
@@ -18,7 +20,7 @@ Section = TypeVar("Section", Topics, Body, Time)
 def remembered(log: Log, settings: Settings) -> Settings:
     """The settings; what is at its default in [topics], [body] and [time] as the log's metadata record has it.
 
-    Topics that the log does not have are left to be guessed.
+    So with [features] where there are none. Topics that the log does not have are left to be guessed.
     """
     said: Any = {}
     with suppress(LogError, ValueError, KeyError):
@@ -30,7 +32,17 @@ def remembered(log: Log, settings: Settings) -> Settings:
         topics=_filled(settings.topics, topics),
         body=_filled(settings.body, _texts(said, "body")),
         time=_filled(settings.time, _texts(said, "time")),
+        features=settings.features or _features(said),
     )
+
+
+def _features(said: Any) -> dict[str, Source]:
+    """The sources of [features] as a metadata record has them; none where one is damaged."""
+    values = said.get("features") if isinstance(said, dict) else None
+    with suppress(ConfigError):
+        items = values.items() if isinstance(values, dict) else ()
+        return {str(name): parse_source(str(name), value, "metadata") for name, value in items}
+    return {}
 
 
 def _texts(said: Any, section: str) -> dict[str, Text]:

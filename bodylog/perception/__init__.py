@@ -1,21 +1,26 @@
 """From a recording's signals and pictures to what they show: tracks, touches, strokes and their synchrony."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
-from ..settings import Colour, Colours, Settings
-from ..types import Features, Finding, Health, Recording, Series, Stroke
-from . import colour, skin, strokes, synchrony
-from .look import Looking
+import numpy as np
 
-__all__ = ["Looking", "looking", "observe"]
+from ..settings import Colour, Settings, wanted
+from ..sources import ColourSource, Source, board_points, track_names
+from ..types import Board, Features, Finding, Frame, Health, Recording, Series, Stroke
+from . import colour, skin, strokes, synchrony, tracking
+from .look import Looking, Seen
+
+__all__ = ["Looking", "looking", "observe", "rigid"]
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""
+Frames = Callable[[], Iterator[Frame]]
 
 
 def looking(settings: Settings, progress: Progress | None = None) -> Looking:
     """To watch a log's first camera while the log is read, so that `observe` need not read it again. ConfigError."""
-    return colour.looking(_wanted(settings.colours), progress, settings.colours.fast)
+    features = wanted(settings)
+    return colour.looking(_colours(features), progress, settings.colours.fast, tracking.trackers(features))
 
 
 def observe(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
@@ -30,7 +35,23 @@ def observe(recording: Recording, settings: Settings, progress: Progress | None 
         findings += felt
     seen: tuple[Stroke, ...] = strokes.strokes(tracks["hand"]) if "hand" in tracks else ()
     pairs, remarks = synchrony.judge(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
-    return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks, size)
+    boards = rigid(wanted(settings), tracks)
+    return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks, size, boards=boards)
+
+
+def rigid(features: Mapping[str, Source], tracks: Iterable[str]) -> dict[str, Board]:
+    """The rigid groups among the tracks, {feature or camera/feature: (track names, (K,3) m on the thing)}."""
+    found: dict[str, Board] = {}
+    cameras: dict[str, list[str]] = {}
+    for track in tracks:
+        cameras.setdefault(track.rpartition("/")[0], []).append(track)
+    for camera, names in cameras.items():
+        at = f"{camera}/" if camera else ""
+        for name, source in features.items():
+            points = dict(zip(track_names(f"{at}{name}", source), board_points(source) or (), strict=False))
+            if seen := tuple(track for track in points if track in names):
+                found[f"{at}{name}"] = seen, np.array([points[track] for track in seen])
+    return found
 
 
 def _tracks(
@@ -39,22 +60,30 @@ def _tracks(
     """Tracks, health and findings of all cameras, and width and height (px) of the first one's pictures if known."""
     if recording.frames is None:
         return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),), None
-    wanted, watched, fast = _wanted(settings.colours), recording.watched, settings.colours.fast
+    features, watched = wanted(settings), recording.watched
     if watched is not None and isinstance(watched.by, Looking):
         seen = watched.by.seen(watched)
     else:
-        seen = colour.look(recording.frames, wanted, progress, fast)
-    tracks, health, findings = colour.tracks(seen, recording.frames, wanted)
+        seen = _look(recording.frames, features, settings, progress)
+    tracks, health, findings = _seen(seen, recording.frames, features)
     for camera, frames in recording.views.items():
-        more = colour.track(frames, _beside(settings.colours, camera), progress, fast)
+        # touches are compared with the first camera's hand
+        beside = {f"{camera}/{name}": source for name, source in features.items() if name != "hand"}
+        more = _seen(_look(frames, beside, settings, progress), frames, beside)
         tracks, health, findings = tracks | more[0], health | more[1], findings + more[2]
     return tracks, health, findings, seen.size
 
 
-def _wanted(colours: Colours) -> Mapping[str, Colour]:
-    return {"effector": colours.effector, "hand": colours.hand, **colours.shapes}
+def _look(frames: Frames, features: Mapping[str, Source], settings: Settings, progress: Progress | None) -> Seen:
+    return colour.look(frames, _colours(features), progress, settings.colours.fast, tracking.trackers(features))
 
 
-def _beside(colours: Colours, camera: str) -> Mapping[str, Colour]:
-    """What a camera beside the first looks for: what is on the arm; touches are compared with the first's hand."""
-    return {f"{camera}/{name}": colour for name, colour in _wanted(colours).items() if name != "hand"}
+def _seen(seen: Seen, frames: Frames, features: Mapping[str, Source]) -> colour.Tracks:
+    """Tracks, health and findings of one camera."""
+    tracks, health, findings = colour.tracks(seen, frames, _colours(features))
+    more = tracking.series(seen.tracked, seen.t, seen.source_ns, seen.number)
+    return tracks | more[0], health | more[1], findings + more[2]
+
+
+def _colours(features: Mapping[str, Source]) -> dict[str, Colour]:
+    return {name: source.colour for name, source in features.items() if isinstance(source, ColourSource)}

@@ -31,6 +31,8 @@ def tables(found: Sequence[Window], count: int, ranges: Sequence[Range]) -> Arra
     by_colour: list[list[Window]] = [[] for _ in ranges]
     for window in found:
         by_colour[window.colour].append(window)
+    if not ranges:
+        return np.empty((count, 0, CANDIDATES, FIELDS))
     return np.stack([_table(some, count, one) for some, one in zip(by_colour, ranges, strict=True)], axis=1)
 
 

@@ -1,6 +1,6 @@
 """Pictures to colour tracks: where each colour was, what became of every picture, and what else there was to see."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from itertools import islice
 
@@ -12,6 +12,7 @@ from ..types import Array, Finding, Frame, Health, Series, Watched
 from . import choose
 from .look import Looking, Seen
 from .ranges import covered, hues, nearest, resolve
+from .tracking.contract import Tracker
 
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
 """How many threads look at pictures: one where whole logs are worked on side by side."""
@@ -20,12 +21,18 @@ _NOTABLE = 1e-4
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
 
-def looking(colours: Mapping[str, Colour], progress: Callable[[int], None] | None, fast: bool) -> Looking:
+def looking(
+    colours: Mapping[str, Colour],
+    progress: Callable[[int], None] | None,
+    fast: bool,
+    trackers: Sequence[Tracker] = (),
+) -> Looking:
     """To be told of pictures; `progress` is told how many more are done, `fast` looks at compressed ones at half scale.
 
-    Raises ConfigError for a colour that means nothing.
+    `trackers` look at the same pictures. Raises ConfigError for a colour that means nothing.
     """
-    return Looking([resolve(colour, name) for name, colour in colours.items()], progress, fast, THREADS.get())
+    ranges = [resolve(colour, name) for name, colour in colours.items()]
+    return Looking(ranges, progress, fast, THREADS.get(), trackers)
 
 
 def look(
@@ -33,11 +40,12 @@ def look(
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None = None,
     fast: bool = False,
+    trackers: Sequence[Tracker] = (),
 ) -> Seen:
     """What pictures show, which are looked at now, as by `looking`."""
     t: list[float] = []
     source_ns: list[int] = []
-    with looking(colours, progress, fast) as looks:
+    with looking(colours, progress, fast, trackers) as looks:
         for frame in frames():
             t.append(frame.t)
             source_ns.append(frame.source_ns)
@@ -60,7 +68,7 @@ def tracks(seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[s
 
     Into some frames one more look is taken where a colour was never seen.
     """
-    t, source_ns, found, broken, width, _ = seen
+    t, source_ns, found, broken, width = seen[:5]
     tracks, health, findings = {}, {}, []
     for index, name in enumerate(colours):
         track, reasons = choose.best(t, found[:, index], width)

@@ -14,7 +14,9 @@ from ..threads import later, one_opencv
 from ..types import Array, Frame, Watched
 from . import blobs, search
 from .ranges import Range
-from .search import Window
+from .search import Window, gray
+from .tracking.contract import Tracked, Tracker
+from .tracking.in_order import InOrder
 
 # pictures a thread takes at once; takes that wait; takes whose finds are measured together: with more, what is worked
 # on outgrows the memory a process keeps, and is faulted in anew
@@ -26,7 +28,8 @@ _AT_ONCE = 1 << 23
 class Seen(NamedTuple):
     """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS) px · undecodable (N,) bool · greatest width, px.
 
-    size: width and height (px) of the log's first picture; None where it cannot be read.
+    size: width and height (px) of the log's first picture; None where it cannot be read. tracked: what each tracker
+    found in all pictures told of; number (N,): which of those the frames are.
     """
 
     t: Array
@@ -35,6 +38,8 @@ class Seen(NamedTuple):
     broken: Array
     width: float
     size: tuple[int, int] | None
+    tracked: tuple[Tracked, ...] = ()
+    number: Array = np.empty(0, np.int64)
 
 
 Take = tuple[int, list[Frame]]
@@ -49,14 +54,20 @@ class Looking:
 
     No more than a few wait, and the same bytes come of them whichever thread takes which: what is measured together
     depends on their order alone. Whoever tells of a picture too many looks at some itself. `progress` may be told by
-    any of the threads.
+    any of the threads. `trackers` get every picture, whole, in the order of the file.
     """
 
     def __init__(
-        self, ranges: Sequence[Range], progress: Callable[[int], None] | None, fast: bool, threads: int
+        self,
+        ranges: Sequence[Range],
+        progress: Callable[[int], None] | None,
+        fast: bool,
+        threads: int,
+        trackers: Sequence[Tracker] = (),
     ) -> None:
         """Nothing is loaded and no thread begins before there is a picture."""
-        self._ranges, self._progress, self._fast, self._threads = ranges, progress, fast, threads
+        self._ranges, self._progress, self._threads = ranges, progress, threads
+        self._fast, self._trackers, self._in_order = fast and not trackers, trackers, InOrder(trackers)
         self._begun, self._others = ExitStack(), list[Future[None]]()
         self._ready, self._told, self._over = Condition(), list[Frame](), False
         self._waiting, self._takes = deque[Take](), 0
@@ -96,7 +107,8 @@ class Looking:
         first = next(((width, height) for width, height, _ in sizes[:1].tolist() if width), None)
         wide, _, scale = sizes[watched.number].T
         whole = blobs.enlarged(found[watched.number], scale)
-        return Seen(watched.t, watched.source_ns, whole, wide == 0, float((wide * scale).max(initial=0)), first)
+        width, tracked = float((wide * scale).max(initial=0)), tuple(tracker.tracked() for tracker in self._trackers)
+        return Seen(watched.t, watched.source_ns, whole, wide == 0, width, first, tracked, watched.number)
 
     def _begin(self) -> None:
         self._begun.enter_context(one_opencv())
@@ -129,7 +141,10 @@ class Looking:
 
     def _look(self, number: int, frames: Sequence[Frame]) -> None:
         """Look at pictures; who brings the last look of a sheet measures it."""
-        found = _look(frames, self._ranges, self._fast, whole=0 if number else 1)
+        grays: list[Array | None] | None = [] if self._trackers else None
+        found = _look(frames, self._ranges, self._fast, 0 if number else 1, grays)
+        if grays is not None:
+            self._in_order.put(number, grays)
         sheet = number // _SHEET
         with self._ready:
             self._sheets.setdefault(sheet, {})[number] = found
@@ -140,8 +155,10 @@ class Looking:
             self._measured[sheet] = _measured(whole, self._ranges)
 
 
-def _look(frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int) -> Look:
-    """What some pictures show, the first so many looked at whole also when in haste."""
+def _look(
+    frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int, grays: list[Array | None] | None
+) -> Look:
+    """What some pictures show, the first so many looked at whole also when in haste; `grays` gets them in gray."""
     found: list[Window] = []
     images: dict[int, Array] = {}
     sizes: list[tuple[int, int, int]] = []
@@ -149,6 +166,8 @@ def _look(frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: i
         scale = 2 if fast and frame.shrinks and picture >= whole else 1
         image = _decoded(frame, scale)
         sizes.append((0, 0, scale) if image is None else (image.shape[1], image.shape[0], scale))
+        if grays is not None:
+            grays.append(None if image is None else gray(image))
         if image is not None:
             images[picture] = image
         if sum(image.size for image in images.values()) > _AT_ONCE:

@@ -27,12 +27,22 @@ class Window(NamedTuple):
     pixels: Array
 
 
+def gray(image: Array) -> Array:
+    """A picture (H,W,3) BGR in gray, (H,W) uint8, in memory of its own."""
+    import cv2
+
+    if _turned(image):
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., ::-1]), cv2.COLOR_RGB2GRAY))
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2GRAY))
+
+
 def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Window]:
     """Windows about what may be each colour in images (H,W,3) BGR, by the numbers of their pictures.
 
     At most CANDIDATES of each colour in a picture, without the images: they may go once all are taken.
     """
     alike: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
+    images = images if ranges else {}
     for picture, image in images.items():
         alike.setdefault((image.shape, image.strides), []).append(picture)
     for ((height, width, _), _), pictures in alike.items():

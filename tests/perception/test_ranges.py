@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.config import NAMED_COLOURS
 from bodylog.errors import ConfigError
 from bodylog.perception import ranges
+from bodylog.sources import NAMED_COLOURS
 
 
 @pytest.mark.parametrize(("name", "hue"), [("red", 0), ("red", 176), ("green", 60), ("yellow", 28), ("blue", 115)])

@@ -1,0 +1,53 @@
+"""Frames decoded by several threads, handed to trackers in the order of the file by one thread at a time."""
+
+from collections.abc import Sequence
+from threading import Condition
+
+from ...types import Array
+from .contract import Tracker
+
+_MOST_WAITING = 8
+"""Lists of frames that wait before a thread that brings more of them waits as well: they bound the memory."""
+
+
+class InOrder:
+    """Takes numbered lists of gray frames from any thread; whoever brings the next one in order does the work."""
+
+    def __init__(self, trackers: Sequence[Tracker]) -> None:
+        """Nothing happens before the first list."""
+        self._trackers, self._changed = trackers, Condition()
+        self._waiting, self._next, self._busy = dict[int, Sequence[Array | None]](), 0, False
+
+    def put(self, number: int, frames: Sequence[Array | None]) -> None:
+        """The list of that number, counted from 0; returns once no more than a few lists wait."""
+        with self._changed:
+            self._waiting[number] = frames
+            self._changed.wait_for(lambda: not self._busy or len(self._waiting) <= _MOST_WAITING)
+            if self._busy:
+                return
+            self._busy = True
+        try:
+            while (due := self._due()) is not None:
+                self._add(due)
+        except BaseException:
+            self._idle()
+            raise
+
+    def _due(self) -> Sequence[Array | None] | None:
+        """The next list in order; None, and nobody is busy any more, where it is not there yet."""
+        with self._changed:
+            due = self._waiting.pop(self._next, None)
+            self._next += due is not None
+            self._busy = due is not None
+            self._changed.notify_all()
+            return due
+
+    def _idle(self) -> None:
+        with self._changed:
+            self._busy = False
+            self._changed.notify_all()
+
+    def _add(self, frames: Sequence[Array | None]) -> None:
+        for tracker in self._trackers:
+            for gray in frames:
+                tracker.add(gray)

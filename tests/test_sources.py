@@ -1,0 +1,118 @@
+"""The sources of [features]: from TOML to records and back, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from bodylog.config import load, merge, toml
+from bodylog.errors import ConfigError
+from bodylog.settings import Colours, Settings, plain, wanted
+from bodylog.sources import (
+    DICTIONARIES,
+    CharucoSource,
+    ColourSource,
+    PointSource,
+    TableSource,
+    TagSource,
+    TopicSource,
+    board_points,
+    feature_of,
+    group_of,
+    track_names,
+)
+
+GIVEN = """
+[features]
+effector = "green"
+glove = {low = [150, 90, 50], high = [9, 255, 255]}
+wrist = { tag = 7, dictionary = "apriltag_36h11", size = 0.04, corners = true }
+board = { charuco = "10x14", square = 0.07, marker = 0.04, dictionary = "DICT_4X4_1000" }
+elbow = { topic = "/detections", path = ".detections[:]{id==3}.centre" }
+finger = { table = "tracks.csv", columns = ["finger_u", "finger_v"] }
+tip = { point = [412.0, 233], at = 1.5 }
+"""
+FEATURES = {
+    "effector": ColourSource("green"),
+    "glove": ColourSource({"low": (150, 90, 50), "high": (9, 255, 255)}),
+    "wrist": TagSource(7, "apriltag_36h11", 0.04, True),
+    "board": CharucoSource("10x14", 0.07, 0.04, "4x4_1000"),
+    "elbow": TopicSource("/detections", ".detections[:]{id==3}.centre"),
+    "finger": TableSource("tracks.csv", ("finger_u", "finger_v")),
+    "tip": PointSource((412.0, 233.0), 1.5),
+}
+
+
+def test_each_kind_is_read_from_toml_and_printed_as_what_is_read_back(tmp_path) -> None:
+    path = tmp_path / "robot.toml"
+    path.write_text(GIVEN)
+    settings = load(path)
+    assert settings.features == FEATURES
+    path.write_text(toml(settings))
+    assert load(path).features == FEATURES
+    assert merge(Settings(), json.loads(json.dumps(plain(settings))), "log").features == FEATURES
+
+
+@pytest.mark.parametrize(
+    ("value", "told"),
+    [
+        ("grene", r"features.it is 'grene'; possible: blue, .*yellow, or \{low"),
+        ({"low": [0, 0, 0]}, "features.it is .*it must be {low"),
+        ({"tag": 7, "point": [1, 2]}, "has tag and point; it must have exactly one of colour, tag"),
+        ({"size": 0.1}, "has only size; it must have exactly one of"),
+        ({"tag": 7, "dictionnary": "4x4_50"}, "has 'dictionnary'; did you mean dictionary\\? possible: tag, dict"),
+        ({"tag": -1}, "features.it.tag is -1; possible: a tag's number"),
+        ({"tag": True}, "features.it.tag is True"),
+        ({"tag": 587}, "features.it.tag is 587; apriltag_36h11 has tags from 0 to 586"),
+        ({"tag": 7, "dictionary": "36h11"}, "dictionary is '36h11'; possible: 4x4_50, .*apriltag_36h11"),
+        ({"tag": 7, "size": 0}, "size is 0; possible: a length in m"),
+        ({"charuco": "10x14", "square": 0.07}, "has no marker; it must have charuco, square, marker"),
+        ({"charuco": "10x14", "square": 0.04, "marker": 0.07}, "marker is 0.07 m; it must be less than square"),
+        ({"charuco": "10", "square": 0.07, "marker": 0.04}, "charuco is '10'; possible: columns and rows"),
+        ({"charuco": "10x14", "square": 0.07, "marker": 0.04}, "needs 70 markers; 4x4_50 has 50"),
+        ({"point": [1.0, float("nan")]}, "point is .*possible: \\[u, v\\] in px"),
+        ({"table": "a.csv", "columns": ["u"]}, "columns is .*two or more columns"),
+        ({"topic": ""}, "topic is ''; possible: a topic's name"),
+        (7, "features.it is 7; possible: a colour's name, or a table"),
+    ],
+)
+def test_what_is_no_source_is_refused_in_one_line_with_what_is_possible(value, told) -> None:
+    with pytest.raises(ConfigError, match=told) as caught:
+        merge(Settings(), {"features": {"it": value}}, "robot.toml")
+    assert str(caught.value).startswith("robot.toml: features.it") and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["", "a/b", "a.b", "encoders", "touch"])
+def test_a_name_that_means_something_else_is_refused(name) -> None:
+    with pytest.raises(ConfigError, match="\\[features\\] names"):
+        merge(Settings(), {"features": {name: "green"}}, "robot.toml")
+
+
+def test_a_feature_wins_over_a_colour_and_takes_the_default_effector_away() -> None:
+    assert list(wanted(Settings())) == ["effector", "hand"]
+    tagged = Settings(features={"wrist": TagSource(7)})
+    assert wanted(tagged) == {"hand": ColourSource("red"), "wrist": TagSource(7)}
+    blue = replace(tagged, colours=Colours(effector="blue", shapes={"elbow": "cyan", "wrist": "red"}))
+    assert wanted(blue)["effector"] == ColourSource("blue") and wanted(blue)["wrist"] == TagSource(7)
+    assert wanted(Settings(features={"effector": TagSource(1)}))["effector"] == TagSource(1)
+
+
+def test_every_dictionary_of_opencv_has_a_name() -> None:
+    there = {name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}
+    ours = {f"DICT_{'ARUCO_' if name.startswith('mip') else ''}{name.upper()}" for name in DICTIONARIES}
+    assert ours == there
+    for name, count in DICTIONARIES.items():
+        spelled = next(n for n in dir(cv2.aruco) if n.upper().removeprefix("DICT_").removeprefix("ARUCO_M")
+                       == name.upper().removeprefix("M"))  # fmt: skip
+        assert len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spelled)).bytesList) == count, name
+
+
+def test_a_board_gives_a_track_per_corner_where_it_lies() -> None:
+    board = CharucoSource("4x3", 0.1, 0.07)
+    assert track_names("side/board", board) == tuple(f"side/board.{k}" for k in range(6))
+    expected = cv2.aruco.CharucoBoard((4, 3), 0.1, 0.07, cv2.aruco.getPredefinedDictionary(0)).getChessboardCorners()
+    np.testing.assert_allclose(board_points(board), expected, atol=1e-6)
+    assert board_points(TagSource(3)) is None and len(board_points(TagSource(3, size=0.1, corners=True))) == 4
+    assert feature_of("side/board.3") == feature_of("board") == "board" and group_of("side/board.3") == "side/board"
