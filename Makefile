@@ -3,7 +3,7 @@ PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint soak bench wheel docs clean
+.PHONY: demo test test-all lint soak bench wheel docs clean
 
 $(VENV)/installed: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -35,6 +35,10 @@ lint: $(VENV)/installed
 test: $(VENV)/installed
 	$(MAKE) --jobs=2 lint wheel
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
+
+# The tests on every Python of pyproject.toml, and with the lowest version of every dependency; each must be installed.
+test-all: test
+	$(BIN)/python tests/every_python.py lowest 3.12 3.13 -- --numprocesses auto --dist worksteal
 
 soak: $(VENV)/installed
 	$(BIN)/pytest -m soak

@@ -63,9 +63,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except BodylogError as err:
         say(err)
         return err.exit_code
-    except click.exceptions.NoArgsIsHelpError as err:
-        click.echo(err.format_message(), err=True)
-        return err.exit_code
     except click.ClickException as err:
         context = getattr(err, "ctx", None)
         path = context.command_path if context else "bodylog"

@@ -52,7 +52,17 @@ class Unheard(Exception):
 
 
 class Commands(click.Group):
-    """A group that says so; click itself would end with 1, as after a bug."""
+    """A group that raises Unheard when the reader of standard output leaves; click itself would end with 1.
+
+    Without a command it prints its help on standard error and ends with 2: click before 8.2 ends with 0.
+    """
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse what stands before the command."""
+        if not args and not ctx.resilient_parsing:
+            click.echo(ctx.get_help(), err=True)
+            ctx.exit(2)
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was typed."""

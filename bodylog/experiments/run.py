@@ -11,6 +11,7 @@ from typing import Any
 
 from ..errors import UsageError
 from ..files import made
+from ..sim import how_to_install
 from ..workers import ended, ready
 from . import page
 from .lab import EXPLORATION_S, Lab, kept
@@ -67,9 +68,9 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 def _ready() -> None:
     """UsageError, before minutes are spent, where what is needed at the end is not installed."""
-    for module, extra in (("pybullet", "sim"), ("matplotlib", "report")):
+    for module, command in (("pybullet", how_to_install()), ("matplotlib", "pip install 'bodylog[report]'")):
         if find_spec(module) is None:
-            raise UsageError(f"reproduce: {module} is not installed; type: pip install 'bodylog[{extra}]'")
+            raise UsageError(f"reproduce: {module} is not installed; type: {command}")
 
 
 def trial(lab: Lab, name: str, seed: int) -> Trial:

@@ -2,5 +2,6 @@
 
 from .record import record
 from .scenarios import SCENARIOS
+from .world import how_to_install
 
-__all__ = ["SCENARIOS", "record"]
+__all__ = ["SCENARIOS", "how_to_install", "record"]

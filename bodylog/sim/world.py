@@ -64,6 +64,12 @@ class World:
         return colour, np.where(buffer < 1.0, FAR * NEAR / (FAR - (FAR - NEAR) * buffer), np.float32(FAR))
 
 
+def how_to_install() -> str:
+    """The command that installs PyBullet on this Python, and what that takes where there is no wheel of it."""
+    built = " (it is compiled here: a C++ compiler and about 5 minutes)" if sys.version_info >= (3, 12) else ""
+    return f"pip install 'bodylog[sim]'{built}"
+
+
 @contextmanager
 def open_world(arm: Arm) -> Iterator[World]:
     """The arm, loaded in its own PyBullet client; UsageError when PyBullet is not installed."""
@@ -71,7 +77,7 @@ def open_world(arm: Arm) -> Iterator[World]:
         try:
             import pybullet
         except ImportError as error:
-            raise UsageError("recording needs PyBullet, which is absent; type: pip install 'bodylog[sim]'") from error
+            raise UsageError(f"record: PyBullet is not installed; type: {how_to_install()}") from error
         client = pybullet.connect(pybullet.DIRECT)
         body = pybullet.loadURDF(str(arm.urdf), useFixedBase=True, physicsClientId=client)
     try:

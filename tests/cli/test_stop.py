@@ -68,6 +68,7 @@ def test_a_batch_told_to_stop_ends_its_workers_without_a_trace(tmp_path, robot, 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_reproduction_told_to_stop_does_not_wait_for_what_runs(tmp_path, number):
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     typed = ("reproduce", "E2", "--seeds", 2, "--jobs", 2)
     with _begun(_command(*typed, "-o", tmp_path)) as process:
         assert "nothing half-written was left" in _told(process, number, tmp_path)

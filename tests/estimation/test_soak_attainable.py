@@ -100,7 +100,7 @@ def seen(folder, scenario, seed, cameras):
 
 @pytest.mark.parametrize("cameras", [1, 2])
 def test_simulated_reaches(tmp_path, cameras):
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     from bodylog.sim.arms import ARMS
 
     rows, lines = [], textbook.eyes(ARMS["ur5"], UR5, SIZE)[:cameras]
@@ -113,7 +113,7 @@ def test_simulated_reaches(tmp_path, cameras):
 
 
 def test_still_arms_in_drawn_postures(tmp_path, monkeypatch):
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     from bodylog.sim import motion, plan, scenarios
 
     def stands(request):

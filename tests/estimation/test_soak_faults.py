@@ -31,7 +31,7 @@ pytestmark = pytest.mark.soak
 @pytest.fixture(scope="module")
 def lab(request):
     """A lab that keeps its logs from run to run, as long as what makes them stays the same."""
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     package = Path(__file__).parents[2] / "bodylog"
     sources = sorted(path for stage in ("sim", "perception", "body") for path in (package / stage).rglob("*.py"))
     digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]

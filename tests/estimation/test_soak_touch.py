@@ -26,7 +26,7 @@ pytestmark = pytest.mark.soak
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     path = tmp_path_factory.mktemp("touched") / "log.mcap"
 
     def look(scenario, seed, **options):

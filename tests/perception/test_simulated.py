@@ -34,7 +34,7 @@ class _Found:
 
 def _log(folder: Path, scenario: str, seed: int, **wishes: Any) -> tuple[Features, int, dict[str, list[Any]]]:
     """What is seen in a simulated log, its start in ns, and its /truth messages by topic."""
-    pytest.importorskip("pybullet")
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 

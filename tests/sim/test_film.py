@@ -8,7 +8,7 @@ from tests.seeds import seeds
 
 from . import reading
 
-pytest.importorskip("pybullet", reason="recording needs PyBullet, which has no wheels for this Python")
+pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
 
 
 def centroid(picture, channel):

@@ -12,7 +12,7 @@ from bodylog.sim.stage import START_NS
 
 from . import reading
 
-pytest.importorskip("pybullet", reason="recording needs PyBullet, which has no wheels for this Python")
+pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
 
 SMALL = {"size": (160, 120)}
 

@@ -10,7 +10,7 @@ from tests.seeds import seeds
 
 from . import reading
 
-pytest.importorskip("pybullet", reason="recording needs PyBullet, which has no wheels for this Python")
+pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
 
 SMALL = {"size": (160, 120)}
 EVERY = [(name, variant) for name, entry in SCENARIOS.items() for variant in entry.variants]

@@ -13,7 +13,7 @@ from bodylog.sim.camera import FAR, ellipse_centre, look
 from bodylog.sim.stage import matrix
 from bodylog.sim.world import EFFECTOR_RADIUS, open_world
 
-pytest.importorskip("pybullet", reason="recording needs PyBullet, which has no wheels for this Python")
+pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
 
 # Public Denavit-Hartenberg rows (a, d, alpha) of each arm, m and rad.
 TABLES = {
@@ -105,9 +105,11 @@ def test_wide_pictures_show_the_same_arm():
         assert small.centre == (159.5, 119.5)
 
 
-def test_without_pybullet_it_says_what_to_install(monkeypatch):
+@pytest.mark.parametrize("version, words", [((3, 11, 7), r"'$"), ((3, 13, 0), r"' \(it is compiled here: .*\)$")])
+def test_without_pybullet_it_says_what_to_install(monkeypatch, version, words):
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(UsageError, match=r"pip install 'bodylog\[sim\]'"), open_world(ARMS["ur5"]):
+    monkeypatch.setattr(sys, "version_info", version)
+    with pytest.raises(UsageError, match=r"type: pip install 'bodylog\[sim\]" + words), open_world(ARMS["ur5"]):
         pass
 
 

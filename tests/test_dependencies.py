@@ -1,0 +1,69 @@
+"""What is imported is declared in pyproject.toml, and what is declared is imported."""
+
+import ast
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+DISTRIBUTIONS = {
+    "aiohttp": "fsspec",  # of its extra http
+    "cv2": "opencv-python-headless",
+    "mcap_ros2": "mcap-ros2-support",
+    "pybag": "pybag-sdk",
+    "rerun": "rerun-sdk",
+    "rerun_cli": "rerun-sdk",
+    "ruamel": "ruamel.yaml",
+    "xdist": "pytest-xdist",
+}
+"""Modules whose distribution has another name."""
+
+OURS = {"bodylog", "bodylog_cli", "tests", "docs", "fixtures"}
+PEERS = {"sklearn", "filterpy"}
+"""Benchmarks compare with these where they happen to be installed."""
+
+COMMANDS = {"mypy", "ruff", "build", "pytest-xdist", "rosbags-image", "uv"}
+"""Test tools that are run, or found by their framework, and not imported."""
+
+
+def _declared(*extras):
+    """Distributions of the dependencies and of these extras."""
+    listed = [*PROJECT["dependencies"], *(word for extra in extras for word in EXTRAS[extra])]
+    return {re.match(r"[\w.-]+", word).group() for word in listed}
+
+
+def _imported(*folders):
+    """Distributions of what the files of these folders import, wherever in a file."""
+    modules = set()
+    for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and not node.level:
+                modules.add(node.module.split(".")[0])
+            elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "importorskip")):
+                modules |= {arg.value.split(".")[0] for arg in node.args[:1] if isinstance(arg, ast.Constant)}
+    third = modules - set(sys.stdlib_module_names) - OURS - PEERS
+    return {DISTRIBUTIONS.get(module, module) for module in third}
+
+
+def test_what_the_package_imports_is_a_dependency_or_an_extra():
+    assert _imported("bodylog", "cli") == _declared(*(set(EXTRAS) - {"test", "all"}))
+
+
+def test_what_the_tests_import_is_declared():
+    assert not _imported("tests", "docs") - _declared(*(set(EXTRAS) - {"all"}))
+    assert not _declared("test") - _declared() - _imported("tests") - COMMANDS
+
+
+def test_all_has_every_extra_but_the_tests():
+    (listed,) = EXTRAS["all"]
+    assert set(re.search(r"\[(.*)\]", listed).group(1).split(",")) == set(EXTRAS) - {"test", "all"}
+
+
+def test_every_bound_is_a_lowest_version():
+    words = [*PROJECT["dependencies"], *(word for extra in set(EXTRAS) - {"all"} for word in EXTRAS[extra])]
+    assert not [word for word in words if not re.fullmatch(r"[\w.\[\]-]+>=[\d.]+", word)]
