@@ -1,4 +1,4 @@
-"""Run the tests on every Python that pyproject.toml names, and on the first with every dependency at its lowest version.
+"""Run the tests on every Python that pyproject.toml names, and on the first with all dependencies at their lowest.
 
 python tests/every_python.py [lowest 3.11 3.12 …] [-- pytest's arguments]      each in build/python-NAME, made once
 """
