@@ -48,6 +48,8 @@ def learned(
         found = body.learn(timely, settings, {**provenance, **({"delay": dict(own)} if own else {})}, known)
         return _Turn(found, late, [_late(one, found.model, known) for one in timely], own)
 
+    if all(found.poses for found in features):
+        return body.learn(features, settings, provenance, known)
     fixed = dating.named(settings.time.delay, dating.cameras([name for f in features for name in f.tracks]))
     own = {} if known is None else {k: v for k, v in dating.as_learned(known).items() if k not in fixed}
     begun, given = set[str](), {name: delay for name, delay in fixed.items() if delay}

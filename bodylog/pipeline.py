@@ -46,6 +46,8 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
         return perception.looking(settings, progress)
 
     read = recording.read(log, settings, settings.input.strict, looking)
+    if read.poses:
+        return read, _posed(read, settings, progress)
     if read.features is None:
         seen = perception.observe(read, settings, progress)
         return read, replace(seen, reference=read.reference, cameras=_cameras(read))
@@ -53,6 +55,18 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
     remarks = (*read.features.findings, carried)
     boards = perception.rigid(wanted(read.settings), read.features.tracks)
     return read, replace(read.features, joints=read.joints, reference=read.reference, findings=remarks, boards=boards)
+
+
+def _posed(read: Recording, settings: Settings, progress: Progress | None) -> Features:
+    """What still poses show: the places their table names, and what is found in its images; strokes need motion."""
+    carried = read.features or Features(read.joints, {}, None, (), (), {})
+    if read.frames is not None:
+        from . import perception
+
+        seen = perception.observe(replace(read, features=None), settings, progress)
+        carried = replace(seen, tracks={**seen.tracks, **carried.tracks}, health={**seen.health, **carried.health})
+    known = replace(carried, joints=read.joints, reference=read.reference, cameras=_cameras(read))
+    return replace(known, strokes=(), synchrony=(), poses=True)
 
 
 def extract(

@@ -178,7 +178,8 @@ class Features:
     `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of those names.
     `picture_size` is (width, height) in px where it is known; `reference` the true angles where a log to learn from
     has them; `cameras` {camera: topic} whose pictures the tracks are of, "" the first one; `boards` {feature: (track
-    names (K,), (K,3) m)} the tracks that lie on one rigid thing, and where on it.
+    names (K,), (K,3) m)} the tracks that lie on one rigid thing, and where on it. `poses`: rows are still poses that
+    say nothing of each other: no motion joins them.
     """
 
     joints: Series | None
@@ -192,6 +193,7 @@ class Features:
     reference: Series | None = None
     cameras: Mapping[str, str] = field(default_factory=dict)
     boards: Mapping[str, Board] = field(default_factory=dict)
+    poses: bool = False
 
     @property
     def effector(self) -> Series | None:
@@ -210,7 +212,8 @@ class Recording:
 
     `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
     what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
-    read with. `watched` are the first camera's frames, if someone was told of them while the log was read.
+    read with. `watched` are the first camera's frames, if someone was told of them while the log was read. `poses`: the
+    joints are still poses, each by itself.
     """
 
     name: str
@@ -230,6 +233,7 @@ class Recording:
     views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
     settings: Settings = field(default_factory=Settings)
     watched: Watched | None = None
+    poses: bool = False
 
 
 class ForwardModel(Protocol):

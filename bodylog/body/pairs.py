@@ -8,13 +8,15 @@ import numpy as np
 
 from ..errors import ConfigError, EvidenceError, LogError
 from ..types import Array, Features, Finding, Series
-from .smooth import Chain, Motion, chain, coupling, fit, posterior
+from .angles import Angles, Moving, posed, unmoved
+from .smooth import Chain, Motion, chain, fit
 from .train import Coupling
 
 _LEAST_RANGE = 0.02
 _BLOCKS = 10
 _FEWEST = 4
 _EARLIER = -1
+_SEED = 0
 # farther than anything turns, in any unit an encoder counts in, and its square still far from overflow
 _ABSURD = 1e12
 # share of a joint's range: a sighting while its encoder was silent for so long that this is unknown teaches nothing
@@ -46,17 +48,16 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint over all logs: a chain and its likeliest motion for each, and one white acceleration for all."""
+    """One joint over all logs: its angles in each, and one white acceleration for all."""
 
     name: str
-    chains: tuple[Chain, ...]
-    motions: tuple[Motion, ...]
+    angles: tuple[Angles, ...]
     acceleration: Motion
 
     @cached_property
     def range(self) -> float:
         """Smoothed angles' span, rad, the outer 1 % at each end left out."""
-        means = [posterior(c, m, c.t)[0] for c, m in zip(self.chains, self.motions, strict=True)]
+        means = [one.at(one.t)[0] for one in self.angles]
         low, high = np.percentile(np.concatenate(means), [1, 99])
         return float(high - low)
 
@@ -78,7 +79,8 @@ def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list
     deaf = silent(features)
     if told := [deaf[n] for n in wanted or () if n in deaf]:
         raise EvidenceError(f"{told[0]}, but it is asked for; type: bodylog info LOG")
-    return [_joint(n, readings) for n in wanted or common if n not in deaf]
+    still = [f.poses for f in features]
+    return [_joint(n, readings, still) for n in wanted or common if n not in deaf]
 
 
 def silent(features: Sequence[Features]) -> dict[str, str]:
@@ -117,7 +119,9 @@ def moves(joint: Joint) -> bool:
 
 def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
     """Sightings of one track with the angles of the chosen joints at the same instants."""
-    return joined([_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks])
+    parts = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
+    still = [f.poses for f in features if track in f.tracks]
+    return joined([_shuffled(part) if posed else part for part, posed in zip(parts, still, strict=True)])
 
 
 def earlier(x: Array, y: Array, spread: Array) -> Pairs:
@@ -139,9 +143,14 @@ def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
     for m, joint in enumerate(chosen):
         for log in np.unique(part.log[part.log != _EARLIER]):
             rows = np.flatnonzero(part.log == log)
-            i, j, value = coupling(joint.chains[log], joint.motions[log], part.t[rows])
+            i, j, value = joint.angles[log].coupling(part.t[rows])
             found.append((rows[i], rows[j], np.full(len(i), m), value))
     return Coupling(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _shuffled(part: Pairs) -> Pairs:
+    """Poses in blocks drawn at random: they are often measured along a grid, of which no part tells the rest."""
+    return replace(part, block=np.random.default_rng(_SEED).permutation(part.block))
 
 
 def _readings(features: Features, index: int, count: int) -> Series:
@@ -150,12 +159,13 @@ def _readings(features: Features, index: int, count: int) -> Series:
     return features.joints
 
 
-def _joint(name: str, readings: Sequence[Series]) -> Joint:
-    chains = tuple(chain(r.t, r.values[:, r.names.index(name)]) for r in readings)
-    pooled = fit(chains, 2)
-    each = [pooled] if len(chains) == 1 else [fit([c], 2) for c in chains]
-    motions = tuple(_likelier(c, m) for c, m in zip(chains, each, strict=True))
-    return Joint(name, chains, motions, pooled)
+def _joint(name: str, readings: Sequence[Series], still: Sequence[bool]) -> Joint:
+    columns = [(r.t, r.values[:, r.names.index(name)]) for r in readings]
+    chains = {k: chain(*column) for k, column in enumerate(columns) if not still[k]}
+    pooled = fit(list(chains.values()), 2) if chains else unmoved()
+    each = {k: pooled if len(chains) == 1 else fit([one], 2) for k, one in chains.items()}
+    moving = {k: Moving(one, _likelier(one, each[k])) for k, one in chains.items()}
+    return Joint(name, tuple(moving.get(k) or posed(*column) for k, column in enumerate(columns)), pooled)
 
 
 def _likelier(signal: Chain, acceleration: Motion) -> Motion:
@@ -168,7 +178,7 @@ def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pair
     rows = np.argsort(track.t, kind="stable")[::every]
     t, y = track.t[rows], track.values[rows]
     floor = np.zeros_like(y) if track.std is None else track.std[rows] ** 2
-    both = [posterior(j.chains[log], j.motions[log], t) for j in chosen]
+    both = [j.angles[log].at(t) for j in chosen]
     x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
     sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)
     sound &= (variance <= np.square([_VAGUE * max(j.range, _LEAST_RANGE) for j in chosen])).all(axis=1)

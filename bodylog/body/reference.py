@@ -9,7 +9,6 @@ from ..errors import ConfigError, EvidenceError
 from ..types import Array, Features, Finding, ForwardModel, Noise, Score
 from .encoders import Polynomial
 from .pairs import Joint
-from .smooth import posterior
 
 _DEGREE, _BLOCKS, _FEWEST = 6, 10, 200
 _STILL = 1e-3
@@ -53,7 +52,7 @@ def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array,
         names = () if found.joints is None else found.joints.names
         if found.joints is None or joint.name not in names:
             raise ConfigError(f"[topics] reference: its joint {joint.name!r} has no encoder; heard: {', '.join(names)}")
-        x = posterior(joint.chains[log], joint.motions[log], found.joints.t)[0]
+        x = joint.angles[log].at(found.joints.t)[0]
         y = found.joints.values[:, names.index(joint.name)]
         sound = np.isfinite(x) & np.isfinite(y)
         block = np.arange(sound.sum()) * _BLOCKS // max(int(sound.sum()), 1)

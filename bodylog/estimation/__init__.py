@@ -7,7 +7,7 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
-from . import filtering, kalman, predictive_coding, senses, smoother
+from . import filtering, kalman, poses, predictive_coding, senses, smoother
 from .dating import as_stamped, dated, unsure
 from .doubts import doubts
 
@@ -32,6 +32,10 @@ def estimate(
     ModelError, EvidenceError or UsageError when it cannot be had.
     """
     check(body, settings)
+    if features.poses:
+        with one_thread():
+            found = poses.estimate(features, body, settings)
+        return replace(found, findings=(*found.findings, *doubts(found, settings)))
     with one_thread():
         timely = dated(features, body, delay)
         found = METHODS[settings.method](timely.features, body, settings)

@@ -100,9 +100,13 @@ def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) 
         verify(beside, sum(len(o.log_ns) for o in outgoing), out)
 
 
-def add(writer: Writer, outgoing: Sequence[Outgoing]) -> None:
-    """Topics with their messages in order of log time."""
-    numbers = [writer.topic(o.topic, o.type, o.encoding, o.definition, o.definition_encoding, {}) for o in outgoing]
+def add(writer: Writer, outgoing: Sequence[Outgoing], about: Mapping[str, Mapping[str, str]] | None = None) -> None:
+    """Topics with their messages in order of log time; `about`: metadata of some of them."""
+    extra = about or {}
+    numbers = [
+        writer.topic(o.topic, o.type, o.encoding, o.definition, o.definition_encoding, extra.get(o.topic, {}))
+        for o in outgoing
+    ]
     if outgoing:
         writer.write(_table(outgoing, numbers))
 

@@ -8,6 +8,7 @@ from typing import Protocol, Self
 from ..errors import LogError
 from ..files import lasting
 from ..types import Batch, Finding, Topic
+from .table_file import kind as table_kind
 from .unpacked import ZSTD, unpack_file
 
 _LFS = b"version https://git-lfs"
@@ -23,7 +24,7 @@ class Log(Protocol):
 
     @property
     def format(self) -> str:
-        """mcap, bag, rosbag2 or db3."""
+        """mcap, bag, rosbag2, db3; csv, parquet or yaml for a table of poses."""
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -70,7 +71,10 @@ def _opened(path: Path, strict: bool, source: Path) -> Log:
     for magic, opener in FORMATS.items():
         if first.startswith(magic):
             return opener(path, strict, source)
-    raise LogError(f"{path}: {_what_it_is(first)}; logs are .mcap, .bag, .db3 or a rosbag2 folder")
+    if first and not first.startswith(_LFS) and table_kind(path):
+        return _poses(path, strict, source)
+    known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; tables of poses .csv, .parquet, .yaml"
+    raise LogError(f"{path}: {_what_it_is(first)}; {known}")
 
 
 def is_mcap(first: bytes) -> bool:
@@ -117,6 +121,12 @@ def _db3(path: Path, strict: bool, source: Path) -> Log:
     return Db3Log(path, strict, source)
 
 
+def _poses(path: Path, strict: bool, source: Path) -> Log:
+    from .pose_log import PoseLog
+
+    return PoseLog(path, strict, source)
+
+
 def _rosbag2(path: Path, strict: bool) -> Log:
     from .rosbag2 import Rosbag2Log
 
@@ -127,5 +137,6 @@ FORMATS: Mapping[bytes, Callable[[Path, bool, Path], Log]] = {
     b"\x89MCAP0\r\n": _mcap,
     b"#ROSBAG V2.0": _bag,
     b"SQLite format 3\x00": _db3,
+    b"PAR1": _poses,
 }
 """First bytes of a file -> who opens it: log's path, strict, and the file to read (unpacked, if it was packed)."""

@@ -12,8 +12,9 @@ from ..types import Finding, Outgoing, Recording, Series
 from .annotate import add, verify
 from .append import NAME
 from .mcap_write import Messages
-from .messages import from_joints, from_skin, stamps
+from .messages import from_joints, from_skin, from_track, stamps
 from .pictures import Kind, Picture, pictures
+from .pose_log import INDEPENDENT
 from .recording import read
 from .transcode import LIBRARY, PROFILE
 from .write import CHUNK_BYTES, Contents, Writer
@@ -42,7 +43,7 @@ def ingest(
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, heard)
+            add(writer, heard, {JOINTS: INDEPENDENT} if recording.poses else {})
             seen, early = _pictures(path, recording, window, writer)
             count = sum(len(o.log_ns) for o in heard) + seen
             if not count:
@@ -66,7 +67,11 @@ def outgoing(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
     start_ns = recording.start_ns
     named = {role: cut(series, start_ns, window) for role, series in signals(recording).items()}
     out = [from_joints(topic, named[role], start_ns) for role, topic in _JOINTS.items() if role in named]
-    return out + ([from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else [])
+    out += [from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else []
+    # what a table of poses says of places is measured, not ours
+    places = recording.features.tracks if recording.poses and recording.features is not None else {}
+    cuts = {name: cut(track, start_ns, window) for name, track in places.items()}
+    return out + [from_track(name, track, start_ns, "") for name, track in cuts.items()]
 
 
 _JOINTS = {"joints": JOINTS, "truth": TRUTH}
@@ -82,7 +87,8 @@ def cut(series: Series, start_ns: int, window: Window) -> Series:
     """The rows within `window`, logged when they were dated."""
     rows = (series.t >= window[0]) & (series.t <= window[1])
     t = series.t[rows]
-    return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=None)
+    std = None if series.std is None else series.std[rows]
+    return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=std)
 
 
 def _pictures(path: Path, recording: Recording, window: Window, writer: Writer) -> tuple[int, int]:

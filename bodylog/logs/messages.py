@@ -34,7 +34,7 @@ def unescape(segment: str) -> str:
 
 def from_features(features: Features, start_ns: int) -> list[Outgoing]:
     """Tracks, sightings, strokes, touches and synchrony; the frame_id of what lies in a picture is its camera."""
-    out = [_track(name, track, start_ns, _frame(name, features)) for name, track in features.tracks.items()]
+    out = [from_track(name, track, start_ns, _frame(name, features)) for name, track in features.tracks.items()]
     for name in ("effector", "hand"):
         if name in features.tracks:
             out.append(_points(ROOT + name, features.tracks[name], start_ns, _frame(name, features)))
@@ -110,7 +110,8 @@ def stamps(t: Array, start_ns: int) -> Array:
     return start_ns + np.rint(np.asarray(t, float) * 1e9).astype(np.int64)
 
 
-def _track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
+def from_track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
+    """Places (N,2) px of a track with their standard deviations as bodylog_msgs/Vector."""
     std = np.full_like(track.values, np.nan) if track.std is None else track.std
     data = np.hstack([track.values, std])
     return _vector(TRACK + escape(name), track, TRACK_NAMES, data, start_ns, frame)

@@ -11,6 +11,7 @@ from ..types import Features, Finding, Frame, Health, Recording, Topic, Watched,
 from . import cameras, offers, roles, video
 from . import frames as camera
 from .containers import Log, open_log
+from .pose_log import independent
 from .streams import Stream, health, joints_of, remarks, series, streams
 
 _OURS, _VIEW = "/bodylog/", "camera/"
@@ -54,6 +55,7 @@ def read(
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
         settings=settings,
         watched=_watched(told, heard.get("camera"), start_ns),
+        poses="joints" in heard and independent(heard["joints"].role.topics),
     )
 
 

@@ -111,14 +111,15 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
     return values
 
 
-def angles(values: Array) -> tuple[Array, int, Array]:
+def angles(values: Array, follow: bool = True) -> tuple[Array, int, Array]:
     """Angles (N,D) rad as motions: without readings beyond FARTHEST, how many these were, and turns taken back (D,).
 
-    From one reading to the next no joint makes a whole turn, within a radian: it wraps around there.
+    From one reading to the next no joint makes a whole turn, within a radian: it wraps around there. Independent poses
+    do not `follow` each other: their readings stay as they are.
     """
     beyond = np.isfinite(values) & (np.abs(values) > FARTHEST)
     values, turns = np.where(beyond, np.nan, values), np.zeros(values.shape[1], int)
-    for column in range(values.shape[1]):
+    for column in range(values.shape[1] if follow else 0):
         known = np.flatnonzero(np.isfinite(values[:, column]))
         steps = np.diff(values[known, column])
         wraps = np.where(np.abs(np.abs(steps) - _TURN) < _NEAR, np.sign(steps), 0.0)

@@ -14,6 +14,7 @@ from . import images, signals
 from .clocks import Dated, date, largest_gap, seconds
 from .columns import Columns, Source, columns, columns_of
 from .containers import Log
+from .pose_log import independent
 from .roles import Role
 from .stamps import stamp_field
 
@@ -113,7 +114,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     if by_name:
         keep, values, idle = signals.merged(dated.t_ns, np.deg2rad(values) if settings.body.unit == "deg" else values)
         dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
-        values, beyond, turns = signals.angles(values[keep])
+        values, beyond, turns = signals.angles(values[keep], follow=not independent(role.topics))
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(dated.rejected))
     rejected.update({"same stamp again": idle} if idle else {})

@@ -43,7 +43,7 @@ def test_only_sightings_with_angles_are_paired(explored) -> None:
     values[3:7] = np.nan
     late = replace(features, tracks={"effector": replace(track, values=values, t=track.t - 0.1)})
     chosen = joints([late], ("pan", "lift", "elbow"))
-    twice = [replace(j, chains=j.chains * 2, motions=j.motions * 2) for j in chosen]
+    twice = [replace(j, angles=j.angles * 2) for j in chosen]
     part = pairs([late, features], "effector", twice, 1)
     assert part.frames == 2 * len(track.t)
     assert len(part.x) == 2 * len(track.t) - 4 - 1

@@ -1,0 +1,156 @@
+"""Still poses: each pose's belief by its own readings, the encoders' noise and offsets by all poses together."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import body
+from bodylog.errors import UsageError
+from bodylog.estimation import estimate
+from bodylog.estimation.still import descended, gathered
+from bodylog.estimation.still_noise import _evidence, _Rows
+from bodylog.settings import Body, Estimation, Settings
+from bodylog.types import BodyModel, Features, Series
+
+JOINTS = ("pan", "lift", "elbow")
+POSES, PIXEL = 120, 0.3
+
+
+def _places(q: np.ndarray, camera: float) -> np.ndarray:
+    """Pixels (N,4) of the hand and of a point before it, seen by a pinhole camera turned by `camera` rad."""
+    out = []
+    for fore in (0.39, 0.2):
+        pan, lift, elbow = q[:, 0] + camera, q[:, 1], q[:, 2]
+        reach = 0.42 * np.cos(lift) + fore * np.cos(lift + elbow)
+        depth = 1.6 - reach * np.cos(pan)
+        height = 0.42 * np.sin(lift) + fore * np.sin(lift + elbow)
+        out += [160 + 280 * reach * np.sin(pan) / depth, 120 - 280 * (height - 0.3) / depth]
+    return np.column_stack(out)
+
+
+def _poses(seed: int, noise: float = 0.0005, offset: tuple[float, ...] = (0, 0, 0), hidden: float = 0.0):
+    """Features of POSES drawn poses, and the true angles (N,3) rad."""
+    draw = np.random.default_rng(seed)
+    q = np.array([0.0, 0.3, 0.6]) + draw.uniform(-0.5, 0.5, (POSES, 3))
+    t, ns = np.arange(POSES, dtype=float), np.arange(POSES) * 10**9
+    joints = Series(t, q + draw.normal(0, noise, q.shape) + offset, JOINTS, "rad", ns)
+    tracks = {}
+    for camera, turn in {"": 0.0, "left/": 0.7}.items():
+        seen = _places(q, turn) + draw.normal(0, PIXEL, (POSES, 4))
+        for k, name in enumerate(("hand_marker", "wrist_marker")):
+            places = np.where(draw.random((POSES, 1)) < hidden, np.nan, seen[:, 2 * k : 2 * k + 2])
+            tracks[camera + name] = Series(t, places, ("u", "v"), "px", ns)
+    return Features(joints, tracks, None, (), (), {}, poses=True), q
+
+
+@pytest.fixture(scope="module")
+def learned() -> BodyModel:
+    """The body learned from poses alone."""
+    found = body.learn([_poses(0)[0]], Settings(body=Body(joints=JOINTS)), {})
+    return found.model
+
+
+def _nees(found, q):
+    error = found.joints.values - q
+    return float(np.einsum("pi,pij,pj->p", error, np.linalg.inv(found.cov), error).mean() / q.shape[1])
+
+
+def test_a_body_is_learned_from_poses_and_foretells_others(learned):
+    features, q = _poses(1)
+    for name, sense in learned.senses.items():
+        mean, _, var = sense.predict(q)
+        error = features.tracks[name].values - mean
+        assert np.sqrt(np.mean(error**2)) < 0.8
+        assert 0.6 < np.mean(error**2 / (var + np.array(learned.noise.senses[name]))) < 1.6
+
+
+@pytest.mark.parametrize("seed", range(2, 5))
+def test_noisy_encoders_are_weighed_as_noisy_as_they_are(learned, seed):
+    features, q = _poses(seed, noise=0.05, hidden=0.2)
+    found = estimate(features, learned, Estimation())
+    assert np.all(np.abs(np.log(np.sqrt(found.settings["encoder"]) / 0.05)) < 0.35)
+    assert np.sqrt(np.mean((found.joints.values - q) ** 2)) < 0.05 / 4 and 0.7 < _nees(found, q) < 1.5
+    assert found.faults == () and found.bias is None
+
+
+@pytest.mark.parametrize(("joint", "size"), [(0, 0.05), (1, -0.03), (2, 0.05)])
+def test_an_encoder_off_in_all_poses_is_named_and_taken_out(learned, joint, size):
+    offset = tuple(size if k == joint else 0.0 for k in range(3))
+    features, q = _poses(7, offset=offset)
+    found = estimate(features, learned, Estimation())
+    (fault,) = found.faults
+    assert (fault.sense, fault.name, fault.kind) == ("encoders", JOINTS[joint], "offset")
+    assert abs(fault.size - size) < 0.002
+    assert np.sqrt(np.mean((found.joints.values - q) ** 2)) < 0.002
+    left_in = estimate(features, learned, Estimation(bias="off", precision="model"))
+    assert np.sqrt(np.mean((left_in.joints.values - q) ** 2)) > 0.009
+
+
+def test_sound_poses_accuse_nobody(learned):
+    for seed in range(8, 14):
+        assert estimate(_poses(seed)[0], learned, Estimation()).faults == ()
+
+
+def test_places_alone_find_the_pose(learned):
+    features, q = _poses(20)
+    found = estimate(features, learned, Estimation(senses=("vision",)))
+    assert np.sqrt(np.mean((found.joints.values - q) ** 2)) < 0.01 and 0.6 < _nees(found, q) < 1.6
+
+
+def test_one_wrong_place_moves_no_pose(learned):
+    features, _ = _poses(21, noise=0.01)
+    track = features.tracks["left/hand_marker"]
+    wrong = track.values.copy()
+    wrong[5] += 80.0
+    tracks = {**features.tracks, "left/hand_marker": replace(track, values=wrong)}
+    clean, found = (estimate(f, learned, Estimation()) for f in (features, replace(features, tracks=tracks)))
+    std = np.sqrt(np.einsum("pmm->pm", found.cov))[5]
+    assert (np.abs(found.joints.values - clean.joints.values)[5] < 3.0 * std).all()
+    assert np.abs(found.errors["left/hand_marker"].values[5]).max() > 20.0
+
+
+def test_the_order_of_poses_is_no_matter(learned):
+    features, _ = _poses(22, noise=0.02)
+    order = np.random.default_rng(0).permutation(POSES)
+    tracks = {n: replace(s, values=s.values[order]) for n, s in features.tracks.items()}
+    turned = replace(features, joints=replace(features.joints, values=features.joints.values[order]), tracks=tracks)
+    one, two = (estimate(f, learned, Estimation()) for f in (features, turned))
+    np.testing.assert_allclose(two.joints.values, one.joints.values[order], atol=2e-6)
+
+
+def test_a_pose_is_found_from_beside_it(learned):
+    features, _ = _poses(23, noise=0.01)
+    from bodylog.estimation.senses import gather
+
+    evidence = gather(features, learned, Estimation())
+    poses = gathered(evidence.encoders, evidence.sightings, learned)
+    variance = np.full(3, 1e-4)
+    found = descended(poses, variance, np.zeros(3), poses.z)
+    for joint in np.eye(3):
+        for step in (-1e-4, 1e-4):
+            beside = descended(poses, variance, np.zeros(3), found.x + step * joint)
+            np.testing.assert_allclose(beside.x, found.x, atol=2e-6)
+
+
+def test_the_evidence_of_noise_and_offsets_has_the_gradient_it_says():
+    draw = np.random.default_rng(3)
+    jac = draw.normal(0, 200, (20, 6, 3))
+    rows = _Rows(draw.normal(0, 2, (20, 6)), jac, np.where(draw.random((20, 6)) < 0.2, np.inf, 0.3))
+    for free in (np.zeros(3, bool), np.array([False, True, True])):
+        at = np.log([1e-4, 1e-5, 1e-3])
+        value, slope = _evidence(at, rows, free)
+        for k, step in enumerate(np.eye(3) * 1e-5):
+            rise = (_evidence(at + step, rows, free)[0] - _evidence(at - step, rows, free)[0]) / 2e-5
+            assert abs(rise - slope[k]) < 1e-4 * max(1.0, abs(slope[k]))
+        dense = 0.0
+        for nu, j, var in zip(rows.nu, rows.jac, rows.var, strict=True):
+            seen = np.isfinite(var)
+            cov = j[seen] @ np.diag(np.exp(at)) @ j[seen].T + np.diag(var[seen])
+            dense -= 0.5 * (nu[seen] @ np.linalg.solve(cov, nu[seen]) + np.linalg.slogdet(2 * np.pi * cov)[1])
+        assert free.any() or abs(value - dense) < 1e-6 * abs(dense)
+
+
+def test_methods_that_follow_a_motion_are_refused(learned):
+    with pytest.raises(UsageError, match="poses are each by itself; type laplace"):
+        estimate(_poses(1)[0], learned, Estimation(method="kalman"))

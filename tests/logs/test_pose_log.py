@@ -1,0 +1,166 @@
+"""Tables of still poses are read as logs: what each column is, what is counted, and what is refused in one line."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from bodylog.errors import FormatError, InputError, LogError
+from bodylog.logs import recording
+from bodylog.logs.containers import open_log
+from bodylog.logs.pose_columns import poses
+from bodylog.logs.table_file import read
+from bodylog.pipeline import ingest, observe
+from bodylog.settings import Body, Settings
+
+NAMES = ("pan", "lift")
+Q = np.array([[0.1, -0.2], [3.1, 0.3], [-3.1, 0.4]])
+UV = np.array([[10.0, 20.0], [np.nan, np.nan], [30.5, 40.25]])
+
+
+def _csv(folder: Path, header: str, *rows: str, name: str = "poses.csv") -> Path:
+    path = folder / name
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+def _texts(path: Path) -> str:
+    with open_log(path) as log:
+        return " | ".join(f"{f.severity}: {f.text}" for f in log.findings)
+
+
+@pytest.fixture
+def table(tmp_path) -> Path:
+    """Three poses; the tip is hidden in the second."""
+    rows = ["1,0.1,-0.2,10,20,note,0.5", "2,3.1,0.3,,,note,0.5", "3,-3.1,0.4,30.5,40.25,,0.5"]
+    return _csv(tmp_path, "pose,pan,lift,tip_u,tip_v,remark,tip_std", *rows)
+
+
+def test_columns_become_joints_and_tracks(table):
+    read_, found = observe(table, Settings())
+    assert read_.format == "csv" and read_.poses and found.poses
+    assert found.joints is not None and found.joints.names == NAMES
+    np.testing.assert_array_equal(found.joints.values, Q)  # whole turns between poses stay: no motion joins them
+    np.testing.assert_array_equal(found.tracks["tip"].values, UV)
+    np.testing.assert_array_equal(found.tracks["tip"].std, np.full((3, 2), 0.5))
+    np.testing.assert_array_equal(found.joints.t, [0, 1, 2])
+    said = _texts(table)
+    assert "columns not used: remark, pose" in said and "t is the row's number, counted from 0" in said
+
+
+def test_parquet_and_yaml_say_the_same_as_csv(table, tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    parquet = pytest.importorskip("pyarrow.parquet")
+    columns = {"pan": Q[:, 0], "lift": Q[:, 1], "tip_u": UV[:, 0], "tip_v": UV[:, 1]}
+    parquet.write_table(pyarrow.table(columns), tmp_path / "poses.parquet")
+    rows = [
+        {"joints": dict(zip(NAMES, q.tolist(), strict=True)), **({} if np.isnan(p[0]) else {"tip": p.tolist()})}
+        for q, p in zip(Q, UV, strict=True)
+    ]
+    (tmp_path / "poses.yaml").write_text(json.dumps(rows))  # JSON is YAML
+    for path in (tmp_path / "poses.parquet", tmp_path / "poses.yaml"):
+        found = observe(path, Settings())[1]
+        assert found.joints is not None and found.joints.names == NAMES
+        np.testing.assert_array_equal(found.joints.values, Q)
+        np.testing.assert_array_equal(found.tracks["tip"].values, UV)
+
+
+def test_times_are_those_of_a_column_where_it_dates_every_row(tmp_path):
+    path = _csv(tmp_path, "unix_s,pan", "1400834744.5,0.1", "1400834748.25,0.2")
+    read_ = recording.read(path, Settings())
+    assert read_.joints is not None and read_.start_ns == 1400834744500000000
+    np.testing.assert_allclose(read_.joints.t, [0, 3.75])
+    path = _csv(tmp_path, "stamp_ms,pan", "0,0.1", "500,0.2")
+    assert recording.read(path, Settings()).joints.t.tolist() == [0.0, 0.5]
+    for times in (("5", "5"), ("1", ""), ("1", "1e6")):
+        path = _csv(tmp_path, "t,pan", f"{times[0]},0.1", f"{times[1]},0.2")
+        assert recording.read(path, Settings()).joints.t.tolist() == [0.0, 1.0]
+        assert "t is the row's number" in _texts(path)
+
+
+def test_what_is_no_joint_is_left_out_by_its_name(tmp_path):
+    header = "id;frame_index;arm_x;arm_y;arm_z;base_qx;base_qy;base_qz;base_qw;left_U;tip_u;pan;void"
+    path = _csv(tmp_path, header, "1;2;3;4;5;0;0;0;1;0.7;5;0.2;", "2;2;3;4;5;0;0;0;1;0.8;5;0.3;")
+    found = poses(read(path, "csv"), str(path))
+    assert list(found.joints) == ["left_U", "pan"] and not found.tracks
+    assert found.remarks[-1].startswith("columns not used: id, frame_index, arm_x")
+
+
+def test_degrees_are_asked_for_and_turned(tmp_path):
+    path = _csv(tmp_path, "pan", "-90", "0", "90")
+    assert 'type: [body] unit = "deg"' in _texts(path)
+    found = recording.read(path, Settings(body=Body(unit="deg"))).joints.values
+    np.testing.assert_allclose(found[:, 0], [-np.pi / 2, 0, np.pi / 2])
+
+
+def test_cells_that_are_no_numbers_and_rows_that_do_not_fit_are_counted(tmp_path):
+    path = _csv(tmp_path, "pan,lift", "0.1,0.2", "0.2,oops", "0.3,1e999", "0.4,0.1,7", "0.5", "0.6,0.3", "0.7,0.2")
+    found = recording.read(path, Settings())
+    assert found.joints.values.shape == (6, 2) and np.isnan(found.joints.values[:, 1]).sum() == 3
+    said = _texts(path)
+    assert "column lift: 2 cells are no finite numbers, e.g. 'oops'" in said
+    assert "1 rows have more than 2 cells and are left out" in said and "1 rows have fewer than 2 cells" in said
+    assert said.count("lost: ") == 2
+    with pytest.raises(LogError, match="more than 2 cells"):
+        open_log(path, strict=True)
+
+
+def test_images_are_looked_at_beside_the_table(tmp_path):
+    for k, place in enumerate([(40, 30), (80, 60)]):
+        image = np.full((120, 160, 3), 60, np.uint8)
+        cv2.circle(image, place, 9, (0, 255, 0), -1)
+        cv2.imwrite(str(tmp_path / f"{k}.{'png' if k else 'bmp'}"), image)
+    path = _csv(tmp_path, "picture,pan", "0.bmp,0.1", "1.png,0.2", "gone.png,0.3")
+    read_, found = observe(path, Settings())
+    np.testing.assert_allclose(found.tracks["effector"].values, [[40, 30], [80, 60]], atol=0.3)
+    assert read_.roles["camera"] == "/picture/compressed"
+    assert any("1 images cannot be read: gone.png" in f.text and f.severity == "lost" for f in read_.findings)
+
+
+def test_poses_stay_poses_in_the_mcap_that_ingest_writes(table, tmp_path):
+    ingest(table, tmp_path / "poses.mcap", Settings())
+    read_, found = observe(tmp_path / "poses.mcap", Settings())
+    assert read_.poses and found.poses
+    np.testing.assert_array_equal(found.joints.values, Q)
+    np.testing.assert_array_equal(found.tracks["tip"].values, UV)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "the file is empty"),
+        ("\n\n", "no header"),
+        ("0.1,0.2\n0.3,0.4\n", "it must name the columns"),
+        ("pan,pan\n1,2\n", "column 'pan' is there 2 times"),
+        ("pan,lift\n", "the table has no rows"),
+        ("pose,remark\n1,x\n", "no column is a joint"),
+        ("pan\n\xff\xfe\n", "not a csv table"),
+    ],
+)
+def test_what_is_no_table_of_poses_is_refused_in_one_line(tmp_path, text, said):
+    path = tmp_path / "poses.csv"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=said) as caught:
+        recording.read(path, Settings())
+    assert "\n" not in str(caught.value) and str(path) in str(caught.value)
+
+
+YAMLS = ("a: 1\n", "- 1\n- 2\n", "- {a: &x 1}\n- {a: *x}\n", "- {a: 1\n", "[]\n", "[" * 2000 + "\n")
+
+
+@pytest.mark.parametrize("text", YAMLS, ids=range(len(YAMLS)))
+def test_yaml_that_is_no_list_of_mappings_is_refused(tmp_path, text):
+    path = tmp_path / "poses.yaml"
+    path.write_text(text)
+    with pytest.raises(FormatError, match="not a yaml table"):
+        open_log(path)
+
+
+def test_a_damaged_parquet_file_is_refused(tmp_path):
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "poses.parquet"
+    path.write_bytes(b"PAR1" + b"\0" * 20 + b"PAR1")
+    with pytest.raises(InputError):
+        open_log(path)
