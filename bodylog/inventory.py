@@ -2,11 +2,8 @@
 
 import json
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-from tempfile import gettempdir
 from typing import Any
 
 from . import stores
@@ -31,15 +28,10 @@ def info(log: Path | str, settings: Settings) -> dict[str, Any]:
 
 
 def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
-    from .logs import containers, recording, sparse
+    from .logs import recording
+    from .logs.library import located
 
-    size = stores.size(url)
-    head = stores.part(url, 0, min(size, 64)) if size else b""
-    if containers.is_mcap(head):
-        opened: AbstractContextManager[Path] = sparse.glimpse(stores.name_of(url), size, partial(stores.part, url))
-    else:
-        opened = stores.local(url, Path(gettempdir()))
-    with opened as path, stores.naming(path, url):
+    with located(url) as path:
         told = recording.info(path, settings, settings.input.strict)
     findings = [{**said, "text": said["text"].replace(str(path), url)} for said in told["findings"]]
     return told | {"path": url, "findings": findings}

@@ -53,7 +53,7 @@ class Columns:
         return np.sort(np.concatenate([part.rows for part in self.parts])) if self.parts else np.empty(0, np.int64)
 
     def column(self, name: str) -> Array:
-        """One field of the sound rows in file order: (m,) or (m,K); shorter rows of an array end in NaN."""
+        """One field of the sound rows in file order: (m,) or (m,K); shorter rows of an array end in NaN or ""."""
         which = self.fields.index(name)
         arrays = [_spread(part.values[which], len(part.rows)) for part in self.parts]
         if not arrays:
@@ -70,7 +70,8 @@ def _spread(values: Array | tuple[str, ...], count: int) -> Array:
 
 
 def _padded(array: Array, width: int) -> Array:
-    out = np.full((len(array), width), np.nan)
+    texts = array.dtype.kind == "U"
+    out = np.full((len(array), width), "" if texts else np.nan, array.dtype if texts else np.float64)
     out[:, : array.shape[1]] = array
     return out
 

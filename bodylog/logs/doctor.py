@@ -10,7 +10,7 @@ from ..types import Finding
 from .containers import Log, open_log
 from .ledger import Ledger
 from .mapping import mapped, uncut
-from .repair import repair
+from .rewrite import repair
 from .rosbag2 import METADATA, members, metadata_of
 from .unpacked import ZSTD, unpack_file
 

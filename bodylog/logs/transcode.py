@@ -13,7 +13,7 @@ from ..types import Array, Batch, Finding, Topic
 from .append import NAME, ROOT, is_mcap
 from .cdr import Payloads, merge
 from .chunks import heads_at
-from .containers import Log, open_log
+from .containers import open_log
 from .mcap_write import MESSAGE_HEAD, Messages, gather
 from .records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
 from .ros1 import Converter, converter, known_definition
@@ -39,10 +39,16 @@ class _Carrier:
     resisted: int = 0
 
 
+Span = tuple[int, int]
+"""First and last log time that is kept, int64 ns."""
+
+
 def carry(
-    source: Path, stream: BinaryIO, only: Collection[str] | None = None
+    source: Path, stream: BinaryIO, only: Collection[str] | None = None, ours: bool = False, span: Span | None = None
 ) -> tuple[Writer, int, tuple[Finding, ...]]:
-    """Write all messages of a log but /bodylog/ ones (`only`: of those topics) to an MCAP that is not finished yet.
+    """Write the messages of a log (`only` these topics, within `span`) to an MCAP that is not finished yet.
+
+    Those of /bodylog/ only with `ours`.
 
     Returns its writer, how many messages were written, and what could not be carried over whole. ROS 1 payloads of
     bags become CDR; those that cannot stay as they are. An MCAP's own payloads, attachments and metadata stay.
@@ -51,12 +57,12 @@ def carry(
         writer = Writer(stream, Contents())
         findings: list[Finding] = []
         writer.begin(_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
-        wanted = [t for t in log.topics if not t.name.startswith(ROOT) and (only is None or t.name in only)]
+        wanted = [t for t in log.topics if (ours or not t.name.startswith(ROOT)) and (only is None or t.name in only)]
         carriers = {topic.id: _carrier(writer, topic, log.format, findings) for topic in wanted}
-        for table in _tables(log, carriers, writer):
+        for table in _tables(log.batches(list(carriers)), carriers, writer, span):
             writer.write(table)
         if only is None:
-            findings += _extras(source, writer)
+            findings += _extras(source, writer, ours)
         findings += [_resistance(source, c) for c in carriers.values() if c.resisted]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
 
@@ -89,11 +95,13 @@ def _keep(writer: Writer, topic: Topic) -> int:
     return writer.topic(topic.name, kind, topic.encoding, topic.definition, form, topic.metadata)
 
 
-def _tables(log: Log, carriers: Mapping[int, _Carrier], writer: Writer) -> Iterator[Messages]:
+def _tables(
+    batches: Iterable[Batch], carriers: Mapping[int, _Carrier], writer: Writer, span: Span | None
+) -> Iterator[Messages]:
     """Batches in groups of a few MiB, each in order of log time."""
     pending: list[Messages] = []
     size = 0
-    for batch in _pieces(log.batches(list(carriers))):
+    for batch in _pieces(batches if span is None else _within(batches, span)):
         pending.append(_taken(batch, carriers[batch.topic_id], writer))
         size += pending[-1].data[0].size
         if size >= _PENDING:
@@ -101,6 +109,14 @@ def _tables(log: Log, carriers: Mapping[int, _Carrier], writer: Writer) -> Itera
             pending, size = [], 0
     if pending:
         yield _sorted(pending)
+
+
+def _within(batches: Iterable[Batch], span: Span) -> Iterator[Batch]:
+    """The messages logged within a span."""
+    for batch in batches:
+        rows = np.flatnonzero((batch.log_ns >= span[0]) & (batch.log_ns <= span[1]))
+        if len(rows):
+            yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
 
 
 def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
@@ -203,25 +219,25 @@ def _profile(source: Path) -> str:
     return ""
 
 
-def _extras(source: Path, writer: Writer) -> list[Finding]:
+def _extras(source: Path, writer: Writer, ours: bool) -> list[Finding]:
     """Keep attachments and metadata of an MCAP, packed or in a folder, up to where it is damaged; what was lost."""
     if source.is_dir():
         members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes)
-        return [finding for member in members for finding in _extras(member, writer)]
+        return [finding for member in members for finding in _extras(member, writer, ours)]
     if source.suffix in (".zst", ".zstd"):
-        return unpack_file(source, lambda inner: _extras(inner, writer))
+        return unpack_file(source, lambda inner: _extras(inner, writer, ours))
     lost = []
     for file, head in sound_heads(source):
         if head.opcode in (ATTACHMENT, METADATA):
             try:
-                _keep_extra(file.fields(head), file.record(head), writer)
+                _keep_extra(file.fields(head), file.record(head), writer, ours)
             except FormatError as problem:
                 lost.append(Finding("lost", f"{source}: the record at byte {head.start} is left out: {problem}"))
     return lost
 
 
-def _keep_extra(record: Record, raw: bytes, writer: Writer) -> None:
+def _keep_extra(record: Record, raw: bytes, writer: Writer, ours: bool) -> None:
     if record.opcode == ATTACHMENT:
         writer.keep_attachment(raw, record.fields)
-    elif record.fields["name"] != NAME:
+    elif ours or record.fields["name"] != NAME:
         writer.keep_metadata(record.fields["name"], raw)

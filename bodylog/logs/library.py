@@ -1,0 +1,171 @@
+"""A recorded log for who reads it from Python: topics as tables, batches, messages or pictures."""
+
+import difflib
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from pathlib import Path
+from tempfile import gettempdir
+from types import TracebackType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from .. import stores
+from ..errors import ConfigError, FormatError
+from ..types import Batch, Finding, Frame, Topic
+from .columns import columns_of, definition_of
+from .containers import Log, is_mcap, open_log, payloads
+from .table import Table, filled, leaf_paths, object_paths
+
+_OBJECTS = ("json", "protobuf")
+
+
+class Message(NamedTuple):
+    """One decoded message: topic · log time int64 ns · a rosbags message, or a dict of a JSON or protobuf one."""
+
+    topic: str
+    log_ns: int
+    value: Any
+
+
+class OpenLog:
+    """A log of any container, path or URL; a context manager.
+
+    topics · start_ns, end_ns: first and last log time, int64 ns · `log[topic]` is a Table.
+    """
+
+    def __init__(self, path: str | Path, strict: bool = False) -> None:
+        """Open; LogError when it is no log, or when `strict` and part of it is lost."""
+        self.path = str(path)
+        self.rejected: Counter[str] = Counter()
+        self._open = ExitStack()
+        with ExitStack() as opening:
+            self._log: Log = opening.enter_context(open_log(opening.enter_context(located(path)), strict))
+            self._open = opening.pop_all()
+        self.topics = self._log.topics
+        self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns
+
+    @property
+    def format(self) -> str:
+        """mcap, bag, rosbag2 or db3."""
+        return self._log.format
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong with the log so far."""
+        return self._log.findings
+
+    def __getitem__(self, topic: str) -> Table:
+        """The messages of a topic, decoded field by field when asked for; ConfigError names the topics there are."""
+        topics = self._topics(topic)
+        return Table(topic, self._fields(topics), self.read)
+
+    def read(self, fields: Mapping[str, Sequence[str]]) -> dict[str, Table]:
+        """Fields of several topics, {topic: [message path, …]}, in one pass over the file."""
+        topics = {name: self._topics(name) for name in fields}
+        wants = {one.id: (one, tuple(fields[name])) for name, some in topics.items() for one in some}
+        columns = columns_of(self._log, wants)
+        tables = {}
+        for name, some in topics.items():
+            own = [columns[one.id] for one in some]
+            log_ns = np.concatenate([np.empty(0, np.int64), *(c.log_ns for c in own)])
+            tables[name] = filled(Table(name, self._fields(some), self.read, log_ns), some, own, fields[name])
+        return tables
+
+    def batches(self, topics: Sequence[str] | None = None) -> Iterator[Batch]:
+        """Undecoded messages in file order, in batches of one topic each; a batch is valid until the next."""
+        return self._log.batches(None if topics is None else self._ids(topics))
+
+    def messages(self, topics: Sequence[str] | None = None) -> Iterator[Message]:
+        """Decoded messages one by one, in file order; those that do not decode are counted in `rejected` by topic."""
+        wanted = self.topics if topics is None else [one for name in topics for one in self._topics(name)]
+        decoders = {one.id: (one.name, _decoder(one)) for one in wanted}
+        for batch in self._log.batches(tuple(decoders)):
+            name, decode = decoders[batch.topic_id]
+            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+                try:
+                    yield Message(name, log_ns, decode(bytes(payload)))
+                except FormatError:
+                    self.rejected[name] += 1
+
+    def frames(self, topic: str) -> Iterator[Frame]:
+        """The pictures of a topic in file order: `image` (H,W,3) uint8 BGR, t s since start_ns by log time."""
+        from . import images
+
+        decoders = {one.id: images.decoder(one) for one in self._topics(topic)}
+        for batch in self._log.batches(tuple(decoders)):
+            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+                decode = partial(decoders[batch.topic_id], bytes(payload))
+                yield Frame((log_ns - self.start_ns) / 1e9, log_ns, decode)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._open.close()
+
+    def __enter__(self) -> Self:
+        """The log itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def __repr__(self) -> str:
+        """Path, format and topics."""
+        return f"<{self.format} log {self.path}: {', '.join(topic.name for topic in self.topics)}>"
+
+    def _topics(self, name: str) -> list[Topic]:
+        found = [topic for topic in self.topics if topic.name == name]
+        if not found:
+            known = sorted({topic.name for topic in self.topics})
+            near = difflib.get_close_matches(name, known, 1, 0.0)
+            hint = f"; did you mean {near[0]}?" if near else ""
+            raise ConfigError(f"{self.path}: no topic {name!r}{hint} The topics are {', '.join(known) or 'none'}")
+        return found
+
+    def _ids(self, topics: Sequence[str]) -> tuple[int, ...]:
+        return tuple(one.id for name in topics for one in self._topics(name))
+
+    def _fields(self, topics: Sequence[Topic]) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(path for topic in topics for path in self._paths(topic)))
+
+    def _paths(self, topic: Topic) -> Iterator[str]:
+        if topic.encoding not in _OBJECTS:
+            yield from leaf_paths(definition_of(topic))
+            return
+        first = next((payload for batch in self._log.batches((topic.id,)) for payload in payloads(batch)), None)
+        if first is not None:
+            yield from object_paths(_decoder(topic)(bytes(first)))
+
+
+@contextmanager
+def located(path: str | Path) -> Iterator[Path]:
+    """A log as a path: itself; of an MCAP behind a URL a map that fetches what is touched, of others a copy."""
+    if not stores.is_url(str(path)):
+        yield Path(path)
+        return
+    from . import sparse
+
+    url = str(path)
+    size = stores.size(url)
+    if is_mcap(stores.part(url, 0, min(size, 64)) if size else b""):
+        opened = sparse.glimpse(stores.name_of(url), size, partial(stores.part, url))
+    else:
+        opened = stores.local(url, Path(gettempdir()))
+    with opened as here, stores.naming(here, url):
+        yield here
+
+
+def _decoder(topic: Topic) -> Callable[[bytes], Any]:
+    """One payload to a message; FormatError when it contradicts its definition."""
+    if topic.encoding in _OBJECTS:
+        from .objects import reader
+
+        return reader(topic)
+    from .message_objects import decoder
+
+    return decoder(topic)
