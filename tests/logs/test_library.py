@@ -117,10 +117,10 @@ def _plain_paths(log: Any, name: str) -> list[str]:
     return [path for path in log[name].fields if "[" not in path]
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["cruise-automation__rosbag.js", "dantheman3333__frost", "geocamxyz__rosbags-rs", "mikeferguson__robot_calibration"],
-)
+RECORDED = "cruise-automation__rosbag.js dantheman3333__frost geocamxyz__rosbags-rs mikeferguson__robot_calibration"
+
+
+@pytest.mark.parametrize("name", RECORDED.split())
 def test_tables_of_recorded_logs_hold_what_rosbags_decodes(name):
     """Each message of small topics, each field that is not inside an array of messages."""
     if not (SHARED / name).is_dir():
@@ -228,7 +228,8 @@ def test_what_cannot_be_written_is_one_line_and_leaves_no_file(tmp_path, fields,
 def test_every_kind_of_field_is_written_and_read(tmp_path, kind):
     values = np.array([0, 1, 1]) if kind in PRIMITIVES else ["a", "", "ü"]
     with logs.Writer(tmp_path / "w.mcap") as out:
-        out.write("/x", "my/msg/X", T0 + np.arange(3), {"v": values, "w": [[v] for v in values]}, f"{kind} v\n{kind}[] w")
+        fields = {"v": values, "w": [[v] for v in values]}
+        out.write("/x", "my/msg/X", T0 + np.arange(3), fields, f"{kind} v\n{kind}[] w")
     table = logs.open(tmp_path / "w.mcap")["/x"]
     assert table.v.tolist() == list(values)
     assert [v[0] for v in table.w] == list(values)
