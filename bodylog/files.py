@@ -24,14 +24,7 @@ def replacing(path: Path) -> Iterator[Path]:
     killed runs left in that folder goes first. UsageError when `path` is in no folder, or no file; OSError, which names
     `path`, where there is no room, or it may not be written to.
     """
-    if path.is_symlink():
-        path = _behind(path)
-    if path.exists() and not path.is_file():
-        raise UsageError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
-    if not path.parent.is_dir():
-        raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
-    if path.exists() and not os.access(path, os.W_OK):
-        raise OSError(errno.EACCES, "is write-protected; give another name with -o", os.fspath(path))
+    path = writable(path)
     forsake(path.parent, f".*{_PART}")
     beside = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
     try:
@@ -50,6 +43,27 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         if beside.exists():
             beside.unlink()
+
+
+def writable(path: Path, folder: bool = False) -> Path:
+    """The file that an output names, behind links; UsageError where it can be none, OSError where it is protected.
+
+    Of a `folder`, which may not be there yet, whether files may be written into it.
+    """
+    if path.is_symlink():
+        path = _behind(path)
+    if folder:
+        place = next(one for one in (path, *path.absolute().parents) if one.exists())
+        if not os.access(place, os.W_OK | os.X_OK):
+            raise OSError(errno.EACCES, "is write-protected; give another folder", os.fspath(path))
+        return path
+    if path.exists() and not path.is_file():
+        raise UsageError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
+    if not path.parent.is_dir():
+        raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
+    if not all(os.access(place, os.W_OK) for place in (path, path.parent) if place.exists()):
+        raise OSError(errno.EACCES, "is write-protected; give another name with -o", os.fspath(path))
+    return path
 
 
 def _behind(link: Path) -> Path:

@@ -8,6 +8,7 @@ from typing import Any
 
 from . import __version__
 from .files import sha256
+from .outputs import Output
 from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
 from .remarks import named, untold
 from .settings import Settings, plain, wanted
@@ -75,7 +76,7 @@ def extract(
     """Write the log's signals with tracks, touches and synchrony, without its pictures; `tables`: a folder for CSV."""
     from .logs import annotate, export
 
-    distinct(log, out)
+    distinct([log], [Output(out), *folders("--csv", tables)], settings)
     with annotate.begun(log, out, whole=False) as written:
         read, features = observe(log, settings, progress)
         something_seen(log, features)
@@ -96,8 +97,7 @@ def fit(
     from .body import model
     from .logs.copying import Copy
 
-    for one in (*logs, *(() if update is None else (update,))):
-        distinct(one, out)
+    distinct([*logs, *(() if update is None else (update,))], [Output(out)], settings)
     known = None if update is None else model.load(update)
     digests, observed, remarks = [], [], list[Finding]()
     for log in logs:
@@ -123,8 +123,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     from .body import model
     from .logs import annotate, annotated
 
-    distinct(log, out)
-    distinct(body, out)
+    distinct([log, body], [Output(out)], settings)
     learned = model.load(body)
     estimation.check(learned, settings.estimate)
     with annotate.begun(log, out) as written:
@@ -187,11 +186,12 @@ def ingest(
     from .logs import export, recording
     from .logs import ingest as tidy
 
-    distinct(log, out)
-    for form in tables or {}:
+    tables = tables or {}
+    distinct([log], [Output(out), *(Output(folder, f"--{form}", True) for form, folder in tables.items())], settings)
+    for form in tables:
         export.saver(form)  # refused before the log is read
     findings = tuple(tidy.ingest(log, out, settings, **window))
-    for form, folder in (tables or {}).items():
+    for form, folder in tables.items():
         export.export(recording.read(out, Settings()), folder, form)
     return Result(out, findings=findings)
 
@@ -200,11 +200,17 @@ def doctor(log: Path, repair: Path | None = None, strict: bool = False) -> Resul
     """What is wrong with a log; with `repair`, what is sound of it is written there; `strict`: LogError at a loss."""
     from .logs import doctor as logs_doctor
 
+    if repair is not None:
+        distinct([log], [Output(repair, "--repair")])
     findings = logs_doctor.examine(log, strict)
     if repair is not None:
-        distinct(log, repair)
         logs_doctor.repair(log, repair)
     return Result(repair, findings=findings)
+
+
+def folders(option: str, *paths: Path | None) -> tuple[Output, ...]:
+    """Folders to write into, without those that are not asked for."""
+    return tuple(Output(path, option, True) for path in paths if path is not None)
 
 
 def count(log: Path) -> int:

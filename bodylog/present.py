@@ -11,7 +11,8 @@ import numpy as np
 
 from .errors import FormatError, LogError
 from .files import is_archive, made
-from .pipeline import Progress, Result, doctor, ingest, judge, observe, topic_of
+from .outputs import Output
+from .pipeline import Progress, Result, doctor, folders, ingest, judge, observe, topic_of
 from .refusals import about, distinct
 from .settings import Settings, plain
 from .stores import naming
@@ -26,7 +27,7 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
     """Draw a body model (.npz), or any log: joints, pixels, skin, events and trajectories over time."""
     from .report import figures
 
-    distinct(source, out)
+    distinct([source], [Output(out)], settings)
     if is_archive(source):
         from .body import model
 
@@ -46,7 +47,7 @@ def report(log: Path, out: Path, settings: Settings, figures: Path | None = None
     from .logs import annotated
     from .report import html, overlay
 
-    distinct(log, out)
+    distinct([log], [Output(out), *folders("--figures", figures)], settings)
     read, features = observe(log, settings)
     found = annotated.read_estimate(log, read.start_ns)
     shown = overlay.pictures(read, features, found)
@@ -61,7 +62,7 @@ def layout(log: Path, out: Path, settings: Settings) -> Result:
     from .logs import annotated, recording
     from .report import layout as viewer
 
-    distinct(log, out)
+    distinct([log], [Output(out)], settings)
     read = recording.read(log, settings, settings.input.strict)
     found = annotated.read_estimate(log, read.start_ns)
     viewer.write(out, topic_of(read, "camera"), found, {name: _topic(read, name) for name in read.views})
@@ -75,7 +76,7 @@ def view(log: Path, out: Path | None, settings: Settings) -> Result:
     from .report import viewer
 
     if out is not None:
-        distinct(log, out)
+        distinct([log], [Output(out)], settings)
     viewer.ready()
     with TemporaryDirectory() as folder:
         recorded = Path(folder) / "log.rrd" if out is None else out
@@ -190,6 +191,8 @@ def colours(log: Path, out: Path | None, settings: Settings, effector: tuple[flo
     from .perception import palette
     from .report import overlay
 
+    if out is not None:
+        distinct([log], [Output(out)], settings)
     read = recording.read(log, settings, settings.input.strict)
     with about(log):
         proposals, sheet = palette.propose(read, effector)

@@ -1,22 +1,32 @@
 """What the pipeline refuses, in one line each: a file onto itself, logs that show nothing, names that fit nothing."""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from .errors import EvidenceError, InputError, LogError, ModelError, UsageError
+from .errors import EvidenceError, InputError, LogError, ModelError
 from .files import lasting
+from .outputs import Output, guard
 from .settings import Colours, Settings
 from .sources import feature_of, group_of
 from .types import BodyModel, Features, Finding, Health, Recording
 
 
-def distinct(read: Path, out: Path) -> None:
-    """UsageError when the file to write is one that is read; LogError when that is a pipe."""
-    lasting(read)
-    if out.exists() and read.exists() and out.resolve() == read.resolve():
-        raise UsageError(f"{out}: is read here, and what is read is never written to; give another name with -o")
+def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings | None = None) -> None:
+    """UsageError when an output is an input, or a video that the settings name; LogError when an input is a pipe."""
+    for one in read:
+        lasting(one)
+    guard([*read, *(() if settings is None else named_files(read, settings))], write)
+
+
+def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
+    """The files that the settings name and that are read with these logs: videos, from here or beside the log."""
+    from .logs.cameras import is_video
+
+    for name in settings.topics.cameras:
+        if is_video("camera", name):
+            yield from (Path(name), *(log.parent / name for log in logs))
 
 
 def something_seen(log: Path, features: Features) -> None:

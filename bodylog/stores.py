@@ -46,6 +46,14 @@ def name_of(url: str) -> str:
     return re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log"
 
 
+def file_behind(url: str) -> Path | None:
+    """The file on this machine that a URL names (file://, local://); None behind any other."""
+    if url.partition("://")[0].lower() not in ("file", "local"):
+        return None
+    with _said(url):
+        return Path(_store(url)[1])
+
+
 def size(url: str) -> int:
     """Bytes behind a URL; LogError when it does not say or cannot be reached."""
     with _said(url):

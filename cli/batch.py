@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: bodylog batch logs/ -o out --train explore.bag --jobs 2 --fail-if 'joint_rmse>0.02'")
-@click.argument("logs", metavar="LOG|GLOB|DIR...", nargs=-1, required=True)
-@click.option("-o", "--output", "out", type=options.PATH, required=True, help="The folder for everything.")
+@click.argument("logs", metavar="LOG|GLOB|DIR...", type=options.SEARCHED, nargs=-1, required=True)
+@click.option("-o", "--output", "out", type=options.FOLDER, required=True, help="The folder for everything.")
 @click.option("--body", type=options.PATH, help="The body model that fit wrote.")
 @click.option("--train", type=options.PATH, multiple=True, metavar="LOG", help="Learn the body from this log first.")
 @click.option("--jobs", "workers", type=click.IntRange(min=1), default=1, show_default=True, help="Logs at a time.")
@@ -44,10 +44,9 @@ def batch(
 
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
-    if not all(logs):
-        raise click.BadParameter("a name is expected, and this is empty", param_hint="LOG")
     groups = _groups(logs, common.settings(estimate=options.estimation(typed)), what)
-    plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), **how)
+    read = tuple(path for path in (*map(Path, logs), common.config_file) if path is not None and path.is_file())
+    plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), inputs=read, **how)
     rows = run(plan, _tell)
     if as_json:
         data(as_data(Result(plan.out)) | {"rows": rows})

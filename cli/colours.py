@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import PATH, Common, common_options, log_argument
+from .options import OUT, Common, common_options, log_argument
 
 if TYPE_CHECKING:
     from bodylog.present import Colours
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: bodylog colours run.bag -o colours.png")
 @log_argument
-@click.option("-o", "--output", "out", type=PATH, help="A contact sheet (.png) of what each range finds.")
+@click.option("-o", "--output", "out", type=OUT, help="A contact sheet (.png) of what each range finds.")
 @click.option("--effector", metavar="U,V", help="Where the effector is in the first picture, in px.")
 @common_options
 def colours(log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool) -> int:

@@ -25,6 +25,7 @@ from . import (
     reproduce,
     view,
 )
+from .places import guarded
 
 COMMANDS = (
     record.record,
@@ -63,6 +64,12 @@ class Commands(click.Group):
             click.echo(ctx.get_help(), err=True)
             ctx.exit(2)
         return super().parse_args(ctx, args)
+
+    def add_command(self, cmd: click.Command, name: str | None = None) -> None:
+        """A further command, which does not begin before its outputs are known to be no inputs."""
+        if cmd.callback is not None:
+            cmd.callback = guarded(cmd.callback)
+        super().add_command(cmd, name)
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was typed."""

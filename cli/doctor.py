@@ -4,12 +4,12 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, common_options, logs_argument
+from .options import OUT, Common, common_options, logs_argument
 
 
 @click.command(epilog="Example: bodylog doctor crashed.mcap --repair sound.mcap")
 @logs_argument
-@click.option("--repair", type=PATH, metavar="OUT.mcap", help="Write what is sound of one log there.")
+@click.option("--repair", type=OUT, metavar="OUT.mcap", help="Write what is sound of one log there.")
 @common_options
 def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json: bool) -> int:
     """What is wrong with a log, and what can be saved of it."""

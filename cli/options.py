@@ -30,25 +30,45 @@ class Named(click.Path):
         return Path(value)
 
 
+class Url(str):
+    """A URL whose file is fetched for the time of the command, once its outputs are known to be no inputs."""
+
+
 class Log(Named):
-    """A log: a path, or a URL whose file is fetched for the time of the command, or by the command itself if `late`."""
+    """A log: a path, or a URL whose file is fetched before the command begins, or by the command itself if `late`."""
 
     def __init__(self, late: bool = False) -> None:
-        """Fetch now, or leave URLs as they are."""
+        """Fetch before, or leave URLs as they are."""
         super().__init__()
         self._late = late
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Path, or the URL as it is."""
+        """Path, or the URL."""
         from bodylog import stores
 
         if not isinstance(value, str) or not stores.is_url(value):
             return super().convert(value, param, ctx)
-        if self._late or ctx is None:
-            return value
-        from tempfile import gettempdir
+        return value if self._late else Url(value)
 
-        return ctx.with_resource(stores.local(value, Path(gettempdir())))
+
+class Searched(Named):
+    """A log, a pattern, a folder to search or a URL, as it was typed."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Text."""
+        super().convert(value, param, ctx)
+        return value
+
+
+class OutputFile(Named):
+    """A file to write, which may not be there yet."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Path."""
+        path = super().convert(value, param, ctx)
+        if os.fspath(value).endswith(os.sep):
+            self.fail(f"{value}: is a folder; give the name of a file", param, ctx)
+        return path
 
 
 class Folder(Named):
@@ -63,9 +83,12 @@ class Folder(Named):
 
 
 PATH = Named()
+"""A file to read."""
+OUT = OutputFile()
 FOLDER = Folder()
 LOG = Log()
 ANYWHERE = Log(late=True)
+SEARCHED = Searched()
 
 
 def finite(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
@@ -87,7 +110,7 @@ def logs_argument(function: Command) -> Command:
 
 def out_option(what: str) -> Callable[[Command], Command]:
     """-o: the file to write."""
-    return click.option("-o", "--output", "out", type=PATH, required=True, help=what)
+    return click.option("-o", "--output", "out", type=OUT, required=True, help=what)
 
 
 @dataclass(frozen=True)

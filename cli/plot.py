@@ -4,12 +4,12 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, clock_option, common_options
+from .options import OUT, PATH, Common, clock_option, common_options
 
 
 @click.command(epilog="Example: bodylog plot run.bag -o run.png")
 @click.argument("source", metavar="LOG|BODY.npz", type=PATH)
-@click.option("-o", "--output", "out", type=PATH, required=True, help="The picture to write (.png or .svg).")
+@click.option("-o", "--output", "out", type=OUT, required=True, help="The picture to write (.png or .svg).")
 @clock_option
 @common_options
 def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import PATH
+from .options import FOLDER
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: bodylog reproduce E1 E3 -o out --seeds 10 --jobs 2")
 @click.argument("experiments", metavar="[E1 ...]", nargs=-1)
-@click.option("-o", "--output", "out", type=PATH, required=True, help="The folder for the page and all it is made of.")
+@click.option("-o", "--output", "out", type=FOLDER, required=True, help="The folder for the page and its parts.")
 @click.option("--seeds", type=click.IntRange(min=1), default=10, show_default=True, help="How often each is run.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs at a time.")
 @click.option("--json", "as_json", is_flag=True, help="Print the claims as JSON on standard output.")

@@ -4,12 +4,12 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, common_options, log_argument
+from .options import OUT, Common, common_options, log_argument
 
 
 @click.command(epilog="Example: bodylog view run.mcap -o run.rrd")
 @log_argument
-@click.option("-o", "--output", "out", type=PATH, help="The recording to write (.rrd); without it a window opens.")
+@click.option("-o", "--output", "out", type=OUT, help="The recording to write (.rrd); without it a window opens.")
 @common_options
 def view(log: Path, out: Path | None, common: Common, as_json: bool) -> int:
     """Look at a log in Rerun: pictures with what was seen and predicted drawn on them, belief, errors, events."""

@@ -9,7 +9,8 @@ PAGE = Path(__file__).with_name("cli.md")
 BEGIN = """# Command line
 
 The file after `-o` is whole or absent: written beside its place, then put there; of a link, what the link leads to is
-written and the link stays. `--config` and `--baseline` may be pipes: `--config <(sed s/left/right/ robot.toml)`.
+written and the link stays. No output may be an input, lie in one or, as a folder, hold one, by whatever name: that is
+refused before anything is read. `--config` and `--baseline` may be pipes: `--config <(sed s/left/right/ robot.toml)`.
 
 Every `--help`, word for word.
 """

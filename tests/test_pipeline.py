@@ -16,10 +16,10 @@ def test_what_is_read_is_never_written_to(out: str, tmp_path: Path) -> None:
     for path in (first, second, body):
         path.write_bytes(b"precious")
     (tmp_path / "link.npz").symlink_to(body)
-    with pytest.raises(UsageError, match=f"{out}: is read here"):
+    with pytest.raises(UsageError, match=f"{out} is also an input"):
         pipeline.fit([first, second], tmp_path / out, Settings(), update=body)
     if out != "b.mcap":
-        with pytest.raises(UsageError, match=f"{out}: is read here"):
+        with pytest.raises(UsageError, match=f"{out} is also an input"):
             pipeline.estimate(first, body, tmp_path / out, Settings())
     assert all(path.read_bytes() == b"precious" for path in (first, second, body))
 

@@ -1,13 +1,15 @@
 """Many logs, each with a learned body: every log gets its row, whatever happens to it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from .. import stores
 from ..errors import UsageError
-from ..files import made
+from ..files import writable
+from ..outputs import Output, guard
 from ..settings import Settings
-from . import jobs, local, results, resume, work
+from . import folders, jobs, local, results, resume, work
 from .jobs import Job, Row
 
 Report = Callable[[Row, int, int], None]
@@ -28,7 +30,10 @@ class Group:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a batch is asked to do, and with what: processes, bytes of memory, which part, on which scheduler."""
+    """What a batch is asked to do, and with what: processes, bytes of memory, which part, on which scheduler.
+
+    `inputs` are further files that it must not write to: its manifest, a robot.toml.
+    """
 
     groups: tuple[Group, ...]
     out: Path
@@ -38,23 +43,28 @@ class Plan:
     keep_going: bool = False
     memory: int | None = None
     scheduler: str | None = None
+    inputs: tuple[Path, ...] = ()
 
 
 def batch(plan: Plan, report: Report | None = None) -> list[Row]:
-    """One row per log, in name order; also left in plan.out as results.jsonl, junit.xml and summary.html."""
-    planned = [job for group in plan.groups for job in _jobs(plan, group)]
-    done = {job.name: row for job in planned if plan.resume and (row := resume.finished(job))}
-    with results.journal(plan.out) as write:
-        for row in done.values():
-            write(row)
-        for row in _run(plan, [job for job in planned if job.name not in done]):
-            done[row["name"]] = row
-            write(row)
-            if report:
-                report(row, len(done), len(planned))
-    rows = [done.get(job.name) or work.not_run(job) for job in planned]
-    results.write(plan.out, rows)
-    return rows
+    """One row per log of this shard, in name order; also left in plan.out as results.jsonl, junit.xml, summary.html.
+
+    Shards that share plan.out leave there together what one run over all logs leaves.
+    """
+    whole, names = _planned(plan)
+    mine = [job for job in whole if job.name in names]
+    done = {job.name: row for job in mine if plan.resume and (row := resume.finished(job))}
+    journal = results.Journal(plan.out, whole, frozenset(names), done)
+    for row in _run(plan, [job for job in mine if job.name not in done]):
+        done[row["name"]] = row
+        journal.add(row)
+        if report:
+            report(row, len(done), len(mine))
+    for job in mine:
+        if job.name not in done:
+            done[job.name] = work.not_run(job)
+    journal.finish()
+    return [done[job.name] for job in mine]
 
 
 def exit_code(rows: Sequence[Row]) -> int:
@@ -62,26 +72,66 @@ def exit_code(rows: Sequence[Row]) -> int:
     return max((row["exit_code"] for row in rows), key=(0, 3, 4, 65, 1).index, default=0)
 
 
-def _jobs(plan: Plan, group: Group) -> list[Job]:
-    """The group's jobs; what no log can help is refused here: a bound, method or sense that is none, a body."""
-    from .. import estimation
-    from ..body import model
+def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
+    """The jobs of all shards, and the names of this shard's.
+
+    What no log can help is refused before anything is made: a bound, method or sense that is none, a body, a place.
+    """
     from ..evaluation import bounds
 
-    if (group.body is None) == (not group.train):
-        raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
-    for text in group.bounds:
-        bounds.parse(text)
-    logs = jobs.named(group.logs, plan.shard)
-    folder = made(plan.out / group.name)
-    if taken := [folder / name for name in logs if (folder / name).is_file()]:
-        raise UsageError(f"{taken[0]}: is in the place of a folder; give another one with -o")
+    logs = []
+    for group in plan.groups:
+        if (group.body is None) == (not group.train):
+            raise UsageError("batch needs either --body body.npz or --train LOG, and not both")
+        for text in group.bounds:
+            bounds.parse(text)
+        logs.append(jobs.named(group.logs))
+    shares = [jobs.share(found, plan.shard) for found in logs]
+    read = [path for found in logs for log in found.values() if (path := _path(log)) is not None]
+    bodies = [path for group in plan.groups for path in (group.body, *group.train) if path is not None]
+    guard([*plan.inputs, *read, *bodies], [Output(plan.out, folder=True)])
+    writable(plan.out, folder=True)
+    folders.check(plan.out, ())
+    for group, found in zip(plan.groups, logs, strict=True):
+        folders.check(plan.out / group.name, [plan.out / group.name / name for name in found])
+        if group.train:
+            resume.check_replaceable(plan.out / group.name / folders.BODY[0])
+    checked: set[object] = set()
+    for group in plan.groups:
+        if group.body is not None:
+            _check(group.body, group.settings, checked)
+    folders.mark(plan.out, folders.BATCH)
+    whole, names = [], set[str]()
+    for group, found, share in zip(plan.groups, logs, shares, strict=True):
+        before = f"{group.name}/" if group.name else ""
+        whole += _jobs(plan, group, found, before)
+        names.update(before + name for name in share)
+    return whole, names
+
+
+def _path(log: str) -> Path | None:
+    """Where a log lies on this machine, if it does."""
+    return stores.file_behind(log) if stores.is_url(log) else Path(log)
+
+
+def _check(body: Path, settings: Settings, checked: set[object]) -> None:
+    """ModelError or UsageError for a body that is none, or a method or sense that it does not know; each once."""
+    from .. import estimation
+    from ..body import model
+
+    asked = (body, repr(settings.estimate))
+    if asked not in checked:
+        estimation.check(model.load(body), settings.estimate)
+        checked.add(asked)
+
+
+def _jobs(plan: Plan, group: Group, found: Mapping[str, str], before: str) -> list[Job]:
+    folder = folders.mark(plan.out / group.name, folders.BATCH)
     body = _body(group, folder)
-    estimation.check(model.load(body), group.settings.estimate)
-    before = f"{group.name}/" if group.name else ""
+    how = resume.how(body, group.settings, group.bounds)
     return [
-        Job(before + name, log, folder / name, body, group.settings, group.bounds, plan.resume)
-        for name, log in logs.items()
+        Job(before + name, log, folder / name, body, group.settings, group.bounds, plan.resume, how)
+        for name, log in found.items()
     ]
 
 
@@ -98,6 +148,7 @@ def _body(group: Group, folder: Path) -> Path:
     """The body model given, or the one learned from the training logs, kept when it is what would be learned again."""
     if group.body is not None:
         return group.body
-    with jobs.alone(folder):  # shards that share a folder learn the body once
-        return resume.learned(group.train, folder / "body.npz", group.settings)
-
+    with folders.alone(folder, folders.BATCH):  # shards that share a folder learn the body once
+        body = resume.learned(group.train, folder / "body.npz", group.settings)
+    _check(body, group.settings, set())
+    return body

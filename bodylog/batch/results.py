@@ -3,27 +3,59 @@
 import html
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..files import replacing
-from .jobs import Row
+from . import folders, resume
+from .jobs import Job, Row
+from .resume import ODD
 
-ODD = "backslashreplace"
-"""What becomes of a file name that is no text: in JSON what it is read back from."""
 
+class Journal:
+    """The rows in a batch's folder: appended to results.jsonl as they come, so that an interrupted batch shows them.
 
-@contextmanager
-def journal(out: Path) -> Iterator[Callable[[Row], None]]:
-    """A function that appends one row to results.jsonl at once, so that an interrupted batch shows what it did."""
-    with (out / "results.jsonl").open("w", encoding="utf-8", errors=ODD) as stream:
+    Other shards may write there as well. Every row is also in its log's folder, and from there all are put together.
+    """
 
-        def write(row: Row) -> None:
-            stream.write(line(row))
-            stream.flush()
+    def __init__(self, out: Path, whole: Sequence[Job], names: frozenset[str], own: Mapping[str, Row]) -> None:
+        """Of the jobs of all shards; of those called `names` the rows are `own`, which grows."""
+        self._path, self._out, self._own = out / "results.jsonl", out, own
+        self._whole, self._names, self._seen = whole, names, (0, 0)
+        with folders.alone(out, folders.BATCH):
+            self._rewrite()
 
-        yield write
+    def add(self, row: Row) -> None:
+        """Append a row, or put all together again where another shard did so meanwhile."""
+        with folders.alone(self._out, folders.BATCH):
+            if not self._path.is_file() or self._state() != self._seen:
+                self._rewrite()
+                return
+            with self._path.open("a", encoding="utf-8", errors=ODD) as stream:
+                stream.write(line(row))
+            self._seen = self._state()
+
+    def finish(self) -> None:
+        """All three files, whole, in name order; again where another shard ended meanwhile, as without locks it can."""
+        rows: list[Row] | None = None
+        while rows is None or rows != self._rows():
+            with folders.alone(self._out, folders.BATCH):
+                rows = self._rows()
+                write(self._out, rows)
+
+    def _rows(self) -> list[Row]:
+        """This shard's rows, and what others left that was done as this one does it."""
+        found = (self._own.get(job.name) if job.name in self._names else resume.left(job) for job in self._whole)
+        return [row for row in found if row is not None]
+
+    def _rewrite(self) -> None:
+        _leave(self._path, "".join(map(line, self._rows())))
+        self._seen = self._state()
+
+    def _state(self) -> tuple[int, int]:
+        """Another file, or another length, once somebody else wrote there."""
+        found = self._path.stat()
+        return found.st_ino, found.st_size
 
 
 def line(row: Row) -> str:
@@ -38,8 +70,12 @@ def write(out: Path, rows: Sequence[Row]) -> None:
         ("junit.xml", junit(rows)),
         ("summary.html", summary(rows)),
     ):
-        with replacing(out / name) as beside:
-            beside.write_text(text, encoding="utf-8", errors=ODD)
+        _leave(out / name, text)
+
+
+def _leave(path: Path, text: str) -> None:
+    with replacing(path) as beside:
+        beside.write_text(text, encoding="utf-8", errors=ODD)
 
 
 def junit(rows: Sequence[Row]) -> str:

@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__, pipeline, stores
-from ..errors import BodylogError, LogError, ModelError
-from ..files import sha256
+from ..errors import BodylogError, LogError, ModelError, UsageError
+from ..files import replacing, sha256
 from ..settings import Settings, plain
+from .folders import RESULT, ROW, mark
 from .jobs import Job, Row
 
-ROW = "row.json"
+HOW = "how"
+"""In row.json beside the row: a digest of all that it depends on but the log."""
+ODD = "backslashreplace"
+"""What becomes of a file name that is no text: in JSON what it is read back from."""
 
 
 def key(job: Job) -> str:
@@ -22,14 +26,41 @@ def key(job: Job) -> str:
     return _digest(parts)
 
 
+def how(body: Path, settings: Settings, bounds: Sequence[str]) -> str:
+    """Digest of what the outputs of all logs depend on: body, settings, bounds, version."""
+    return _digest([sha256(body), plain(settings), list(bounds), __version__])
+
+
+def leave(job: Job, row: Row) -> Row:
+    """Leave a row beside its outputs; the row just as `left` and `finished` read it."""
+    text = json.dumps({**row, HOW: job.how}, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    with replacing(job.folder / ROW) as beside:
+        beside.write_text(text, encoding="utf-8", errors=ODD)
+    return _plain(json.loads(text))
+
+
+def left(job: Job) -> Row | None:
+    """The row that another shard left, if that was done in the same way; None otherwise."""
+    row = _read(job.folder / ROW)
+    return _plain(row) if row is not None and row.get(HOW) == job.how else None
+
+
 def finished(job: Job) -> Row | None:
     """The row an earlier run left, if it is for the same work and each output is whole; None otherwise."""
     row = _read(job.folder / ROW)
-    if row is None or row.get("key") != _key_or_none(job):
+    if row is None or row.get("key") is None or row["key"] != _key_or_none(job):
         return None
-    outputs = row["outputs"]
-    whole = all(_same(job.folder / name, digest) for name, digest in outputs.items())
-    return row if whole and _counted(job, row) else None
+    whole = all(_same(job.folder / name, digest) for name, digest in row["outputs"].items())
+    if not whole or not _counted(job, row):
+        return None
+    if row.get(HOW) == job.how:
+        return _plain(row)
+    mark(job.folder, RESULT)  # an earlier version left it
+    return leave(job, row)
+
+
+def _plain(row: Row) -> Row:
+    return {name: value for name, value in row.items() if name != HOW}
 
 
 def _key_or_none(job: Job) -> str | None:
@@ -62,16 +93,40 @@ def _counted(job: Job, row: Row) -> bool:
 
 
 def learned(train: Sequence[Path], body: Path, settings: Settings) -> Path:
-    """The body model learned from `train`; learned anew unless the one there comes from the same logs and settings."""
+    """The body model learned from `train`, unless the one there comes from the same logs and settings."""
     for log in train:
         if not log.exists():
             raise LogError(f"{log}: there is no such file or folder; check the name")
-    mark = body.with_name("body.json")
-    wanted = _digest([[sha256(log) for log in train], plain(settings), __version__])
-    if not (_loads(body) and (_read_mark(mark) == [wanted, sha256(body)])):
+    said = _mark_of(body)
+    wanted, known = _digest([[sha256(log) for log in train], plain(settings), __version__]), _read_mark(said)
+    if not (_loads(body) and known == [wanted, sha256(body)]):
+        _leave_mark(said, [wanted, None])
         pipeline.fit(train, body, settings)
-        mark.write_text(json.dumps([wanted, sha256(body)]), encoding="utf-8")
+        _leave_mark(said, [wanted, sha256(body)])
     return body
+
+
+def check_replaceable(body: Path) -> None:
+    """UsageError when a body model, or the mark beside it, is there that no batch left: it is not replaced.
+
+    The mark holds the body's digest, or None while it is being learned.
+    """
+    said = _mark_of(body)
+    known = _read_mark(said)
+    ours = isinstance(known, list) and len(known) == 2
+    if said.exists() and not ours:
+        raise UsageError(f"{said}: no batch left this, and --train would replace it; give another folder with -o")
+    if body.exists() and not (ours and body.is_file() and known[1] in (None, sha256(body))):
+        raise UsageError(f"{body}: no batch learned it, and --train would replace it; give another folder with -o")
+
+
+def _mark_of(body: Path) -> Path:
+    return body.with_name("body.json")
+
+
+def _leave_mark(path: Path, value: Any) -> None:
+    with replacing(path) as beside:
+        beside.write_text(json.dumps(value), encoding="utf-8")
 
 
 def _loads(body: Path) -> bool:

@@ -1,6 +1,5 @@
 """One log of a batch: estimate, score, report, and the row that says how it went."""
 
-import json
 import shutil
 import traceback
 from collections.abc import Iterator
@@ -13,20 +12,21 @@ from .. import pipeline, present, stores, torn
 from ..config import toml
 from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
-from ..files import replacing, sha256
-from . import resume
-from .jobs import Job, Row, alone
-from .results import ODD
+from ..files import forsake, replacing, sha256
+from . import folders, resume
+from .folders import OUTPUTS
+from .jobs import Job, Row
+from .resume import ODD
 
-OUTPUTS = ("annotated.mcap", "report.html", "robot.toml")
 STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable", 1: "bug"}
 
 
 def run(job: Job) -> Row:
     """Do one job and leave its row beside its outputs; every failure becomes a row."""
     torn.endure()
-    job.folder.mkdir(parents=True, exist_ok=True)
-    with alone(job.folder), _on_one_core():  # a worker that outlived its killed batch may still be at it
+    folders.mark(job.folder, folders.RESULT)
+    # a worker that outlived its killed batch may still be at it
+    with folders.alone(job.folder, folders.RESULT), _on_one_core():
         earlier = resume.finished(job) if job.resume else None
         return earlier or _anew(job)
 
@@ -44,23 +44,24 @@ def _on_one_core() -> Iterator[None]:
 
 
 def _anew(job: Job) -> Row:
-    for stale in [*job.folder.glob(".*.part"), *(job.folder / name for name in (*OUTPUTS, resume.ROW))]:
-        shutil.rmtree(stale) if stale.is_dir() else stale.unlink(missing_ok=True)
-    text = json.dumps(_attempt(job), sort_keys=True, ensure_ascii=False, allow_nan=False)
-    _leave(job.folder / resume.ROW, text)
-    row: Row = json.loads(text)  # just as a resumed run will read it
-    return row
+    forsake(job.folder, ".*.part")
+    for stale in (job.folder / name for name in (*OUTPUTS, folders.ROW)):
+        shutil.rmtree(stale) if stale.is_dir() and not stale.is_symlink() else stale.unlink(missing_ok=True)
+    return resume.leave(job, _attempt(job))
 
 
 def died(job: Job, why: str) -> Row:
     """The row of a job whose worker was lost."""
-    return _row(job, None, 1, why)
+    folders.mark(job.folder, folders.RESULT)
+    forsake(job.folder, ".*.part")
+    return resume.leave(job, _row(job, None, 1, why))
 
 
 def not_run(job: Job) -> Row:
     """The row of a log that was not reached because the batch stopped early."""
     why = "the batch stopped before this log; type the same command with --resume"
-    return {**_row(job, None, 1, why), "status": "not run"}
+    folders.mark(job.folder, folders.RESULT)
+    return resume.leave(job, {**_row(job, None, 1, why), "status": "not run"})
 
 
 def _attempt(job: Job) -> Row:

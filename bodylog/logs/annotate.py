@@ -7,8 +7,9 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError, LogError, UsageError
+from ..errors import FormatError, LogError
 from ..files import replacing
+from ..outputs import Output, guard
 from ..types import Finding, Outgoing
 from .append import NAME, Base, is_mcap, keepable, messages
 from .copying import Copy
@@ -46,8 +47,7 @@ def begun(source: Path, out: Path, whole: bool = True) -> Iterator["Annotation"]
     `add` and `about` are to follow, once each; `copy` may come before, once a core is to spare: what takes no time to
     copy waits for that. Nothing is left of `out` when the block fails.
     """
-    if out.exists() and source.exists() and out.samefile(source):
-        raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
+    guard([source], [Output(out)])
     with replacing(out) as beside:
         base = _base(source) if whole else None
         with Copy(source) if base is None else Copy(source, beside, base.end) as copy, beside.open("r+b") as stream:

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import LogError, UsageError
+from ..errors import LogError
 from ..files import replacing, sha256
+from ..outputs import Output, guard
 from ..settings import Settings
 from ..types import Finding, Outgoing, Recording, Series
 from .annotate import add, verify
@@ -33,8 +34,7 @@ def ingest(
 
     LogError when the log has neither signals nor pictures there, UsageError when `out` is the log.
     """
-    if out.exists() and path.exists() and out.samefile(path):
-        raise UsageError(f"{out}: is the log itself, and a log is never overwritten; type another name after -o")
+    guard([path], [Output(out)])
     recording = read(path, settings, settings.input.strict)
     begun = -recording.start_ns / 1e9
     window = (begun if start is None else max(start, begun), np.inf if end is None else end)

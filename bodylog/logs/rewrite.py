@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
-from ..errors import LogError, UsageError
+from ..errors import LogError
 from ..files import replacing
+from ..outputs import Output, guard
 from ..types import Finding, Topic
 from .chunks import MESSAGE_HEAD
 from .containers import Log, open_log, payloads
@@ -16,8 +17,7 @@ _PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 
 def repair(path: Path, out: Path) -> tuple[Finding, ...]:
     """Write the sound messages of `path` to the MCAP `out`; what was wrong comes back. LogError when none is sound."""
-    if out.exists() and out.samefile(path):
-        raise UsageError(f"{out}: this is the log itself; name another file to write to")
+    guard([path], [Output(out, "--repair")])
     with open_log(path) as log, replacing(out) as beside:
         written = _mcap(log, beside) if isinstance(log, McapLog) else _any(log, beside)
         if not written and any(finding.severity == "lost" for finding in log.findings):

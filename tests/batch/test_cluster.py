@@ -49,7 +49,7 @@ def test_a_killed_workers_log_is_done_by_another(tmp_path, logs, robot, bodylog)
         tcp = _tcp(address)
         workers = [subprocess.Popen([*worker, tcp], stderr=subprocess.DEVNULL) for _ in range(2)]
         process = _start(logs, robot, tmp_path / "out", "--scheduler", tcp)
-        while not (tmp_path / "out" / "a.mcap" / ".lock").exists():
+        while not (tmp_path / "out" / "a.mcap" / ".bodylog-result").exists():
             time.sleep(0.01)
         os.kill(workers[0].pid, signal.SIGKILL)
         _, said = process.communicate(timeout=120)

@@ -151,7 +151,7 @@ def _wrong(robot, tmp_path):
         "unknown scenario": (2, "babble", ("record", "dance", "-o", out)),
         "absent folder": (2, "mkdir", ("record", "babble", "-o", tmp_path / "no" / "out.mcap", "--duration", 1)),
         "no estimate": (65, "bodylog estimate", ("evaluate", reach)),
-        "onto itself": (2, "is read here", ("estimate", reach, "-o", reach, "--body", body)),
+        "onto itself": (2, "is also an input", ("estimate", reach, "-o", reach, "--body", body)),
         "unknown option": (2, "--help", ("estimate", reach, "--bodi", body)),
         "bad clock offset": (2, "auto or seconds", ("extract", reach, "-o", out, "--clock-offset", "soon")),
         "bad delay": (2, "auto, off or NAME=S", ("estimate", reach, *estimate, "--delay", "camera=soon")),
@@ -293,6 +293,6 @@ def test_what_a_command_reads_it_never_writes_to(tmp_path, capsys, bodylog, robo
     shutil.copy(robot / "body.npz", body)
     typed = ("--body", body) if name == "estimate" else ()
     for out in (log, body) if name == "estimate" else (log,):
-        assert "give another name with -o" in _said(capsys, 2, bodylog, name, log, *typed, "-o", out)
+        assert "is also an input" in _said(capsys, 2, bodylog, name, log, *typed, "-o", out)
     assert log.read_bytes() == (robot / "reach.mcap").read_bytes()
     assert body.read_bytes() == (robot / "body.npz").read_bytes()

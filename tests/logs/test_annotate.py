@@ -183,7 +183,7 @@ def test_the_log_itself_is_never_written_to(tmp_path, messages, log):
     before = log.read_bytes()
     (tmp_path / "link.mcap").symlink_to(log)
     for out in (log, tmp_path / "link.mcap"):
-        with pytest.raises(UsageError, match=r"is the log itself.*type another name after -o"):
+        with pytest.raises(UsageError, match=r"is also an input .*choose another name"):
             annotate(log, messages, SAID, out)
     assert log.read_bytes() == before
 

@@ -101,7 +101,7 @@ def test_a_log_without_roles_is_refused(tmp_path):
 def test_the_log_itself_is_never_written_to(tmp_path, arm):
     link = tmp_path / "out.mcap"
     link.symlink_to(arm / "reach.mcap")
-    with pytest.raises(UsageError, match="is the log itself"):
+    with pytest.raises(UsageError, match="is also an input"):
         ingest(arm / "reach.mcap", link, Settings())
 
 

@@ -1,0 +1,75 @@
+"""Where a command reads and writes, by its options: no output is an input; URLs are fetched once that is known."""
+
+import functools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .options import Folder, Named, OutputFile, Url
+
+if TYPE_CHECKING:
+    from bodylog.outputs import Output
+
+
+def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
+    """The command, refused before it reads anything where an output is an input or cannot be written."""
+
+    @functools.wraps(command)
+    def checked(**given: Any) -> Any:
+        ctx = click.get_current_context()
+        outputs = list(_outputs(ctx.command.params, given))
+        if outputs:
+            from bodylog.files import writable
+            from bodylog.outputs import guard
+
+            guard(_inputs(ctx.command.params, given), outputs)
+            for output in outputs:
+                writable(output.path, output.folder)
+        return command(**{name: _fetched(value, ctx) for name, value in given.items()})
+
+    return checked
+
+
+def _outputs(params: list[click.Parameter], given: dict[str, Any]) -> "Iterator[Output]":
+    from bodylog.outputs import Output
+
+    for param in params:
+        if isinstance(param.type, OutputFile | Folder):
+            for path in _each(given[param.name or ""]):
+                yield Output(path, param.opts[0], isinstance(param.type, Folder))
+
+
+def _inputs(params: list[click.Parameter], given: dict[str, Any]) -> Iterator[Path]:
+    """Everything that a path-like option names but outputs: files, and what is behind file:// URLs.
+
+    The folders that a batch searches are no inputs; the logs found in them are, which it says itself.
+    """
+    from bodylog import stores
+
+    for param in params:
+        if isinstance(param.type, Named) and not isinstance(param.type, OutputFile | Folder):
+            for value in _each(given[param.name or ""]):
+                path = stores.file_behind(value) if isinstance(value, str) and stores.is_url(value) else Path(value)
+                if path is not None and not (isinstance(value, str) and path.is_dir()):
+                    yield path
+
+
+def _each(value: Any) -> Iterator[Any]:
+    """One value, several, or none."""
+    if value is not None:
+        yield from value if isinstance(value, tuple) else (value,)
+
+
+def _fetched(value: Any, ctx: click.Context) -> Any:
+    """Logs behind URLs as files that last as long as the command."""
+    if isinstance(value, tuple):
+        return tuple(_fetched(one, ctx) for one in value)
+    if not isinstance(value, Url):
+        return value
+    from tempfile import gettempdir
+
+    from bodylog import stores
+
+    return ctx.with_resource(stores.local(value, Path(gettempdir())))

@@ -1,0 +1,185 @@
+"""A batch writes only into folders that it made and marked, alone or beside its shards."""
+
+import json
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from bodylog.batch import folders, resume
+from bodylog.batch.jobs import Job, find, named
+from bodylog.batch.results import Journal
+from bodylog.errors import UsageError
+from bodylog.settings import Settings
+
+
+def _tree(out):
+    return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
+
+
+def _rosbag2(folder):
+    folder.mkdir(parents=True)
+    (folder / "run_0.db3").write_bytes(b"precious")
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    (folder / "robot.toml").write_text("# by hand\n")
+    return folder
+
+
+def _refused(capsys, bodylog, folder, *typed):
+    before = _tree(folder)
+    capsys.readouterr()
+    assert bodylog("batch", *typed) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and _tree(folder) == before
+    return said
+
+
+def test_a_log_never_lies_in_the_folder_of_its_own_results(tmp_path, capsys, bodylog, robot):
+    run = _rosbag2(tmp_path / "runs" / "run1")
+    said = _refused(capsys, bodylog, tmp_path, run, "--body", robot / "body.npz", "-o", run.parent)
+    assert f"holds an input ({run})" in said
+
+
+def test_a_folder_that_no_batch_made_is_not_written_into(tmp_path, capsys, bodylog, robot):
+    theirs = _rosbag2(tmp_path / "out" / "reach.mcap")
+    typed = (robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out")
+    assert f"{theirs}: no batch made this folder" in _refused(capsys, bodylog, tmp_path, *typed)
+    shutil.rmtree(theirs)
+    theirs.symlink_to(_rosbag2(tmp_path / "elsewhere"))
+    assert f"{theirs}: no batch made this folder" in _refused(capsys, bodylog, tmp_path, *typed)
+
+
+@pytest.mark.parametrize("name", ["results.jsonl", "junit.xml", "summary.html"])
+def test_a_summary_that_no_batch_left_is_not_replaced(tmp_path, capsys, bodylog, robot, name):
+    (tmp_path / name).write_text("<testsuites name='of other tests'/>")
+    said = _refused(capsys, bodylog, tmp_path, robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path)
+    assert f"{tmp_path / name}: no batch left this" in said
+
+
+@pytest.mark.parametrize("name", ["body.npz", "body.json"])
+def test_a_body_that_no_batch_learned_is_not_replaced(tmp_path, capsys, bodylog, robot, name):
+    (tmp_path / name).write_bytes(b"the user's")
+    said = _refused(capsys, bodylog, tmp_path, robot / "reach.mcap", "--train", robot / "explore.mcap", "-o", tmp_path)
+    assert f"{tmp_path / name}: no batch l" in said and "--train would replace it" in said
+
+
+def test_a_body_is_replaced_that_a_batch_learned_or_was_learning_when_it_was_killed(tmp_path):
+    body, mark = tmp_path / "body.npz", tmp_path / "body.json"
+    resume.check_replaceable(body)
+    body.write_bytes(b"learned")
+    for known in (None, "0" * 64):
+        mark.write_text(json.dumps(["wanted", known]))
+        if known is None:
+            resume.check_replaceable(body)
+            continue
+        with pytest.raises(UsageError, match="no batch learned it"):
+            resume.check_replaceable(body)
+
+
+def test_results_of_earlier_versions_are_resumed_and_their_damage_is_undone(tmp_path, bodylog, robot):
+    """They marked a folder with a lock alone, now and then a recording; its log is found again."""
+    out, typed = tmp_path / "out", ("batch", robot / "reach.mcap", "--body", robot / "body.npz", "--resume", "-o")
+    assert bodylog(*typed, out) == 0
+    whole, result = _tree(out), out / "reach.mcap"
+    (out / folders.BATCH).unlink()
+    (result / folders.RESULT).rename(result / ".lock")
+    row = json.loads((result / "row.json").read_text())
+    del row["how"]
+    (result / "row.json").write_text(json.dumps(row, sort_keys=True))
+    kept = (result / "annotated.mcap").stat().st_mtime_ns
+    assert list(find(str(tmp_path / "out"))) == []
+    assert bodylog(*typed, out) == 0
+    assert _tree(out) == whole and (result / "annotated.mcap").stat().st_mtime_ns == kept
+    run = _rosbag2(tmp_path / "runs" / "run1")
+    for name in (".lock", "row.json", "annotated.mcap", "report.html"):
+        (run / name).touch()
+    assert list(find(str(tmp_path / "runs"))) == [str(run)]
+
+
+def test_logs_in_a_folder_with_results_are_still_found(tmp_path, bodylog, robot):
+    """The folder given with -o may hold other things, which stay."""
+    (tmp_path / "later").mkdir()
+    shutil.copy(robot / "reach.mcap", tmp_path / "later" / "b.mcap")
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "reach.mcap").mkdir()
+    assert bodylog("batch", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path) == 0
+    assert named([str(tmp_path)]) == {"b.mcap": str(tmp_path / "later" / "b.mcap")}
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_names_that_a_disk_may_take_for_one_get_folders_of_their_own():
+    logs = {"a/Run.mcap": "Run.mcap", "b/run.MCAP": "run.MCAP", "c/x.mcap": "x.mcap", "d": "junit.xml", "e": "y" * 250}
+    found = folders.named(logs)
+    assert found["c/x.mcap"] == "x.mcap" and len({name.casefold() for name in found.values()}) == 5
+    assert "junit.xml" not in found.values() and max(map(len, found.values())) < 255
+
+
+LOCKLESS = """
+import errno, fcntl, sys
+def flock(*_):
+    raise OSError(errno.ENOLCK, "No locks available")
+if sys.argv.pop(1) == "lockless":
+    fcntl.flock = flock
+import bodylog_cli
+bodylog_cli.main()
+"""
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, robot, bodylog):
+    """Logs good and bad, and what one batch over all of them leaves."""
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "logs").mkdir()
+    shutil.copy(robot / "reach.mcap", folder / "logs" / "c.mcap")
+    for name in "abde":
+        (folder / "logs" / f"{name}.mcap").write_bytes(b"no log")
+    assert bodylog("batch", folder / "logs", "--body", robot / "body.npz", "-o", folder / "whole") == 65
+    return folder
+
+
+@pytest.mark.parametrize("how", ["locks", "lockless"])
+def test_shards_that_share_a_folder_leave_what_one_run_leaves(tmp_path, runs, robot, how):
+    shards = [_shard(runs, robot, tmp_path / "out", how, f"{i}/3") for i in (1, 2, 3)]
+    assert [shard.wait(timeout=120) for shard in shards] == [65, 65, 0]
+    assert _tree(tmp_path / "out") == _tree(runs / "whole")
+
+
+def _shard(runs, robot, out, how, part):
+    typed = ("batch", runs / "logs", "--body", robot / "body.npz", "-o", out, "--shard", part)
+    return subprocess.Popen([sys.executable, "-c", LOCKLESS, how, *map(str, typed)], stderr=subprocess.DEVNULL)
+
+
+def test_shards_one_after_the_other_show_what_is_done_so_far(tmp_path, runs, robot, bodylog):
+    """Rows of other settings, which a later shard is to replace, are not shown meanwhile."""
+    out, typed = tmp_path / "out", ("batch", runs / "logs", "--body", robot / "body.npz", "-o")
+    bad = ("--fail-if", "joint_rmse>9")
+    for part, names in (("1/3", "ad"), ("3/3", "cad")):
+        bodylog(*typed, out, "--shard", part, *(() if part == "3/3" else bad))
+        if part == "1/3":
+            assert _names(out) == [f"{name}.mcap" for name in names]
+    assert _names(out) == ["c.mcap"]
+    for part in ("1/3", "2/3"):
+        bodylog(*typed, out, "--shard", part)
+    assert _tree(out) == _tree(runs / "whole")
+
+
+def _names(out):
+    return [json.loads(line)["name"] for line in (out / "results.jsonl").read_text().splitlines()]
+
+
+def test_a_row_that_a_killed_shard_began_to_write_goes(tmp_path):
+    folders.mark(tmp_path, folders.BATCH)
+    jobs = [Job(name, name, tmp_path / name, tmp_path, Settings(), (), False, "how") for name in "abc"]
+    rows = {job.name: {"name": job.name, "outputs": {}} for job in jobs}
+    own: dict = {}
+    journal = Journal(tmp_path, jobs, frozenset("ab"), own)
+    own["a"] = rows["a"]
+    journal.add(rows["a"])
+    with (tmp_path / "results.jsonl").open("a") as stream:
+        stream.write('{"name": "c", "outp')
+    folders.mark(jobs[2].folder, folders.RESULT)
+    resume.leave(jobs[2], rows["c"])
+    own["b"] = rows["b"]
+    journal.add(rows["b"])
+    assert _names(tmp_path) == ["a", "b", "c"]

@@ -1,0 +1,212 @@
+"""No command writes to what it reads, by whatever name: every command of the table, every output, every input."""
+
+import os
+import shutil
+import sqlite3
+from pathlib import Path
+
+import click
+import pytest
+from bodylog_cli.commands import COMMANDS
+from bodylog_cli.options import Folder, Named, OutputFile, Searched
+
+from bodylog import outputs
+from bodylog.errors import UsageError
+from bodylog.outputs import Output, guard
+
+
+def _is_output(param):
+    return isinstance(param.type, OutputFile | Folder)
+
+
+def _is_input(param):
+    return isinstance(param.type, Named) and not _is_output(param)
+
+
+PAIRS = [
+    (command, read, written)
+    for command in COMMANDS
+    for written in filter(_is_output, command.params)
+    for read in filter(_is_input, command.params)
+]
+IDS = [f"{command.name} {read.name} {written.name}" for command, read, written in PAIRS]
+
+
+def test_every_option_that_writes_says_so_by_its_type():
+    """So that the guard knows it; a new command whose output has another type fails here."""
+    wrong = []
+    for command in COMMANDS:
+        for param in command.params:
+            told, place = str(getattr(param, "help", "")).lower(), str(param.metavar).lower()
+            writes = {"-o", "--output"} & set(param.opts) or "write" in told or "draw" in told or "out." in place
+            if writes and not _is_output(param):
+                wrong.append((command.name, param.opts))
+            if isinstance(param.type, click.Path) and not isinstance(param.type, Named):
+                wrong.append((command.name, param.opts))
+    assert not wrong, wrong
+    assert {command.name for command, *_ in PAIRS} >= {
+        *("ingest", "doctor", "colours", "extract", "fit", "estimate", "plot", "report", "layout", "view", "batch"),
+    }
+
+
+def _typed(command, read, written, source, out, spare):
+    """A command line that reads `source` by one option and writes `out` by another; the rest names spare files."""
+    words = [command.name]
+    for param in command.params:
+        given = {read.name: source, written.name: out}.get(param.name)
+        if given is None and (param.required or (param.name == "body" and command.name == "batch")):
+            given = spare.with_name(f"spare-{param.name}") if _is_output(param) else spare
+        if given is not None:
+            words += [given] if isinstance(param, click.Argument) else [param.opts[0], given]
+    return words
+
+
+def _link(target, folder):
+    (folder / "link").symlink_to(target)
+    return folder / "link"
+
+
+def _hard_link(target, folder):
+    os.link(target, folder / "hard")
+    return folder / "hard"
+
+
+def _roundabout(target, folder):
+    (folder / "deep").mkdir()
+    return folder / "deep" / ".." / target.name
+
+
+FILES = {"itself": lambda target, _: target, "link": _link, "hard link": _hard_link, "..": _roundabout}
+
+
+def _tree(folder):
+    return {path: path.is_symlink() or path.is_dir() or path.read_bytes() for path in folder.rglob("*")}
+
+
+def _refused(capsys, bodylog, folder, words):
+    before = _tree(folder)
+    capsys.readouterr()
+    assert bodylog(*words) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and " input" in said and "choose " in said, said
+    assert _tree(folder) == before
+
+
+@pytest.mark.parametrize("way", FILES)
+@pytest.mark.parametrize(("command", "read", "written"), PAIRS, ids=IDS)
+def test_an_output_that_is_an_input_is_refused(tmp_path, capsys, bodylog, command, read, written, way):
+    source, spare = tmp_path / "source.mcap", tmp_path / "spare"
+    source.write_bytes(b"precious")
+    spare.write_bytes(b"spare")
+    if isinstance(written.type, Folder):  # what is given holds the input, or a link to it
+        folder = tmp_path / "folder"
+        folder.mkdir()
+        out, source = folder, source.rename(folder / source.name) if way in ("itself", "..") else source
+        if way in ("link", "hard link"):
+            FILES[way](source, folder)
+    else:
+        out = FILES[way](source, tmp_path)
+    _refused(capsys, bodylog, tmp_path, _typed(command, read, written, source, out, spare))
+
+
+@pytest.mark.parametrize("name", ["run_0.db3", "metadata.yaml", "new.mcap", "deep/new.mcap"])
+@pytest.mark.parametrize(("command", "read", "written"), PAIRS, ids=IDS)
+def test_an_output_in_an_input_folder_is_refused(tmp_path, capsys, bodylog, command, read, written, name):
+    spare = tmp_path / "spare"
+    spare.write_bytes(b"spare")
+    source = _rosbag2(tmp_path / "run")
+    (source / "deep").mkdir()
+    out = source / name
+    if isinstance(written.type, Folder):
+        out = source if name == "metadata.yaml" else source / "deep" / name.replace(".", "")
+    _refused(capsys, bodylog, tmp_path, _typed(command, read, written, source, out, spare))
+
+
+def _rosbag2(folder):
+    """As much of a rosbag2 folder as its names are."""
+    folder.mkdir()
+    with sqlite3.connect(folder / "run_0.db3") as store:
+        store.execute("CREATE TABLE messages (id INTEGER)")
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {relative_file_paths: [run_0.db3]}\n")
+    return folder
+
+
+def test_a_recording_is_all_of_its_files(tmp_path):
+    """Named by one of them, or holding links to files elsewhere; other names beside a file are free."""
+    run = _rosbag2(tmp_path / "run")
+    elsewhere = tmp_path / "elsewhere" / "run_1.db3"
+    elsewhere.parent.mkdir()
+    elsewhere.touch()
+    (run / "run_1.db3").symlink_to(elsewhere)
+    (run / "more").symlink_to(elsewhere.parent)
+    for out in (run / "metadata.yaml", run / "run_1.db3", elsewhere, run / "run_0.db3-wal"):
+        with pytest.raises(UsageError, match="of an input"):
+            guard([run / "run_0.db3"], [Output(out)])
+    guard([run / "run_0.db3"], [Output(run / "tidy.mcap")])
+    for out in (elsewhere, elsewhere.parent / "new.mcap", run / "more" / "new.mcap"):
+        with pytest.raises(UsageError, match=r"of an input|inside an input"):
+            guard([run], [Output(out)])
+    for folder in (elsewhere.parent, tmp_path):
+        with pytest.raises(UsageError, match=r"of an input|holds an input"):
+            guard([run], [Output(folder, "--csv", folder=True)])
+    guard([run], [Output(tmp_path / "run.mcap"), Output(tmp_path / "tables", "--csv", folder=True)])
+
+
+def test_names_that_differ_in_case_alone_are_one_where_the_disk_says_so(tmp_path, monkeypatch):
+    """Stood in for by a disk that ignores case: what a name leads to is asked of the disk."""
+    run, stat = _rosbag2(tmp_path / "run"), os.stat
+    monkeypatch.setattr(os, "stat", lambda path, **how: stat(os.fspath(path).lower().replace("é", "e"), **how))
+    monkeypatch.setattr(outputs.os.path, "realpath", os.path.abspath)
+    if outputs.key(tmp_path) is None:
+        pytest.skip("the tests' folder itself has capitals in its name")
+    for out in (tmp_path / "RUN" / "new.mcap", tmp_path / "Run" / "Run_0.DB3", tmp_path / "RUN"):
+        with pytest.raises(UsageError, match="input"):
+            guard([run], [Output(out)])
+    guard([run], [Output(tmp_path / "RUN2.mcap")])
+
+
+def test_a_video_that_the_settings_name_is_an_input(tmp_path, capsys, bodylog, robot):
+    shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
+    (tmp_path / "side.avi").write_bytes(b"precious")
+    (tmp_path / "robot.toml").write_text('[topics]\ncamera = "side.avi"\n')
+    for name in ("extract", "ingest", "plot", "colours", "view"):
+        typed = (name, tmp_path / "reach.mcap", "--config", tmp_path / "robot.toml", "-o", tmp_path / "side.avi")
+        _refused(capsys, bodylog, tmp_path, typed)
+
+
+def test_a_file_url_is_the_file(tmp_path, capsys, bodylog, robot):
+    pytest.importorskip("fsspec", reason="the cloud extra is not installed")
+    log = tmp_path / "reach.mcap"
+    shutil.copy(robot / "reach.mcap", log)
+    _refused(capsys, bodylog, tmp_path, ("ingest", f"file://{log}", "-o", log))
+    _refused(capsys, bodylog, tmp_path, ("batch", f"file://{log}", "--body", robot / "body.npz", "-o", tmp_path))
+
+
+def test_two_outputs_are_not_one(tmp_path, capsys, bodylog, robot):
+    out = tmp_path / "out"
+    for folder in (out, out / "tables"):
+        assert bodylog("ingest", robot / "reach.mcap", "-o", out, "--csv", folder) == 2
+        assert "in the place of -o" in capsys.readouterr().err and not out.exists()
+
+
+@pytest.mark.parametrize("place", ["folder", "folder/", "pipe", "no/out.mcap", "out.mcap/", "loop", "/dev/full", "."])
+def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
+    tmp_path, capsys, bodylog, monkeypatch, place
+):
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    monkeypatch.chdir(tmp_path)
+    for name in ("ingest", "plot", "colours", "layout"):
+        capsys.readouterr()
+        assert bodylog(name, "absent.mcap", "-o", place) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    assert sorted(os.listdir(tmp_path)) == ["folder", "loop", "pipe"]
+
+
+def test_searched_folders_are_no_inputs_but_their_logs_are(tmp_path, capsys, bodylog, robot):
+    shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
+    body = ("--body", robot / "body.npz")
+    _refused(capsys, bodylog, tmp_path, ("batch", tmp_path, *body, "-o", tmp_path))
+    _refused(capsys, bodylog, tmp_path, ("batch", f"{tmp_path}/*.mcap", *body, "-o", tmp_path))
+    assert Searched().convert("a*", None, None) == "a*" and Path("a*") != "a*"
