@@ -9,7 +9,7 @@ from .errors import EvidenceError, InputError, LogError, ModelError
 from .files import lasting
 from .outputs import Output, guard
 from .settings import Colours, Settings
-from .sources import feature_of, group_of
+from .sources import TableSource, feature_of, group_of
 from .types import BodyModel, Features, Finding, Health, Recording
 
 
@@ -21,12 +21,13 @@ def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings |
 
 
 def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
-    """The files that the settings name and that are read with these logs: videos, from here or beside the log."""
+    """The files that the settings name and that are read with these logs, from here or beside them: videos, tables."""
     from .logs.cameras import is_video
 
-    for name in settings.topics.cameras:
-        if is_video("camera", name):
-            yield from (Path(name), *(log.parent / name for log in logs))
+    videos = (name for name in settings.topics.cameras if is_video("camera", name))
+    tables = (source.table for source in settings.features.values() if isinstance(source, TableSource))
+    for name in (*videos, *tables):
+        yield from (Path(name), *(log.parent / name for log in logs))
 
 
 def something_seen(log: Path, features: Features) -> None:

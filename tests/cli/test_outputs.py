@@ -13,6 +13,9 @@ from bodylog_cli.options import Folder, Named, OutputFile, Searched
 from bodylog import outputs
 from bodylog.errors import UsageError
 from bodylog.outputs import Output, guard
+from bodylog.refusals import distinct
+from bodylog.settings import Settings
+from bodylog.sources import TableSource
 
 
 def _is_output(param):
@@ -172,6 +175,13 @@ def test_a_video_that_the_settings_name_is_an_input(tmp_path, capsys, bodylog, r
     for name in ("extract", "ingest", "plot", "colours", "view"):
         typed = (name, tmp_path / "reach.mcap", "--config", tmp_path / "robot.toml", "-o", tmp_path / "side.avi")
         _refused(capsys, bodylog, tmp_path, typed)
+
+
+def test_a_table_that_the_settings_name_is_an_input(tmp_path):
+    settings = Settings(features={"finger": TableSource("tracks.csv")})
+    (tmp_path / "tracks.csv").touch()
+    with pytest.raises(UsageError, match="is also an input"):
+        distinct([tmp_path / "run.mcap"], [Output(tmp_path / "tracks.csv")], settings)
 
 
 def test_a_file_url_is_the_file(tmp_path, capsys, bodylog, robot):
