@@ -31,6 +31,17 @@ from .options import finite, out_option
 @click.option("--marker", is_flag=True, help="A blue ball on the wrist as a second feature.")
 @click.option("--cameras", type=int, default=1, show_default=True, help="2: one at the side as well.")
 @click.option("--turning", is_flag=True, help="The head with its camera turns: one more joint.")
+@click.option("--feature", type=click.Choice(["ball", "tag", "none"]), default="ball", show_default=True)
+@click.option(
+    "--feature-size",
+    type=click.FloatRange(0, min_open=True),
+    callback=finite,
+    metavar="M",
+    help="Diameter of the ball (default 0.05) or side of the tag (0.08).",
+)
+@click.option("--clutter", is_flag=True, help="Things of the feature's colour, a foreign tag, furniture.")
+@click.option("--split-joints", is_flag=True, help="Arm, head and gripper on topics of their own.")
+@click.option("--camera", type=click.Choice(["head", "wrist"]), default="head", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:
     """Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth.

@@ -43,6 +43,11 @@ def look(position: Array, target: Array, size: tuple[int, int]) -> Camera:
     return Camera(*size, 0.9 * size[0], position, np.array([right, np.cross(ahead, right), ahead]))
 
 
+def wide(size: tuple[int, int]) -> Camera:
+    """A camera at the origin that looks along z, 90 degrees wide, as cameras on wrists are."""
+    return Camera(*size, 0.5 * size[0], np.zeros(3), np.eye(3))
+
+
 def ellipse_centre(camera: Camera, centre: Array, radius: float) -> Array:
     """Pixels (N,2) where the outlines of spheres at `centre` (N,3) m have their centroid.
 

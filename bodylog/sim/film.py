@@ -9,8 +9,11 @@ from ..types import Array
 from . import camera as cameras
 from . import messages
 from .head import SWING
+from .scene import Ball, Thing
 from .stage import FRAME, SIDE_FRAME, START_NS, Item, Stage, log_times, seen_hand, stamps_of
-from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS
+from .tag import Plate
+from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS, matrix, quaternion
+from .wrist import LINK
 
 _CAMERA_HZ = 20.0
 _QUALITY = 90
@@ -52,8 +55,16 @@ class _Card:
 
 
 def camera_items(stage: Stage) -> Iterator[Item]:
-    """The head's: pictures, CameraInfo, /tf, and the truth: effector pose, and the pixel of each thing in sight."""
-    return _film(stage, _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3), _card(stage))
+    """The first camera's: images, CameraInfo, /tf, and the truth: effector pose, and the pixel of each thing seen."""
+    if stage.mount is not None:
+        yield _camera_place()
+    yield from _film(stage, _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3), _card(stage))
+
+
+def _camera_place() -> Item:
+    """/tf_static: where a camera on the arm sits on its link."""
+    place = messages.transforms(START_NS, [(FRAME, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))], parent=LINK)
+    return Item(START_NS, START_NS, "/tf_static", place)
 
 
 def side_items(stage: Stage) -> Iterator[Item]:
@@ -71,7 +82,7 @@ def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
         t = stamps / 1e9
         q, hands = stage.wish.plan.motion.position(t), seen_hand(stage, t)
         for row, log in enumerate(log_times(stamps, 8.0, 14.0, rng)):
-            if stage.head is not None and view.frame == FRAME:
+            if stage.moves and view.frame == FRAME:
                 view, shot = replace(view, camera=stage.seen_from(t[row])), None
             if shot is None or not np.array_equal(shot.q, q[row]):
                 shot = _shoot(stage, view.camera, q[row], wall)
@@ -93,40 +104,61 @@ def _compose(
     if card is not None:
         _cover(picture, depth, card, t)
     seen = {}
-    for topic, centre, radius, colour in _things(stage, view, shot, place):
-        if cameras.sphere(picture, depth, view.camera, centre, radius, np.array(colour)) > _WHOLE:
-            seen[topic] = cameras.ellipse_centre(view.camera, centre[None], radius)[0]
+    for topic, thing in _things(stage, view, shot, place):
+        if thing.draw(picture, depth, view.camera) > _WHOLE and topic:
+            seen[topic] = thing.pixel(view.camera)
     return picture, seen
 
 
-def _things(
-    stage: Stage, view: _View, shot: _Shot, place: Array
-) -> list[tuple[str, Array, float, cameras.Colour]]:
-    """The coloured spheres (topic of its truth, centre, radius, colour), nearest first."""
+def _things(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[str, Thing]]:
+    """What is drawn (topic of its truth, "" for clutter), nearest first."""
     links = stage.world.links
-    things = [(f"{view.truth}/effector_pixel", shot.places[links.index("effector")], EFFECTOR_RADIUS, cameras.GREEN)]
-    if stage.wish.marker:
-        ball = shot.places[links.index(stage.wish.arm.marker)]
-        things.append((f"{view.truth}/marker_pixel", ball, MARKER_RADIUS, cameras.BLUE))
+    things: list[tuple[str, Thing]] = [("", thing) for thing in stage.scene.things]
+    feature = _feature(stage, shot)
+    if feature is not None:
+        things.append((f"{view.truth}/effector_pixel", feature))
+    if stage.wish.options.marker:
+        ball = Ball(shot.places[links.index(stage.wish.arm.marker)], MARKER_RADIUS, cameras.BLUE)
+        things.append((f"{view.truth}/marker_pixel", ball))
     if not np.isnan(place).any():
-        things.append((f"{view.truth}/hand_pixel", place, HAND_RADIUS, cameras.RED))
-    return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1] - view.camera.position)))
+        things.append((f"{view.truth}/hand_pixel", Ball(place, HAND_RADIUS, cameras.RED)))
+    return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1].place - view.camera.position)))
+
+
+def _feature(stage: Stage, shot: _Shot) -> Ball | Plate | None:
+    """The feature in the base frame."""
+    feature, link = stage.scene.feature, stage.scene.link
+    if feature is None or link is None:
+        return feature
+    number = stage.world.links.index(link)
+    return feature.moved(shot.places[number], matrix(shot.turns[number]))
 
 
 def _items(
     stage: Stage, view: _View, shot: _Shot, stamp: int, log: int, picture: Array, seen: dict[str, Array]
 ) -> Iterator[Item]:
     camera = view.camera
-    yield Item(log, stamp, stage.topic(view.under), _image(stage.wish.image, view.frame, stamp, picture))
+    yield Item(log, stamp, stage.topic(view.under), _image(stage.wish.options.image, view.frame, stamp, picture))
     info = messages.camera_info(stamp, view.frame, camera.width, camera.height, camera.focal, camera.centre)
     yield Item(log, stamp, f"{view.under}/camera_info", info)
     frames = list(zip(stage.world.links, shot.places, shot.turns, strict=True))
-    frames.append((view.frame, camera.position, _quaternion(camera.rotation.T)))
+    if stage.mount is None:  # else /tf_static holds it
+        frames.append((view.frame, camera.position, quaternion(camera.rotation.T)))
     yield Item(log, stamp, "/tf", messages.transforms(stamp, frames))
     link = stage.world.links.index("effector")
     yield Item(log, stamp, "/truth/effector_pose", messages.pose(stamp, shot.places[link], shot.turns[link]))
+    yield from _feature_pose(stage, shot, stamp, log)
     for topic, uv in seen.items():
         yield Item(log, stamp, topic, messages.pixel(stamp, view.frame, uv))
+
+
+def _feature_pose(stage: Stage, shot: _Shot, stamp: int, log: int) -> Iterator[Item]:
+    """/truth/feature_pose, where the feature is not simply the effector."""
+    feature = _feature(stage, shot)
+    if isinstance(feature, Plate) or (feature is not None and stage.mount is not None):
+        rotation = feature.rotation if isinstance(feature, Plate) else np.eye(3)
+        pose = messages.pose(stamp, feature.place, quaternion(rotation))
+        yield Item(log, stamp, "/truth/feature_pose", pose)
 
 
 def _image(form: str, frame: str, stamp: int, picture: Array) -> object:
@@ -139,20 +171,9 @@ def _image(form: str, frame: str, stamp: int, picture: Array) -> object:
     return messages.compressed(stamp, frame, jpeg.ravel())
 
 
-def _quaternion(rotation: Array) -> Array:
-    """Unit quaternion (4,) xyzw of a rotation (3,3): the eigenvector of Bar-Itzhack's symmetric matrix."""
-    r = rotation
-    k = np.zeros((4, 4))
-    k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
-    k[3, :3] = k[:3, 3] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
-    k[3, 3] = np.trace(r)
-    vector = np.linalg.eigh(k)[1][:, -1]
-    return np.asarray(vector * np.sign(vector[3]))
-
-
 def _card(stage: Stage) -> _Card | None:
-    """The card that hides the end effector wherever it goes while the plan says covered."""
-    if stage.wish.plan.covered is None:
+    """The card that hides the end effector from the head wherever it goes while the plan says covered."""
+    if stage.wish.plan.covered is None or stage.mount is not None:
         return None
     start, end = stage.wish.plan.covered
     t = np.arange(max(start, 0.0), min(end, stage.wish.duration) + 0.05, 0.05)

@@ -1,4 +1,4 @@
-"""A head that turns about the vertical while the arm moves, its camera with it: to the body it is one more joint."""
+"""Joints beside the arm's that move by themselves: a head that turns its camera, a gripper that opens and closes."""
 
 from dataclasses import dataclass, replace
 
@@ -9,23 +9,35 @@ from .camera import Camera
 
 JOINT = "head_pan_joint"
 SWING = 0.1
-_PERIODS = np.array([3.1, 5.3])
 
 
 @dataclass(frozen=True, eq=False)
-class Head:
-    """Two sines of `phase` (2,) rad, together at most SWING rad to either side."""
+class Sway:
+    """Two sines of `phase` (2,) rad and `periods` (2,) s, together at most `swing` rad to either side."""
 
+    joint: str
+    swing: float
+    periods: Array
     phase: Array
 
     def angle(self, t: Array) -> Array:
-        """Where it looks at t (N,) s: (N,) rad to the left of the arm's home."""
-        return np.asarray(SWING / 2 * np.sin(t[:, None] * 2 * np.pi / _PERIODS + self.phase).sum(axis=1))
+        """Where the joint is at t (N,) s: (N,) rad."""
+        return np.asarray(self.swing / 2 * np.sin(t[:, None] * 2 * np.pi / self.periods + self.phase).sum(axis=1))
 
     def rate(self, t: Array) -> Array:
-        """How fast it turns at t (N,) s: (N,) rad/s."""
-        w = 2 * np.pi / _PERIODS
-        return np.asarray(SWING / 2 * (w * np.cos(t[:, None] * w + self.phase)).sum(axis=1))
+        """How fast it moves at t (N,) s: (N,) rad/s."""
+        w = 2 * np.pi / self.periods
+        return np.asarray(self.swing / 2 * (w * np.cos(t[:, None] * w + self.phase)).sum(axis=1))
+
+
+def head(rng: np.random.Generator) -> Sway:
+    """A head that turns about the vertical while the arm moves: to the body it is one more joint."""
+    return Sway(JOINT, SWING, np.array([3.1, 5.3]), rng.uniform(0.0, 2 * np.pi, 2))
+
+
+def gripper(rng: np.random.Generator) -> Sway:
+    """A gripper that moves nothing that is seen."""
+    return Sway("gripper_joint", 0.4, np.array([4.1, 1.9]), rng.uniform(0.0, 2 * np.pi, 2))
 
 
 def turned(camera: Camera, angle: float) -> Camera:

@@ -116,15 +116,15 @@ def stroke(ns: int, frame: str, seconds: float, start: Array, end: Array, delay:
     return _make("bodylog_msgs/msg/Stroke", _header(ns, frame), _duration(seconds), *points, delay)
 
 
-def transforms(ns: int, frames: list[tuple[str, Array, Array]]) -> Any:
-    """tf2_msgs/TFMessage: (child, position m, orientation xyzw) each in the base frame."""
-    return _make("tf2_msgs/msg/TFMessage", [_transform(ns, *frame) for frame in frames])
+def transforms(ns: int, frames: list[tuple[str, Array, Array]], parent: str = "base_link") -> Any:
+    """tf2_msgs/TFMessage: (child, position m, orientation xyzw) each in the frame of `parent`."""
+    return _make("tf2_msgs/msg/TFMessage", [_transform(ns, parent, *frame) for frame in frames])
 
 
-def _transform(ns: int, child: str, position: Array, xyzw: Array) -> Any:
+def _transform(ns: int, parent: str, child: str, position: Array, xyzw: Array) -> Any:
     place = _make("geometry_msgs/msg/Vector3", *(float(value) for value in position))
     inner = _make("geometry_msgs/msg/Transform", place, _quaternion(xyzw))
-    return _make("geometry_msgs/msg/TransformStamped", _header(ns, "base_link"), child, inner)
+    return _make("geometry_msgs/msg/TransformStamped", _header(ns, parent), child, inner)
 
 
 def text(words: str) -> Any:

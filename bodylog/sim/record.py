@@ -11,72 +11,45 @@ from .. import files
 from ..errors import UsageError
 from .arms import ARMS
 from .film import camera_items, side_items
+from .options import Options, check, check_camera, within
 from .plan import Plan, Request, choose, unknown
 from .scenarios import SCENARIOS
 from .stage import Stage, Wish, open_stage
-from .streams import encoder_items, event_items, skin_items
+from .streams import encoder_items, event_items, other_items, skin_items
 
-_IMAGES = ("jpeg", "raw")
 _CHUNK_BYTES = 1 << 18
 """Small chunks: a log cut short by a crash loses little."""
 
 
-def record(
-    scenario: str,
-    out: Path,
-    seed: int = 0,
-    duration: float | None = None,
-    image: str = "jpeg",
-    size: tuple[int, int] = (640, 480),
-    noise: float | None = None,
-    full: bool = False,
-    arm: str = "ur5",
-    variant: str | None = None,
-    place: str | None = None,
-    marker: bool = False,
-    cameras: int = 1,
-    turning: bool = False,
-    progress: Callable[[int], None] | None = None,
-) -> None:
-    """Write `scenario` to `out`, the same bytes for the same arguments; UsageError when one of them is not possible.
+def record(scenario: str, out: Path, *, progress: Callable[[int], None] | None = None, **options: Any) -> None:
+    """Write `scenario` to `out`, the same bytes for the same `options` (see Options), or raise UsageError.
 
-    duration (s), noise (encoders, rad), variant and place are the scenario's own when None; size in px; `marker` puts
-    a blue ball on the arm, for a second visual sense; `cameras` is 2 for one at the side beside the head's, `turning`
-    turns the head as one more joint; `progress` is told how many more pictures the head's has taken.
+    `progress` is called with 1 after each image of the first camera.
     """
-    plan, length = _plan(scenario, seed, duration, full, arm, variant, place)
-    if image not in _IMAGES:
-        raise UsageError(f"{unknown('image', image, _IMAGES)}; type: --image jpeg")
-    _check("width", size[0], 64, 4096)
-    _check("height", size[1], 48, 4096)
-    wished = plan.noise if noise is None else noise
-    _check("noise", wished, 0.0, 10.0)
-    _check("cameras", cameras, 1, 2)
-    wish = Wish(scenario, ARMS[arm], plan, length, seed, size, wished, image, marker, cameras, turning)
+    asked = Options(**options)
+    plan, length = _plan(scenario, asked)
+    check(asked)
+    check_camera(scenario, plan, asked)
+    wished = plan.noise if asked.noise is None else asked.noise
+    within("noise", wished, 0.0, 10.0)
+    wish = Wish(scenario, asked, ARMS[asked.arm], plan, length, wished)
     with files.replacing(out) as beside, open_stage(wish) as stage:
         _write(beside, stage, progress)
 
 
-def _plan(
-    scenario: str, seed: int, duration: float | None, full: bool, arm: str, variant: str | None, place: str | None
-) -> tuple[Plan, float]:
+def _plan(scenario: str, options: Options) -> tuple[Plan, float]:
     if scenario not in SCENARIOS:
         raise UsageError(f"{unknown('scenario', scenario, SCENARIOS)}; type: bodylog record babble -o babble.mcap")
-    if arm not in ARMS:
-        raise UsageError(f"{unknown('arm', arm, ARMS)}; type: --arm ur5")
-    _check("seed", seed, 0, 2**63)
+    if options.arm not in ARMS:
+        raise UsageError(f"{unknown('arm', options.arm, ARMS)}; type: --arm ur5")
+    within("seed", options.seed, 0, 2**63)
     entry = SCENARIOS[scenario]
-    length = entry.duration if duration is None else duration
-    _check("duration", length, 0.1, 86400.0)
-    variant = choose(scenario, "variant", variant, entry.variants)
-    place = choose(scenario, "place", place, entry.places)
-    request = Request(ARMS[arm], length, full, variant, place, np.random.default_rng([seed, 0]))
+    length = entry.duration if options.duration is None else options.duration
+    within("duration", length, 0.1, 86400.0)
+    variant = choose(scenario, "variant", options.variant, entry.variants)
+    place = choose(scenario, "place", options.place, entry.places)
+    request = Request(ARMS[options.arm], length, options.full, variant, place, np.random.default_rng([options.seed, 0]))
     return entry.plan(request), length
-
-
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise UsageError(f"{name} is {value}; possible: {low} to {high:g}; type: --{name} with such a number")
 
 
 def _write(path: Path, stage: Stage, progress: Callable[[int], None] | None) -> None:
@@ -94,7 +67,7 @@ def _fill(writer: Any, stage: Stage, progress: Callable[[int], None] | None) -> 
     from .messages import store
 
     channels: dict[str, tuple[int, int]] = {}
-    streams = (encoder_items, skin_items, camera_items, side_items, event_items)
+    streams = (encoder_items, other_items, skin_items, camera_items, side_items, event_items)
     for item in heapq.merge(*(stream(stage) for stream in streams), key=lambda item: item.log_ns):
         kind = item.message.__msgtype__
         if item.topic not in channels:
@@ -115,14 +88,17 @@ def _channel(writer: Any, topic: str, kind: str) -> int:
 
 
 def _settings(wish: Wish) -> dict[str, str]:
-    seen = ({"cameras": str(wish.cameras)} if wish.cameras > 1 else {}) | ({"turning": "true"} if wish.turning else {})
-    return seen | {
+    """What the log says of its own making: those of the newer options only where they are used."""
+    options, usual = wish.options, Options()
+    newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera")
+    used = {name: getattr(options, name) for name in newer if getattr(options, name) != getattr(usual, name)}
+    return {name: str(value).lower() for name, value in used.items()} | {
         "scenario": wish.scenario,
-        "seed": str(wish.seed),
+        "seed": str(options.seed),
         "duration_s": repr(wish.duration),
-        "image": wish.image,
-        "size": "x".join(str(side) for side in wish.size),
+        "image": options.image,
+        "size": "x".join(str(side) for side in options.size),
         "noise_rad": repr(wish.noise),
         "arm": wish.arm.urdf.stem,
-        "marker": str(wish.marker).lower(),
+        "marker": str(options.marker).lower(),
     }

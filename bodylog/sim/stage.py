@@ -13,12 +13,15 @@ import numpy as np
 
 from ..types import Array
 from . import camera as cameras
-from . import hand
+from . import hand, scene
 from .arms import Arm
 from .camera import Camera
-from .head import Head, turned
+from .head import Sway, gripper, head, turned
+from .options import Options
 from .plan import Plan
-from .world import World, open_world
+from .scene import Scene
+from .world import World, matrix, open_world
+from .wrist import DISTANCE, Mount, mounted
 
 START_NS = 1_767_225_600 * 1_000_000_000
 """2026-01-01T00:00:00Z: every recording starts here."""
@@ -26,6 +29,7 @@ START_NS = 1_767_225_600 * 1_000_000_000
 FRAME, SIDE_FRAME = "camera_optical_frame", "side_optical_frame"
 _BLOCK = 1000
 _ASIDE = np.array([0.017, 0.0, 0.03])
+_CHANCES = {"head": 5, "scene": 6, "gripper": 7}
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,29 +44,22 @@ class Item:
 
 @dataclass(frozen=True)
 class Wish:
-    """What is to be recorded: scenario and its plan, duration s, picture size px, encoder noise rad, marker or not.
-
-    `cameras` is 1 for the head's alone, 2 for one at the side as well; `turning`: the head turns.
-    """
+    """What is to be recorded: scenario, options, and what follows from them: arm, plan, duration s, noise rad."""
 
     scenario: str
+    options: Options
     arm: Arm
     plan: Plan
     duration: float
-    seed: int
-    size: tuple[int, int]
     noise: float
-    image: str
-    marker: bool
-    cameras: int
-    turning: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """All that the streams share: `camera` with the head at rest, `column` of skin cells the hand touches.
+    """All that the streams share: `camera` with head and arm at rest, `column` of skin cells the hand touches.
 
-    `side` is the camera at the side, `head` what turns `camera`, or None.
+    `side` is the camera at the side, `head` what turns `camera`, `mount` what carries it on the arm, or None; `gripper`
+    is a joint that no image shows, or None.
     """
 
     wish: Wish
@@ -70,11 +67,21 @@ class Stage:
     camera: Camera
     column: int
     side: Camera | None
-    head: Head | None
+    head: Sway | None
+    mount: Mount | None
+    gripper: Sway | None
+    scene: Scene
 
     def seen_from(self, t: float) -> Camera:
-        """The head's camera as it stands at t s."""
+        """The first camera as it stands at t s."""
+        if self.mount is not None:
+            return mounted(self.mount, self.camera, *self.world.pose(self.wish.plan.motion.position(np.array([t]))[0]))
         return self.camera if self.head is None else turned(self.camera, float(self.head.angle(np.array([t]))[0]))
+
+    @property
+    def moves(self) -> bool:
+        """Whether the first camera moves."""
+        return self.head is not None or self.mount is not None
 
     @property
     def image_topic(self) -> str:
@@ -83,33 +90,36 @@ class Stage:
 
     def topic(self, under: str) -> str:
         """The topic of the pictures of the camera whose topics are `under` that."""
-        return f"{under}/image/compressed" if self.wish.image == "jpeg" else f"{under}/image"
+        return f"{under}/image/compressed" if self.wish.options.image == "jpeg" else f"{under}/image"
 
     def chance(self, stream: int) -> np.random.Generator:
         """The random numbers of one stream; 0 is the scenario's."""
-        return np.random.default_rng([self.wish.seed, stream])
+        return np.random.default_rng([self.wish.options.seed, stream])
 
 
 @contextmanager
 def open_stage(wish: Wish) -> Iterator[Stage]:
-    """The arm loaded and the camera placed; closed afterwards."""
+    """The arm loaded, the camera placed and the scene built; closed afterwards."""
+    options = wish.options
+    chances = {name: np.random.default_rng([options.seed, stream]) for name, stream in _CHANCES.items()}
     with open_world(wish.arm) as world:
         places, turns = world.pose(np.array(wish.arm.home))
-        target = places[world.links.index("effector")]
+        link, effector = world.links.index("skin"), world.links.index("effector")
+        target, rotation = places[effector], matrix(turns[effector])
         camera, side = (
-            cameras.look(target + place, target + _ASIDE, wish.size) for place in (wish.arm.camera, wish.arm.side)
+            cameras.look(target + place, target + _ASIDE, options.size) for place in (wish.arm.camera, wish.arm.side)
         )
-        link = world.links.index("skin")
+        mount = Mount(effector) if options.camera == "wrist" else None
+        if mount is not None:
+            camera = mounted(mount, cameras.wide(options.size), places, turns)
+            around = scene.before_the_wrist(options, camera, DISTANCE, chances["scene"])
+        else:
+            around = scene.on_the_arm(options, camera, target, rotation, chances["scene"])
+        world.furnish(around.boxes)
         column = hand.facing(matrix(turns[link]).T @ (camera.position - places[link]))
-        head = Head(np.random.default_rng([wish.seed, 5]).uniform(0.0, 2 * np.pi, 2)) if wish.turning else None
-        yield Stage(wish, world, camera, column, side if wish.cameras > 1 else None, head)
-
-
-def matrix(xyzw: Array) -> Array:
-    """Rotation matrix (3,3) of a unit quaternion (4,)."""
-    x, y, z, w = xyzw
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+        turn = head(chances["head"]) if options.turning else None
+        grip = gripper(chances["gripper"]) if options.split_joints else None
+        yield Stage(wish, world, camera, column, side if options.cameras > 1 else None, turn, mount, grip, around)
 
 
 def stamps_of(duration: float, rate: float, offset_ns: int) -> Iterator[Array]:

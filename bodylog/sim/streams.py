@@ -1,13 +1,15 @@
 """Encoders, skin and events: streams of messages, each in the order of log time."""
 
-from collections.abc import Iterator
+import heapq
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..types import Array
 from . import hand, messages, skin
 from .camera import ellipse_centre
-from .head import JOINT
+from .head import Sway
 from .plan import Contact, Plan
 from .stage import FRAME, START_NS, Item, Stage, log_times, seen_hand, stamps_of
 from .world import HAND_RADIUS
@@ -16,26 +18,74 @@ _JOINT_HZ, _SKIN_HZ = 100.0, 100.0
 _RATE_NOISE = 0.01
 
 
+@dataclass(frozen=True)
+class _Part:
+    """A part's topic and rate Hz, its first instant and how far its clock is ahead in ns, and its chance."""
+
+    topic: str
+    rate: float
+    first_ns: int
+    ahead_ns: int
+    stream: int
+
+
+_HEAD = _Part("/head/joint_states", 30.0, 11_000_000, 20_000_000, 8)
+_GRIPPER = _Part("/gripper/joint_states", 50.0, 3_000_000, -7_000_000, 9)
+
+
 def encoder_items(stage: Stage) -> Iterator[Item]:
-    """/joint_states in alphabetical order as the UR driver publishes, and /truth/joint_states."""
+    """The arm's joint states in alphabetical order as the UR driver publishes, and /truth/joint_states of all joints.
+
+    What else moves is in the same messages, unless each part has a topic of its own.
+    """
     yield Item(START_NS, START_NS, "/robot_description", messages.text(stage.wish.arm.urdf.read_text()))
     rng = stage.chance(1)
-    true_names = [*stage.wish.arm.joints, *([JOINT] if stage.head else [])]
-    order = np.argsort(true_names)
-    names = [true_names[joint] for joint in order]
+    split = stage.wish.options.split_joints
+    others = [sway for sway in (stage.head, stage.gripper) if sway is not None]
+    true_names = [*stage.wish.arm.joints, *(sway.joint for sway in others)]
+    names, order = _alphabetical(stage.wish.arm.joints if split else true_names)
     for stamps in stamps_of(stage.wish.duration, _JOINT_HZ, 0):
         t = stamps / 1e9
         q, rate = stage.wish.plan.motion.position(t), stage.wish.plan.motion.rate(t)
         read, speed = _encoders(stage.wish.plan, t, q, stage.wish.noise, rng)
-        if stage.head is not None:
-            angle, turn = stage.head.angle(t)[:, None], stage.head.rate(t)[:, None]
-            q, rate, speed = np.hstack([q, angle]), np.hstack([rate, turn]), np.hstack([speed, turn])
-            read = np.hstack([read, angle + rng.normal(0.0, 1.0, angle.shape) * stage.wish.noise])
+        for sway in others:
+            angle, turn = sway.angle(t)[:, None], sway.rate(t)[:, None]
+            q, rate = np.hstack([q, angle]), np.hstack([rate, turn])
+            if not split:
+                speed = np.hstack([speed, turn])
+                read = np.hstack([read, angle + rng.normal(0.0, 1.0, angle.shape) * stage.wish.noise])
         for row, (stamp, log) in enumerate(zip(stamps + START_NS, log_times(stamps, 4.0, 6.0, rng), strict=True)):
             seen = messages.joint_state(int(stamp), names, read[row, order], speed[row, order])
-            yield Item(int(log), int(stamp), "/joint_states", seen)
+            yield Item(int(log), int(stamp), "/arm/joint_states" if split else "/joint_states", seen)
             truth = messages.joint_state(int(stamp), true_names, q[row], rate[row])
             yield Item(int(log), int(stamp), "/truth/joint_states", truth)
+
+
+def _alphabetical(names: Sequence[str]) -> tuple[list[str], Array]:
+    """The names in order, and where each stands among `names`."""
+    order = np.argsort(names)
+    return [names[joint] for joint in order], order
+
+
+def other_items(stage: Stage) -> Iterator[Item]:
+    """/head/joint_states and /gripper/joint_states where each part has a topic, a rate and a clock of its own."""
+    if not stage.wish.options.split_joints:
+        return iter(())
+    parts = [(stage.head, _HEAD), (stage.gripper, _GRIPPER)]
+    streams = [_other(stage, sway, part) for sway, part in parts if sway is not None]
+    return heapq.merge(*streams, key=lambda item: item.log_ns)
+
+
+def _other(stage: Stage, sway: Sway, part: _Part) -> Iterator[Item]:
+    rng = stage.chance(part.stream)
+    for instants in stamps_of(stage.wish.duration, part.rate, part.first_ns):
+        t = instants / 1e9
+        read = sway.angle(t) + rng.normal(0.0, 1.0, len(t)) * stage.wish.noise
+        speed = sway.rate(t) + rng.normal(0.0, _RATE_NOISE, len(t))
+        for row, log in enumerate(log_times(instants, 4.0, 6.0, rng)):
+            stamp = int(instants[row]) + START_NS + part.ahead_ns
+            seen = messages.joint_state(stamp, [sway.joint], read[row : row + 1], speed[row : row + 1])
+            yield Item(int(log), stamp, part.topic, seen)
 
 
 def _encoders(plan: Plan, t: Array, q: Array, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,6 +13,7 @@ from ..errors import UsageError
 from ..types import Array
 from .arms import Arm
 from .camera import FAR, NEAR, Camera
+from .scene import Box
 
 EFFECTOR_RADIUS, MARKER_RADIUS, HAND_RADIUS = 0.025, 0.055, 0.035
 _FINE = 300
@@ -35,6 +36,15 @@ class World:
         numbers = list(range(len(self.links)))
         states = self.bullet.getLinkStates(self.body, numbers, 0, True, physicsClientId=self.client)
         return np.array([state[4] for state in states]), np.array([state[5] for state in states])
+
+    def furnish(self, boxes: Sequence[Box]) -> None:
+        """Put boxes into the world, where the arm does not touch them."""
+        for box in boxes:
+            shape = self.bullet.createVisualShape(
+                self.bullet.GEOM_BOX, halfExtents=box.half, rgbaColor=[*box.colour, 1.0], physicsClientId=self.client
+            )
+            place, turn = box.place.tolist(), quaternion(box.rotation).tolist()
+            self.bullet.createMultiBody(0, -1, shape, place, turn, physicsClientId=self.client)
 
     def picture(self, camera: Camera, wall: Array) -> tuple[Array, Array]:
         """The arm as it stands before `wall` (H,W,3): RGB (H,W,3) uint8 and depth along the view (H,W) m."""
@@ -94,6 +104,24 @@ def _world(bullet: Any, client: int, body: int, arm: Arm) -> World:
     # The effector is drawn by camera.sphere, with soft edges.
     bullet.changeVisualShape(body, links.index("effector"), rgbaColor=[0, 0, 0, 0], physicsClientId=client)
     return World(bullet, client, body, links, tuple(numbers[name] for name in arm.joints))
+
+
+def matrix(xyzw: Array) -> Array:
+    """Rotation matrix (3,3) of a unit quaternion (4,)."""
+    x, y, z, w = xyzw
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + 2 * w * cross + 2 * cross @ cross)
+
+
+def quaternion(rotation: Array) -> Array:
+    """Unit quaternion (4,) xyzw of a rotation (3,3): the eigenvector of Bar-Itzhack's symmetric matrix."""
+    r = rotation
+    k = np.zeros((4, 4))
+    k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
+    k[3, :3] = k[:3, 3] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
+    k[3, 3] = np.trace(r)
+    vector = np.linalg.eigh(k)[1][:, -1]
+    return np.asarray(vector * np.sign(vector[3]))
 
 
 def _smaller(camera: Camera) -> Camera:

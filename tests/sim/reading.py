@@ -53,3 +53,18 @@ def positions(topics, topic):
     rows = topics[topic]
     names = rows[0].message.name
     return np.array([row.t for row in rows]), np.array([row.message.position for row in rows]), list(names)
+
+
+def tags(picture):
+    """Number -> centre (2,) px of the tags that OpenCV finds: where a tag's diagonals meet."""
+    parameters = cv2.aruco.DetectorParameters()
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    corners, numbers, _ = cv2.aruco.ArucoDetector(family, parameters).detectMarkers(picture)
+    return {} if numbers is None else {int(n): meet(c[0]) for n, c in zip(numbers.ravel(), corners, strict=True)}
+
+
+def meet(square):
+    a, b, c, d = square.astype(float)
+    along = np.linalg.solve(np.array([c - a, b - d]).T, b - a)[0]
+    return a + along * (c - a)

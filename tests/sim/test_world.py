@@ -10,8 +10,7 @@ import pytest
 from bodylog.errors import UsageError
 from bodylog.sim.arms import ARMS
 from bodylog.sim.camera import FAR, ellipse_centre, look
-from bodylog.sim.stage import matrix
-from bodylog.sim.world import EFFECTOR_RADIUS, open_world
+from bodylog.sim.world import EFFECTOR_RADIUS, matrix, open_world
 
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
 

@@ -1,0 +1,81 @@
+"""How a scenario is recorded: what can be asked for, and which requests exclude each other."""
+
+from dataclasses import dataclass
+
+from ..errors import UsageError
+from .plan import Plan, unknown
+
+IMAGES, FEATURES, CAMERAS = ("jpeg", "raw"), ("ball", "tag", "none"), ("head", "wrist")
+SIZES = {"ball": 0.05, "tag": 0.08, "none": 0.0}
+"""Diameter of the ball, side of the tag's black square (m), unless another is asked for."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of a recording; duration (s), noise (encoders, rad), variant and place: the scenario's own when None.
+
+    size: image size in px. marker: a blue ball on the arm, for a second visual sense. cameras: 2 adds one at the side.
+    turning: the head turns, one more joint. feature: what the arm carries, or for a camera on the wrist what stands in
+    the scene; feature_size in m. clutter: things of the feature's colour, a foreign tag and furniture. split_joints:
+    arm, head and gripper publish on topics of their own. camera: where the first camera is mounted.
+    """
+
+    seed: int = 0
+    duration: float | None = None
+    image: str = "jpeg"
+    size: tuple[int, int] = (640, 480)
+    noise: float | None = None
+    full: bool = False
+    arm: str = "ur5"
+    variant: str | None = None
+    place: str | None = None
+    marker: bool = False
+    cameras: int = 1
+    turning: bool = False
+    feature: str = "ball"
+    feature_size: float | None = None
+    clutter: bool = False
+    split_joints: bool = False
+    camera: str = "head"
+
+    @property
+    def side(self) -> float:
+        """Diameter of the ball or side of the tag in m."""
+        return SIZES[self.feature] if self.feature_size is None else self.feature_size
+
+
+def check(options: Options) -> None:
+    """UsageError when a value is not possible."""
+    for name, value, possible in (
+        ("image", options.image, IMAGES),
+        ("feature", options.feature, FEATURES),
+        ("camera", options.camera, CAMERAS),
+    ):
+        if value not in possible:
+            raise UsageError(f"{unknown(name, value, possible)}; type: --{name} {possible[0]}")
+    within("seed", options.seed, 0, 2**63)
+    within("width", options.size[0], 64, 4096)
+    within("height", options.size[1], 48, 4096)
+    within("cameras", options.cameras, 1, 2)
+    if options.feature == "none" and options.feature_size is not None:
+        raise UsageError("--feature-size: there is no feature (--feature none); leave --feature-size out")
+    if options.feature != "none":
+        within("feature-size", options.side, 0.005, 0.5)
+
+
+def check_camera(scenario: str, plan: Plan, options: Options) -> None:
+    """UsageError where what the head's camera shows is asked of a camera on the wrist."""
+    if options.camera == "head":
+        return
+    asked = {"--marker": options.marker, "--cameras": options.cameras > 1, "--turning": options.turning}
+    for option, given in asked.items():
+        if given:
+            raise UsageError(f"{option} needs the head's camera (--camera wrist was given); leave {option} out")
+    if plan.contacts:
+        raise UsageError(f"scenario {scenario}: the head's camera shows the touching hand; type: --camera head")
+
+
+def within(name: str, value: float, low: float, high: float) -> None:
+    """UsageError when the value of `--name` is not between low and high."""
+    if not low <= value <= high:
+        raise UsageError(f"{name} is {value}; possible: {low} to {high:g}; type: --{name} with such a number")

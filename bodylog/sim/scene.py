@@ -1,0 +1,133 @@
+"""What is seen beside the bare arm: the feature it carries or looks at, and clutter that is none of it."""
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ..types import Array
+from .camera import GREEN, Camera, Colour, ellipse_centre, sphere
+from .options import Options
+from .tag import Plate
+
+TAG, FOREIGN_TAG = 7, 3
+_LIME: Colour = (150.0, 200.0, 40.0)
+_POST, _POST_OF_SIDE = 0.05, 0.35
+"""Length (m, and of the tag's side) of the post before the effector that carries a plate clear of the limb."""
+
+
+class Thing(Protocol):
+    """Something drawn into the image: where its centre is seen, and how much of it is."""
+
+    @property
+    def place(self) -> Array:
+        """The centre (3,) m."""
+
+    def pixel(self, camera: Camera) -> Array:
+        """Where the middle of what is seen lies (2,) px."""
+
+    def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
+        """Draw it; what share of its outline is seen, 0..1."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ball:
+    """A lit sphere: centre (3,) m, radius m, colour RGB."""
+
+    place: Array
+    radius: float
+    colour: Colour
+
+    def moved(self, place: Array, rotation: Array) -> "Ball":
+        """The same ball, given in a frame at `place` (3,) m turned by `rotation` (3,3)."""
+        return replace(self, place=rotation @ self.place + place)
+
+    def pixel(self, camera: Camera) -> Array:
+        """The centroid (2,) px of its outline."""
+        return np.asarray(ellipse_centre(camera, self.place[None], self.radius)[0])
+
+    def draw(self, picture: Array, depth: Array, camera: Camera) -> float:
+        """Draw it into picture (H,W,3) uint8 and depth (H,W) m; what share of its outline is seen, 0..1."""
+        return sphere(picture, depth, camera, self.place, self.radius, np.array(self.colour))
+
+
+@dataclass(frozen=True, eq=False)
+class Box:
+    """A piece of furniture: centre (3,) m, rotation (3,3), half its lengths (3,) m, colour RGB in 0..1."""
+
+    place: Array
+    rotation: Array
+    half: tuple[float, float, float]
+    colour: tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The feature, in the frame of the `link` that carries it or in the base frame (None), and what stands around."""
+
+    feature: Ball | Plate | None
+    link: str | None
+    things: tuple[Ball | Plate, ...]
+    boxes: tuple[Box, ...]
+
+
+def on_the_arm(options: Options, camera: Camera, place: Array, rotation: Array, rng: np.random.Generator) -> Scene:
+    """The scene before the head's camera; the effector at home is at `place` (3,) m, turned by `rotation` (3,3)."""
+    towards = (camera.position - place) / np.linalg.norm(camera.position - place)
+    forward = (_POST + _POST_OF_SIDE * options.side) * towards if options.feature == "tag" else np.zeros(3)
+    seen = _feature(options, place + forward, camera.rotation.T)
+    carried = None if seen is None else seen.moved(-rotation.T @ place, rotation.T)
+    return Scene(carried, "effector", *_clutter(options, camera, rng))
+
+
+def before_the_wrist(options: Options, camera: Camera, distance: float, rng: np.random.Generator) -> Scene:
+    """The scene that the camera on the wrist sees when the arm is at home: the feature `distance` m ahead."""
+    place = camera.position + distance * camera.rotation[2]
+    return Scene(_feature(options, place, camera.rotation.T), None, *_clutter(options, camera, rng))
+
+
+def _feature(options: Options, place: Array, rotation: Array) -> Ball | Plate | None:
+    """What is to be tracked, in the base frame."""
+    if options.feature == "none":
+        return None
+    if options.feature == "ball":
+        return Ball(place, options.side / 2, GREEN)
+    return Plate(place, rotation, options.side, TAG)
+
+
+# Where things stand: (right, down) in focal lengths from the middle of the image, ahead in m, each moved by chance.
+# The arm's feature is about 1.1 m ahead, within 0.3 of the middle; the image ends at 0.55 and 0.41.
+_BALLS = (
+    (0.40, 0.28, 0.80, 0.055, GREEN),
+    (-0.42, 0.30, 1.00, 0.035, GREEN),
+    (-0.45, -0.27, 1.40, 0.070, _LIME),
+    (0.44, -0.02, 1.70, 0.040, GREEN),
+)
+_BOXES = (
+    (0.20, -0.33, 2.30, (0.30, 0.18, 0.02), (0.10, 0.74, 0.16)),
+    (-0.30, 0.10, 2.40, (0.25, 0.60, 0.10), (0.80, 0.12, 0.10)),
+    (0.48, 0.30, 2.00, (0.20, 0.30, 0.10), (0.10, 0.25, 0.85)),
+    (0.00, 0.50, 1.90, (1.20, 0.08, 0.40), (0.85, 0.45, 0.08)),
+    (-0.05, -0.36, 2.60, (0.15, 0.15, 0.05), (0.55, 0.10, 0.60)),
+)
+_TAG_AT = (-0.20, -0.30, 1.90, 0.16)
+_MOVED = 0.02
+
+
+def _clutter(
+    options: Options, camera: Camera, rng: np.random.Generator
+) -> tuple[tuple[Ball | Plate, ...], tuple[Box, ...]]:
+    """Balls of the feature's colour, one of them bigger and nearer; a foreign tag; saturated furniture."""
+    if not options.clutter:
+        return (), ()
+    balls = tuple(Ball(_stand(camera, at, rng), radius, colour) for *at, radius, colour in _BALLS)
+    *at, side = _TAG_AT
+    tag = Plate(_stand(camera, at, rng), camera.rotation.T, side, FOREIGN_TAG)
+    boxes = tuple(Box(_stand(camera, at, rng), camera.rotation.T, half, colour) for *at, half, colour in _BOXES)
+    return (*balls, tag), boxes
+
+
+def _stand(camera: Camera, at: list[float], rng: np.random.Generator) -> Array:
+    right, down, ahead = at
+    across = np.array([right, down]) + rng.uniform(-_MOVED, _MOVED, 2)
+    return np.asarray(camera.position + np.array([*across * ahead, ahead]) @ camera.rotation)
