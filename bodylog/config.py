@@ -171,7 +171,7 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
     late = value.values() if (section, key) == ("time", "delay") and isinstance(value, Mapping) else ()
     if any(abs(seconds) > LATEST for seconds in late):
         raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be at most {LATEST:g} s")
-    if (section, key) == ("topics", "camera") and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):
+    if section == "topics" and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):
         raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must be a topic, or several different ones")
     if (section, key) == ("colours", "shapes") and (bad := next((name for name in value if "/" in name), None)):
         raise ConfigError(f"{where}: {section}.{key} names {bad!r}; a feature's name has no /, which ends a camera's")

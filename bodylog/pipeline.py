@@ -47,15 +47,20 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
         return perception.looking(settings, progress)
 
     read = recording.read(log, settings, settings.input.strict, looking)
-    if read.poses:
-        return read, _posed(read, settings, progress)
+    found = _posed(read, settings, progress) if read.poses else _observed(read, settings, progress)
+    return read, replace(found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside)
+
+
+def _observed(read: Recording, settings: Settings, progress: Progress | None) -> Features:
+    """What a recording shows, or what it carries of an earlier run."""
+    from . import perception
+
     if read.features is None:
-        seen = perception.observe(read, settings, progress)
-        return read, replace(seen, reference=read.reference, cameras=_cameras(read))
+        return replace(perception.observe(read, settings, progress), cameras=_cameras(read))
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
     remarks = (*read.features.findings, carried)
     boards = perception.rigid(wanted(read.settings), read.features.tracks)
-    return read, replace(read.features, joints=read.joints, reference=read.reference, findings=remarks, boards=boards)
+    return replace(read.features, findings=remarks, boards=boards)
 
 
 def _posed(read: Recording, settings: Settings, progress: Progress | None) -> Features:
@@ -66,8 +71,7 @@ def _posed(read: Recording, settings: Settings, progress: Progress | None) -> Fe
 
         seen = perception.observe(replace(read, features=None), settings, progress)
         carried = replace(seen, tracks={**seen.tracks, **carried.tracks}, health={**seen.health, **carried.health})
-    known = replace(carried, joints=read.joints, reference=read.reference, cameras=_cameras(read))
-    return replace(known, strokes=(), synchrony=(), poses=True)
+    return replace(carried, cameras=_cameras(read), strokes=(), synchrony=())
 
 
 def extract(
@@ -80,7 +84,8 @@ def extract(
     with annotate.begun(log, out, whole=False) as written:
         read, features = observe(log, settings, progress)
         something_seen(log, features)
-        kept = [topic for role in ("joints", "truth", "skin") if (topic := topic_of(read, role)) is not None]
+        roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
+        kept = [topic for role in roles if (topic := topic_of(read, role)) is not None]
         lost = written.add(_feature_messages(read, features), only=kept)
         written.about(_provenance([(log, written.digest())], read.settings))
     if tables is not None:

@@ -16,13 +16,13 @@ __all__ = [
 class Topics:
     """[topics]: which topic plays which role, with a message path where a field must be named; None is guessed.
 
-    `camera` may be several, the first of which names its tracks plainly. One may be a video file beside the log: then
-    `start` is the time of its first frame (s since epoch; None: the first joint) and `rate` its frames per second
-    (None: as the file says). `reference` has the true angles of a log to learn from, where encoders read another
-    function of them; it is never guessed.
+    `joints` may be several topics, each with its own clock. `camera` may be several, the first of which names its
+    tracks plainly. One may be a video file beside the log: then `start` is the time of its first frame (s since epoch;
+    None: the first joint) and `rate` its frames per second (None: as the file says). `reference` has the true angles
+    of a log to learn from, where encoders read another function of them; it is never guessed.
     """
 
-    joints: str | None = None
+    joints: str | tuple[str, ...] | None = None
     camera: str | tuple[str, ...] | None = None
     skin: str | None = None
     truth: str | None = None

@@ -179,7 +179,7 @@ class Features:
     `picture_size` is (width, height) in px where it is known; `reference` the true angles where a log to learn from
     has them; `cameras` {camera: topic} whose pictures the tracks are of, "" the first one; `boards` {feature: (track
     names (K,), (K,3) m)} the tracks that lie on one rigid thing, and where on it. `poses`: rows are still poses that
-    say nothing of each other: no motion joins them.
+    say nothing of each other: no motion joins them. `beside`: joints of further topics that nobody named.
     """
 
     joints: Series | None
@@ -194,6 +194,7 @@ class Features:
     cameras: Mapping[str, str] = field(default_factory=dict)
     boards: Mapping[str, Board] = field(default_factory=dict)
     poses: bool = False
+    beside: tuple[str, ...] = ()
 
     @property
     def effector(self) -> Series | None:
@@ -213,7 +214,7 @@ class Recording:
     `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
     what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
     read with. `watched` are the first camera's frames, if someone was told of them while the log was read. `poses`: the
-    joints are still poses, each by itself.
+    joints are still poses, each by itself. `beside`: joints of further topics that nobody named.
     """
 
     name: str
@@ -234,6 +235,7 @@ class Recording:
     settings: Settings = field(default_factory=Settings)
     watched: Watched | None = None
     poses: bool = False
+    beside: tuple[str, ...] = ()
 
 
 class ForwardModel(Protocol):

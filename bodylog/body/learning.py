@@ -11,6 +11,7 @@ from ..types import BodyModel, Features, Finding, ForwardModel, Score
 from . import coverage, encoders, noise, reference, sense, touch
 from .gp import GP
 from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, silent
+from .shown import shown
 
 _LEAST_SIGHTINGS = 8
 
@@ -43,6 +44,7 @@ def learn(
     if not chosen:
         possible = ", ".join(j.name for j in heard) or f"none ({'; '.join(silent(told).values())})"
         raise EvidenceError(f"no joint moved; heard: {possible}; record an exploration, or name them in [body] joints")
+    chosen, unseen = (chosen, []) if wanted else shown(features, chosen, settings.fit)
     tracks = dict(_tracks(features, chosen, settings.fit, update))
     rare = [name for name, part in tracks.items() if len(part.x) < _LEAST_SIGHTINGS]
     senses = {n: sense.sense(part, chosen, settings.fit) for n, part in tracks.items() if n not in rare}
@@ -62,11 +64,12 @@ def learn(
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
     few = [Finding("warning", f"{name}: only {len(tracks[name].x)} sightings, too few for a model") for name in rare]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
+    taught = coverage.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
     gaps, pictures = coverage.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
     return Learned(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, {**pictures, **provenance}, cells),
         (*coverage.scores(chosen, gps, learned), *scores, *read.scores),
-        (*coverage.findings(heard, chosen, gps, learned), *absurd, *gaps, *few, *left_out, *touched, *read.findings),
+        (*taught, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
     )
 
 

@@ -152,8 +152,10 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
 def _scatter(values: Array) -> Array:
     """Variance (M,) of the noise of values (N,M) in the middle of the log, by how their third differences scatter."""
     middle = max(0, (len(values) - 10 * MOST) // 2)
-    jerks = np.abs(np.diff(values[middle : middle + 10 * MOST], 3, axis=0))
-    return np.asarray(np.square(1.4826 * np.nanmedian(jerks, axis=0)) / 20.0)
+    # readings of several topics stand in rows of their own, with NaN between them
+    columns = [column[np.isfinite(column)] for column in values[middle : middle + 10 * MOST].T]
+    jerks = [np.median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
+    return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)
 
 
 def _blurred(curve: Curve) -> bool:

@@ -62,6 +62,7 @@ def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, f
     known = (JOINTS, *names)
     if isinstance(given, str):
         return {} if given == "auto" else dict.fromkeys(known, 0.0)
+    given = {name: late for name, late in given.items() if not name.startswith(f"{JOINTS}/")}  # one topic's, by logs/
     if unknown := [name for name in given if name not in known]:
         raise UsageError(f"delay: {unknown[0]!r} is none of {', '.join(known)}; type --delay {known[-1]}=0.05")
     return dict(given)
@@ -117,10 +118,12 @@ def heard(
     rows = _within(joints.t, begin, end)
     values = joints.values[rows][:, columns(joints, body.joints)].astype(float)
     values[~np.isfinite(values)] = np.nan
+    spoken = np.isfinite(values).any(axis=1)
     for name, track in features.tracks.items():
         if name in body.senses:
             seen.setdefault(camera(name), []).append(_sighting(name, track, body, _within(track.t, begin, end)))
-    return screen(Encoders(joints.t[rows], values, joints.source_ns[rows]), body.joints)[0], seen
+    encoders = Encoders(joints.t[rows][spoken], values[spoken], joints.source_ns[rows][spoken])
+    return screen(encoders, body.joints)[0], seen
 
 
 def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:

@@ -1,7 +1,7 @@
 """What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -96,6 +96,9 @@ def _encoders(
     if joints is None:
         return None, {"encoders": Health(0, 0)}
     values = joints.values[:, columns(joints, names)].astype(float)
+    # a row of another topic's joints alone is no reading of these
+    ours = np.isfinite(values).any(axis=1) | ~np.isfinite(joints.values).any(axis=1)
+    joints, values = _rows(joints, ours), values[ours]
     silent = [index for index, name in enumerate(names) if name not in wanted]
     rising = ascending(joints.t)
     broken = ~np.isfinite(values).any(axis=1)
@@ -108,6 +111,11 @@ def _encoders(
     use = int(np.isfinite(values[keep]).any(axis=1).sum())
     used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, _gap(joints.t[keep]))}
     return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
+
+
+def _rows(series: Series, chosen: Array) -> Series:
+    """Some rows of a signal."""
+    return replace(series, t=series.t[chosen], values=series.values[chosen], source_ns=series.source_ns[chosen])
 
 
 def columns(joints: Series, names: tuple[str, ...]) -> list[int]:

@@ -20,11 +20,13 @@ def advice(found: Mapping[str, Role]) -> str:
 def unused_joints(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
     """That a log has more joint states than those guessed to be the robot's, and what to type to use them."""
     others = sorted({topic.name for topic in topics if is_raw(topic) and joints_rank(topic) is not None})
-    others = [name for name in others if "joints" in found and name != found["joints"].topic]
+    used = [role.topic for role in found.values() if role.role == "joints"]
+    others = [name for name in others if used and name not in used]
     if settings.joints is not None or not others:
         return ()
-    said = f"joints: {found['joints'].topic} is used, {', '.join(others)} not"
-    return (Finding("info", f"{said}; for another, type: [topics] joints = {json.dumps(others[0])}"),)
+    said = f"joints: {', '.join(used)} is used, {', '.join(others)} not"
+    typed = f"type: [topics] joints = {json.dumps(others[0])}; for both, joints = {json.dumps([*used, others[0]])}"
+    return (Finding("info", f"{said}; for another, {typed}"),)
 
 
 def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:

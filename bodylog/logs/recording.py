@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import BodylogError
 from ..settings import Settings
 from ..types import Features, Finding, Frame, Health, Recording, Topic, Watched, Watcher
-from . import cameras, offers, roles, video
+from . import cameras, joint_topics, offers, roles, video
 from . import frames as camera
 from .containers import Log, open_log
 from .pose_log import independent
@@ -44,7 +44,7 @@ def read(
         duration_s=_duration(heard, log),
         topics=log.topics,
         roles={role: stream.role.path for role, stream in heard.items()} | named,
-        joints=series(heard.get("joints"), start_ns, "rad"),
+        joints=joint_topics.series(heard, settings, start_ns, str(path)),
         skin=series(heard.get("skin"), start_ns, "0..1"),
         truth=series(heard.get("truth"), start_ns, "rad"),
         reference=series(heard.get("reference"), start_ns, "rad"),
@@ -55,7 +55,8 @@ def read(
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
         settings=settings,
         watched=_watched(told, heard.get("camera"), start_ns),
-        poses="joints" in heard and independent(heard["joints"].role.topics),
+        poses=any(independent(stream.role.topics) for stream in joint_topics.streams_of(heard)),
+        beside=joint_topics.beside(heard, settings),
     )
 
 
@@ -80,7 +81,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
             "duration_s": (log.end_ns - log.start_ns) / 1e9,
             "topics": [_topic(topic, spans) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
             "roles": {role: source.path for role, source in found.items()},
-            "joints": list(heard["joints"].names) if "joints" in heard else [],
+            "joints": list(joint_topics.names(heard)),
             "clock": {role: _clock(stream) for role, stream in heard.items()},
             "findings": [{"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)],
         }
@@ -106,8 +107,8 @@ def _clock(stream: Stream) -> dict[str, Any]:
 
 
 def _start_ns(heard: Mapping[str, Stream], log: Log) -> int:
-    if "joints" in heard:
-        return int(heard["joints"].dated.t_ns[0])
+    for stream in joint_topics.streams_of(heard)[:1]:
+        return int(stream.dated.t_ns[0])
     return min((int(stream.dated.t_ns[0]) for stream in heard.values()), default=log.start_ns)
 
 

@@ -11,12 +11,16 @@ from . import images
 from .cameras import cameras, is_video
 from .columns import definition_of
 from .definitions import PRIMITIVES, Definition
+from .joint_names import named as joint_topics
+from .joint_names import topic_name
 from .objects import reader
 from .paths import parse
 
 ROLES = ("joints", "camera", "skin", "truth", "reference")
 _ANGLES = ("joints", "truth", "reference")
 _OURS = "/bodylog/"
+_FEWEST = 10
+"""Messages below which a further topic of joints says too little to be joined."""
 _JOINTS = "sensor_msgs/msg/JointState"
 _ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
 _WISHED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint", re.IGNORECASE)
@@ -47,27 +51,60 @@ class Role:
 
 
 def roles(
-    topics: Sequence[Topic], settings: Topics, name: str, joints_of: Callable[[Topic], int] = lambda topic: 0
+    topics: Sequence[Topic],
+    settings: Topics,
+    name: str,
+    joints_of: Callable[[Topic], tuple[str, ...]] = lambda topic: (),
 ) -> dict[str, Role]:
     """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have.
 
     The reference, which only logs to learn from have, is left out where its topic is not there; the cameras where a log
     has their tracks alone.
 
-    `joints_of` looks how many joints a topic speaks of, where several could be the robot's.
+    `joints_of` looks which joints a topic speaks of, where several could be the robot's: the one with the most of them
+    is, and those beside it whose names are others.
     """
     found: dict[str, Role] = {}
     names = [topic.name for topic in topics]
     for role in ROLES:
-        said = cameras(settings) if role == "camera" else {role: getattr(settings, role)}
+        said = _said(role, settings)
+        known = {key: text for key, text in said.items() if text}
         if role == "reference":
             there = [s for s in said.values() if s and parse(s, names).topic in names]
             found.update((role, _named(role, s, topics, name)) for s in there)
         elif not any(said.values()):
             guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
             found.update({role: guessed} if guessed else {})
+            if role == "joints" and guessed:
+                found.update(_beside(guessed, topics, joints_of))
         elif role != "camera" or not _tracks_alone(topics):
-            found.update({key: _named(role, s, topics, name) for key, s in said.items() if not is_video(role, s)})
+            found.update({key: _named(role, s, topics, name) for key, s in known.items() if not is_video(role, s)})
+    return found
+
+
+def _said(role: str, settings: Topics) -> Mapping[str, str | None]:
+    """What robot.toml names for a role: of cameras and joints there may be several."""
+    if role == "camera":
+        return cameras(settings)
+    return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
+
+
+def _beside(
+    first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
+) -> dict[str, Role]:
+    """Further topics of joints, the most frequent first, none of whose names occurs twice."""
+    ranked = [(rank, t) for t in topics if is_raw(t) and (rank := joints_rank(t)) is not None and rank[0]]
+    if len({topic.name for _, topic in ranked}) < 2:
+        return {}
+    taken = {name for topic in first.topics for name in joints_of(topic)}
+    found: dict[str, Role] = {}
+    for _, topic in sorted(ranked, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
+        if topic.name == first.topic or topic.messages < _FEWEST or problem(topic) is not None:
+            continue
+        names = {name for one in _same(topics, topic) for name in joints_of(one)}
+        if names and "" not in names | taken and not names & taken:
+            found[f"joints/{topic_name(topic.name)}"] = Role("joints", topic.name, "", _same(topics, topic))
+            taken |= names
     return found
 
 
@@ -78,14 +115,14 @@ def _tracks_alone(topics: Sequence[Topic]) -> bool:
     )
 
 
-def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], int]) -> Sequence[Topic]:
+def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> Sequence[Topic]:
     """The topics, less those joint states that are about as frequent as the best but speak of fewer joints."""
     ranks = {topic.name: rank for topic in topics if is_raw(topic) and (rank := joints_rank(topic)) is not None}
     most = max(ranks.values(), default=(0, 0))
     rivals = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
     if len(rivals) < 2:
         return topics
-    joints = {name: max(joints_of(t) for t in topics if t.name == name and t.type == _JOINTS) for name in rivals}
+    joints = {name: max(len(joints_of(t)) for t in topics if t.name == name and t.type == _JOINTS) for name in rivals}
     fewer = {name for name in rivals if joints[name] < max(joints.values())}
     return [topic for topic in topics if topic.name not in fewer]
 

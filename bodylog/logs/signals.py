@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,14 +17,26 @@ FARTHEST = 1e9
 
 
 @dataclass(frozen=True, eq=False)
+class Named:
+    """The messages, by their rows (k,), that name these joints in this order."""
+
+    names: tuple[str, ...]
+    rows: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Signal:
-    """Rows (m,) into the messages read · stamp_ns (m,) or None · values (m,D) · names (D,) · rejected by reason."""
+    """Rows (m,) into the messages read · stamp_ns (m,) or None · values (m,D) · names (D,) · rejected by reason.
+
+    sets: the messages by the joints they name, the most frequent first.
+    """
 
     rows: Array
     stamp_ns: Array | None
     values: Array
     names: tuple[str, ...]
     rejected: Mapping[str, int] = field(default_factory=dict)
+    sets: tuple[Named, ...] = ()
 
 
 Block = tuple[Array, Array | None, tuple[Array | tuple[str, ...], ...]]
@@ -52,6 +64,8 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
     good = []
     for rows, stamps, (names, positions) in sorted(found, key=lambda block: int(block[0].min())):
         if not isinstance(names, tuple) or not isinstance(positions, np.ndarray):
+            wrong = "names that are no texts" if isinstance(positions, np.ndarray) else "positions that are no numbers"
+            rejected[wrong] += len(rows)
             continue
         if not names and positions.shape[1]:
             names = _nameless(positions.shape[1], wanted, what)
@@ -65,7 +79,15 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
         good.append((rows, stamps, names, positions))
     order = _order([names for _, _, names, _ in good], wanted, what, every)
     values = [_by_name(names, positions, order) for _, _, names, positions in good]
-    return _joined([(r, s) for r, s, _, _ in good], values, order, rejected)
+    return replace(_joined([(r, s) for r, s, _, _ in good], values, order, rejected), sets=_sets(good))
+
+
+def _sets(good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]]) -> tuple[Named, ...]:
+    """Messages by the joints they name, the most frequent first."""
+    rows: dict[tuple[str, ...], list[Array]] = {}
+    for some, _, names, _ in good:
+        rows.setdefault(names, []).append(some)
+    return tuple(Named(n, np.concatenate(r)) for n, r in sorted(rows.items(), key=lambda one: -sum(map(len, one[1]))))
 
 
 def _unfit(names: int, positions: int) -> str:
@@ -132,14 +154,17 @@ def angles(values: Array, follow: bool = True) -> tuple[Array, int, Array]:
 def array(found: Sequence[Block]) -> Signal:
     """Arrays of numbers: as wide as most messages are, the others rejected, and all where none holds a number."""
     widths: Counter[int] = Counter()
-    shaped = []
+    shaped, texts_ = [], 0
     for rows, stamps, (values,) in found:
         if isinstance(values, np.ndarray):
             flat = values.reshape(len(values), -1)
             widths[flat.shape[1]] += len(rows)
             shaped.append((rows, stamps, flat))
+        else:
+            texts_ += len(rows)
     width = widths.most_common(1)[0][0] if widths else 0
     rejected = Counter({f"{w} values, not {width}": n for w, n in widths.items() if w != width})
+    rejected.update({"values that are no numbers": texts_} if texts_ else {})
     good = [(r, s, v) for r, s, v in shaped if v.shape[1] == width and width]
     if widths and not width:
         rejected["empty array"] = widths[0]

@@ -38,6 +38,7 @@ class Stream:
     shifted_s: float = 0.0
     beyond: int = 0
     wraps: Mapping[str, int] = field(default_factory=dict)
+    sets: tuple[signals.Named, ...] = ()
 
 
 def streams(
@@ -47,23 +48,27 @@ def streams(
 
     LogError when a role named in robot.toml holds none.
     """
-    dated = _rising({role: _stream(*source, settings, name) for role, source in _columns(log, found, name).items()})
+    alone = sum(role.role == "joints" for role in found.values()) < 2
+    read = _columns(log, found, name)
+    dated = _rising({role: _stream(*source, settings, name, alone) for role, source in read.items()})
     usable = {role: stream for role, stream in dated.items() if len(stream.dated.t_ns)}
     empty = (_empty(stream, settings, name) for role, stream in dated.items() if role not in usable)
     return _one_epoch(usable), tuple(empty)
 
 
-def joints_of(log: Log) -> Callable[[Topic], int]:
-    """How many joints a JointState topic's first messages name."""
+def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
+    """The joints a JointState topic's first messages name; "" for each position without a name."""
 
-    def count(topic: Topic) -> int:
+    def names(topic: Topic) -> tuple[str, ...]:
         try:
             found = columns(_Beginning(log), topic, ("name", "position"))
         except BodylogError:
-            return 0
-        return max((np.shape(part.values[1])[-1] for part in found.parts), default=0)
+            return ()
+        nameless = max((np.shape(part.values[1])[-1] for part in found.parts), default=0)
+        said = [name for part in found.parts if isinstance(part.values[0], tuple) for name in part.values[0]]
+        return tuple(dict.fromkeys(said)) or ("",) * nameless
 
-    return count
+    return names
 
 
 @dataclass(frozen=True)
@@ -100,10 +105,10 @@ def _fields(role: Role) -> tuple[str, ...]:
     return (role.field,) if role.field else _JOINT_FIELDS
 
 
-def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str) -> Stream:
+def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str, alone: bool) -> Stream:
     stamp = stamp_field(role.topics[0])
     found = list(signals.blocks(read, stamp, _fields(role)))
-    signal = _signal(role, found, settings, f"{name}: {role.topic}")
+    signal = _signal(role, found, settings, f"{name}: {role.topic}", alone)
     log_ns = np.concatenate([some.log_ns for some in read])
     choice = getattr(settings.time, role.role)
     if choice == "header" and signal.stamp_ns is None and len(signal.rows):
@@ -121,16 +126,20 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in read)
     slow = sum(some.fallback for some in read)
     return Stream(
-        role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond, wraps=wraps
-    )
+        role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond, wraps=wraps,
+        sets=signal.sets,
+    )  # fmt: skip
 
 
-def _signal(role: Role, found: list[signals.Block], settings: Settings, what: str) -> signals.Signal:
+def _signal(
+    role: Role, found: list[signals.Block], settings: Settings, what: str, alone: bool
+) -> signals.Signal:
     if role.role == "camera":
         seen = {str(text) for _, _, (names,) in found for text in names}
         return signals.texts(found, {text: images.refusal(role.topics[0], text) for text in seen})
     if not role.field:
-        return signals.joints(found, settings.body.joints, what, every=role.role == "joints")
+        wanted = settings.body.joints if alone or role.role != "joints" else None
+        return signals.joints(found, wanted, what, every=role.role == "joints")
     signal = signals.array(found)
     if role.role == "skin" or not len(signal.rows):
         return signals.proximities(signal) if role.unsure else signal
@@ -205,10 +214,45 @@ def remarks(stream: Stream) -> Iterator[Finding]:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
     if stream.beyond:
         yield Finding("warning", f"{name}: {stream.beyond} readings beyond {signals.FARTHEST:g} rad are taken for none")
+    yield from (Finding("warning", f"{name}: {text}") for text in (*_changing(stream), *_vanishing(stream)))
     for joint, count in stream.wraps.items():
         yield Finding("info", f"{name}: {joint} wraps around, {count} times; read as one motion, without whole turns")
     if stream.rejected:
         yield Finding("warning", f"{name}: rejected {_reasons(stream)} of {sum(stream.counts)} messages")
+
+
+_GONE, _RARE = 1.0, 10.0
+"""s, and usual steps, that a joint says nothing at an end of its topic after which it is said to be missing there."""
+_NAMED = 4
+
+
+def _changing(stream: Stream) -> Iterator[str]:
+    """That a topic's messages do not all name the same joints, or not in one order, and what that may mean."""
+    if len(stream.sets) < 2:
+        return
+    some = "; ".join(f"{', '.join(one.names)} ({len(one.rows)} messages)" for one in stream.sets[:_NAMED])
+    more = f"; and {len(stream.sets) - _NAMED} more" if len(stream.sets) > _NAMED else ""
+    which = np.concatenate([np.full(len(one.rows), k) for k, one in enumerate(stream.sets)])
+    which = which[np.argsort(np.concatenate([one.rows for one in stream.sets]), kind="stable")]
+    switches = int((np.diff(which) != 0).sum())
+    why = "the list changes" if switches < 2 * len(stream.sets) else f"in turn, {switches} times: several publishers"
+    yield f"{len(stream.sets)} lists of joints on one topic, {why}: {some}{more}"
+
+
+def _vanishing(stream: Stream) -> Iterator[str]:
+    """Joints that say nothing at the beginning or the end of a topic that goes on."""
+    if stream.role.role not in ("joints", "truth", "reference") or len(stream.dated.t_ns) < 2:
+        return
+    t = seconds(stream.dated.t_ns, int(stream.dated.t_ns[0]))
+    for name, column in zip(stream.names, stream.values.T, strict=True):
+        known = t[np.isfinite(column)]
+        if len(known) < 2:
+            continue
+        long = max(_GONE, _RARE * float(np.median(np.diff(known))))
+        if t[-1] - known[-1] > long:
+            yield f"{name} vanishes: no reading after {known[-1]:.3f} s, while others go on until {t[-1]:.3f} s"
+        if known[0] > long:
+            yield f"{name} has no reading before {known[0]:.3f} s"
 
 
 def _backwards(stream: Stream) -> str:

@@ -73,7 +73,7 @@ def test_joints_go_by_name_whatever_their_order(tmp_path):
 
 def test_the_arm_is_preferred_to_its_gripper(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/a_gripper", moves(12, ("finger",))), joints("/arm", moves(10))])
-    assert read(log, PLAIN).roles == {"joints": "/arm"}
+    assert read(log, PLAIN).roles == {"joints": "/arm", "joints/a_gripper": "/a_gripper"}
 
 
 def test_halves_of_the_joints_in_turn_leave_nan_and_of_one_stamp_are_joined(tmp_path):

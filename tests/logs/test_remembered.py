@@ -43,7 +43,7 @@ def test_what_was_said_holds_until_something_else_is(tmp_path):
         {"topics": []},
         {"topics": {"joints": "/gone", "camera": ["/a", "/gone"]}},
         {"topics": {"joints": 7, "camera": [7], "skin": [], "colour": JOINTS}},
-        {"topics": {"joints": [JOINTS]}, "body": {"unit": ["deg"], "joints": "elbow"}, "time": {"joints": {}}},
+        {"topics": {"joints": [JOINTS, 7]}, "body": {"unit": ["deg"], "joints": "elbow"}, "time": {"joints": {}}},
     ],
 )
 def test_what_does_not_fit_is_left_to_be_guessed(tmp_path, said):

@@ -71,8 +71,9 @@ def test_of_about_as_frequent_joints_those_of_the_larger_body_win():
     messages = {"/gripper": 510, "/arm": 500, "/calibration": 2, "/bodylog/j": 900}
     joints = {"/gripper": 1, "/arm": 6, "/calibration": 20, "/bodylog/j": 30}
     described = topics(*((name, JOINTS, count) for name, count in messages.items()))
-    found = roles(described, Topics(), "x.mcap", lambda topic: joints[topic.name])
-    assert found["joints"].topic == "/arm"
+    names = {topic: tuple(f"{topic}{k}" for k in range(count)) for topic, count in joints.items()}
+    found = roles(described, Topics(), "x.mcap", lambda topic: names[topic.name])
+    assert found["joints"].topic == "/arm" and found["joints/gripper"].topic == "/gripper" and len(found) == 2
 
 
 def test_empty_topics_and_depth_pictures_fill_no_role():
@@ -222,7 +223,8 @@ def test_joints_of_a_second_robot_are_named_with_what_to_type():
     two = topics(("/a/joint_states", JOINTS), ("/b/joint_states", JOINTS), ("/truth/joint_states", JOINTS))
     found = roles(two, Topics(), "x.mcap")
     (finding,) = unused_joints(two, Topics(), found)
-    typed = 'for another, type: [topics] joints = "/b/joint_states"'
+    both = 'for both, joints = ["/a/joint_states", "/b/joint_states"]'
+    typed = f'for another, type: [topics] joints = "/b/joint_states"; {both}'
     assert finding.text == f"joints: /a/joint_states is used, /b/joint_states not; {typed}"
     assert not unused_joints(two, Topics(joints="/a/joint_states"), found)
     assert not unused_joints(two[:1], Topics(), roles(two[:1], Topics(), "x.mcap"))

@@ -1,0 +1,46 @@
+"""Which joints of topics that nobody named are learned over: those whose motion some track shows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..settings import Fit
+from ..types import Features, Finding
+from .coverage import influence
+from .evidence import ROTATION
+from .pairs import Joint, Pairs, pairs
+from .select import farthest
+from .train import Samples, assemble, fitted
+
+SAMPLES, FEWEST = 200, 8
+"""Sightings that are enough to see whether a joint moves a track, and below which nothing is seen."""
+
+
+def shown(
+    features: Sequence[Features], chosen: Sequence[Joint], fit: Fit
+) -> tuple[list[Joint], list[Finding]]:
+    """The chosen joints without those found beside the first topic's that move no track by more than its noise.
+
+    A gripper's fingers on a topic of their own are no part of where the arm is seen.
+    """
+    beside = {name for found in features for name in found.beside}
+    if not any(joint.name in beside for joint in chosen):
+        return list(chosen), []
+    seen = set[str]()
+    for track in sorted({name for found in features for name in found.tracks if name != "hand"}):
+        part = pairs(features, track, chosen, fit.every)
+        if len(part.x) >= FEWEST and part.y.std(axis=0).all():
+            seen |= _moving(part, chosen, fit)
+    kept = [joint for joint in chosen if joint.name not in beside or joint.name in seen]
+    left = [joint for joint in chosen if joint not in kept]
+    text = "no track shows it; to learn over it all the same, name it in [body] joints"
+    return kept, [Finding("info", f"{j.name}: moved {j.range:.3f}, left out: {text}") for j in left]
+
+
+def _moving(part: Pairs, chosen: Sequence[Joint], fit: Fit) -> set[str]:
+    """The joints whose own motion moves a track by more than its noise."""
+    part = part.rows(farthest(part.x, SAMPLES))
+    data = Samples(part.x, part.y, part.floor, part.variance)
+    gp = assemble(data, fitted(data, ROTATION, True, fit.seed), ("u", "v"), "px")
+    least = float(np.sqrt(np.mean(gp.noise + part.floor.mean(axis=0))))
+    return {joint.name for joint, size in zip(chosen, influence(gp), strict=True) if size > least}

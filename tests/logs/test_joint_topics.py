@@ -1,0 +1,135 @@
+"""Joints of several topics become one signal; what changes, vanishes or is no number on the way is named."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodylog.errors import ConfigError, LogError
+from bodylog.logs.joint_names import topic_name
+from bodylog.logs.recording import info, read
+from bodylog.settings import Body, Settings, Time, Topics
+
+from .writing import T0, Stream, joint_state, joints, write
+
+MS = 10**6
+
+
+def _topic(name: str, names: tuple[str, ...], step_ms: int, count: int, late_ms: float = 0.0):
+    """A topic of joints that all read the time in s, plus ten times the joint's number."""
+    messages = []
+    for k in range(count):
+        ns = T0 + k * step_ms * MS
+        stamp = ns + round(late_ms * MS)
+        messages.append((ns + MS, joint_state(stamp, names, [10.0 * j + (ns - T0) / 1e9 for j in range(len(names))])))
+    return joints(name, messages)
+
+
+@pytest.fixture
+def two(tmp_path) -> Path:
+    """An arm at 100 Hz and a head at 50 Hz, 3 ms beside it."""
+    arm, head = _topic("/arm/joint_states", ("pan", "lift"), 10, 300), ("/head/joint_states", ("neck",), 20, 150, 3.0)
+    return write(tmp_path / "two.mcap", [arm, _topic(*head)])
+
+
+def test_topics_without_namesakes_are_found_by_themselves(two):
+    found = read(two, Settings())
+    assert found.roles["joints"] == "/arm/joint_states" and found.roles["joints/head"] == "/head/joint_states"
+    assert found.joints.names == ("pan", "lift", "neck") and found.beside == ("neck",)
+    assert len(found.joints.t) == 450 and np.all(np.diff(found.joints.t) > 0)
+    arm = np.isfinite(found.joints.values[:, 0])
+    assert arm.sum() == 300 and np.isnan(found.joints.values[arm, 2]).all()
+    np.testing.assert_allclose(found.joints.values[~arm, 2], found.joints.t[~arm] - 0.003, atol=1e-9)
+    alone = read(two, Settings(topics=Topics(joints="/arm/joint_states")))
+    np.testing.assert_array_equal(alone.joints.values, found.joints.values[arm, :2])
+    np.testing.assert_array_equal(alone.joints.t, found.joints.t[arm])
+    assert info(two, Settings())["joints"] == ["pan", "lift", "neck"]
+
+
+def test_each_topic_may_be_late_by_its_own(two):
+    settings = Settings(time=Time(delay={"joints/head": 0.003}))
+    found = read(two, settings)
+    assert len(found.joints.t) == 300  # the head's readings now stand beside every other one of the arm
+    whole = np.isfinite(found.joints.values).all(axis=1)
+    np.testing.assert_allclose(found.joints.values[whole, 2], found.joints.t[whole], atol=1e-9)
+    with pytest.raises(ConfigError, match=r"'joints/neck' is none of joints/arm, joints/head"):
+        read(two, Settings(time=Time(delay={"joints/neck": 0.003})))
+
+
+def test_namesakes_get_their_topics_name_where_they_are_asked_for(tmp_path):
+    left, right = (_topic(f"/{side}/joint_states", ("elbow", side), 10, 50) for side in ("left", "right"))
+    path = write(tmp_path / "sides.mcap", [left, right])
+    guessed = read(path, Settings())
+    assert guessed.joints.names == ("elbow", "left") and "joints/right" not in guessed.roles
+    assert any('joints = ["/left/joint_states", "/right/joint_states"]' in f.text for f in guessed.findings)
+    both = Settings(topics=Topics(joints=("/left/joint_states", "/right/joint_states")))
+    found = read(path, both)
+    assert found.joints.names == ("left/elbow", "left", "right/elbow", "right") and found.beside == ()
+    chosen = read(path, replace(both, body=Body(joints=("right/elbow", "left"))))
+    assert chosen.joints.names == ("right/elbow", "left")
+    with pytest.raises(LogError, match="names 'elbow'; the log has left, left/elbow, right, right/elbow"):
+        read(path, replace(both, body=Body(joints=("elbow",))))
+    with pytest.raises(LogError, match="there is no topic '/up/joint_states'"):
+        read(path, Settings(topics=Topics(joints=("/left/joint_states", "/up/joint_states"))))
+    with pytest.raises(ConfigError, match="would both be called 'left'"):
+        read(path, Settings(topics=Topics(joints=("/left/joint_states", "/left"))))
+
+
+@pytest.mark.parametrize(
+    ("topic", "name"),
+    [("/head/joint_states", "head"), ("/joint_states", "joint_states"), ("/a/b/joint_state", "a/b"), ("/arm", "arm")],
+)
+def test_a_topic_is_called_by_what_tells_it_apart(topic, name):
+    assert topic_name(topic) == name
+
+
+def test_commands_and_copies_are_not_joined(tmp_path):
+    parts = [
+        _topic("/joint_states", ("pan", "lift"), 10, 50),
+        _topic("/pan_command", ("other",), 10, 50),
+        _topic("/arm/joint_states", ("pan",), 10, 50),
+    ]
+    found = read(write(tmp_path / "x.mcap", parts), Settings())
+    assert found.joints.names == ("pan", "lift") and found.beside == ()
+
+
+def _texts(path: Path) -> str:
+    return " | ".join(f"{f.severity}: {f.text}" for f in read(path, Settings()).findings)
+
+
+def test_two_publishers_on_one_topic_are_named(tmp_path):
+    one, two = _topic("/joint_states", ("pan", "lift"), 10, 100), _topic("/joint_states", ("neck",), 10, 100, 4.0)
+    messages = [m for pair in zip(one.messages, two.messages, strict=True) for m in pair]
+    path = write(tmp_path / "x.mcap", [replace(one, messages=messages)])
+    said = "2 lists of joints on one topic, in turn, 199 times: several publishers: pan, lift (100 messages); neck (100"
+    assert said in _texts(path)
+
+
+def test_a_set_that_changes_and_joints_that_vanish_are_named(tmp_path):
+    whole, less = _topic("/joint_states", ("pan", "lift"), 10, 600), _topic("/joint_states", ("pan",), 10, 600)
+    messages = [*whole.messages[:300], *less.messages[300:]]
+    said = _texts(write(tmp_path / "x.mcap", [replace(whole, messages=messages)]))
+    assert "2 lists of joints on one topic, the list changes: pan, lift (300 messages); pan (300 messages)" in said
+    vanishes = "lift vanishes: no reading after 2.990 s, while others go on until 5.990 s"
+    assert f"warning: joints /joint_states: {vanishes}" in said
+    messages = [*less.messages[:300], *whole.messages[300:]]
+    said = _texts(write(tmp_path / "y.mcap", [replace(whole, messages=messages)]))
+    assert "lift has no reading before 3.000 s" in said
+
+
+def test_positions_that_are_texts_are_counted(tmp_path):
+    def message(k: int) -> bytes:
+        ns = T0 + k * 10 * MS
+        position = ["0.1", "x"] if k % 4 == 3 else [0.1 * k, 0.2]
+        stamp = {"sec": ns // 10**9, "nsec": ns % 10**9}
+        return json.dumps({"header": {"stamp": stamp}, "name": ["pan", "lift"], "position": position}).encode()
+
+    rows = [(T0 + k * 10 * MS, message(k)) for k in range(40)]
+    stream = Stream("/joint_states", "sensor_msgs/msg/JointState", b"{}", rows, "json", "jsonschema")
+    path = write(tmp_path / "x.mcap", [stream])
+    found = read(path, Settings())
+    health = found.health["/joint_states"]
+    assert (health.seen, health.used) == (40, 30) and health.rejected == {"positions that are no numbers": 10}
+    assert "rejected 10 (positions that are no numbers) of 40 messages" in _texts(path)
