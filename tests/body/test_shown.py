@@ -1,0 +1,44 @@
+"""Joints found beside the first topic's are learned over only where a track shows their motion."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from bodylog import body
+from bodylog.settings import Body, Settings
+from bodylog.types import Features, Series
+
+
+def _beside(features: Features, finger: np.ndarray, name: str) -> Features:
+    """The features with one joint more, on a topic of its own: in rows between the others'."""
+    t, old = features.joints.t, features.joints
+    both = np.sort(np.concatenate([t, t[::2] + 0.003]))
+    values = np.full((len(both), len(old.names) + 1), np.nan)
+    values[np.searchsorted(both, t), :-1] = old.values
+    values[np.searchsorted(both, t[::2] + 0.003), -1] = finger[::2]
+    joints = Series(both, values, (*old.names, name), "rad", (both * 1e9).astype(np.int64))
+    return replace(features, joints=joints, beside=(name,))
+
+
+def test_a_gripper_that_moves_unseen_changes_nothing(explored):
+    alone = explored(1, 0.002, 20.0).features
+    finger = 0.04 * np.sin(1.3 * alone.joints.t)
+    both = _beside(alone, finger, "finger")
+    one, two = (body.learn([f], Settings(), {}) for f in (alone, both))
+    assert one.model.joints == two.model.joints == ("pan", "lift", "elbow")
+    x = one.model.senses["effector"].samples[:5]
+    means = [learned.model.senses["effector"].predict(x)[0] for learned in (one, two)]
+    np.testing.assert_array_equal(*means)
+    (said,) = (f.text for f in two.findings if f.text.startswith("finger"))
+    assert "left out: no track shows it" in said and "[body] joints" in said
+    asked = body.learn([both], Settings(body=Body(joints=("pan", "lift", "elbow", "finger"))), {})
+    assert asked.model.joints == ("pan", "lift", "elbow", "finger")
+
+
+def test_a_joint_of_a_further_topic_that_is_seen_is_learned_over(explored):
+    alone = explored(1, 0.002, 20.0).features
+    kept = [0, 1, 3]
+    old = alone.joints
+    without = replace(alone, joints=replace(old, values=old.values[:, kept], names=tuple(old.names[k] for k in kept)))
+    both = _beside(without, old.values[:, 2], "elbow")
+    assert set(body.learn([both], Settings(), {}).model.joints) == {"pan", "lift", "elbow"}
