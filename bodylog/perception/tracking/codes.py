@@ -1,0 +1,70 @@
+"""Tag dictionaries as bit patterns in all four turns, and which tag some cells show."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from ...types import Array
+
+
+class Codes(NamedTuple):
+    """One dictionary: patterns (K,4,n*n), true where white, by tag and turn · the same about 0 and of length 1 · n ·
+    how many wrong bits are allowed."""
+
+    patterns: Array
+    units: Array
+    side: int
+    correctable: int
+
+
+class Read(NamedTuple):
+    """What cells show, of M quads: tag, turn (M,) · score (M,) -1..1, how alike they are · wrong (M,) bits."""
+
+    tag: Array
+    turn: Array
+    score: Array
+    wrong: Array
+
+
+_OPENCV = {"mip_36h12": "ARUCO_MIP_36H12"}
+_CORRECTED = 0.6
+"""Share of the bits that could be corrected which may be wrong: OpenCV's errorCorrectionRate."""
+
+
+@lru_cache
+def codes(dictionary: str) -> Codes:
+    """The dictionary of that name."""
+    import cv2
+
+    known = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{_OPENCV.get(dictionary, dictionary).upper()}"))
+    side = int(known.markerSize)
+    bits = np.stack([known.getBitsFromByteList(row[None], side) for row in known.bytesList]).astype(np.float32)
+    turned = np.stack([np.rot90(bits, turn, axes=(1, 2)) for turn in range(4)], axis=1)
+    flat = turned.reshape(len(bits), 4, -1)
+    apart = flat - flat.mean(axis=2, keepdims=True)
+    units = apart / np.maximum(np.linalg.norm(apart, axis=2, keepdims=True), 1e-9)
+    return Codes(flat > 0, units, side, int(known.maxCorrectionBits * _CORRECTED))
+
+
+def read(cells: Array, known: Codes, only: Array | None = None) -> Read:
+    """The tag that cells (M,n*n) gray are most like, and its turn; `only` (T,) tags are considered where given.
+
+    A turn of 1 means that the quad's first corner is the tag's second one.
+    """
+    patterns, units = (of if only is None else of[only] for of in (known.patterns, known.units))
+    centred = (cells - cells.mean(axis=1, keepdims=True)).astype(np.float32)
+    bits = cells.shape[1]
+    scores = centred @ units.reshape(-1, bits).T / np.maximum(np.linalg.norm(centred, axis=1), 1e-9)[:, None]
+    best = scores.argmax(axis=1)
+    rows = np.arange(len(cells))
+    tag, turn = best // 4, best % 4
+    wrong = _wrong(cells, patterns.reshape(-1, bits)[best])
+    return Read(tag if only is None else only[tag], turn, scores[rows, best], wrong)
+
+
+def _wrong(cells: Array, white: Array) -> Array:
+    """Bits (M,) on the wrong side of the middle between what should be black and what should be white."""
+    count = np.maximum(white.sum(axis=1), 1), np.maximum((~white).sum(axis=1), 1)
+    middle = (np.where(white, cells, 0).sum(axis=1) / count[0] + np.where(white, 0, cells).sum(axis=1) / count[1]) / 2
+    return np.asarray(((cells > middle[:, None]) != white).sum(axis=1))

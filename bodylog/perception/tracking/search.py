@@ -1,0 +1,130 @@
+"""Tags of one dictionary in an image: quads are found, refined to their edges and read."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...types import Array
+from . import codes, edges, quads
+from .codes import Codes
+from .edges import Refined
+
+_SHORTEST = 8.0
+"""px: sides of the smallest tag that is looked for."""
+_HALF = 7.0
+"""px: the same in the image at half size."""
+_BORDER = 0.65
+"""Share of the border's cells that must be dark: OpenCV's 1 - maxErroneousBitsInBorderRate."""
+_ALIKE = 0.6
+"""How alike bits and pattern must be at least, -1..1; of two patterns 3 of 16 bits apart the wrong one reaches 0.63."""
+_LIKELY = 0.35
+"""The same before a quad is refined to its edges."""
+
+
+class Tags(NamedTuple):
+    """M tags: numbers (M,) · corners (M,4,2) px, as printed from top left clockwise · centres (M,2) px · score (M,).
+
+    corner_cov (M,4,2,2) and centre_cov (M,2,2) px²; the score says how alike a tag and its pattern are, -1..1.
+    """
+
+    number: Array
+    quads: Array
+    centres: Array
+    corner_cov: Array
+    centre_cov: Array
+    score: Array
+
+    def chosen(self, rows: Array) -> "Tags":
+        """Those of the rows."""
+        return Tags(*(column[rows] for column in self))
+
+
+def whole(gray: Array, known: Codes, only: Array | None = None) -> Tags:
+    """Tags anywhere in the image (H,W) uint8: at half size first, then at full size those not found yet."""
+    found = verified(gray, _at_half_size(gray), known, only)
+    if only is not None and np.isin(only, found.number).all():
+        return found
+    return _distinct(joined(found, verified(gray, quads.find(gray, _SHORTEST), known, only)))
+
+
+def candidates(gray: Array) -> Array:
+    """Quads (M,4,2) px that may be tags, clockwise, as they are seen at half and at full size."""
+    return np.concatenate([_at_half_size(gray), quads.find(gray, _SHORTEST)])
+
+
+def _at_half_size(gray: Array) -> Array:
+    import cv2
+
+    if min(gray.shape) < 2:
+        return np.empty((0, 4, 2))
+    small = cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return 2 * quads.find(small, _HALF) + 0.5
+
+
+def window(gray: Array, middle: Array, reach: float, known: Codes, only: Array) -> Tags:
+    """Tags within `reach` px of a place (2,)."""
+    height, width = gray.shape
+    first = np.clip(np.floor(middle - reach), 0, (width, height)).astype(int)
+    last = np.clip(np.ceil(middle + reach), 0, (width, height)).astype(int)
+    part = gray[first[1] : last[1], first[0] : last[0]]
+    return verified(gray, quads.find(part, _SHORTEST) + first, known, only)
+
+
+def verified(gray: Array, found: Array, known: Codes, only: Array | None = None) -> Tags:
+    """The tags among quads (M,4,2) px, clockwise from any corner, that lie within some px of their edges."""
+    found = _likely(gray, found, known, only)
+    return recognised(gray, refined(gray, found, known.side), known, only) if len(found) else nothing()
+
+
+def refined(gray: Array, found: Array, side: int) -> Refined:
+    """Those of quads (M,4,2) px of tags of side² bits that have four edges near them, moved there."""
+    shortest = np.linalg.norm(found - np.roll(found, -1, axis=1), axis=2).min(axis=1)
+    moved = edges.refine(gray, found, shortest / (side + 2))
+    sound = moved.sides.all(axis=1) & np.isfinite(moved.quads).all(axis=(1, 2))
+    sound &= np.linalg.norm(moved.quads - found, axis=2).max(axis=1) < 2 * shortest
+    return Refined(*(column[sound] for column in moved))
+
+
+def recognised(gray: Array, found: Refined, known: Codes, only: Array | None = None) -> Tags:
+    """The tags among refined quads, each number once."""
+    bits, border = quads.cells(gray, found.quads, known.side)
+    rows = np.flatnonzero(np.isfinite(bits).all(axis=1))
+    if not rows.size:
+        return nothing()
+    seen = codes.read(bits[rows], known, only)
+    middle = (bits[rows].max(axis=1) + bits[rows].min(axis=1)) / 2
+    dark = (border[rows] < middle[:, None]).mean(axis=1)
+    good = (seen.wrong <= known.correctable) & (dark >= _BORDER) & (seen.score >= _ALIKE)
+    rows, tag, turn, score = rows[good], seen.tag[good], seen.turn[good], seen.score[good]
+    order = (np.arange(4) - turn[:, None]) % 4
+    corners = np.take_along_axis(found.quads[rows], order[..., None], 1)
+    cov = np.take_along_axis(found.corner_cov[rows], order[..., None, None], 1)
+    return _distinct(Tags(tag, corners, quads.centres(corners), cov, found.centre_cov[rows], score))
+
+
+def _likely(gray: Array, found: Array, known: Codes, only: Array | None) -> Array:
+    """Of quads (M,4,2) px those whose cells look like a tag as they lie: refining costs ten times as much."""
+    if not len(found):
+        return found
+    bits, border = quads.cells(gray, found, known.side, fine=False)
+    rows = np.flatnonzero(np.isfinite(bits).all(axis=1) & (border.mean(axis=1) < bits.max(axis=1)))
+    return found[rows[codes.read(bits[rows], known, only).score >= _LIKELY]]
+
+
+def nothing() -> Tags:
+    """No tags."""
+    empty = np.empty
+    return Tags(np.empty(0, int), empty((0, 4, 2)), empty((0, 2)), empty((0, 4, 2, 2)), empty((0, 2, 2)), empty(0))
+
+
+def joined(first: Tags, second: Tags) -> Tags:
+    """Those of both."""
+    return Tags(*(np.concatenate(both) for both in zip(first, second, strict=True)))
+
+
+def _distinct(found: Tags) -> Tags:
+    """Each number once: where it is most alike its pattern."""
+    best: dict[int, int] = {}
+    for row in np.argsort(-found.score, kind="stable").tolist():
+        best.setdefault(int(found.number[row]), row)
+    return found.chosen(np.array(sorted(best.values()), int))

@@ -1,0 +1,131 @@
+"""Tags: every dictionary, corners against the drawn truth, stated deviations, following, and what is none."""
+
+import cv2
+import numpy as np
+import pytest
+
+from bodylog.perception import tracking
+from bodylog.perception.look import Looking
+from bodylog.perception.tracking import search, unknown
+from bodylog.perception.tracking.codes import codes
+from bodylog.perception.tracking.tags import TagTracker
+from bodylog.sources import DICTIONARIES, TagSource
+from bodylog.types import Array, Frame, Watched
+from tests.perception import tag_scenes
+from tests.perception.tag_scenes import Look
+
+PLAIN = Look()
+APRIL = "APRILTAG_36h11"
+NOISY = (Look(noise=2.0), Look(noise=6.0), Look(noise=2.0, blur=1.2), Look(noise=1.0, quality=0, slope=0.0))
+
+
+def opencv(name: str) -> str:
+    return f"ARUCO_{name.upper()}" if name.startswith("mip") else name.upper()
+
+
+@pytest.mark.parametrize("dictionary", DICTIONARIES)
+def test_tags_of_every_dictionary_are_read_with_their_corners_in_order(dictionary: str) -> None:
+    rng = np.random.default_rng(len(dictionary))
+    for number in (0, DICTIONARIES[dictionary] - 1):
+        image, corners, centre = tag_scenes.scene(rng, opencv(dictionary), number, 56.0, PLAIN)
+        found = search.whole(image, codes(dictionary), np.array([number]))
+        assert found.number.tolist() == [number]
+        assert np.abs(found.quads[0] - corners).max() < 0.15
+        assert np.abs(found.centres[0] - centre).max() < 0.1
+
+
+@pytest.mark.parametrize("side", [24.0, 40.0, 70.0])
+def test_stated_deviations_are_those_from_the_truth(side: float) -> None:
+    apart, stated = [], []
+    for seed in range(32):
+        rng = np.random.default_rng(seed)
+        image, _, centre = tag_scenes.scene(rng, APRIL, 7, side, NOISY[seed % 4])
+        found = search.whole(image, codes("apriltag_36h11"), np.array([7]))
+        if found.number.size:
+            apart.append(found.centres[0] - centre)
+            stated.append(np.sqrt(np.diag(found.centre_cov[0])))
+    true, said = np.sqrt(np.mean(np.square(apart))), np.sqrt(np.mean(np.square(stated)))
+    assert len(apart) >= 28 and true < 0.15 and 0.5 < said / true < 2.0
+    near = np.abs(apart) < 2 * np.array(stated)
+    assert near.mean() > 0.85
+
+
+def _film(count: int, look: Look, size: tuple[int, int] = (320, 240)) -> tuple[list[Array], Array]:
+    """Images of a tag that turns on its way round, and where its centre is (N,2) px."""
+    wall = tag_scenes.wall(np.random.default_rng(5), *size).astype(float)
+    rng, print_, images, places = np.random.default_rng(6), tag_scenes.tag(APRIL, 7), [], []
+    for k in range(count):
+        u, v = size[0] / 2 + 60 * np.cos(k / 8), size[1] / 2 + 40 * np.sin(k / 8)
+        at = tag_scenes.pose(np.random.default_rng(9), (u, v), 34.0)
+        images.append(tag_scenes.take(tag_scenes.paste(wall, print_, (10 / 8, 10 / 8), at), look, rng))
+        places.append(tag_scenes.project(at, np.zeros((1, 2)))[0])
+    return images, np.array(places)
+
+
+def test_a_tag_is_followed_and_a_frame_without_it_or_undecodable_is_counted() -> None:
+    images, places = _film(20, PLAIN)
+    wall = tag_scenes.wall(np.random.default_rng(5), 320, 240).astype(float)
+    empty = tag_scenes.take(wall, PLAIN, np.random.default_rng(1))
+    given: list[Array | None] = [*images[:8], empty, None, *images[10:]]
+    (tracker,) = tracking.trackers({"wrist": TagSource(7), "rim": TagSource(7, corners=True), "none": TagSource(8)})
+    for image in given:
+        tracker.add(image)
+    found = tracker.tracked()
+    assert found.names == ("wrist", "rim.0", "rim.1", "rim.2", "rim.3", "none")
+    t = np.arange(20) / 10.0
+    tracks, health, _ = tracking.series([found], t, np.arange(20), np.arange(20))
+    seen = np.isfinite(tracks["wrist"].values[:, 0])
+    assert np.flatnonzero(~seen).tolist() == [8, 9]
+    assert np.abs(tracks["wrist"].values[seen] - places[seen]).max() < 0.15
+    assert health["wrist"].rejected == {"hidden": 1, "undecodable picture": 1}
+    assert health["none"].used == 0 and health["none"].rejected == {"hidden": 19, "undecodable picture": 1}
+    assert health["rim.3"].used == 18 and health["wrist"].largest_gap_s == pytest.approx(0.3)
+
+
+def test_a_blurred_tag_that_opencv_misses_is_followed() -> None:
+    images, places = _film(12, PLAIN)
+    detector = cv2.aruco.ArucoDetector(tag_scenes.dictionary(APRIL), cv2.aruco.DetectorParameters())
+    tracker = TagTracker({"it": TagSource(7)})
+    missed = 0
+    for k, image in enumerate(images):
+        image = cv2.GaussianBlur(image, (0, 0), 2.0) if k in (5, 6, 7) else image
+        missed += detector.detectMarkers(image)[1] is None
+        tracker.add(image)
+    values = tracker.tracked().values[:, 0]
+    assert missed and np.isfinite(values).all()
+    assert np.abs(values[:, :2] - places).max() < 0.5
+
+
+def test_what_is_no_tag_is_not_taken_and_unknown_tags_are_named() -> None:
+    rng = np.random.default_rng(3)
+    walls = [tag_scenes.take(tag_scenes.wall(rng, 640, 480).astype(float), PLAIN, rng) for _ in range(4)]
+    assert unknown.present([cv2.cvtColor(wall, cv2.COLOR_GRAY2BGR) for wall in walls]) == []
+    images, places = [], []
+    for _ in range(4):
+        image, _, centre = tag_scenes.scene(rng, "6X6_250", 23, 40.0, PLAIN)
+        images.append(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+        places.append(centre)
+    (found,) = unknown.present([*images, cv2.cvtColor(walls[0], cv2.COLOR_GRAY2BGR)])
+    assert found.source == TagSource(23, "6x6_250") and found.seen == 4
+    assert np.abs(found.uv[:4] - places).max() < 0.2 and np.isnan(found.uv[4]).all()
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (1, 1), (3, 500), (16, 16)])
+def test_images_too_small_for_a_tag_show_none(shape: tuple[int, int]) -> None:
+    tracker = TagTracker({"it": TagSource(7)})
+    tracker.add(np.zeros(shape, np.uint8))
+    assert np.isnan(tracker.tracked().values).all()
+
+
+def test_the_same_bytes_however_many_threads_decode() -> None:
+    images, _ = _film(41, PLAIN, (160, 120))
+
+    def looked(threads: int) -> bytes:
+        with Looking([], None, False, threads, tracking.trackers({"it": TagSource(7)})) as looks:
+            for image in images:
+                looks(Frame(0.0, 0, lambda k, image=image: cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)))
+        seen = looks.seen(Watched(np.arange(41.0), np.arange(41), np.arange(41)[::-1], looks))
+        return tracking.series(seen.tracked, seen.t, seen.source_ns, seen.number)[0]["it"].values.tobytes()
+
+    alone = looked(1)
+    assert looked(2) == alone and looked(3) == alone
