@@ -46,6 +46,14 @@ def arm() -> Path:
 
 
 @pytest.fixture(scope="session")
+def worlds() -> Path:
+    """Logs of an arm in a furnished scene, rendered elsewhere, with truth beside them."""
+    if not (SHARED / "worlds").is_dir():
+        pytest.skip("the rendered worlds (../shared/logs/worlds) are not at hand")
+    return SHARED / "worlds"
+
+
+@pytest.fixture(scope="session")
 def arm_body(tmp_path_factory, arm, bodylog) -> Path:
     """The body learned from the arm's exploration."""
     body = tmp_path_factory.mktemp("arm") / "body.npz"

@@ -65,11 +65,11 @@ def _tracks(
         seen = watched.by.seen(watched)
     else:
         seen = _look(recording.frames, features, settings, progress)
-    tracks, health, findings = _seen(seen, recording.frames, features)
+    tracks, health, findings = _seen(seen, recording.frames, features, recording.joints)
     for camera, frames in recording.views.items():
         # touches are compared with the first camera's hand
         beside = {f"{camera}/{name}": source for name, source in features.items() if name != "hand"}
-        more = _seen(_look(frames, beside, settings, progress), frames, beside)
+        more = _seen(_look(frames, beside, settings, progress), frames, beside, recording.joints)
         tracks, health, findings = tracks | more[0], health | more[1], findings + more[2]
     return tracks, health, findings, seen.size
 
@@ -78,9 +78,9 @@ def _look(frames: Frames, features: Mapping[str, Source], settings: Settings, pr
     return colour.look(frames, _colours(features), progress, settings.colours.fast, tracking.trackers(features))
 
 
-def _seen(seen: Seen, frames: Frames, features: Mapping[str, Source]) -> colour.Tracks:
+def _seen(seen: Seen, frames: Frames, features: Mapping[str, Source], joints: Series | None) -> colour.Tracks:
     """Tracks, health and findings of one camera."""
-    tracks, health, findings = colour.tracks(seen, frames, _colours(features))
+    tracks, health, findings = colour.tracks(seen, frames, _colours(features), joints)
     more = tracking.series(seen.tracked, seen.t, seen.source_ns, seen.number)
     return tracks | more[0], health | more[1], findings + more[2]
 

@@ -8,10 +8,11 @@ import numpy as np
 from ..types import Array
 from .centre import counts, measure
 from .ranges import Range, mask
-from .search import CANDIDATES, Window, windows
+from .search import CANDIDATES, FAINT, Window, windows
 
 U, V, STD_U, STD_V, MASS, STRENGTH, BORDER = range(7)
 FIELDS = 7
+PLACES = CANDIDATES + FAINT
 _SMALLEST = 9
 # a straight edge this many radii from a disc's centre cuts a hundredth of its area off
 _WHOLE = 0.935
@@ -22,12 +23,12 @@ _PIXELS = 1 << 19
 
 
 def look(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
-    """Blobs of each colour in images (H,W,3) BGR: (N,colours,CANDIDATES,FIELDS) px, as `tables` gives them."""
+    """Blobs of each colour in images (H,W,3) BGR: (N,colours,PLACES,FIELDS) px, as `tables` gives them."""
     return tables(list(windows(dict(enumerate(images)), ranges)), len(images), ranges)
 
 
 def tables(found: Sequence[Window], count: int, ranges: Sequence[Range]) -> Array:
-    """Blobs of each colour in the windows of `count` pictures: (count,colours,CANDIDATES,FIELDS) px."""
+    """Blobs of each colour in the windows of `count` pictures: (count,colours,PLACES,FIELDS) px."""
     by_colour: list[list[Window]] = [[] for _ in ranges]
     for window in found:
         by_colour[window.colour].append(window)
@@ -37,21 +38,30 @@ def tables(found: Sequence[Window], count: int, ranges: Sequence[Range]) -> Arra
 
 
 def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
-    """One colour's blobs in the windows of `count` pictures, strongest first: (count,CANDIDATES,FIELDS) px, else NaN.
+    """One colour's blobs in the windows of `count` pictures, strongest first: (count,PLACES,FIELDS) px, else NaN.
 
     MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where
-    more of the blob than a hundredth leaves the picture.
+    more of the blob than a hundredth leaves the picture. Faint ones come after CANDIDATES places.
     """
-    blobs = np.full((count, CANDIDATES, FIELDS), np.nan)
+    blobs = np.full((count, PLACES, FIELDS), np.nan)
+    clear = _by_picture([window for window in found if not window.faint], colour)
+    faint = _by_picture([window for window in found if window.faint], colour)
+    for picture in {*clear, *faint}:
+        first = _distinct(clear.get(picture, []), [])
+        blobs[picture, : len(first)] = first or np.empty((0, FIELDS))
+        if more := _distinct(faint.get(picture, []), first):
+            blobs[picture, CANDIDATES : CANDIDATES + len(more)] = more
+    return blobs
+
+
+def _by_picture(found: Sequence[Window], colour: Range) -> dict[int, list[list[float]]]:
+    """FIELDS of the blob in each window, by picture."""
     rows: dict[int, list[list[float]]] = {}
     for some in _alike(found):
         for window, row in zip(some, _rows(some, colour).tolist(), strict=True):
             if isfinite(row[U]):
                 rows.setdefault(window.picture, []).append(row)
-    for picture, several in rows.items():
-        distinct = _distinct(several)
-        blobs[picture, : len(distinct)] = distinct
-    return blobs
+    return rows
 
 
 def enlarged(blobs: Array, scale: Array) -> Array:
@@ -139,10 +149,10 @@ def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
     return core.reshape(valid.shape)
 
 
-def _distinct(rows: list[list[float]]) -> list[list[float]]:
-    """Strongest first, each blob once: two coarse pieces of one blob measure the same centre."""
+def _distinct(rows: list[list[float]], others: list[list[float]]) -> list[list[float]]:
+    """Strongest first, each blob once and none of the others: two coarse pieces of one blob have the same centre."""
     kept: list[list[float]] = []
     for row in sorted(rows, key=lambda row: -row[STRENGTH]):
-        if all(abs(row[U] - other[U]) + abs(row[V] - other[V]) > 2 for other in kept):
+        if all(abs(row[U] - other[U]) + abs(row[V] - other[V]) > 2 for other in (*others, *kept)):
             kept.append(row)
     return kept

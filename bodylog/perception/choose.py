@@ -22,8 +22,9 @@ _DEFICIT = 0.12
 _CHANGE = 0.05
 _NEAR = 0.5
 
-HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY = (
+HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY, FOREIGN = (
     "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
+    "not where the joints put it",
 )
 
 
@@ -59,6 +60,11 @@ def best(t: Array, found: Array, width: float) -> tuple[Array, Array]:
     track[:, 2:] = steady(t, track[:, 2:])
     _drop_partly_hidden(t, track, mass, why)
     return track, why
+
+
+def linked(t: Array, found: Array, width: float) -> list[tuple[Array, Array]]:
+    """Blobs found (N,candidates,FIELDS) joined through time: of each run its frames (n,) and rows (n,FIELDS)."""
+    return [(np.array(run.frames), run.table) for run in _link(t, found, _REACH * width)]
 
 
 def _link(t: Array, found: Array, reach: float) -> list[_Run]:

@@ -9,14 +9,17 @@ import numpy as np
 from ..errors import InputError
 from ..settings import Colour
 from ..types import Array, Finding, Frame, Health, Series, Watched
-from . import choose
+from . import choose, clutter, overlap
 from .look import Looking, Seen
-from .ranges import covered, hues, nearest, resolve
+from .ranges import Range, covered, hues, nearest, resolve
+from .search import CANDIDATES
 from .tracking.contract import Tracker
 
 THREADS: ContextVar[int] = ContextVar("threads", default=2)
 """How many threads look at pictures: one where whole logs are worked on side by side."""
 _NOTABLE = 1e-4
+_SEVERAL = 0.02
+"""Share of the pictures that show several things of a colour from which on the joints decide between them."""
 
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
@@ -63,15 +66,22 @@ def track(
     return tracks(look(frames, colours, progress, fast), frames, colours)
 
 
-def tracks(seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[str, Colour]) -> Tracks:
+def tracks(
+    seen: Seen,
+    frames: Callable[[], Iterator[Frame]],
+    colours: Mapping[str, Colour],
+    joints: Series | None = None,
+) -> Tracks:
     """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
 
-    Into some frames one more look is taken where a colour was never seen.
+    Of several things of one colour the one is taken that moves as the `joints` do; the hand is nobody's joint. Into
+    some frames one more look is taken where a colour was never seen, or where two things of it run together.
     """
     t, source_ns, found, broken, width = seen[:5]
     tracks, health, findings = {}, {}, []
     for index, name in enumerate(colours):
-        track, reasons = choose.best(t, found[:, index], width)
+        moves = None if name == "hand" else joints
+        track, reasons = _chosen(t, found[:, index], width, frames, resolve(colours[name], name), moves)
         tracks[name] = Series(t, track[:, :2], ("u", "v"), "px", source_ns, track[:, 2:])
         health[name] = _health(t, track, reasons, broken)
     unseen = [name for name in colours if health[name].used == 0]
@@ -85,6 +95,19 @@ def tracks(seen: Seen, frames: Callable[[], Iterator[Frame]], colours: Mapping[s
         said = f"{int(broken.sum())} of {t.size} pictures could not be decoded"
         findings.append(Finding("lost", f"{said}, the first for this: {_why(frames(), int(broken.argmax()))}"))
     return tracks, health, tuple(findings)
+
+
+def _chosen(
+    t: Array, found: Array, width: float, frames: Callable[[], Iterator[Frame]], colour: Range, joints: Series | None
+) -> tuple[Array, Array]:
+    """u, v, std_u, std_v (N,4) px of the target among blobs found (N,PLACES,FIELDS), and why not (N,) str."""
+    several = np.count_nonzero(np.isfinite(found[:, 1:, 0]).any(axis=1))
+    choice = clutter.choose(t, found, joints, width) if several > _SEVERAL * len(t) else None
+    if choice is None:
+        return choose.best(t, found[:, :CANDIDATES], width)
+    track, why = choose.best(t, overlap.settle(found, choice, frames, colour, width), width)
+    why[(choice.number < 0) & np.isfinite(found[:, :, 0]).any(axis=1) & (why == choose.HIDDEN)] = choose.FOREIGN
+    return track, why
 
 
 def _why(frames: Iterator[Frame], number: int) -> str:

@@ -11,13 +11,18 @@ from ..types import Array
 from .ranges import Range, mask
 
 CANDIDATES = 4
+FAINT = 8
+"""Places for what is much smaller than the largest find, or one too many, beside the CANDIDATES."""
 _COARSE_WIDTH = 128
-_FAINT = 0.25
+_SMALL = 0.25
 _MARGIN = 8
 
 
 class Window(NamedTuple):
-    """Pixels (h,w,3) BGR about one find: of which picture and colour, from where, in what size (W,H) px of picture."""
+    """Pixels (h,w,3) BGR about one find: of which picture and colour, from where, in what size (W,H) px of picture.
+
+    `faint` where it is much smaller than the largest, or one too many.
+    """
 
     picture: int
     colour: int
@@ -25,6 +30,7 @@ class Window(NamedTuple):
     top: int
     size: tuple[int, int]
     pixels: Array
+    faint: bool
 
 
 def gray(image: Array) -> Array:
@@ -39,7 +45,7 @@ def gray(image: Array) -> Array:
 def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Window]:
     """Windows about what may be each colour in images (H,W,3) BGR, by the numbers of their pictures.
 
-    At most CANDIDATES of each colour in a picture, without the images: they may go once all are taken.
+    At most CANDIDATES and FAINT ones of each colour in a picture, without the images: they may go once all are taken.
     """
     alike: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
     images = images if ranges else {}
@@ -49,11 +55,11 @@ def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Wi
         step = max(1, round(width / _COARSE_WIDTH))
         seen = _coarse([images[picture] for picture in pictures], step, tuple(ranges))
         for index in range(len(ranges)):
-            for which, (x, y, w, h) in _boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
+            for which, (x, y, w, h), faint in _boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
                 left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
                 image = images[pictures[which]]
                 part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
-                yield Window(pictures[which], index, left, top, (width, height), _copy(part))
+                yield Window(pictures[which], index, left, top, (width, height), _copy(part), faint)
 
 
 @lru_cache
@@ -114,8 +120,8 @@ def _copy(image: Array) -> Array:
     return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if _turned(image) else image.copy()
 
 
-def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int]]]:
-    """Of the largest components of each mask (n,h,w), whose last rows are empty: which mask, and x, y, w, h."""
+def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int], bool]]:
+    """Of the largest components of each mask (n,h,w), whose last rows are empty: which mask; x, y, w, h; if faint."""
     import cv2
 
     rows = seen.shape[1]
@@ -123,8 +129,10 @@ def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int]]]:
     for outline in cv2.findContours(seen.reshape(-1, seen.shape[2]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
         found.setdefault(int(outline[0, 0, 1]) // rows, []).append(outline)
     for which, outlines in found.items():
-        largest = sorted(outlines, key=len, reverse=True)[:CANDIDATES]
-        for outline in largest:
-            if len(outline) >= _FAINT * len(largest[0]):
-                x, y, w, h = cv2.boundingRect(outline)
-                yield which, (x, y - which * rows, w, h)
+        largest = sorted(outlines, key=len, reverse=True)
+        clear = sum(len(outline) >= _SMALL * len(largest[0]) for outline in largest[:CANDIDATES])
+        for number, outline in enumerate(largest[: clear + FAINT]):
+            x, y, w, h = cv2.boundingRect(outline)
+            # single pixels are grain: the search lets in what is only near a colour
+            if number < clear or min(w, h) > 1:
+                yield which, (x, y - which * rows, w, h), number >= clear

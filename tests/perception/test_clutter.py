@@ -1,0 +1,106 @@
+"""The arm's ball among larger things of its colour that stand or move by themselves, in drawn films."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodylog.logs import recording
+from bodylog.perception import colour, joint_motion, observe, outline
+from bodylog.settings import Settings, Topics
+from bodylog.types import Array, Recording, Series
+from tests.perception import scenes
+from tests.perception.scenes import Disc
+
+RADIUS = 7.0
+
+
+def _joints(rng: np.random.Generator, t: Array) -> Array:
+    """Two joints (n,2) rad that explore."""
+    rates, phases = rng.uniform(0.5, 2.2, (3, 2)), rng.uniform(0, 6.28, (3, 2))
+    return np.asarray(np.sin(rates * t[:, None, None] + phases).sum(axis=1) / 2)
+
+
+def _film(seed: int, count: int = 200, delay: float = 0.0) -> tuple[Recording, Array, Array]:
+    """A ball on an arm of two joints, a larger one that stands, a largest one that wanders: where and if it is seen."""
+    rng = np.random.default_rng(seed)
+    wall, t = scenes.wall(rng, contrast=3.0), np.arange(count) / 10.0
+    dense = np.arange(-100, 10 * count + 100) / 100.0
+    angles = _joints(rng, dense)
+    place = np.column_stack([
+        160 + 80 * np.sin(0.9 * angles[:, 0]) + 25 * np.cos(angles.sum(axis=1)),
+        120 + 60 * np.sin(0.7 * angles[:, 1]) + 20 * np.sin(angles.sum(axis=1)),
+    ])  # fmt: skip
+    uv = np.column_stack([np.interp(t, dense, column) for column in place.T])
+    sleeve = np.array([160, 120]) + [90, 70] * np.sin(rng.uniform(0.3, 0.9, 2) * t[:, None] + rng.uniform(0, 6, 2))
+    pictures = []
+    for own, other in zip(uv.tolist(), sleeve.tolist(), strict=True):
+        discs = [Disc(60.0, 200.0, 12.0), Disc(*own, RADIUS), Disc(*other, 16.0)]
+        pictures.append(scenes.jpeg(scenes.draw(wall, discs, rng)))
+    readings = angles + rng.normal(0, 0.003, angles.shape)
+    joints = Series(dense - delay, readings, ("a", "b"), "rad", (dense * 1e9).astype(np.int64))
+    hidden = np.hypot(*(uv - sleeve).T) < 16.0 + RADIUS
+    return replace(scenes.recording(scenes.frames(t, pictures)), joints=joints), uv, ~hidden
+
+
+@pytest.mark.parametrize(("seed", "delay"), [(0, 0.0), (1, 0.1), pytest.param(2, -0.1, marks=pytest.mark.soak)])
+def test_the_ball_that_moves_as_the_joints_do_is_taken_and_no_other(seed: int, delay: float) -> None:
+    film, uv, clear = _film(seed, delay=delay)
+    track = observe(film, Settings()).effector
+    assert track is not None
+    off = np.hypot(*(track.values - uv).T)
+    assert np.isfinite(off[clear]).mean() > 0.97
+    assert np.nanmedian(off) < 0.3 and np.nanmax(off) < 4.0
+
+
+def test_without_joints_the_largest_is_taken_as_ever() -> None:
+    film, uv, _ = _film(0)
+    track = observe(replace(film, joints=None), Settings()).effector
+    assert track is not None and np.nanmedian(np.hypot(*(track.values - uv).T)) > 20
+
+
+def test_a_film_of_one_thing_is_seen_to_the_same_bytes_with_joints_and_without() -> None:
+    film, uv, _ = _film(0, 60)
+    rng = np.random.default_rng(0)
+    wall = scenes.wall(rng)
+    pictures = [scenes.jpeg(scenes.draw(wall, [Disc(*own, RADIUS)], rng)) for own in uv.tolist()]
+    frames = scenes.frames(np.arange(60) / 10.0, pictures)
+    one, other = (colour.tracks(colour.look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
+                  for joints in (film.joints, None))  # fmt: skip
+    assert one[0]["effector"].values.tobytes() == other[0]["effector"].values.tobytes()
+
+
+def test_the_joints_explain_the_ball_and_no_foreign_thing() -> None:
+    film, uv, _ = _film(3)
+    t = np.arange(200) / 10.0
+    q = joint_motion.angles(film.joints, t)
+    other = 100 + 50 * np.column_stack([np.sin(1.3 * t), np.cos(0.4 * t)])
+    assert joint_motion.explained(q, uv, 320.0) > 0.9
+    assert joint_motion.explained(q, other, 320.0) < 0.2
+    assert joint_motion.delay(film.joints, t, uv, 320.0) == 0.0
+    later = np.column_stack([np.interp(t - 0.1, t, column) for column in uv.T])
+    assert joint_motion.delay(film.joints, t[5:], later[5:], 320.0) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("side", [(14.0, 6.0), (-12.0, 9.0)])
+def test_an_outline_half_of_which_touches_its_like_says_where_the_ball_is(side: tuple[float, float]) -> None:
+    rng = np.random.default_rng(0)
+    wall = scenes.wall(rng)
+    discs = [Disc(150.0 + side[0], 110.0 + side[1], 10.0), Disc(150.3, 110.6, 10.0, shade=0.5)]
+    image = scenes.draw(wall, discs, rng).astype(np.float32)
+    found = outline.fit(image, np.array([151.5, 109.5]), 10.0, 3.0)
+    assert found is not None and np.hypot(found.u - 150.3, found.v - 110.6) < 0.4
+    assert outline.fit(image, np.array([60.0, 60.0]), 10.0, 3.0) is None
+
+
+@pytest.mark.parametrize("name", [pytest.param("ball_explore", marks=pytest.mark.soak), "ball_offset"])
+def test_a_ball_among_clutter_of_its_colour_is_found_in_a_furnished_scene(worlds: Path, name: str) -> None:
+    settings = replace(Settings(), topics=Topics(joints="/arm/joint_states"))
+    track = observe(recording.read(worlds / name, settings), settings).effector
+    with np.load(worlds / f"{name}.truth.npz") as truth:
+        uv, seen = truth["uv"], truth["seen"].astype(bool)
+    assert track is not None
+    off = np.hypot(*(track.values - uv).T)
+    assert np.isfinite(off[seen]).mean() >= 0.99
+    assert np.nanmedian(off[seen]) <= 0.5 and np.nanmax(off) < 5.0
