@@ -1,18 +1,17 @@
 """Files that are either whole or absent: written beside, synced, renamed."""
 
 import errno
-import fcntl
 import hashlib
 import mmap
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
+from . import temporary
 from .errors import LogError, UsageError
 
-_PART = ".bodylog.part"
 _UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 
 
@@ -25,11 +24,8 @@ def replacing(path: Path) -> Iterator[Path]:
     `path`, where there is no room, or it may not be written to.
     """
     path = writable(path)
-    forsake(path.parent, f".*{_PART}")
-    beside = path.with_name(f".{path.name}.{os.getpid()}{_PART}")
     try:
-        beside.unlink(missing_ok=True)  # of this number's earlier process, where files cannot be locked
-        with _begun(beside):
+        with temporary.file(path.parent) as beside:
             yield beside
             if path.exists():
                 shutil.copymode(path, beside)
@@ -37,12 +33,9 @@ def replacing(path: Path) -> Iterator[Path]:
             os.replace(beside, path)
             sync(path.parent)
     except OSError as problem:
-        if problem.errno not in _UNWRITABLE and problem.filename != os.fspath(beside):
+        if problem.errno not in _UNWRITABLE and not str(problem.filename).endswith(temporary.PART):
             raise
         raise OSError(problem.errno, f"{problem.strerror}; give another name with -o", os.fspath(path)) from problem
-    finally:
-        if beside.exists():
-            beside.unlink()
 
 
 def writable(path: Path, folder: bool = False) -> Path:
@@ -74,23 +67,6 @@ def _behind(link: Path) -> Path:
     return path
 
 
-@contextmanager
-def _begun(path: Path) -> Iterator[None]:
-    """An empty file, locked for the time of the `with`, which nobody took for a killed run's before it was."""
-    while True:
-        handle = os.open(os.fspath(path), os.O_RDWR | os.O_CREAT, 0o666)
-        with suppress(OSError):  # where files cannot be locked nobody takes any away
-            fcntl.flock(handle, fcntl.LOCK_EX)
-        with suppress(FileNotFoundError):
-            if path.stat().st_ino == os.fstat(handle).st_ino:
-                break
-        os.close(handle)
-    try:
-        yield
-    finally:
-        os.close(handle)
-
-
 def made(path: Path) -> Path:
     """`path` as a folder, made where it is not there yet; UsageError where it, or what it would be in, is a file."""
     try:
@@ -100,32 +76,6 @@ def made(path: Path) -> Path:
     except OSError as problem:
         raise OSError(problem.errno, f"{problem.strerror}; give the name of another folder", os.fspath(path)) from None
     return path
-
-
-@contextmanager
-def held(path: Path) -> Iterator[bool]:
-    """Lock a file or folder as long as this process lives and the `with` lasts; False where it is another's."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        yield _lock(handle)
-    finally:
-        os.close(handle)
-
-
-def _lock(handle: int) -> bool:
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return True
-    except OSError:
-        return False
-
-
-def forsake(folder: Path, pattern: str) -> None:
-    """Remove the files and folders of that pattern that nobody holds."""
-    for left in folder.glob(pattern):
-        with suppress(OSError), held(left) as ours:
-            if ours:
-                shutil.rmtree(left) if left.is_dir() else left.unlink()
 
 
 def sync(path: Path) -> None:

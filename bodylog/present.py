@@ -16,6 +16,7 @@ from .pipeline import Progress, Result, doctor, folders, ingest, judge, observe,
 from .refusals import about, distinct
 from .settings import Settings, plain
 from .stores import naming
+from .temporary import scratch
 from .types import Estimate, Features, Finding, Recording
 
 if TYPE_CHECKING:
@@ -71,20 +72,18 @@ def layout(log: Path, out: Path, settings: Settings) -> Result:
 
 def view(log: Path, out: Path | None, settings: Settings) -> Result:
     """A log as a Rerun recording, what was seen and believed drawn over its pictures; without `out` in a window."""
-    from tempfile import TemporaryDirectory
-
     from .report import viewer
 
     if out is not None:
         distinct([log], [Output(out)], settings)
     viewer.ready()
-    with TemporaryDirectory() as folder:
-        recorded = Path(folder) / "log.rrd" if out is None else out
-        source, lost = _as_mcap(log, Path(folder) / "log.mcap", settings)
+    with scratch() as folder:
+        recorded = folder / "log.rrd" if out is None else out
+        source, lost = _as_mcap(log, folder / "log.mcap", settings)
         try:
             result = _recorded(log, source, recorded, settings)
         except LogError as refused:
-            source, lost = _tidied(log, Path(folder) / "tidy.mcap", settings, refused)
+            source, lost = _tidied(log, folder / "tidy.mcap", settings, refused)
             result = _recorded(log, source, recorded, settings)
         if out is None:
             viewer.show(recorded)

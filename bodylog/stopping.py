@@ -1,43 +1,96 @@
-"""Told to end by a signal: unwind, so that nothing half-written stays, also where a library swallows that once."""
+"""Told to end by a signal: unwind, and where that takes too long, in a library's C code say, end all the same."""
 
+import _thread
+import os
 import signal
 import sys
-from functools import partial
-from typing import Any
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import NoReturn
 
-AGAIN = 0.25
-"""Seconds after which it is looked whether the process is on its way out: a library being loaded may have gone on."""
+GRACE = 1.2
+"""Seconds that unwinding may take, so that a command ends within 2 s."""
+GRACE_OF_WORKERS = 0.6
+"""Seconds that a worker may take, so that who waits for it ends in time as well."""
+
+LAST = 0.4
+"""Seconds that removing what is half-written may take after that."""
 
 
 class Stopped(SystemExit):
     """The process was told to end; its code is 128 + the signal's number."""
 
 
-def heed(number: int) -> None:
-    """Raise Stopped where that signal comes, and once more where it was swallowed; told again, go on with that."""
-    signal.signal(number, _stop)
+at_end: list[Callable[[], None]] = []
+"""What is done before a process ends that did not unwind; none may import anything."""
+_heeded: set[int] = set()
+_told: list[int] = []
+_speaking = _thread.allocate_lock()
 
 
-def calm() -> None:
-    """The way out has been walked: look no more."""
-    signal.setitimer(signal.ITIMER_REAL, 0.0)
+def heed(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
+    """Raise Stopped where one of these signals comes, and end the process `grace` s later if it is still there.
+
+    The second is a thread's: it needs no step of Python's in the main one. A `quiet` process says nothing of it.
+    """
+    if not _heeded:
+        read, write = os.pipe()
+        os.set_blocking(write, False)
+        signal.set_wakeup_fd(write, warn_on_full_buffer=False)
+        _thread.start_new_thread(_watch, (read, grace, quiet))
+        sys.unraisablehook = _unraisable
+    for number in numbers:
+        _heeded.add(number)
+        signal.signal(number, _stop)
 
 
-def _stop(number: int, _: Any) -> None:
-    signal.signal(number, signal.SIG_IGN)
-    signal.signal(signal.SIGALRM, partial(_insist, number))
-    signal.setitimer(signal.ITIMER_REAL, AGAIN, AGAIN)
+def told() -> int:
+    """The signal that told this process to end; 0 for none."""
+    return _told[0] if _told else 0
+
+
+def clean(quiet: bool = False) -> None:
+    """Remove what is half-written, and say so once."""
+    for remove in at_end:
+        remove()
+    if not quiet and _speaking.acquire(blocking=False):
+        how = "interrupted" if told() == signal.SIGINT else "stopped"
+        with suppress(OSError):
+            os.write(2, f"bodylog: {how}; nothing half-written was left\n".encode())
+
+
+def _stop(number: int, _: object) -> NoReturn:
+    for each in _heeded:
+        signal.signal(each, signal.SIG_IGN)
+    _told.append(number)
     raise Stopped(128 + number)
 
 
-def _insist(number: int, *_: Any) -> None:
-    if not _unwinding():
-        raise Stopped(128 + number)
+def _watch(read: int, grace: float, quiet: bool) -> NoReturn:
+    """Wait for one of the signals, which is written here as it comes, whatever the main thread does."""
+    number = 0
+    while number not in _heeded:
+        number = os.read(read, 1)[0]
+    time.sleep(grace)
+    end(number, quiet)
 
 
-def _unwinding() -> bool:
-    """Whether what runs now was called on the way out, by a `finally` or at the end of a `with`."""
-    error = sys.exception()
-    while error is not None and not isinstance(error, Stopped):
-        error = error.__context__
-    return error is not None
+def end(number: int, quiet: bool) -> NoReturn:
+    """Remove what is half-written and end the process here and now with 128 + `number`."""
+    _told.append(number)
+    _thread.start_new_thread(_exit, (128 + number, LAST))
+    clean(quiet)
+    _exit(128 + number, 0.0)
+
+
+def _exit(code: int, seconds: float) -> NoReturn:
+    """End, after so long: a disk may be slow, and a terminal stopped."""
+    time.sleep(seconds)
+    os._exit(code)
+
+
+def _unraisable(problem: "sys.UnraisableHookArgs") -> None:
+    """A destructor that is interrupted cannot raise, and is no news."""
+    if not isinstance(problem.exc_value, Stopped):
+        sys.__unraisablehook__(problem)

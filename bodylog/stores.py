@@ -1,7 +1,6 @@
 """Logs behind URLs (s3://, http://, file://, memory:// and whatever else fsspec knows): found, measured, fetched."""
 
 import hashlib
-import os
 import posixpath
 import re
 import shutil
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from . import files
+from . import files, temporary
 from .errors import BodylogError, LogError, UsageError
 
 _MARGIN = 256 << 20
@@ -86,16 +85,10 @@ def local(source: str, folder: Path) -> Iterator[Path]:
     if not is_url(source):
         yield Path(source)
         return
-    name = hashlib.sha256(source.encode()).hexdigest()[:8]
-    files.forsake(folder, f".fetched.*.{name}.part")
-    beside = folder / f".fetched.{os.getpid()}.{name}.part"
-    beside.mkdir(parents=True)
-    path = beside / name_of(source)
-    try:
-        with files.held(beside), naming(path, source):
+    with temporary.scratch(files.made(folder)) as beside:
+        path = beside / name_of(source)
+        with naming(path, source):
             yield _fetch(source, path)
-    finally:
-        shutil.rmtree(beside, ignore_errors=True)
 
 
 @contextmanager

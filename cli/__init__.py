@@ -17,24 +17,39 @@ _RARELY = 100_000
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65; 128 + n for signal n."""
+    code, told = 0, None
     try:
-        from bodylog import memory, stopping, torn
+        from bodylog import stopping
+
+        told = stopping.told
+        _heed()
+        from bodylog import memory, torn
 
         memory.keep()
         torn.endure()
         if hasattr(sys.stdout, "reconfigure"):
             sys.stdout.reconfigure(errors="backslashreplace")  # a log may name what this terminal cannot write
         gc.set_threshold(_RARELY)
-        for number in (signal.SIGTERM, signal.SIGHUP):
-            if signal.getsignal(number) is signal.SIG_DFL:
-                stopping.heed(number)
         code = run(arguments)
         if torn.filled() and code in (0, 3, 4):
             code = _unread()
-    except KeyboardInterrupt:  # before there was anything to interrupt
-        code = 130
+    except BaseException as problem:
+        if not (told and told()) and not isinstance(problem, KeyboardInterrupt):
+            raise
+        code = 128 + signal.SIGINT
+    if told and told():
+        code = 128 + told()
+        stopping.clean()
     gc.freeze()  # what is left is looked through once more on the way out, for nothing
     sys.exit(code)
+
+
+def _heed() -> None:
+    """Signals end the command as they should, but for those that whoever started it has it ignore."""
+    from bodylog import stopping
+
+    plain = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    stopping.heed(*(number for number, default in plain.items() if signal.getsignal(number) is default))
 
 
 def _unread() -> int:
@@ -52,7 +67,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     import click
 
     from bodylog.errors import BodylogError
-    from bodylog.stopping import Stopped, calm
 
     from .commands import Unheard, bodylog
     from .output import line, say
@@ -71,10 +85,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         line("bodylog: interrupted; nothing half-written was left", err=True)
         return 130
-    except Stopped as err:
-        calm()
-        line("bodylog: stopped; nothing half-written was left", err=True)
-        return int(err.code or 0)
     except MemoryError as err:
         say(MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log"))
         return 65

@@ -50,8 +50,11 @@ def each(logs: Sequence[T], look: Callable[[T], R]) -> tuple[dict[str, R], int]:
 
 
 def say(problem: Exception) -> None:
-    """A refusal, in one line on standard error."""
-    line(f"bodylog: {' '.join(str(problem).split())}", err=True)
+    """A refusal, in one line on standard error; nothing where the process was told to end, which is why."""
+    from bodylog import stopping
+
+    if not stopping.told():
+        line(f"bodylog: {' '.join(str(problem).split())}", err=True)
 
 
 def line(text: str, err: bool = False) -> None:

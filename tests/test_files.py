@@ -1,3 +1,5 @@
+import errno
+import fcntl
 import os
 import subprocess
 import sys
@@ -7,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.files import forsake, held, made, replacing, sha256, text
+from bodylog.files import made, replacing, sha256, text
+from bodylog.temporary import FOREIGN_S, PART, held, machine, remove_stale
 
 WRITER = """
 import sys
@@ -119,25 +122,84 @@ def test_a_folder_or_a_device_is_not_a_file_to_write(tmp_path):
     assert (tmp_path / "pipe").is_fifo()
 
 
+def _parts(folder):
+    return {path for path in folder.iterdir() if path.name.endswith(PART)}
+
+
 def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path):
     path = tmp_path / "out [1].bin"
-    with writing(path) as killed:
-        left = tmp_path / f".out [1].bin.{killed.pid}.bodylog.part"
+    with writing(path):
+        (left,) = _parts(tmp_path)
     foreign = tmp_path / ".other.bin.1.part"
     foreign.write_bytes(b"of another program")
-    with writing(tmp_path / "other.bin") as elsewhere:
-        other = tmp_path / f".other.bin.{elsewhere.pid}.bodylog.part"
-        assert not left.exists()
+    with writing(tmp_path / "other.bin"):
+        (other,) = _parts(tmp_path)
+        assert other != left and not left.exists()
     assert other.read_bytes() == b"half"
     with writing(path) as living:
-        assert not other.exists()
-        theirs = tmp_path / f".out [1].bin.{living.pid}.bodylog.part"
+        (theirs,) = _parts(tmp_path)
+        assert theirs != other
         with replacing(path) as beside:
             beside.write_bytes(b"whole")
         assert sorted(tmp_path.iterdir()) == sorted([path, theirs, foreign])
         living.communicate(timeout=60)
     assert path.read_bytes() == b"half"
     assert sorted(tmp_path.iterdir()) == sorted([path, foreign])
+
+
+def test_what_another_machine_may_still_write_stays_for_a_day(tmp_path):
+    """Where locks are of one machine alone, as on some network disks, its files look as if nobody held them."""
+    theirs = tmp_path / f".0badcafe-1{PART}"
+    theirs.touch()
+    remove_stale(tmp_path, f".*{PART}")
+    assert theirs.exists() and machine() != "0badcafe"
+    os.utime(theirs, (0, theirs.stat().st_mtime - FOREIGN_S - 1))
+    remove_stale(tmp_path, f".*{PART}")
+    assert not theirs.exists()
+
+
+def test_nothing_is_removed_where_files_cannot_be_locked(tmp_path, monkeypatch):
+    def flock(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", flock)
+    left = tmp_path / f".{machine()}-1{PART}"
+    left.touch()
+    with replacing(tmp_path / "a") as first, replacing(tmp_path / "a") as second:
+        first.write_bytes(b"1")
+        second.write_bytes(b"2")
+        assert _parts(tmp_path) == {left, first, second}
+    assert sorted(tmp_path.iterdir()) == sorted([left, tmp_path / "a"]) and (tmp_path / "a").read_bytes() == b"1"
+
+
+SAME = """
+import os, sys
+from pathlib import Path
+if sys.argv[2] == "pretended":
+    os.getpid = lambda: 1
+from bodylog.files import replacing
+assert os.getpid() == int(sys.argv[3])
+for _ in range(100):
+    with replacing(Path(sys.argv[1])) as beside:
+        beside.write_bytes(b"whole")
+"""
+ALONE = ("unshare", "--user", "--map-root-user", "--pid", "--fork")
+
+
+def _same_number(path, how):
+    """Two processes of one number that write one file, as in two containers."""
+    command = [sys.executable, "-c", SAME, path, how, "1"]
+    return subprocess.Popen([*ALONE, *command] if how == "container" else command, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize("how", ["pretended", "container"])
+def test_two_processes_of_one_number_do_not_take_each_others_files_away(tmp_path, how):
+    if how == "container" and subprocess.run([*ALONE, "true"], capture_output=True).returncode:
+        pytest.skip("processes cannot have numbers of their own here (unshare)")
+    pair = [_same_number(tmp_path / "out", how) for _ in range(2)]
+    said = [process.communicate(timeout=60)[1] for process in pair]
+    assert [process.returncode for process in pair] == [0, 0], said
+    assert [*tmp_path.iterdir()] == [tmp_path / "out"] and (tmp_path / "out").read_bytes() == b"whole"
 
 
 MANY = """
@@ -158,12 +220,33 @@ def test_runs_that_write_into_one_folder_at_once_do_not_take_each_others_files_a
     assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"whole"} and len(list(tmp_path.iterdir())) == 20
 
 
-def test_a_folder_is_forsaken_once_nobody_holds_it(tmp_path):
-    folder = tmp_path / "fetched.part"
+def test_a_folder_goes_once_nobody_holds_it(tmp_path):
+    folder = tmp_path / f".{machine()}-1{PART}"
     folder.mkdir()
     (folder / "log.mcap").touch()
+    (folder / "link").symlink_to(tmp_path)
     with held(folder) as ours:
-        forsake(tmp_path, "*.part")
+        remove_stale(tmp_path, f".*{PART}")
         assert ours and folder.is_dir()
-    forsake(tmp_path, "*.part")
+    remove_stale(tmp_path, f".*{PART}")
     assert not list(tmp_path.iterdir())
+
+
+SWEEPS = """
+import sys
+from pathlib import Path
+from bodylog.files import replacing
+from bodylog.temporary import scratch, sweep
+place = Path(sys.argv[1])
+with scratch(place) as folder, scratch(place) as other, replacing(place / "out") as beside:
+    (folder / "deep").mkdir()
+    (folder / "deep" / "file").touch()
+    assert len(list(place.iterdir())) == 3
+    sweep()
+    print(list(place.iterdir()))
+"""
+
+
+def test_a_sweep_takes_all_that_is_temporary_away(tmp_path):
+    done = subprocess.run([sys.executable, "-c", SWEEPS, tmp_path], capture_output=True, text=True)
+    assert done.stdout == "[]\n"

@@ -1,14 +1,16 @@
 """A signal that ends a process, as processes of their own."""
 
+import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
-BEGIN = """import signal, sys, time
+BEGIN = """import os, signal, sys, time
 from bodylog import stopping
-stopping.heed(signal.SIGTERM)
+stopping.heed(signal.SIGTERM, signal.SIGINT)
 """
 ON = "print('on', flush=True)"
 WAIT = "for _ in range(2000): time.sleep(0.005)\n"
@@ -20,44 +22,74 @@ try:
 except BaseException:
     pass
 """
-SLOW_CLEANING = f"""
-from contextlib import contextmanager
-@contextmanager
-def cleaned():
-    try:
-        yield
-    finally:
-        for _ in range(160): time.sleep(0.005)
-        print('cleaned', flush=True)
+CLEANING = f"""
 try:
-    with cleaned():
+    {ON}
+    time.sleep(10)
+finally:
+    for _ in range(50): time.sleep(0.005)
+    print('cleaned', flush=True)
+"""
+IN_C = f"""
+import sqlite3
+from pathlib import Path
+from bodylog.files import replacing
+from bodylog.temporary import scratch
+place = Path(sys.argv[1])
+with scratch(place) as folder, replacing(place / "out") as beside:
+    (folder / "file").touch()
+    beside.write_bytes(b"half")
+    {ON}
+    endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT count(*) FROM n"
+    sqlite3.connect(":memory:").execute(endless).fetchall()
+"""
+DESTRUCTOR = f"""
+class Slow:
+    def __del__(self):
         {ON}
         time.sleep(10)
-finally:
-    for _ in range(160): time.sleep(0.005)
-    print('all', flush=True)
-    stopping.calm()
-"""
+slow = Slow()
+del slow
+{WAIT}"""
 
 
-def _said(script, *numbers):
-    """What it prints after it was sent these signals, the last being why it ends, and its code."""
-    with subprocess.Popen([sys.executable, "-c", BEGIN + script], stdout=subprocess.PIPE, text=True) as process:
+def _told(script, *numbers, typed=()):
+    """What it prints after it was sent these signals, the last being why it ends; its code, seconds, and errors."""
+    command = [sys.executable, "-c", BEGIN + script, *typed]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "on\n"
+        time.sleep(0.2)  # it may still be on its way into what it is to be told in
+        begun = time.monotonic()
         for number in numbers:
             process.send_signal(number)
-        said = process.communicate(timeout=30)[0]
-    return said.split(), process.returncode
+        said, errors = process.communicate(timeout=30)
+    return said.split(), process.returncode, time.monotonic() - begun, errors
 
 
 def test_it_ends_the_process_with_128_and_its_number():
-    assert _said(f"{ON}\n{WAIT}", signal.SIGTERM) == ([], 128 + signal.SIGTERM)
+    assert _told(f"{ON}\n{WAIT}", signal.SIGTERM)[:2] == ([], 128 + signal.SIGTERM)
 
 
-def test_swallowed_once_it_is_heard_again():
-    assert _said(SWALLOWED + WAIT, signal.SIGTERM) == ([], 128 + signal.SIGTERM)
+@pytest.mark.parametrize("script", [SWALLOWED + WAIT, DESTRUCTOR, IN_C], ids=["swallowed", "destructor", "in C"])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_what_does_not_unwind_ends_all_the_same_in_one_line_and_leaves_nothing(tmp_path, script, number):
+    said, code, seconds, errors = _told(script, number, typed=[tmp_path])
+    how = "interrupted" if number == signal.SIGINT else "stopped"
+    assert (said, code, errors) == ([], 128 + number, f"bodylog: {how}; nothing half-written was left\n")
+    assert seconds < 2 and not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_cleaning_that_takes_longer_than_that_is_left_alone(times):
-    assert _said(SLOW_CLEANING, *[signal.SIGTERM] * times) == (["cleaned", "all"], 128 + signal.SIGTERM)
+def test_cleaning_is_left_alone(times):
+    assert _told(CLEANING, *[signal.SIGTERM] * times)[:2] == (["cleaned"], 128 + signal.SIGTERM)
+
+
+def test_nothing_outlives_a_terminal_that_hears_nothing(tmp_path):
+    """Its pipe is full: what is said cannot be written."""
+    command = [sys.executable, "-c", BEGIN + "os.set_blocking(2, False)\ntry:\n    while True: os.write(2, b'x' * 4096)"
+               f"\nexcept BlockingIOError: os.set_blocking(2, True)\n{ON}\n" + SWALLOWED + WAIT]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout.readline() == b"on\n"
+        begun = time.monotonic()
+        process.terminate()
+        assert process.wait(timeout=30) == 128 + signal.SIGTERM and time.monotonic() - begun < 2

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from .. import stores
 from ..errors import BodylogError
-from ..stopping import calm
-from ..workers import ready
+from ..temporary import PART, remove_stale
+from ..workers import ready, stop, uninterrupted
 from . import work
 from .jobs import Job, Row
 
@@ -94,7 +94,8 @@ class Pool:
     def _start(self) -> tuple[BaseProcess, Connection]:
         here, there = self._context.Pipe()
         process = self._context.Process(target=_worker, args=(there,), daemon=True)
-        process.start()
+        with uninterrupted():
+            process.start()
         there.close()
         return process, here
 
@@ -116,12 +117,9 @@ class Pool:
         return work.died(job, f"the worker process died with {process.exitcode} on {job.log}, {TRIES} times")
 
     def _stop(self) -> None:
-        """All are told before any is waited for, or the last would finish its log meanwhile."""
-        processes = [*(process for process, _ in self._idle), *(process for process, _ in self._busy.values())]
-        for process in processes:
-            process.terminate()
-        for process in processes:
-            process.join()
+        stop([*(process for process, _ in self._idle), *(process for process, _ in self._busy.values())])
+        for _, job in self._busy.values():
+            remove_stale(job.folder, f".*{PART}")
 
 
 def _worker(pipe: Connection) -> None:
@@ -133,7 +131,5 @@ def _worker(pipe: Connection) -> None:
     try:
         while True:
             pipe.send(work.run(pipe.recv()))
-    except EOFError:
+    except (EOFError, BrokenPipeError):
         return
-    finally:
-        calm()

@@ -12,7 +12,8 @@ from .. import pipeline, present, stores, torn
 from ..config import toml
 from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
-from ..files import forsake, replacing, sha256
+from ..files import replacing, sha256
+from ..temporary import PART, remove_stale
 from . import folders, resume
 from .folders import OUTPUTS
 from .jobs import Job, Row
@@ -44,7 +45,7 @@ def _on_one_core() -> Iterator[None]:
 
 
 def _anew(job: Job) -> Row:
-    forsake(job.folder, ".*.part")
+    remove_stale(job.folder, f".*{PART}")
     for stale in (job.folder / name for name in (*OUTPUTS, folders.ROW)):
         shutil.rmtree(stale) if stale.is_dir() and not stale.is_symlink() else stale.unlink(missing_ok=True)
     return resume.leave(job, _attempt(job))
@@ -53,7 +54,7 @@ def _anew(job: Job) -> Row:
 def died(job: Job, why: str) -> Row:
     """The row of a job whose worker was lost."""
     folders.mark(job.folder, folders.RESULT)
-    forsake(job.folder, ".*.part")
+    remove_stale(job.folder, f".*{PART}")
     return resume.leave(job, _row(job, None, 1, why))
 
 

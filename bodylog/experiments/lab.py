@@ -5,11 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from .. import __version__, files, pipeline
 from ..settings import Body, Colours, Fit, Settings
+from ..temporary import scratch
 from ..types import Array, BodyModel, Features, Series
 from .records import jsonable
 
@@ -57,8 +57,8 @@ class Lab:
         """The recording's signals and tracks, without its pictures."""
         path = self._path(f"{scenario}-{seed}", "mcap", options)
         if not path.exists():
-            with TemporaryDirectory() as folder:  # another process may be recording the same
-                whole = Path(folder) / path.name
+            with scratch() as folder:  # another process may be recording the same
+                whole = folder / path.name
                 pipeline.record(scenario, whole, seed=seed, size=self.size, **options)
                 pipeline.extract(whole, path, self._settings())
         return path

@@ -12,7 +12,7 @@ from typing import Any
 from ..errors import UsageError
 from ..files import made
 from ..sim import how_to_install
-from ..workers import ended, ready
+from ..workers import ended, ready, uninterrupted
 from . import page
 from .lab import EXPLORATION_S, Lab, kept
 from .records import Claim, Trial
@@ -111,7 +111,8 @@ def _pooled(lab: Lab, tasks: list[Task], jobs: int) -> Iterator[Task]:
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), ready)
     try:
         with ended():
-            futures = {pool.submit(_worked, lab, *task): task for task in tasks}
+            with uninterrupted():
+                futures = {pool.submit(_worked, lab, *task): task for task in tasks}
             for future in as_completed(futures):
                 future.result()
                 yield futures[future]

@@ -5,9 +5,10 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from threading import Lock
 from weakref import finalize
+
+from ..temporary import scratch
 
 _BLOCK = 1 << 18
 _ENDS = 1 << 20
@@ -57,8 +58,8 @@ _GLIMPSED: dict[Path, tuple[Read, int]] = {}
 @contextmanager
 def glimpse(name: str, size: int, read: Read) -> Iterator[Path]:
     """A path that `mapping.mapped` maps as a Sparse file of `size` bytes, its head there for who looks at the magic."""
-    with TemporaryDirectory(prefix="bodylog-") as folder:
-        path = Path(folder) / name
+    with scratch() as folder:
+        path = folder / name
         with path.open("wb") as stream:
             stream.write(read(0, min(size, 64))[:64])
             stream.truncate(size)

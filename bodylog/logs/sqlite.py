@@ -4,12 +4,12 @@ import shutil
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from urllib.parse import quote
 
 import numpy as np
 
 from ..errors import LogError
+from ..temporary import scratch
 from ..types import Batch, Finding, Topic
 from .ledger import Ledger
 from .sqlite_rows import DAMAGE, Block, Rows
@@ -110,12 +110,12 @@ def _connect(path: Path, source: Path) -> sqlite3.Connection:
     if not any(beside.stat().st_size for beside in pending):
         return _opened(f"file:{quote(str(source.resolve()))}?mode=ro&immutable=1", source.stat().st_size)
     needed = sum(part.stat().st_size for part in (source, *pending))
-    with TemporaryDirectory(prefix="bodylog-") as folder:
+    with scratch() as folder:
         if shutil.disk_usage(folder).free < 2 * needed:
             raise LogError(f"{path}: {pending[0].name} holds unsaved rows; {2 * needed} bytes are needed in {folder}")
         for part in (source, *pending):
-            shutil.copyfile(part, Path(folder) / part.name)
-        store = _opened(f"file:{quote(folder)}/{quote(source.name)}?mode=rw", 2 * needed)
+            shutil.copyfile(part, folder / part.name)
+        store = _opened(f"file:{quote(str(folder))}/{quote(source.name)}?mode=rw", 2 * needed)
         store.execute("SELECT count(*) FROM sqlite_master").fetchall()
         return store
 

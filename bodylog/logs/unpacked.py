@@ -4,12 +4,12 @@ import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TypeVar
 
 import numpy as np
 
 from ..errors import FormatError, LogError
+from ..temporary import scratch
 from ..types import Array, Batch, Topic
 from .compression import unpack_zstd
 from .ledger import Ledger
@@ -28,8 +28,8 @@ Opened = TypeVar("Opened")
 
 def unpack_file(path: Path, use: Callable[[Path], Opened]) -> Opened:
     """What `use` makes of the unpacked file, which is unlinked afterwards; LogError when the disk is too small."""
-    with TemporaryDirectory(prefix="bodylog-") as folder:
-        inner = Path(folder) / path.stem
+    with scratch() as folder:
+        inner = folder / path.stem
         _unpack(path, inner, shutil.disk_usage(folder).free - _MARGIN)
         return use(inner)
 

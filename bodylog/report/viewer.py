@@ -7,10 +7,10 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from ..errors import LogError, UsageError
 from ..files import replacing
+from ..temporary import scratch
 
 APPLICATION = "bodylog"
 PROGRAM = (sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())")
@@ -36,16 +36,16 @@ def recording(source: Path, out: Path, identity: str, companion: Companion) -> d
 
     Returns why by entity that Rerun cannot show, of which `companion` is told. LogError: Rerun refuses the log.
     """
-    with TemporaryDirectory() as folder, replacing(out) as beside:
+    with scratch() as folder, replacing(out) as beside:
         names = ("log.mcap", "log.rrd", "companion.rrd", "merged.rrd")
-        log, converted, drawn, merged = (Path(folder) / name for name in names)
+        log, converted, drawn, merged = (folder / name for name in names)
         log.symlink_to(source.resolve())  # names that are not UTF-8 end Rerun
         merged.symlink_to(beside.resolve())
         identity = identity.encode(errors="backslashreplace").decode()
         named = ["--application-id", APPLICATION, "--recording-id", identity]
-        unshown = _run(["mcap", "convert", str(log), *named, "-o", str(converted)], Path(folder), source)
+        unshown = _run(["mcap", "convert", str(log), *named, "-o", str(converted)], folder, source)
         companion(drawn, identity, unshown)
-        _run(["rrd", "merge", str(converted), str(drawn), "-o", str(merged)], Path(folder), source)
+        _run(["rrd", "merge", str(converted), str(drawn), "-o", str(merged)], folder, source)
     return unshown
 
 

@@ -1,12 +1,14 @@
 """Commands that cannot go on, as processes of their own: what they began is gone, what was there stays."""
 
 import os
+import random
 import resource
 import signal
 import subprocess
 import sys
 import time
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -64,6 +66,108 @@ def test_a_batch_told_to_stop_ends_its_workers_without_a_trace(tmp_path, robot, 
         assert "nothing half-written was left" in _told(process, number, tmp_path)
     assert process.returncode == 128 + number
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("row.json"))
+
+
+def _workers(process):
+    """The processes that another started to work for it."""
+    found = subprocess.run(["pgrep", "-P", str(process.pid), "-f", "spawn_main"], capture_output=True, text=True)
+    return [int(number) for number in found.stdout.split()]
+
+
+def _gone(number):
+    try:
+        return Path(f"/proc/{number}/stat").read_text().split(") ")[1][0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+@pytest.mark.parametrize("name", ["batch", pytest.param("reproduce", marks=pytest.mark.soak)])
+def test_workers_end_with_who_started_them_and_is_killed(tmp_path, robot, name):
+    """Also in the middle of a log."""
+    batch = ("batch", robot / "explore.mcap", robot / "reach.mcap", "--body", robot / "body.npz")
+    typed = {"batch": batch, "reproduce": ("reproduce", "E2", "--seeds", 2)}[name]
+    with _begun(_command(*typed, "--jobs", 2, "-o", tmp_path / "out")) as process:
+        while process.poll() is None and not (list(tmp_path.rglob(".*.part")) and len(_workers(process)) == 2):
+            time.sleep(0.005)
+        workers, begun = _workers(process), time.monotonic()
+        process.kill()
+        process.wait(timeout=60)
+        while not all(map(_gone, workers)) and time.monotonic() - begun < 10:
+            time.sleep(0.01)
+        assert len(workers) == 2 and all(map(_gone, workers)) and time.monotonic() - begun < 2
+    assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("row.json"))
+
+
+IN_C = """
+import sqlite3, sys
+import bodylog_cli
+from bodylog import pipeline
+def endless(*_):
+    print("on", flush=True)
+    query = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT count(*) FROM n"
+    sqlite3.connect(":memory:").execute(query).fetchall()
+pipeline.observe = endless
+bodylog_cli.main()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_command_that_is_in_a_librarys_c_code_ends_in_time(tmp_path, robot, number):
+    words = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap")
+    with _begun([sys.executable, "-c", IN_C, *map(str, words)]) as process:
+        while not list(tmp_path.glob(".*.part")):
+            time.sleep(0.005)
+        time.sleep(0.2)
+        begun = time.monotonic()
+        process.send_signal(number)
+        said = process.communicate(timeout=60)[1]
+        seconds = time.monotonic() - begun
+    how = "interrupted" if number == signal.SIGINT else "stopped"
+    assert (process.returncode, said) == (128 + number, f"bodylog: {how}; nothing half-written was left\n")
+    assert seconds < 2 and not list(tmp_path.iterdir())
+
+
+COMMANDS = {
+    "record": ("reach", "--duration", 4, "--size", "160x120", "-o", "OUT/x.mcap"),
+    "ingest": ("reach.mcap", "-o", "OUT/x.mcap", "--csv", "OUT/tables"),
+    "info": ("explore.mcap", "reach.mcap"),
+    "doctor": ("explore.mcap", "--repair", "OUT/x.mcap"),
+    "colours": ("reach.mcap", "-o", "OUT/x.png"),
+    "extract": ("explore.mcap", "-o", "OUT/x.mcap", "--csv", "OUT/tables"),
+    "fit": ("explore.mcap", "-o", "OUT/x.npz"),
+    "estimate": ("reach.mcap", "--body", "body.npz", "-o", "OUT/x.mcap"),
+    "compare": ("reach.mcap", "--body", "body.npz"),
+    "plot": ("reach.mcap", "-o", "OUT/x.png"),
+    "view": ("reach.mcap", "-o", "OUT/x.rrd"),
+    "batch": ("reach.mcap", "explore.mcap", "--body", "body.npz", "-o", "OUT/b", "--jobs", 2),
+    "reproduce": ("E2", "--seeds", 2, "--jobs", 2, "-o", "OUT/r"),
+}
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_ends_in_time_whenever_it_is_told_to(tmp_path, robot, name):
+    """Once it has begun: in Python's own start a signal does what it does to Python."""
+    rng = random.Random(name)
+    for k in range(24):
+        number = rng.choice([signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+        out, temporary = tmp_path / f"out{k}", tmp_path / f"tmp{k}"
+        out.mkdir()
+        temporary.mkdir()
+        words = [str(word).replace("OUT", str(out)) for word in COMMANDS[name]]
+        words = [str(robot / word) if (robot / word).is_file() else word for word in words]
+        with _begun(["env", f"TMPDIR={temporary}", *_command(name, *words)]) as process:
+            time.sleep(rng.uniform(0.1, rng.choice([0.8, 5.0])))
+            begun = time.monotonic()
+            process.send_signal(number)
+            said = process.communicate(timeout=60)[1]
+            seconds = time.monotonic() - begun
+        if process.returncode in (0, -number) or said.rstrip().endswith("KeyboardInterrupt"):
+            continue  # it was done before, or had not begun
+        ends = [line for line in said.splitlines() if "nothing half-written was left" in line]
+        assert (process.returncode, len(ends)) == (128 + number, 1) and "Traceback" not in said, said
+        assert seconds < 2 and not [*out.rglob(".*.part"), *temporary.glob("bodylog-*"), *temporary.rglob("*.part")]
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
