@@ -10,7 +10,7 @@ from . import __version__
 from .files import sha256
 from .outputs import Output
 from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
-from .remarks import named, untold
+from .remarks import named, sightings, untold
 from .settings import Settings, plain, wanted
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
@@ -91,18 +91,27 @@ def extract(
     if tables is not None:
         export.export_features(features, tables)
     health = {**read.health, **features.health}
-    return Result(out, (), health, (*read.findings, *features.findings, *lost), plain(read.settings))
+    found = (*read.findings, *features.findings, *sightings(features), *lost)
+    return Result(out, (), health, found, plain(read.settings))
 
 
 def fit(
-    logs: Sequence[Path], out: Path, settings: Settings, progress: Progress | None = None, update: Path | None = None
+    logs: Sequence[Path],
+    out: Path,
+    settings: Settings,
+    progress: Progress | None = None,
+    update: Path | None = None,
+    test: Sequence[Path] = (),
 ) -> Result:
-    """Learn a body model from exploration logs and write it as .npz; `update` is one to learn on from."""
+    """Learn a body model from exploration logs and write it as .npz; `update` is one to learn on from.
+
+    It is scored on the logs to `test` it with, which it does not learn from.
+    """
     from . import dates
     from .body import model
     from .logs.copying import Copy
 
-    distinct([*logs, *(() if update is None else (update,))], [Output(out)], settings)
+    distinct([*logs, *test, *(() if update is None else (update,))], [Output(out)], settings)
     known = None if update is None else model.load(update)
     digests, observed, remarks = [], [], list[Finding]()
     for log in logs:
@@ -115,11 +124,30 @@ def fit(
         teachable(log, found, settings)
         remarks += same_camera(log, cameras, read, found)
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
-    findings = [f for read, found in observed for f in (*read.findings, *found.findings)]
+    findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
     with about(logs[0], findings, len(logs) - 1):
         learned = dates.learned(features, settings, provenance, known)
+    tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     model.save(learned.model, out)
-    return Result(out, learned.scores, _merged(observed), (*findings, *remarks, *learned.findings), plain(settings))
+    said = (*findings, *remarks, *learned.findings, *more)
+    return Result(out, (*learned.scores, *tested), _merged(observed), said, plain(settings))
+
+
+def _tested(
+    learned: BodyModel, logs: Sequence[Path], settings: Settings, progress: Progress | None
+) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
+    """A body's scores on logs it did not learn from, dated as it knows its cameras, and what was found in them."""
+    from .body import tested
+    from .estimation import dating
+
+    observed = [(log, *observe(log, settings, progress)) for log in logs]
+    remarks = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
+    for log, read, found in observed:
+        remarks += same_camera(log, learned.provenance.get("cameras", ()), read, found)
+    timely = [dating.earlier(found, dating.as_learned(learned)) for _, _, found in observed]
+    with about(logs[0], remarks, len(logs) - 1):
+        scores, more = tested.score(learned, timely)
+    return scores, (*remarks, *more)
 
 
 def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:

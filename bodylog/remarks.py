@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from .types import Estimate, Fault, Finding, Series
+from .types import Estimate, Fault, Features, Finding, Series
 
 FIRST = 1.0
 """s: an encoder that is certainly off so soon was so before."""
@@ -17,6 +17,13 @@ def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
         for f in faults
     )
     return tuple(Finding("warning", text) for text in said)
+
+
+def sightings(found: Features) -> tuple[Finding, ...]:
+    """In how many images each track was seen, and why not in the others, by reason."""
+    from .body import taught
+
+    return tuple(Finding("info", f"{name}: {taught.seen([found], name)}") for name in found.tracks)
 
 
 def untold(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:

@@ -14,6 +14,7 @@ from .options import PATH, Common, clock_option, common_options, delay_option, l
 @click.option("--joints", help="Learn over these joints, e.g. pan,lift,elbow; default: those that move.")
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
+@click.option("--test", type=PATH, multiple=True, metavar="LOG", help="Score the body on this log; may be repeated.")
 @clock_option
 @delay_option
 @common_options
@@ -24,6 +25,7 @@ def fit(
     joints: str | None,
     every: int | None,
     update: Path | None,
+    test: tuple[Path, ...],
     common: Common,
     as_json: bool,
 ) -> int:
@@ -34,7 +36,7 @@ def fit(
 
     chosen = common.settings(fit={"preset": preset, "every": every}, body={"joints": listed(joints)})
     with progress("fit") as tick:
-        result = pipeline.fit(logs, out, chosen, tick, update)
+        result = pipeline.fit(logs, out, chosen, tick, update, test)
     learned = inventory.info(out, chosen)
     code = show(result, as_json, body=learned)
     if not as_json:

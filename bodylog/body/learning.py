@@ -4,16 +4,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ..errors import EvidenceError, ModelError
 from ..settings import Fit, Settings
 from ..threads import one_thread
 from ..types import BodyModel, Features, Finding, ForwardModel, Score
-from . import coverage, encoders, noise, reference, sense, touch
+from . import coverage, encoders, noise, reference, sense, taught, touch
 from .gp import GP
 from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, silent
 from .shown import shown
-
-_LEAST_SIGHTINGS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,9 @@ def learn(
         raise EvidenceError(f"no joint moved; heard: {possible}; record an exploration, or name them in [body] joints")
     chosen, unseen = (chosen, []) if wanted else shown(features, chosen, settings.fit)
     tracks = dict(_tracks(features, chosen, settings.fit, update))
-    rare = [name for name, part in tracks.items() if len(part.x) < _LEAST_SIGHTINGS]
-    senses = {n: sense.sense(part, chosen, settings.fit) for n, part in tracks.items() if n not in rare}
+    senses, poor = _senses(tracks, chosen, settings.fit)
     if not senses:
-        raise EvidenceError(
-            f"no track has {_LEAST_SIGHTINGS} sightings while joints were heard; type: bodylog info LOG"
-        )
+        raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
     learned = learned if update is None else noise.pooled(learned, update.noise)
@@ -62,15 +59,48 @@ def learn(
         given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
         constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
-    few = [Finding("warning", f"{name}: only {len(tracks[name].x)} sightings, too few for a model") for name in rare]
+    scores += [Score(f"explained.{name}", taught.explained(found), "1") for name, found in senses.items()]
+    few = [Finding("warning", f"{name}: left out: {why}; {taught.seen(features, name)}") for name, why in poor.items()]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
-    taught = coverage.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
+    covered = coverage.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
     gaps, pictures = coverage.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
     return Learned(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, {**pictures, **provenance}, cells),
         (*coverage.scores(chosen, gps, learned), *scores, *read.scores),
-        (*taught, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
+        (taught.moved(heard, chosen), *covered, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
     )
+
+
+def _senses(
+    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit
+) -> tuple[dict[str, sense.Sense], dict[str, str]]:
+    """Each track's model, and why there is none of the others."""
+    found, poor = dict[str, sense.Sense](), dict[str, str]()
+    for name, part in tracks.items():
+        why = taught.unfit(part, chosen)
+        if why is None:
+            try:
+                found[name] = sense.sense(part, chosen, fit)
+            except np.linalg.LinAlgError as problem:
+                why = f"no model of its {len(part.x)} sightings: {problem}"
+            else:
+                why = taught.unexplained(found[name])
+        if why is not None and fit.preset == "paper" and name in found:
+            continue  # the printed constants are asked for, whatever they foretell
+        if why is not None:
+            poor[name] = why
+            found.pop(name, None)
+    return found, poor
+
+
+def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:
+    """What there was, why no body can be learned of it, and what to record or type."""
+    moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
+    if not poor:
+        return f"no track to learn from, though {moved}; type: bodylog info LOG, and name a marker in [features]"
+    said = "; ".join(f"{name}: {why}, {taught.seen(features, name)}" for name, why in poor.items())
+    advice = "type bodylog colours LOG to see what else there is, or record a marker that all joints move in view"
+    return f"no track teaches a body, though {moved}: {said}; {advice}"
 
 
 def _tracks(

@@ -21,6 +21,8 @@ _SEED = 0
 _ABSURD = 1e12
 # share of a joint's range: a sighting while its encoder was silent for so long that this is unknown teaches nothing
 _VAGUE = 0.1
+# px: no camera has so many pixels in a row
+_FAR_PX = 1e6
 _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
 
@@ -95,9 +97,11 @@ def silent(features: Sequence[Features]) -> dict[str, str]:
 
 
 def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
-    """The features without readings that no joint can have, and a remark for each joint that had some."""
+    """The features without readings that no joint can have, and a remark for each joint that had some; and places."""
     kept, said = [], []
     for index, found in enumerate(features):
+        found, far = _near(found, index)
+        said += far
         for role in ("joints", "reference"):
             series = getattr(found, role)
             absurd = np.zeros((0, 0), bool) if series is None else np.abs(series.values) > _ABSURD
@@ -110,6 +114,18 @@ def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Findin
                 said.append(Finding("warning", f"{what} left out: no joint is at {example}"))
         kept.append(found)
     return kept, said
+
+
+def _near(found: Features, index: int) -> tuple[Features, list[Finding]]:
+    """The features without places farther off than any camera's pixels, and a remark for each track that had some."""
+    tracks, said = dict(found.tracks), []
+    for name, track in found.tracks.items():
+        far: Array = np.asarray((np.abs(track.values) > _FAR_PX).any(axis=1))
+        if far.any():
+            tracks[name] = replace(track, values=np.where(far[:, None], np.nan, track.values))
+            what = f"{name}: {far.sum()} of {len(far)} places in log {index + 1} left out"
+            said.append(Finding("warning", f"{what}: beyond {_FAR_PX:g} px"))
+    return replace(found, tracks=tracks), said
 
 
 def moves(joint: Joint) -> bool:

@@ -33,7 +33,7 @@ def pivots(z: Array, most: int, tolerance: float) -> Array:
     chosen: list[int] = []
     while len(chosen) < len(factor):
         pivot = int(np.argmax(left))
-        if left[pivot] < tolerance:
+        if left[pivot] < tolerance and chosen:
             break
         known = factor[: len(chosen)]
         column = np.exp(-0.5 * np.square(z - z[pivot]).sum(axis=1)) - known[:, pivot] @ known

@@ -22,12 +22,17 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class Sense:
-    """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2)."""
+    """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2).
+
+    constant (n,2) px: the residual of the others' median, held out in the same blocks (n,).
+    """
 
     gp: GP
     floor: Array
     residual: Array
     variance: Array
+    constant: Array
+    block: Array
     whole: Pairs
     rejected: int
     rule: str
@@ -76,7 +81,17 @@ def _sense(data: Samples, found: Fitted, block: Array, whole: Pairs, rejected: i
     residual, variance = residuals(data, found, block)
     # samples of a body to update are in blocks before the first, and their floor holds more than pixels' noise
     floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
-    return Sense(shortened(build(data, found, _OUTPUTS, "px")), floor, residual, variance, whole, rejected, rule)
+    gp, constant = shortened(build(data, found, _OUTPUTS, "px")), _constant(data.y, block)
+    return Sense(gp, floor, residual, variance, constant, block, whole, rejected, rule)
+
+
+def _constant(y: Array, block: Array) -> Array:
+    """Residuals (n,2) of places y (n,2) from the median of all other blocks'."""
+    residual = np.empty(y.shape)
+    for label in np.unique(block):
+        rows = block == label
+        residual[rows] = y[rows] - np.median(y if rows.all() else y[~rows], axis=0)
+    return residual
 
 
 def _believable(data: Samples, found: Fitted) -> Array:

@@ -32,7 +32,7 @@ def logs(tmp_path):
 
 
 CASES = {
-    "fit blind.mcap -o out.npz": "{0}/blind.mcap: no track has 8 sightings while joints were heard; type: ",
+    "fit blind.mcap -o out.npz": "{0}/blind.mcap: no track to learn from, though 3 joints moved (",
     "fit blind.mcap still.mcap -o out.npz": "{0}/blind.mcap and 1 more: no ",
     "fit still.mcap -o out.npz": "{0}/still.mcap: no joint moved; heard: none (shoulder_pan_joint: only 1 of 1 "
     "readings in log 1 are numbers, 4 are needed; ",

@@ -1,0 +1,62 @@
+"""A body scored on logs it did not learn from: how far off it foretells each track, and whether it says so."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..errors import EvidenceError, ModelError
+from ..types import Array, BodyModel, Features, Finding, Score
+from . import encoders
+from .pairs import Pairs, joints, pairs, plausible
+
+COVERED = 2.0
+"""Standard deviations within which 95 % of sightings should lie."""
+
+
+def score(
+    model: BodyModel, features: Sequence[Features]
+) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
+    """Scores test_…/TRACK of all logs together; remarks on tracks that could not be scored.
+
+    The angles at a sighting are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the
+    body's, ModelError where one lacks its joints.
+    """
+    features, remarks = plausible([encoders.referred(found, model) for found in features])
+    for index, found in enumerate(features):
+        names = () if found.joints is None else found.joints.names
+        if missing := [name for name in model.joints if name not in names]:
+            heard = ", ".join(names) or "none"
+            raise ModelError(f"test log {index + 1}: joint {missing[0]!r} of the body is not there; heard: {heard}")
+    chosen = joints(features, model.joints)
+    seen = sorted({name for found in features for name in found.tracks} & set(model.senses))
+    parts = {name: pairs(features, name, chosen, 1) for name in seen}
+    scored = {name: part for name, part in parts.items() if len(part.x)}
+    if not scored:
+        shown = ", ".join(sorted({name for found in features for name in found.tracks})) or "none"
+        raise EvidenceError(f"test: no sighting of {', '.join(model.senses)}; tracks: {shown}; give another log")
+    unseen = [name for name in model.senses if name not in scored and name != "encoders"]
+    remarks += [Finding("warning", f"{name}: not scored, the test logs do not show it") for name in unseen]
+    return tuple(s for name, part in scored.items() for s in _scores(name, part, model)), tuple(remarks)
+
+
+def _scores(name: str, part: Pairs, model: BodyModel) -> Iterator[Score]:
+    """Errors (px) and how they compare with what the body says of them, per axis and together."""
+    mean, jac, var = model.senses[name].predict(part.x)
+    error = part.y - mean
+    total = var + _pixels(name, part, model) + np.einsum("ndm,nm->nd", jac**2, part.variance)
+    ratio = error**2 / total
+    size = np.linalg.norm(error, axis=1)
+    yield Score(f"test_rmse/{name}", float(np.sqrt(np.mean(size**2))), "px")
+    yield Score(f"test_rmse_u/{name}", float(np.sqrt(np.mean(error[:, 0] ** 2))), "px")
+    yield Score(f"test_rmse_v/{name}", float(np.sqrt(np.mean(error[:, 1] ** 2))), "px")
+    yield Score(f"test_median/{name}", float(np.median(size)), "px")
+    yield Score(f"test_standardised/{name}", float(ratio.mean()), "1")
+    yield Score(f"test_coverage/{name}", float((ratio <= COVERED**2).mean() * 100.0), "%")
+    yield Score(f"test_sightings/{name}", float(len(error)), "images")
+
+
+def _pixels(name: str, part: Pairs, model: BodyModel) -> Array:
+    """Variance (N,2) px² of the sightings: as stated and what learning found beyond it, else what it found in all."""
+    fallback = np.broadcast_to(model.noise.senses.get(name, (1.0, 1.0)), part.floor.shape)
+    beyond = np.asarray(getattr(model.senses[name], "noise", 0.0))
+    return np.where(part.floor > 0.0, part.floor + beyond, fallback)

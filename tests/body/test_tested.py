@@ -1,0 +1,73 @@
+"""A body's scores on logs it did not learn from: named as promised, and true."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import body
+from bodylog.body.tested import score
+from bodylog.errors import EvidenceError, ModelError
+from bodylog.settings import Settings
+
+NAMES = ("rmse", "rmse_u", "rmse_v", "median", "standardised", "coverage", "sightings")
+
+
+def _scores(model, *features):
+    return {one.name: one.value for one in score(model, features)[0]}
+
+
+@pytest.fixture(scope="module")
+def learned(explored):
+    """The body of one exploration."""
+    return body.learn([explored(1, 0.003, 40.0).features], Settings(), {}).model
+
+
+def test_scores_are_the_errors_against_what_was_seen(explored, learned):
+    seeds = [explored(seed, 0.003, 20.0) for seed in (5, 6, 7)]
+    found = _scores(learned, *(run.features for run in seeds))
+    assert set(found) == {f"test_{name}/effector" for name in NAMES}
+    assert found["test_sightings/effector"] == sum(len(run.pixels) for run in seeds)
+    truth = np.concatenate([learned.senses["effector"].predict(run.angles)[0] for run in seeds])
+    seen = np.concatenate([run.features.tracks["effector"].values for run in seeds])
+    rms = np.sqrt(np.mean((seen - truth) ** 2, axis=0))
+    assert abs(found["test_rmse_u/effector"] - rms[0]) < 0.05 and abs(found["test_rmse_v/effector"] - rms[1]) < 0.05
+    squares = sum(found[f"test_rmse_{axis}/effector"] ** 2 for axis in "uv")
+    np.testing.assert_allclose(found["test_rmse/effector"] ** 2, squares)
+    assert 0.7 < found["test_standardised/effector"] < 1.4 and found["test_coverage/effector"] > 90
+
+
+def test_a_wrong_body_is_found_out(explored, learned):
+    run = explored(5, 0.003, 20.0).features
+    track = run.tracks["effector"]
+    moved = replace(run, tracks={"effector": replace(track, values=track.values + np.array([4.0, 0.0]))})
+    found = _scores(learned, moved)
+    assert found["test_rmse_u/effector"] > 3.5 and found["test_standardised/effector"] > 10
+    assert found["test_coverage/effector"] < 60
+
+
+def test_a_log_that_cannot_score_is_refused(explored, learned):
+    run = explored(5, 0.003, 10.0).features
+    with pytest.raises(EvidenceError, match="test: no sighting of effector; tracks: other"):
+        score(learned, [replace(run, tracks={"other": run.tracks["effector"]})])
+    with pytest.raises(ModelError, match="test log 2: joint 'pan' of the body is not there"):
+        joints = replace(run.joints, names=("a", "b", "c", "d"))
+        score(learned, [run, replace(run, joints=joints)])
+
+
+def test_fit_scores_the_body_on_the_tables_given(tmp_path, bodylog, capsys):
+    draw = np.random.default_rng(0)
+    for name, count in {"train": 60, "test": 30}.items():
+        q = draw.uniform(-0.5, 0.5, (count, 2))
+        tip = np.column_stack([300 + 200 * np.sin(q[:, 0]), 200 + 150 * np.sin(q[:, 1] + 0.3)])
+        tip += draw.normal(0, 0.3, tip.shape)
+        rows = [",".join(map(str, row)) for row in np.hstack([q, tip]).tolist()]
+        (tmp_path / f"{name}.csv").write_text("\n".join(["pan,lift,tip_u,tip_v", *rows]) + "\n")
+    train, test, out = (tmp_path / name for name in ("train.csv", "test.csv", "body.npz"))
+    assert bodylog("fit", train, "--test", test, "-o", out, "--json") == 0
+    found = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
+    assert {f"test_{name}/tip" for name in NAMES} <= set(found)
+    assert found["test_rmse/tip"] < 0.8 and 0.6 < found["test_standardised/tip"] < 1.6
+    assert bodylog("fit", train, "--test", test, "-o", test) == 2  # a log is never overwritten
+    assert bodylog("fit", train, "--test", tmp_path / "none.csv", "-o", out) == 65
