@@ -97,3 +97,21 @@ def scene(
     cells = dictionary(name).markerSize + 2
     sheet = paste(wall(rng, *size).astype(float), tag(name, number), ((cells + 2) / cells,) * 2, at)
     return take(sheet, look, rng), project(at, CORNERS), project(at, np.zeros((1, 2)))[0]
+
+
+def board_scene(
+    rng: np.random.Generator,
+    shape: tuple[int, int],
+    square: float,
+    look: Look,
+    legacy: bool = False,
+    size: tuple[int, int] = (480, 360),
+) -> tuple[Array, Array]:
+    """An image with a ChArUco board (4x4_1000, markers 4/7 of a square) and its inner corners (K,2) px."""
+    board = cv2.aruco.CharucoBoard(shape, 0.07, 0.04, dictionary("4X4_1000"))
+    board.setLegacyPattern(legacy)
+    sheet = np.pad(board.generateImage((shape[0] * 56, shape[1] * 56)), 28, constant_values=255)
+    at = pose(rng, (size[0] / 2 + rng.uniform(-9, 9), size[1] / 2 + rng.uniform(-9, 9)), square, 0.5)
+    image = paste(wall(rng, *size).astype(float), sheet, (shape[0] + 1, shape[1] + 1), at)
+    plane = np.asarray(board.getChessboardCorners())[:, :2] / 0.07 - np.array(shape) / 2
+    return take(image, look, rng), project(at, plane)

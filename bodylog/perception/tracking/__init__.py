@@ -5,14 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from ...sources import Source, TagSource
+from ...sources import CharucoSource, Source, TagSource
 from ...types import Array, Finding, Health, Series
-from . import tags
+from . import charuco, tags
 from .contract import HIDDEN, Tracked, Tracker
 
 __all__ = ["FRAME_SOURCES", "Tracked", "Tracker", "series", "trackers"]
 
-FRAME_SOURCES: Mapping[type[Source], Callable[[Mapping[str, Any]], list[Tracker]]] = {TagSource: tags.trackers}
+FRAME_SOURCES: Mapping[type[Source], Callable[[Mapping[str, Any]], list[Tracker]]] = {
+    TagSource: tags.trackers,
+    CharucoSource: charuco.trackers,
+}
 """The kinds of source that look at frames in the order of the file: features {name: source} -> their trackers."""
 
 

@@ -1,0 +1,68 @@
+"""Corners where two dark and two light squares meet, to a fraction of a pixel, with their covariance."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...types import Array
+from .quads import sample
+
+_HALF = 7
+"""Samples on each side of a corner; they lie as far apart as its window is wide."""
+_TURNS = 4
+_FLOOR = 0.015
+"""px: what all edges of a corner may err by together, as those of a tag."""
+_EXCESS = 2.0
+"""Variance beside the least possible for the noise (the Cramér-Rao bound), of drawn boards."""
+
+
+class Corners(NamedTuple):
+    """uv (K,2) px, NaN where there is no corner within the window · cov (K,2,2) px²."""
+
+    uv: Array
+    cov: Array
+
+
+def refine(gray: Array, uv: Array, reach: Array) -> Corners:
+    """Corners near uv (K,2) px, each within a window of half its `reach` (K,) px to every side.
+
+    Every gradient in the window is to point past the corner: least squares (Förstner & Gülch 1987).
+    """
+    place, cov = uv.copy(), np.full((len(uv), 2, 2), np.nan)
+    offsets = np.linspace(-1, 1, 2 * _HALF + 1)
+    grid = np.stack(np.meshgrid(offsets, offsets), axis=-1)
+    weight = np.exp(-(grid**2).sum(axis=2))[1:-1, 1:-1]
+    for _ in range(_TURNS):
+        step, cov = _step(gray, place, reach, grid, weight)
+        place = place + np.clip(step, -reach[:, None], reach[:, None])
+    far = np.linalg.norm(place - uv, axis=1) > reach
+    return Corners(np.where(far[:, None], np.nan, place), cov)
+
+
+def _step(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -> tuple[Array, Array]:
+    """From each place (K,2) px to where the gradients about it cross, and the covariance (K,2,2) px² of that."""
+    points = place[:, None, None] + reach[:, None, None, None] * grid
+    levels = sample(gray, points)
+    spacing = (reach / _HALF)[:, None, None]
+    gu = (levels[:, 1:-1, 2:] - levels[:, 1:-1, :-2]) / (2 * spacing)
+    gv = (levels[:, 2:, 1:-1] - levels[:, :-2, 1:-1]) / (2 * spacing)
+    gradient = np.stack([gu, gv], axis=-1).reshape(len(place), -1, 2)
+    apart = (points[:, 1:-1, 1:-1] - place[:, None, None]).reshape(len(place), -1, 2)
+    some = weight.ravel()[:, None, None]
+    normal = (some * gradient[..., None] * gradient[..., None, :]).sum(axis=1)
+    along = (gradient * apart).sum(axis=2)
+    inverse = _inverse(normal)
+    step = (inverse @ (some[..., 0] * gradient * along[..., None]).sum(axis=1)[..., None])[..., 0]
+    # turned by half a turn about the corner a perfect one is the same: what differs is noise
+    noise = ((levels - levels[:, ::-1, ::-1]) ** 2).mean(axis=(1, 2)) / 2
+    apart_px = np.minimum(reach / _HALF, 1.0) ** 2
+    cov = (_EXCESS * noise / apart_px)[:, None, None] * inverse + _FLOOR**2 * np.eye(2)
+    return np.nan_to_num(step, nan=np.inf, posinf=np.inf), cov
+
+
+def _inverse(matrix: Array) -> Array:
+    """Of symmetric (K,2,2); NaN where one is singular."""
+    a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
+    det = a * c - b * b
+    det = np.where(det > 1e-6 * (a + c) ** 2, det, np.nan)
+    return np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=1) / det[:, None, None]
