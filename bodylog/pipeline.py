@@ -60,12 +60,15 @@ def _observed(read: Recording, settings: Settings, progress: Progress | None) ->
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
     remarks = (*read.features.findings, carried)
     boards = perception.rigid(wanted(read.settings), read.features.tracks)
-    return replace(read.features, findings=remarks, boards=boards)
+    tracks, health = {**read.tracks, **read.features.tracks}, {**read.features.health, **read.track_health}
+    return replace(read.features, tracks=tracks, health=health, findings=remarks, boards=boards)
 
 
 def _posed(read: Recording, settings: Settings, progress: Progress | None) -> Features:
     """What still poses show: the places their table names, and what is found in its images; strokes need motion."""
     carried = read.features or Features(read.joints, {}, None, (), (), {})
+    tracks, health = {**read.tracks, **carried.tracks}, {**carried.health, **read.track_health}
+    carried = replace(carried, tracks=tracks, health=health)
     if read.frames is not None:
         from . import perception
 

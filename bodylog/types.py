@@ -215,6 +215,7 @@ class Recording:
     what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
     read with. `watched` are the first camera's frames, if someone was told of them while the log was read. `poses`: the
     joints are still poses, each by itself. `beside`: joints of further topics that nobody named.
+    `tracks` and `track_health` {feature: …} are those of [features] that topics or tables have.
     """
 
     name: str
@@ -236,6 +237,8 @@ class Recording:
     watched: Watched | None = None
     poses: bool = False
     beside: tuple[str, ...] = ()
+    tracks: Mapping[str, Series] = field(default_factory=dict)
+    track_health: Mapping[str, Health] = field(default_factory=dict)
 
 
 class ForwardModel(Protocol):

@@ -71,7 +71,9 @@ def walk(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, 
     walker = Walker(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
     leaves = tuple(walker.leaf(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
-    return Layout(walker.pos, _merged(walker.constants), leaves)
+    constants = _merged(walker.constants)
+    # a filter may look further than the last wanted field
+    return Layout(max([walker.pos, *(stop for _, stop in constants)]), constants, leaves)
 
 
 def rest(definition: Definition, payload: Payload, ros1: bool) -> int:

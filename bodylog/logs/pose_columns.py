@@ -68,11 +68,11 @@ def _are_images(files: Array) -> bool:
 
 def _time(left: dict[str, Array], rows: int, remarks: list[str]) -> tuple[str | None, Array]:
     """The column of times, taken out of `left`, and the rows' times (N,) s: their numbers where no column is sound."""
-    name = next((name for name in left if _TIME.fullmatch(name)), None)
+    name, t = time_column(left)
     if name is None:
         remarks.append("no column of times; t is the row's number, counted from 0")
         return None, np.arange(rows, dtype=float)
-    t = left.pop(name) * _scale(name)
+    left.pop(name)
     for other in [other for other in left if _TIME.fullmatch(other)]:
         left.pop(other)
         remarks.append(f"column {other} is a second column of times; {name} is used")
@@ -83,6 +83,12 @@ def _time(left: dict[str, Array], rows: int, remarks: list[str]) -> tuple[str | 
         remarks.append(f"column {name} leaps by more than half a day; t is the row's number, counted from 0")
         return None, np.arange(rows, dtype=float)
     return name, t
+
+
+def time_column(numbers: Mapping[str, Array]) -> tuple[str | None, Array]:
+    """The first column that is a time by its name, and its times (N,) s; None where there is none."""
+    name = next((name for name in numbers if _TIME.fullmatch(name)), None)
+    return (None, np.empty(0)) if name is None else (name, numbers[name] * _scale(name))
 
 
 def _scale(name: str) -> float:

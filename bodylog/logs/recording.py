@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from ..errors import BodylogError
 from ..settings import Settings
-from ..types import Features, Finding, Frame, Health, Recording, Topic, Watched, Watcher
+from ..sources import TableSource, TopicSource
+from ..types import Features, Finding, Frame, Health, Recording, Series, Topic, Watched, Watcher
 from . import cameras, joint_topics, offers, roles, video
 from . import frames as camera
 from .containers import Log, open_log
@@ -33,9 +35,10 @@ def read(
             heard, silent = streams(told or log, found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
+        named = _named(log, path, settings, heard, start_ns, features)
         findings = (*log.findings, *silent, *_findings(log, heard, settings))
     sidecars = _sidecars(path, settings)
-    named = {key: said for key, said in cameras.cameras(settings.topics).items() if key in sidecars}
+    videos = {key: said for key, said in cameras.cameras(settings.topics).items() if key in sidecars}
     films = _films(path, strict, heard, sidecars, settings, start_ns)
     return Recording(
         name=path.name,
@@ -43,7 +46,7 @@ def read(
         start_ns=start_ns,
         duration_s=_duration(heard, log),
         topics=log.topics,
-        roles={role: stream.role.path for role, stream in heard.items()} | named,
+        roles={role: stream.role.path for role, stream in heard.items()} | videos,
         joints=joint_topics.series(heard, settings, start_ns, str(path)),
         skin=series(heard.get("skin"), start_ns, "0..1"),
         truth=series(heard.get("truth"), start_ns, "rad"),
@@ -57,6 +60,8 @@ def read(
         watched=_watched(told, heard.get("camera"), start_ns),
         poses=any(independent(stream.role.topics) for stream in joint_topics.streams_of(heard)),
         beside=joint_topics.beside(heard, settings),
+        tracks={name: track for name, (track, _) in named.items()},
+        track_health={name: health for name, (_, health) in named.items()},
     )
 
 
@@ -168,6 +173,23 @@ def _watched(told: camera.Told | None, seen: Stream | None, start_ns: int) -> Wa
     if told is None or seen is None:
         return None
     return told.watched(seen.rows, seen.dated.t_ns, seen.log_ns, start_ns)
+
+
+def _named(
+    log: Log, path: Path, settings: Settings, heard: Mapping[str, Stream], start_ns: int, carried: Features | None
+) -> dict[str, tuple[Series, Health]]:
+    """Tracks of topics and tables that [features] names, but those the log carries of an earlier run."""
+    known = () if carried is None else carried.tracks
+    rest = {name: source for name, source in settings.features.items() if name not in known}
+    if not any(isinstance(source, TopicSource | TableSource) for source in rest.values()):
+        return {}
+    from . import table_tracks, topic_tracks
+
+    asked = replace(settings, features=rest)
+    dated = next((stream.dated for stream in joint_topics.streams_of(heard)), None)
+    late_ns = (dated.offset_ns or 0) if dated is not None and dated.clock == "header" else 0
+    found = dict(topic_tracks.tracks(log, asked, start_ns, late_ns))
+    return found | dict(table_tracks.tracks(path, asked, start_ns, _duration(heard, log)))
 
 
 def _is_ours(log: Log) -> bool:

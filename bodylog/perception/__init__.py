@@ -29,6 +29,7 @@ def observe(recording: Recording, settings: Settings, progress: Progress | None 
     Health is kept per track, and for "touch".
     """
     tracks, health, findings, size = _tracks(recording, settings, progress)
+    tracks, health = {**tracks, **recording.tracks}, {**health, **recording.track_health}
     touches = None
     if recording.skin is not None:
         touches, health["touch"], felt = skin.touches(recording.skin, settings.skin)
@@ -59,7 +60,10 @@ def _tracks(
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...], tuple[int, int] | None]:
     """Tracks, health and findings of all cameras, and width and height (px) of the first one's pictures if known."""
     if recording.frames is None:
-        return {}, {}, (Finding("info", "camera: none in this log; no tracks, no strokes"),), None
+        said = "camera: none in this log; no tracks but those that topics and tables have" if recording.tracks else (
+            "camera: none in this log; no tracks, no strokes"
+        )
+        return {}, {}, (Finding("info", said),), None
     features, watched = wanted(settings), recording.watched
     if watched is not None and isinstance(watched.by, Looking):
         seen = watched.by.seen(watched)
