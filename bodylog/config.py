@@ -134,6 +134,9 @@ ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = {
 
 
 LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
+    ("input", "max_image_mpx"): (1e-3, 1e4),
+    ("input", "max_message_mb"): (1, 1e5),
+    ("input", "max_unpacked_gb"): (1e-3, 1e6),
     ("topics", "rate"): (1e-3, 1e6),
     ("topics", "start"): (-9e9, 9e9),
     ("skin", "threshold"): (0, 1),

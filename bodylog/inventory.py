@@ -1,6 +1,5 @@
 """What is in a file: a log here or behind a URL, or a body model."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,6 +9,7 @@ from . import stores
 from .files import is_archive
 from .settings import Settings
 from .types import ForwardModel
+from .values import read_json
 
 
 def info(log: Path | str, settings: Settings) -> dict[str, Any]:
@@ -69,6 +69,6 @@ def _sense(sense: ForwardModel, joints: Sequence[str]) -> dict[str, Any]:
 def _parsed(value: Any) -> Any:
     """A text that holds JSON as what it holds."""
     try:
-        return json.loads(value) if isinstance(value, str) else value
+        return read_json(value) if isinstance(value, str) else value
     except ValueError:
         return value

@@ -11,7 +11,7 @@ from .files import sha256
 from .outputs import Output
 from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
 from .remarks import named, sightings, untold
-from .settings import Settings, plain, wanted
+from .settings import LIMITS, Input, Settings, plain, wanted
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
 Progress = Callable[[int], None]
@@ -84,7 +84,7 @@ def extract(
     from .logs import annotate, export
 
     distinct([log], [Output(out), *folders("--csv", tables)], settings)
-    with annotate.begun(log, out, whole=False) as written:
+    with annotate.begun(log, out, whole=False, limits=settings.input) as written:
         read, features = observe(log, settings, progress)
         something_seen(log, features)
         roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
@@ -162,7 +162,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
     distinct([log, body], [Output(out)], settings)
     learned = model.load(body)
     estimation.check(learned, settings.estimate)
-    with annotate.begun(log, out) as written:
+    with annotate.begun(log, out, limits=settings.input) as written:
         read, features = observe(log, settings, progress)
         written.copy()
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
@@ -232,15 +232,15 @@ def ingest(
     return Result(out, findings=findings)
 
 
-def doctor(log: Path, repair: Path | None = None, strict: bool = False) -> Result:
+def doctor(log: Path, repair: Path | None = None, strict: bool = False, limits: Input = LIMITS) -> Result:
     """What is wrong with a log; with `repair`, what is sound of it is written there; `strict`: LogError at a loss."""
     from .logs import doctor as logs_doctor
 
     if repair is not None:
         distinct([log], [Output(repair, "--repair")])
-    findings = logs_doctor.examine(log, strict)
+    findings = logs_doctor.examine(log, strict, limits)
     if repair is not None:
-        logs_doctor.repair(log, repair)
+        logs_doctor.repair(log, repair, limits)
     return Result(repair, findings=findings)
 
 

@@ -109,7 +109,7 @@ def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tupl
     """What `ingest` makes of a log that Rerun `refused`, raised where that would be nothing, or no estimate."""
     from .logs.containers import open_log
 
-    with open_log(log, settings.input.strict) as opened:
+    with open_log(log, settings.input.strict, settings.input) as opened:
         ours = any(topic.name.startswith("/bodylog/") for topic in opened.topics)
     with suppress(LogError):
         if not ours:
@@ -131,7 +131,7 @@ def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Find
     from .logs.append import is_mcap
     from .logs.containers import open_log
 
-    with open_log(log, settings.input.strict) as opened:
+    with open_log(log, settings.input.strict, settings.input) as opened:
         kind, findings = opened.format, opened.findings
     if kind != "mcap":
         return out, ingest(log, out, settings).findings

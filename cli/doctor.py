@@ -19,8 +19,8 @@ def doctor(logs: tuple[Path, ...], repair: Path | None, common: Common, as_json:
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
-    strict = common.settings().input.strict
-    results, code = each(logs, lambda log: pipeline.doctor(log, repair, strict))
+    how = common.settings().input
+    results, code = each(logs, lambda log: pipeline.doctor(log, repair, how.strict, how))
     if as_json:
         data([{"path": path, **as_data(result)} for path, result in results.items()])
     else:

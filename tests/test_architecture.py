@@ -9,7 +9,7 @@ import bodylog
 
 ROOT = Path(__file__).parents[1]
 STAGES = {"logs", "perception", "body", "estimation", "sim", "evaluation", "report"}
-RECORDS = {"types", "errors", "settings", "sources", "files", "outputs", "temporary", "threads"}
+RECORDS = {"types", "errors", "settings", "sources", "files", "outputs", "temporary", "threads", "values"}
 LAYERS = (
     {*RECORDS, "memory", "stopping", "torn"},
     {"config", "stores", "workers"},

@@ -1,7 +1,6 @@
 """BodyModel <-> .npz: plain arrays and one JSON header, never pickle; the same model gives the same bytes."""
 
 import json
-import sys
 import zipfile
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -14,11 +13,13 @@ import numpy as np
 from ..errors import ModelError
 from ..files import replacing
 from ..types import Array, BodyModel, Noise, TouchConstants
+from ..values import read_json, text
 from .encoders import Polynomial
 from .gp import GP
 
 VERSION = 1
 _KIND = "bodylog body model"
+_WIDEST = 1 << 20
 _HEADER = "header.npy"
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
@@ -46,8 +47,9 @@ _UNITS = {
     "b2": "1/s^2",
     "cells": "px",
 }
-_POSITIVE = ("scales", "amplitude")
-_LARGEST = sys.float_info.max
+_POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude"), ("noise", "spread")
+_LEAST, _LARGEST = 1e-30, 1e30
+"""Of what must be positive, and of any number: squares and products of four of these are finite and not 0."""
 
 
 def save(model: BodyModel, path: Path) -> None:
@@ -103,7 +105,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
         joints = _joints(header["joints"])
         noise, touch = _noise(header["noise"]), TouchConstants(**header["touch"])
         cells = {int(cell): _floats(f"cells.{cell}", place) for cell, place in header.get("cells", {}).items()}
-        senses = {str(n): (_kind(s), tuple(s["outputs"]), str(s["unit"])) for n, s in header["senses"].items()}
+        senses = {text(n): _about(n, sense) for n, sense in header["senses"].items()}
         provenance = _provenance(header["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{path}: field header: {error}; fit the body again") from error
@@ -116,6 +118,11 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
     return BodyModel(joints, learned, noise, touch, provenance, places)
 
 
+def _about(name: str, sense: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
+    """Kind, outputs and unit of a sense."""
+    return _kind(sense), _texts(f"senses.{name}.outputs", sense["outputs"]), text(str(sense["unit"]))
+
+
 def _kind(sense: Mapping[str, Any]) -> str:
     kind = str(sense.get("kind", "gp"))
     if kind not in _SHAPES:
@@ -124,34 +131,42 @@ def _kind(sense: Mapping[str, Any]) -> str:
 
 
 def _parse(path: Path, archive: zipfile.ZipFile) -> Mapping[str, Any]:
-    text = _array(path, archive, _HEADER, "U")
+    said = _array(path, archive, _HEADER, "U")
     try:
-        header = json.loads(str(text), parse_constant=_refuse)
+        header = read_json(str(said))
     except ValueError as error:
         raise ModelError(f"{path}: field header: {error}; fit the body again") from error
     if not isinstance(header, dict) or header.get("kind") != _KIND:
         raise ModelError(f"{path}: field kind: not a {_KIND}; type: bodylog fit LOG -o {path}")
     if header.get("version") != VERSION:
         raise ModelError(f"{path}: field version: found {header.get('version')!r}, possible: {VERSION}; fit it again")
+    units = header.get("units", _UNITS)
+    if units != _UNITS:
+        raise ModelError(f"{path}: field units: found {str(units)[:200]}, possible: {json.dumps(_UNITS)}; fit it again")
     return header
 
 
-def _refuse(name: str) -> None:
-    raise ValueError(f"the number {name} is not finite")
-
-
 def _joints(found: Any) -> tuple[str, ...]:
-    twice = next((name for i, name in enumerate(found) if name in found[:i]), None)
-    if not isinstance(found, list) or twice is not None:
+    names = _texts("joints", found)
+    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if twice is not None or not names:
         raise ValueError(f"joints: found {twice or found!r}, possible: a list that names each joint once")
-    return tuple(str(name) for name in found)
+    return names
+
+
+def _texts(field: str, found: Any) -> tuple[str, ...]:
+    if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
+        raise ValueError(f"{field}: found {str(found)[:200]}, possible: a list of texts")
+    return tuple(text(name) for name in found)
 
 
 def _provenance(found: Any) -> dict[str, Any]:
     provenance = dict(found)
+    if "cameras" in provenance:
+        provenance["cameras"] = list(_texts("provenance.cameras", provenance["cameras"]))
     width = provenance.get("image_width", 1)
-    if isinstance(width, bool) or not isinstance(width, int | float) or not 0 < width <= _LARGEST:
-        raise ValueError(f"provenance.image_width: found {width!r}, possible: a finite positive number, px")
+    if isinstance(width, bool) or not isinstance(width, int | float) or not 1 <= width <= _WIDEST:
+        raise ValueError(f"provenance.image_width: found {width!r}, possible: 1 to {_WIDEST} px")
     return provenance
 
 
@@ -164,9 +179,13 @@ def _noise(found: Mapping[str, Any]) -> Noise:
 
 
 def _floats(field: str, values: Any) -> tuple[float, ...]:
-    if not isinstance(values, list) or not all(isinstance(v, int | float) and abs(v) <= _LARGEST for v in values):
+    if not isinstance(values, list) or not all(_is_number(v) for v in values):
         raise ValueError(f"{field}: found {str(values)[:200]}, possible: a list of finite numbers")
     return tuple(float(v) for v in values)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
 
 
 def _check_noise(
@@ -181,14 +200,14 @@ def _check_noise(
         if name != "encoders":
             expected[f"senses.{name}"] = (noise.senses.get(name, ()), count)
     for field, (values, count) in expected.items():
-        if len(values) != count or not all(v > 0.0 for v in values):
+        if len(values) != count or not all(v >= _LEAST for v in values):
             raise ModelError(f"{path}: field noise.{field}: found {values}, possible: {count} positive variances")
     counts = {"encoder": len(joints), "process": len(joints), **senses}
     for name, errors in noise.std_error.items():
         if name not in counts or len(errors) != counts[name] or min(errors, default=0.0) < 0.0:
             wanted = f"{counts[name]} numbers of at least 0" if name in counts else f"one of {', '.join(counts)}"
             raise ModelError(f"{path}: field noise.std_error.{name}: found {errors}, possible: {wanted}")
-    bad = {k: v for k, v in asdict(touch).items() if not isinstance(v, int | float) or not 0 <= v <= _LARGEST}
+    bad = {k: v for k, v in asdict(touch).items() if not _is_number(v) or v < 0}
     if bad:
         raise ModelError(f"{path}: field touch: found {bad}, possible: finite numbers of at least 0")
 
@@ -210,20 +229,17 @@ def _sense(
         expected = tuple(sizes.setdefault(letter, found.get(letter, 0)) for letter in letters)
         if value.shape != expected or 0 in expected:
             raise ModelError(f"{path}: field {name}/{field}: found shape {value.shape}, possible: {expected}")
-        if not np.isfinite(value).all() or (field in _POSITIVE and value.min() <= 0.0):
-            wanted = "finite positive" if field in _POSITIVE else "finite"
-            raise ModelError(f"{path}: field {name}/{field}: found {_worst(value)}, possible: {wanted} numbers")
+        least = _LEAST if field in _POSITIVE else 0.0 if field in _NOT_NEGATIVE else -_LARGEST
+        bad = value[~((value >= least) & (value <= _LARGEST))]
+        if len(bad):
+            wanted = f"numbers from {least:g} to {_LARGEST:g}"
+            raise ModelError(f"{path}: field {name}/{field}: found {bad[0]}, possible: {wanted}")
         arrays[field] = value
     if kind == "gp":
         return GP(outputs, unit, **arrays)
     if len(outputs) != len(joints):
         raise ModelError(f"{path}: field senses.{name}.outputs: found {len(outputs)}, possible: one for each joint")
     return Polynomial(outputs, unit=unit, **arrays)
-
-
-def _worst(value: Array) -> float:
-    bad = value[~np.isfinite(value)]
-    return float(bad[0] if len(bad) else value.min())
 
 
 def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Array:
@@ -240,7 +256,8 @@ def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Arra
         except (ValueError, KeyError, SyntaxError, TokenError) as error:
             raise ModelError(f"{path}: field {member[:-4]}: not an array; fit the body again") from error
         size = info.file_size - stream.tell()
-        sound = dtype.kind == "U" if kind == "U" else dtype == np.dtype("<f8")
+        whole = all(type(n) is int and 0 <= n <= info.file_size for n in shape)
+        sound = whole and (dtype.kind == "U" if kind == "U" else dtype == np.dtype("<f8"))
         if not sound or size != int(np.prod(shape, dtype=object)) * dtype.itemsize:
             raise ModelError(f"{path}: field {member[:-4]}: found {dtype} {shape} in {size} bytes; fit the body again")
     with archive.open(info) as stream:

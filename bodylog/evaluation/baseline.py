@@ -1,6 +1,5 @@
 """Today's scores held against those of an earlier batch: worse than the tolerance is a broken bound."""
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 from .. import files
 from ..errors import BoundError, InputError, UsageError
 from ..types import Score
+from ..values import read_json
 
 _MOST_BYTES = 256 << 20
 ERRORS = ("joint_rmse",)
@@ -27,9 +27,9 @@ def tolerance(text: str) -> float:
 def load(path: Path) -> dict[str, dict[str, float | None]]:
     """Scores by log name from a results.jsonl; InputError if it is not one."""
     try:
-        rows = [json.loads(line) for line in files.text(path, _MOST_BYTES).splitlines()]
+        rows = [read_json(line) for line in files.text(path, _MOST_BYTES).splitlines()]
         return {row["name"]: dict(row["scores"]) for row in rows}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as err:
+    except (OSError, ValueError, KeyError, TypeError) as err:
         raise InputError(f"{path}: not a results.jsonl of a batch ({err}); type: bodylog batch LOG... -o DIR") from err
 
 

@@ -8,6 +8,7 @@ from ..errors import FormatError
 from ..types import Array
 from .chunks import Chunk, Loose, unpack
 from .compression import Buffer
+from .ledger import Ledger
 from .mapping import fetch
 
 _SHORT, _LONG = 1 << 14, 8 << 20
@@ -17,21 +18,23 @@ Unpacked = Array | FormatError | None
 """A chunk's records, or why there are none; None for messages outside chunks."""
 
 
-def unpacked_parts(data: memoryview, parts: Sequence[Chunk | Loose]) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
+def unpacked_parts(
+    data: memoryview, parts: Sequence[Chunk | Loose], ledger: Ledger
+) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
     """Each part with what it unpacks to, which is valid until the next is asked for."""
     if len(parts) < 3 or _processors() < 2:
-        buffer = Buffer()
+        buffer = Buffer(ledger.path, ledger.limits)
         yield from ((part, _unpacked(data, part, buffer)) for part in parts)
         return
     with ThreadPoolExecutor(1) as pool:
-        yield from _overlapped(data, parts, pool)
+        yield from _overlapped(data, parts, pool, ledger)
 
 
 def _overlapped(
-    data: memoryview, parts: Sequence[Chunk | Loose], pool: ThreadPoolExecutor
+    data: memoryview, parts: Sequence[Chunk | Loose], pool: ThreadPoolExecutor, ledger: Ledger
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
     """Two buffers in turn; the first part comes alone, since who looks at a log's beginning wants no more."""
-    here, there = Buffer(), Buffer()
+    here, there = Buffer(ledger.path, ledger.limits), Buffer(ledger.path, ledger.limits)
     waiting: Future[Unpacked] | None = None
     for number, part in enumerate(parts):
         found = waiting.result() if waiting else _unpacked(data, part, here)

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import FormatError, LogError
 from ..files import replacing
 from ..outputs import Output, guard
+from ..settings import LIMITS, Input
 from ..types import Finding, Outgoing
 from .append import NAME, Base, is_mcap, keepable, messages
 from .copying import Copy
@@ -41,7 +42,7 @@ def annotate(
 
 
 @contextmanager
-def begun(source: Path, out: Path, whole: bool = True) -> Iterator["Annotation"]:
+def begun(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -> Iterator["Annotation"]:
     """`annotate` in steps: the source is read and, where it can stay as it is, copied while the messages are made.
 
     `add` and `about` are to follow, once each; `copy` may come before, once a core is to spare: what takes no time to
@@ -51,7 +52,7 @@ def begun(source: Path, out: Path, whole: bool = True) -> Iterator["Annotation"]
     with replacing(out) as beside:
         base = _base(source) if whole else None
         with Copy(source) if base is None else Copy(source, beside, base.end) as copy, beside.open("r+b") as stream:
-            under_way = Annotation(source, base, copy, stream)
+            under_way = Annotation(source, base, copy, stream, limits)
             yield under_way
             copy.digest()
         verify(beside, under_way.messages, out)
@@ -60,11 +61,11 @@ def begun(source: Path, out: Path, whole: bool = True) -> Iterator["Annotation"]
 class Annotation:
     """An annotated log under way."""
 
-    def __init__(self, source: Path, base: Base | None, copy: Copy, stream: BinaryIO) -> None:
+    def __init__(self, source: Path, base: Base | None, copy: Copy, stream: BinaryIO, limits: Input) -> None:
         """Of `base`, what stays of the source and is being copied; None when all is to be rewritten."""
         self.messages = 0
         self.copy, self.digest = copy.begin, copy.digest
-        self._source, self._base, self._stream = source, base, stream
+        self._source, self._base, self._stream, self._limits = source, base, stream, limits
 
     def add(self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None) -> tuple[Finding, ...]:
         """Our messages, behind all of the source's or `only` those of some topics; what could not be carried over."""
@@ -81,7 +82,7 @@ class Annotation:
 
     def _behind(self, only: Collection[str] | None) -> tuple[Writer, int, tuple[Finding, ...]]:
         if self._base is None:
-            return carry(self._source, self._stream, only)
+            return carry(self._source, self._stream, only, limits=self._limits)
         end, contents = self._base.end, self._base.contents
         kept = sum(contents.counts.values())
         self._stream.seek(end)

@@ -10,10 +10,11 @@ import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
 from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
+from ..values import read_json
 from .append import NAME, ROOT
 from .columns import columns_of
 from .containers import Log, open_log
-from .messages import ERROR, PREDICTED, TRACK, unescape
+from .messages import ERROR, PREDICTED, PREDICTED_NAMES, TRACK, TRACK_NAMES, unescape
 from .records import HEAD, METADATA, METADATA_INDEX, parse
 from .toplevel import TopLevel
 
@@ -88,7 +89,7 @@ def read_features(log: Log, start_ns: int) -> Features | None:
     if not any(name.startswith(TRACK) or name == ROOT + "touch" for name in names):
         return None
     table = _Table(log, start_ns, log.path)
-    tracks = {name: _track(series) for name, series in table.under(TRACK, "px").items()}
+    tracks = {name: _track(series) for name, series in table.tracks().items()}
     touches = table.touches() if ROOT + "touch" in names else None
     strokes, paired = table.strokes()
     pairs = table.synchrony(touches or (), paired)
@@ -110,9 +111,9 @@ def _said(path: Path, metadata: Mapping[str, str]) -> _Said:
     try:
         return _Said(
             metadata.get("method", ""),
-            {sense: Health(**health) for sense, health in json.loads(metadata.get("used", "{}")).items()},
-            dict(json.loads(metadata.get("resolved", "{}"))),
-            tuple(Finding(**finding) for finding in json.loads(metadata.get("findings", "[]"))),
+            {sense: Health(**health) for sense, health in read_json(metadata.get("used", "{}")).items()},
+            dict(read_json(metadata.get("resolved", "{}"))),
+            tuple(Finding(**finding) for finding in read_json(metadata.get("findings", "[]"))),
         )
     except (ValueError, TypeError, AttributeError) as problem:
         raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {_again(path)}") from None
@@ -133,6 +134,8 @@ class _Table:
     def joints(self) -> tuple[Series, Series]:
         """The belief (N,M) rad and its rate (N,M) rad/s."""
         t, source_ns, (names, position, velocity) = self._rows(ROOT + "joint_states")
+        if position.shape != velocity.shape or position.shape != (len(t), len(names)):
+            raise self._unfit(ROOT + "joint_states", f"{len(names)} names, arrays {position.shape}, {velocity.shape}")
         return Series(t, position, names, "rad", source_ns), Series(t, velocity, names, "rad/s", source_ns)
 
     def series(self, topic: str, unit: str) -> Series | None:
@@ -140,6 +143,8 @@ class _Table:
         if topic not in self.columns:
             return None
         t, source_ns, (names, data, *_) = self._rows(topic)
+        if data.shape != (len(t), len(names)):
+            raise self._unfit(topic, f"{len(names)} names, {data.shape[1]} values")
         return Series(t, data, names, unit, source_ns)
 
     def under(self, prefix: str, unit: str) -> dict[str, Series]:
@@ -147,10 +152,18 @@ class _Table:
         names = [topic for topic in self.columns if topic.startswith(prefix)]
         return {unescape(name[len(prefix) :]): s for name in names if (s := self.series(name, unit)) is not None}
 
+    def tracks(self) -> dict[str, Series]:
+        """What was tracked: u, v and their standard deviations (N,4) px."""
+        found = self.under(TRACK, "px")
+        for name, series in found.items():
+            if len(series.names) != len(TRACK_NAMES):
+                raise self._unfit(TRACK + name, f"{len(series.names)} names, not {len(TRACK_NAMES)}")
+        return found
+
     def aligned(self, name: str, joints: Series, width: int) -> Array:
         """Values (N,width) that go with each row of `joints`; LogError when they do not."""
         t, _, values = self._rows(ROOT + name)
-        data: Array = values[-1].reshape(len(t), -1)
+        data: Array = values[-1].reshape(len(t), values[-1].size // max(1, len(t)))
         if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
             raise LogError(f"{self.path}: {ROOT}{name} does not go with {ROOT}joint_states; {_again(self.path)}")
         return data
@@ -159,6 +172,8 @@ class _Table:
         """Predictions (K,2) px with their standard deviations, and covariances (K,2,2) px²."""
         series, cov = {}, {}
         for name, found in self.under(PREDICTED, "px").items():
+            if len(found.names) != len(PREDICTED_NAMES):
+                raise self._unfit(PREDICTED + name, f"{len(found.names)} names, not {len(PREDICTED_NAMES)}")
             series[name] = _track(found)
             std, between = found.values[:, 2:4], found.values[:, 4]
             rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
@@ -213,6 +228,9 @@ class _Table:
             for since, amount in zip((stamp - self.start_ns) / 1e9, size, strict=True):
                 found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0]))
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
+
+    def _unfit(self, topic: str, found: str) -> LogError:
+        return LogError(f"{self.path}: {topic}: {found}; {_again(self.path)}")
 
     def _parts(self, topic: str) -> list[tuple[tuple[Any, ...], Array]]:
         columns = self.columns.get(topic)

@@ -87,7 +87,7 @@ def _scan(data: memoryview, survey: BagSurvey, ledger: Ledger) -> None:
     def cut(at: int) -> int | None:
         return _cut(data, at, survey, ledger)
 
-    buffer = Buffer()
+    buffer = Buffer(ledger.path, ledger.limits)
     for record in sound_records(data, len(MAGIC), len(data), lost, cut):
         try:
             if record.op == CONNECTION:
@@ -116,7 +116,7 @@ def _cut(data: memoryview, at: int, survey: BagSurvey, ledger: Ledger) -> int | 
     if not len(walked(memoryview(content), 0, len(content), at, Ledger(Path())).starts):
         return None
     ledger.lost(at, None, None, None, why + "unpack")
-    _open(data, BagChunk(at, {}, cut=True), survey, Buffer(), ledger)
+    _open(data, BagChunk(at, {}, cut=True), survey, Buffer(ledger.path, ledger.limits), ledger)
     return len(data)
 
 

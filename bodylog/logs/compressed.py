@@ -1,5 +1,6 @@
 """JPEG, PNG and WebP -> BGR, checked before memory is taken; what their libraries would say of damage stays unsaid."""
 
+import math
 import struct
 from contextlib import suppress
 from zlib import crc32
@@ -7,27 +8,30 @@ from zlib import crc32
 import numpy as np
 
 from ..errors import FormatError
+from ..settings import LIMITS
 from ..types import Array
 
-MOST_PIXELS = 1 << 27
 _PNG, _NEEDED = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"IDAT")
 _EOI, _TAIL = b"\xff\xd9", 64
 
 
-def unpacked(data: memoryview, form: str, k: int) -> Array:
+def unpacked(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
     """(H/k, W/k, 3) uint8 BGR of a picture's bytes; FormatError, which says its `form`, when there is none in them."""
     height, width, jpeg = _size(data[: 1 << 16], form)
-    check_size(height, width)
+    check_size(height, width, mpx)
     image = _jpeg(data, height, width, k) if jpeg else None
     if image is None:
         image = _any_picture(data, form, k if jpeg else 1)
     return image if jpeg or k == 1 else _shrunk(image, k)
 
 
-def check_size(height: int, width: int) -> None:
-    """FormatError for a picture without pixels, or with more than anybody's."""
-    if not 0 < height * width <= MOST_PIXELS:
-        raise FormatError(f"a picture of {width} x {height} pixels; at least 1 and at most {MOST_PIXELS} in all")
+def check_size(height: int, width: int, mpx: float) -> None:
+    """FormatError for an image without pixels, or with more than `mpx` million, which names the setting."""
+    if height * width <= 0:
+        raise FormatError(f"a picture of {width} x {height} pixels")
+    if height * width > mpx * 1e6:
+        asked = f"type in robot.toml: [input] max_image_mpx = {math.ceil(height * width / 1e6)}"
+        raise FormatError(f"a picture of {width} x {height} pixels, more than {mpx:g} million; {asked}")
 
 
 def _jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
@@ -53,6 +57,7 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
 
     if data[:8] == _PNG:
         _check_png(data, form)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)

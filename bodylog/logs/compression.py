@@ -1,12 +1,15 @@
 """Decompress one chunk after another into one buffer that stays: fresh buffers cost more than lz4 itself."""
 
 import bz2
+import math
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import FormatError
+from ..errors import FormatError, LogError
+from ..settings import LIMITS, Input
 from ..types import Array
 
 NAMES = ("", "none", "lz4", "zstd", "bz2")
@@ -15,17 +18,47 @@ NAMES = ("", "none", "lz4", "zstd", "bz2")
 STORED = ("", "none")
 """Those that leave the bytes as they are."""
 
-_ALWAYS = 64 << 20
-_RATIO = 1024
+_RATIO, _LIKELY = 1024, 16
+"""Times the bytes packed that all of a file, and one chunk or message, may unpack to whatever the limits are."""
+
 _PIECE = 128 << 10
+
+
+class Allowance:
+    """How much may be unpacked: of one chunk or message, and of a file in all."""
+
+    def __init__(self, path: Path | None, limits: Input) -> None:
+        """Nothing unpacked yet of the log at `path`."""
+        self._path, self._limits = path, limits
+        self._packed = self._unpacked = 0
+
+    def single(self, packed: int) -> int:
+        """Bytes that one chunk or message of `packed` bytes may unpack to."""
+        return max(int(self._limits.max_message_mb * 1e6), _LIKELY * packed)
+
+    def take(self, packed: int, size: int) -> None:
+        """Count `size` bytes that `packed` bytes unpack to: FormatError for too large a one, LogError for too many."""
+        if size > self.single(packed):
+            asked = f"type in robot.toml: [input] max_message_mb = {math.ceil(size / 1e6)}"
+            raise FormatError(f"{packed} packed bytes claim to hold {size}; to unpack them, {asked}")
+        self._packed, self._unpacked = self._packed + packed, self._unpacked + size
+        self.check(self._packed, self._unpacked)
+
+    def check(self, packed: int, size: int) -> None:
+        """LogError, which names the setting, where a file of `packed` bytes unpacks to `size` and may not."""
+        whole = self._limits.max_unpacked_gb
+        if size > max(int(whole * 1e9), _RATIO * packed):
+            said = f"{self._path}: it unpacks to more than {whole:g} GB, {_RATIO} times its size or more"
+            raise LogError(f"{said}; to read it, type in robot.toml: [input] max_unpacked_gb = {math.ceil(4 * whole)}")
 
 
 class Buffer:
     """The reused buffer; what `load` returns is valid until the next `load`."""
 
-    def __init__(self) -> None:
-        """Start empty; the buffer grows to the largest chunk."""
+    def __init__(self, path: Path | None = None, limits: Input = LIMITS) -> None:
+        """Start empty, for the log at `path`; the buffer grows to the largest chunk."""
         self._bytes: Array = np.empty(0, np.uint8)
+        self._allowance = Allowance(path, limits)
 
     def load(self, compression: str, packed: memoryview, size: int, partly: bool = False) -> Array:
         """The `size` bytes (size,) uint8 that `packed` unpacks to; FormatError if it does not, or claims too much.
@@ -38,8 +71,7 @@ class Buffer:
             return np.frombuffer(packed, np.uint8)
         if compression not in _PIECES:
             raise FormatError(f"compression {compression!r}; known are none, lz4, zstd, bz2")
-        if size > max(_ALWAYS, _RATIO * len(packed)):
-            raise FormatError(f"{len(packed)} packed bytes claim to hold {size}")
+        self._allowance.take(len(packed), size)
         if size > len(self._bytes):
             self._bytes = np.empty(size, np.uint8)
         return self._bytes[: _fill(self._bytes[:size], compression, packed, partly)]
@@ -110,18 +142,21 @@ def _place(piece: bytes, target: memoryview, at: int) -> int:
 _PIECES: dict[str, Any] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
 
 
-def unpack_zstd(payload: memoryview, limit: int) -> bytes:
-    """One zstd frame, at most `limit` bytes of it; FormatError if it is damaged or larger."""
+def unpack_zstd(payload: memoryview, allowance: Allowance) -> bytes:
+    """One zstd frame, as large as is allowed; FormatError if it is damaged or larger."""
     import zstandard
 
     try:
         size = zstandard.get_frame_parameters(payload).content_size
+        known = size != zstandard.CONTENTSIZE_UNKNOWN
+        if known:
+            allowance.take(len(payload), size)
         with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
-            content = bytes(reader.read(limit + 1))
+            content = bytes(reader.read((size if known else allowance.single(len(payload))) + 1))
     except zstandard.ZstdError as problem:
         raise FormatError(f"zstd data is damaged: {problem}") from None
-    if len(content) > limit:
-        raise FormatError(f"zstd data of {len(payload)} bytes holds more than {limit}")
-    if size not in (zstandard.CONTENTSIZE_UNKNOWN, len(content)):
+    if not known:
+        allowance.take(len(payload), len(content))
+    elif size != len(content):
         raise FormatError(f"zstd data holds {len(content)} bytes where {size} are declared")
     return content

@@ -1,12 +1,14 @@
 """Open any log: the file's first bytes say what it is, FORMATS who reads it."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self
 
 from ..errors import LogError
 from ..files import lasting
+from ..settings import LIMITS, Input
 from ..types import Batch, Finding, Topic
 from .table_file import kind as table_kind
 from .unpacked import ZSTD, unpack_file
@@ -48,31 +50,39 @@ class Log(Protocol):
         """Close."""
 
 
-def open_log(path: Path, strict: bool = False) -> Log:
-    """The log in a file or folder; LogError when it is none, or when `strict` and something in it is lost."""
+def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
+    """The log in a file or folder; LogError when it is none, or when `strict` and something in it is lost.
+
+    `limits`: how much what is packed may unpack to.
+    """
     if not path.exists():
         raise LogError(f"{path}: there is no such file or folder; check the name")
     try:
         if path.is_dir():
-            return _rosbag2(path, strict)
+            return _rosbag2(path, strict, limits)
         lasting(path)
         with path.open("rb") as stream:
             first = stream.read(32)
         if first.startswith(ZSTD):
-            return unpack_file(path, lambda inner: _opened(path, strict, inner))
-        return _opened(path, strict, path)
+            return unpack_file(path, lambda inner: _opened(path, strict, inner, limits), limits, partial(_opener, path))
+        return _opened(path, strict, path, limits)
     except OSError as problem:
         raise LogError(f"{path}: it cannot be read: {problem.strerror or problem}") from None
 
 
-def _opened(path: Path, strict: bool, source: Path) -> Log:
+def _opened(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     with source.open("rb") as stream:
         first = stream.read(32)
+    return _opener(path, first)(path, strict, source, limits)
+
+
+def _opener(path: Path, first: bytes) -> "Opener":
+    """Who opens a log that begins so; LogError when it is none."""
     for magic, opener in FORMATS.items():
         if first.startswith(magic):
-            return opener(path, strict, source)
+            return opener
     if first and not first.startswith(_LFS) and table_kind(path):
-        return _poses(path, strict, source)
+        return _poses
     known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; tables of poses .csv, .parquet, .yaml"
     raise LogError(f"{path}: {_what_it_is(first)}; {known}")
 
@@ -103,40 +113,43 @@ def _what_it_is(first: bytes) -> str:
     return f"not a log: it begins with {first[:12]!r}"
 
 
-def _mcap(path: Path, strict: bool, source: Path) -> Log:
+def _mcap(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .mcap import McapLog
 
-    return McapLog(path, strict, source)
+    return McapLog(path, strict, source, limits)
 
 
-def _bag(path: Path, strict: bool, source: Path) -> Log:
+def _bag(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .rosbag import BagLog
 
-    return BagLog(path, strict, source)
+    return BagLog(path, strict, source, limits)
 
 
-def _db3(path: Path, strict: bool, source: Path) -> Log:
+def _db3(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .sqlite import Db3Log
 
-    return Db3Log(path, strict, source)
+    return Db3Log(path, strict, source, limits)
 
 
-def _poses(path: Path, strict: bool, source: Path) -> Log:
+def _poses(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .pose_log import PoseLog
 
-    return PoseLog(path, strict, source)
+    return PoseLog(path, strict, source, limits)
 
 
-def _rosbag2(path: Path, strict: bool) -> Log:
+def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:
     from .rosbag2 import Rosbag2Log
 
-    return Rosbag2Log(path, strict)
+    return Rosbag2Log(path, strict, limits)
 
 
-FORMATS: Mapping[bytes, Callable[[Path, bool, Path], Log]] = {
+Opener = Callable[[Path, bool, Path, Input], Log]
+"""Log's path, strict, the file to read (unpacked, if it was packed), limits -> the log."""
+
+FORMATS: Mapping[bytes, Opener] = {
     b"\x89MCAP0\r\n": _mcap,
     b"#ROSBAG V2.0": _bag,
     b"SQLite format 3\x00": _db3,
     b"PAR1": _poses,
 }
-"""First bytes of a file -> who opens it: log's path, strict, and the file to read (unpacked, if it was packed)."""
+"""First bytes of a file -> who opens it."""

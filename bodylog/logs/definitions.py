@@ -24,6 +24,16 @@ _LINE = re.compile(
     r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?\s*(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
 _LARGEST = 1 << 31
+_LONGEST = 1 << 20
+"""Bytes of a definition; the longest of a common robot's, with all that it needs, has 30 kB."""
+_DEEPEST, _MOST_SIZES, _MOST_STRINGS = 4, 300, 300
+"""Of IDL: brackets in one another, sizes and operators, texts. Its parser takes twice as long for each sequence around
+a sequence, and time by the square of the others: some 0.1 s so far. What rosidl writes has a tenth of that."""
+_OPENS = frozenset("<([")
+_VERBATIM = re.compile(r'@verbatim\s*\((?:[^()"]|"(?:[^"\\]|\\.)*")*\)')
+_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*"')
+_COMMENTS = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
+_SIZES = re.compile(r"\[|<\s*\w*\d|,\s*\w*\d\w*\s*>|[-+*/%|^&~]")
 _MOST_TYPES = 10_000
 
 
@@ -48,6 +58,8 @@ class Definition:
 @lru_cache(maxsize=256)
 def parse(text: bytes, root: str, encoding: str) -> Definition:
     """The definition of `root` from `text`; FormatError when a line or a type cannot be understood."""
+    if len(text) > _LONGEST:
+        raise FormatError(f"{root}: a definition of {len(text)} bytes; at most {_LONGEST} are read")
     ros1 = encoding == "ros1msg"
     sections = _idl_sections(text, root) if encoding == "ros2idl" else _sections(text, root, ros1)
     types: dict[str, tuple[Field, ...]] = {}
@@ -174,6 +186,8 @@ def _idl_sections(text: bytes, root: str) -> dict[str, tuple[Field, ...]]:
         body = piece[heading.end() :] if heading else piece
         if not body.strip():
             continue
+        body = _VERBATIM.sub("", body)
+        _check_idl(body, root)
         try:
             found = get_types_from_idl(body)
         except Exception as error:
@@ -181,3 +195,20 @@ def _idl_sections(text: bytes, root: str) -> dict[str, tuple[Field, ...]]:
         for name, (_, fields) in found.items():
             sections[name] = tuple(_described(label, node) for label, node in fields)
     return sections
+
+
+def _check_idl(body: str, root: str) -> None:
+    """FormatError for what takes the IDL parser long: brackets in one another, many sizes or texts."""
+    bare = _COMMENTS.sub(" ", _QUOTED.sub(" ", body))
+    depth = deepest = 0
+    for sign in re.findall(r"[<(\[>)\]]", bare):
+        depth = max(0, depth + (1 if sign in _OPENS else -1))
+        deepest = max(deepest, depth)
+    counts = (
+        (deepest, _DEEPEST, "brackets in one another"),
+        (len(_SIZES.findall(bare)), _MOST_SIZES, "array sizes and operators"),
+        (body.count('"'), 2 * _MOST_STRINGS, "quotes"),
+    )
+    for count, most, what in counts:
+        if count > most:
+            raise FormatError(f"{root}: the IDL definition has {count} {what}; at most {most} are read")

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import LogError
+from ..settings import LIMITS, Input
 from ..types import Finding
 from .containers import Log, open_log
 from .ledger import Ledger
@@ -45,16 +46,16 @@ class _Remarks:
             yield Finding("warning", f"{self._path}: {texts[0]}{more}")
 
 
-def examine(path: Path, strict: bool = False) -> tuple[Finding, ...]:
+def examine(path: Path, strict: bool = False, limits: Input = LIMITS) -> tuple[Finding, ...]:
     """Everything wrong with a log, read from end to end; LogError when it is none, or when strict and part is lost."""
     remarks = _Remarks(path)
-    with open_log(path, strict) as log:
+    with open_log(path, strict, limits) as log:
         seen = _read(log)
         _compare(log, seen, remarks)
         if log.format == "rosbag2":
             _metadata(log, seen, remarks)
         own = log.findings
-    inner = [found for file in _mcaps(path) for found in _check(file)]
+    inner = [found for file in _mcaps(path) for found in _check(file, limits)]
     return tuple(dict.fromkeys((*own, *remarks.findings(), *inner)))
 
 
@@ -127,7 +128,7 @@ def _mcaps(path: Path) -> list[Path]:
     return [file for file in files if ".mcap" in file.suffixes]
 
 
-def _check(file: Path) -> list[Finding]:
+def _check(file: Path, limits: Input) -> list[Finding]:
     from .mcap_checks import check
 
     def checked(source: Path) -> list[Finding]:
@@ -135,10 +136,10 @@ def _check(file: Path) -> list[Finding]:
         with source.open("rb") as stream:
             if stream.read(8) == b"\x89MCAP0\r\n":
                 data = mapped(source)
-                check(data, file, remarks.say)
+                check(data, Ledger(file, limits=limits), remarks.say)
                 uncut(data, file)
         return list(remarks.findings())
 
     with file.open("rb") as stream:
         packed = stream.read(4) == ZSTD
-    return unpack_file(file, checked) if packed else checked(file)
+    return unpack_file(file, checked, limits) if packed else checked(file)

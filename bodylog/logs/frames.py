@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..settings import Input
 from ..types import Array, Batch, Frame, Topic, Watched, Watcher
 from . import images
 from .clocks import seconds
@@ -18,10 +19,10 @@ from .walker import Payload
 class Told:
     """A log whose camera's pictures are told of on their way to who reads its batches."""
 
-    def __init__(self, log: Log, topics: tuple[Topic, ...], watch: Watcher) -> None:
+    def __init__(self, log: Log, topics: tuple[Topic, ...], watch: Watcher, limits: Input) -> None:
         """The camera's topics: one name, several ids where it has several schemas."""
         self._log, self._watch, self._count = log, watch, 0
-        self._decoders = {topic.id: images.decoder(topic) for topic in topics}
+        self._decoders = {topic.id: images.decoder(topic, limits.max_image_mpx) for topic in topics}
         self._shrinks = {topic.id: topic.type in images.COMPRESSED for topic in topics}
         self._numbers: dict[int, list[Array]] = {topic.id: [np.empty(0, np.int64)] for topic in topics}
 
@@ -47,7 +48,7 @@ class Told:
 
 def frames(
     path: Path,
-    strict: bool,
+    limits: Input,
     topics: tuple[Topic, ...],
     counts: tuple[int, ...],
     rows: Array,
@@ -63,14 +64,14 @@ def frames(
     rank[rows] = np.arange(len(rows))
     starts = np.concatenate([[0], np.cumsum(counts)])[:-1]
     places = {topic.id: rank[start : start + n] for topic, start, n in zip(topics, starts, counts, strict=True)}
-    decoders = {topic.id: images.decoder(topic) for topic in topics}
+    decoders = {topic.id: images.decoder(topic, limits.max_image_mpx) for topic in topics}
     shrink = {topic.id: topic.type in images.COMPRESSED for topic in topics}
     t = seconds(t_ns, start_ns)
 
     def read() -> Iterator[Frame]:
         waiting: list[tuple[int, Frame]] = []
         due = 0
-        for number, frame in _frames(path, strict, places, decoders, shrink, t):
+        for number, frame in _frames(path, limits, places, decoders, shrink, t):
             heapq.heappush(waiting, (number, frame))
             while waiting and waiting[0][0] == due:
                 yield heapq.heappop(waiting)[1]
@@ -81,14 +82,14 @@ def frames(
 
 def _frames(
     path: Path,
-    strict: bool,
+    limits: Input,
     places: dict[int, Array],
     decoders: dict[int, Callable[[Payload, int], Array]],
     shrink: dict[int, bool],
     t: Array,
 ) -> Iterator[tuple[int, Frame]]:
     seen = dict.fromkeys(places, 0)
-    with open_log(path, strict) as log:
+    with open_log(path, limits.strict, limits) as log:
         for batch in log.batches(tuple(places)):
             id_ = batch.topic_id
             numbers = places[id_][seen[id_] : seen[id_] + len(batch.log_ns)].tolist()

@@ -1,6 +1,5 @@
 """Picture payloads -> BGR: ROS and Foxglove images, raw or compressed, checked before memory is taken."""
 
-import binascii
 import re
 from base64 import b64decode
 from collections.abc import Callable, Mapping
@@ -9,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FormatError
+from ..settings import LIMITS
 from ..types import Array, Topic
 from .columns import definition_of, is_ros1, speaks_ros1
 from .compressed import check_size, unpacked
@@ -85,9 +85,10 @@ def text_field(topic: Topic) -> str:
     return "format" if topic.type in COMPRESSED else "encoding"
 
 
-def decoder(topic: Topic) -> Callable[[Payload, int], Array]:
+def decoder(topic: Topic, mpx: float = LIMITS.max_image_mpx) -> Callable[[Payload, int], Array]:
     """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError says what is wrong.
 
+    Images of more than `mpx` million pixels are refused.
     What is stored raw is not copied: it is the payload's own bytes in another order, and may not be written to.
     """
     read = _reader(topic, _FIELDS.get(topic.type, _RAW_FIELDS))
@@ -95,9 +96,9 @@ def decoder(topic: Topic) -> Callable[[Payload, int], Array]:
 
     def decode(payload: Payload, k: int) -> Array:
         try:
-            return unpack(read(payload), k)
+            return unpack(read(payload), k, mpx)
         except (FormatError, TypeError, ValueError) as error:
-            # JSON may hold anything under any name.
+            # JSON may hold anything under any name, and OpenCV converts not every size.
             raise FormatError(f"{topic.name}: {str(error).removeprefix(f'{topic.name}: ')}") from None
 
     return decode
@@ -123,28 +124,44 @@ def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[Payload], Mappin
 
 
 def _with_bytes(message: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {**message, "data": content(message)}
+
+
+def content(message: Mapping[str, Any]) -> bytes:
+    """The bytes of an image's message, in JSON as base64; FormatError when it has others."""
     data = message.get("data", b"")
     try:
-        return {**message, "data": b64decode(data, validate=True) if isinstance(data, str) else data}
-    except binascii.Error as error:
+        data = b64decode(data, validate=True) if isinstance(data, str) else data
+    except ValueError as error:
         raise FormatError(f"data is not base64: {error}") from None
+    if not isinstance(data, bytes):
+        raise FormatError(f"data is {str(data)[:20]!r}; possible: bytes, in JSON as base64")
+    return data
 
 
-def _compressed(message: Mapping[str, Any], k: int) -> Array:
+def _compressed(message: Mapping[str, Any], k: int, mpx: float) -> Array:
     form = str(message.get("format", ""))
     if "compresseddepth" in form.lower():
         raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not a picture")
-    return unpacked(memoryview(message.get("data", b"")), form, k)
+    return unpacked(memoryview(message.get("data", b"")), form, k, mpx)
 
 
-def _raw(message: Mapping[str, Any], k: int) -> Array:
-    height, width, name = int(message.get("height", 0)), int(message.get("width", 0)), str(message.get("encoding", ""))
+def whole(message: Mapping[str, Any], name: str) -> int:
+    """A size of an image's message, 0 if it has none of that name; FormatError when it is no number of 32 bits."""
+    value = message.get(name, 0)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < 1 << 32:
+        raise FormatError(f"{name} is {str(value)[:20]}; possible: 0 to {(1 << 32) - 1}")
+    return int(value)
+
+
+def _raw(message: Mapping[str, Any], k: int, mpx: float) -> Array:
+    height, width, name = whole(message, "height"), whole(message, "width"), str(message.get("encoding", ""))
     if name not in ENCODINGS:
         raise FormatError(f"encoding {name!r} is none of {', '.join(ENCODINGS)}")
     encoding = ENCODINGS[name]
-    check_size(height, width)
+    check_size(height, width, mpx)
     data, line = message.get("data", b""), width * encoding.channels * encoding.size
-    step, lines = int(message.get("step", 0)) or line, height
+    step, lines = whole(message, "step") or line, height
     if encoding.below:  # publishers disagree on the step of these, so it is what the bytes make it
         lines = height * 3 // 2
         step = len(data) // lines
@@ -165,6 +182,10 @@ def _to_bgr(rows: Array, encoding: _Encoding, big: bool, k: int) -> Array:
         # The high byte alone: what 16 to 8 bits means to every decoder.
         pixels = pixels[:, :, 0 if big else 1 :: 2]
     if encoding.code is not None:
-        pixels = cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, encoding.code))
+        try:
+            pixels = cv2.cvtColor(np.ascontiguousarray(pixels), getattr(cv2, encoding.code))
+        except cv2.error:
+            size = f"{pixels.shape[1]} x {pixels.shape[0]}"
+            raise FormatError(f"{size} pixels, too few or too odd to convert ({encoding.code[6:]})") from None
     found = pixels[::k, ::k, encoding.bgr]
     return found if found.shape[2] == 3 else np.broadcast_to(found, (*found.shape[:2], 3))

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from ..errors import LogError
+from ..settings import LIMITS, Input
 from ..types import Finding
 
 _SHOWN = 8
@@ -12,22 +13,25 @@ _Loss = tuple[int, int | None, int | None, float | None, str]
 
 
 class Ledger:
-    """Findings of the log at `path`; with `strict` the first loss is raised as LogError."""
+    """Findings of the log at `path`; with `strict` the first loss is raised as LogError.
 
-    def __init__(self, path: Path, strict: bool = False) -> None:
+    `limits`: how much what is packed in the log may unpack to.
+    """
+
+    def __init__(self, path: Path, strict: bool = False, limits: Input = LIMITS) -> None:
         """Start empty."""
-        self._path = path
+        self.path, self.limits = path, limits
         self._strict = strict
         self._remarks: dict[str, Finding] = {}
         self._losses: dict[int, tuple[int | None, int | None, float | None, str]] = {}
 
     def warn(self, text: str) -> None:
         """Something is wrong, but nothing was lost by it."""
-        self._remarks.setdefault(text, Finding("warning", f"{self._path}: {text}"))
+        self._remarks.setdefault(text, Finding("warning", f"{self.path}: {text}"))
 
     def info(self, text: str) -> None:
         """Something worth knowing."""
-        self._remarks.setdefault(text, Finding("info", f"{self._path}: {text}"))
+        self._remarks.setdefault(text, Finding("info", f"{self.path}: {text}"))
 
     def lost(self, start: int, size: int | None, messages: int | None, seconds: float | None, why: str) -> None:
         """`size` bytes at byte `start` cannot be used; messages and seconds when known; LogError when strict."""
@@ -35,7 +39,7 @@ class Ledger:
             self._losses[start] = (size, messages, seconds, why)
             if self._strict:
                 text = self._losses_text([(start, *self._losses[start])])[0]
-                raise LogError(f"{self._path}: {text}; type the command without --strict to use the rest")
+                raise LogError(f"{self.path}: {text}; type the command without --strict to use the rest")
 
     def add(self, start: int, messages: int) -> None:
         """The loss at byte `start` turns out to have held that many messages, or that many more."""
@@ -55,7 +59,7 @@ class Ledger:
         if len(losses) > _SHOWN:
             rest = losses[_SHOWN - 1 :]
             texts.append(f"{len(rest)} more places are lost: {_amount(rest)}")
-        return (*self._remarks.values(), *(Finding("lost", f"{self._path}: {text}") for text in texts))
+        return (*self._remarks.values(), *(Finding("lost", f"{self.path}: {text}") for text in texts))
 
     @staticmethod
     def _losses_text(losses: list[_Loss]) -> list[str]:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError
+from ..settings import LIMITS, Input
 from ..types import Array, Batch, Finding, Topic
 from .ahead import unpacked_parts
 from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, messages
@@ -15,7 +16,7 @@ from .mapping import bring, fetch, forget, mapped, uncut
 from .records import HEAD, MAGIC, SCHEMA, Record, parse
 from .spans import spans_of
 from .stored import runs, together
-from .topics import Topics, split
+from .topics import Topics, span, split
 from .unpacked import unpacked
 
 
@@ -52,17 +53,18 @@ class McapLog:
 
     format = "mcap"
 
-    def __init__(self, path: Path, strict: bool = False, source: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
         """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
         from .salvage import survey_of
 
         self.path = path
-        self._ledger = Ledger(path, strict)
+        self._ledger = Ledger(path, strict, limits)
         self._data = mapped(source or path)
         self.survey = survey_of(self._data, self._ledger)
         self.topics, self._topic_of = _topics(self.survey, self._ledger)
-        self.start_ns = min(self.survey.times, default=0)
-        self.end_ns = max(self.survey.times, default=0)
+        self.start_ns, self.end_ns = span(self.survey.times, self._ledger)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -93,7 +95,7 @@ class McapLog:
 
     def _one_by_one(self, parts: Sequence[Chunk | Loose]) -> Iterator[tuple[Array, Messages]]:
         done = parts[0].start
-        for part, content in unpacked_parts(self._data, parts):
+        for part, content in unpacked_parts(self._data, parts, self._ledger):
             if isinstance(part, Loose):
                 fetch(self._data, part.start, part.end)
                 whole = np.frombuffer(self._data, np.uint8)

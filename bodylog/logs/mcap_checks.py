@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -62,9 +61,9 @@ class _Tally:
             self.times += [int(heads["log"].min()), int(heads["log"].max())]
 
 
-def check(data: memoryview, path: Path, say: Say) -> None:
+def check(data: memoryview, ledger: Ledger, say: Say) -> None:
     """Tell `say` of every disagreement in the MCAP; unreadable parts are left to the reader's own findings."""
-    tally, ledger, buffer = _Tally(), Ledger(path), Buffer()
+    tally, buffer = _Tally(), Buffer(ledger.path, ledger.limits)
     chunk: tuple[Chunk, Messages] | None = None
 
     def lost(_at: int, size: int) -> None:

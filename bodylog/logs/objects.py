@@ -1,6 +1,5 @@
 """JSON and protobuf payloads: decoded message by message into dictionaries, then read like any other columns."""
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -9,6 +8,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..types import Array, Batch, Topic
+from ..values import nanoseconds, number, read_json, text
 from .columns import Columns, Part
 from .paths import Only, Step, is_index
 
@@ -28,8 +28,8 @@ def reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
 
 def _json(name: str, payload: bytes) -> Mapping[str, Any]:
     try:
-        value = json.loads(payload)
-    except (ValueError, RecursionError) as error:
+        value = read_json(payload)
+    except ValueError as error:
         raise FormatError(f"{name}: the payload is not JSON: {str(error)[:60]}") from None
     if not isinstance(value, dict):
         raise FormatError(f"{name}: the payload is a JSON {type(value).__name__}; expected an object")
@@ -67,12 +67,14 @@ def _plain(value: Any) -> Iterator[Value]:
         seconds = next(value[key] for key in _SECONDS if key in value) if set(_SECONDS) & value.keys() else None
         if seconds is None:
             raise KeyError("an object, not a value")
-        yield int(seconds) * 1_000_000_000 + int(next((value[key] for key in _NANOSECONDS if key in value), 0))
+        yield nanoseconds(seconds, next((value[key] for key in _NANOSECONDS if key in value), 0))
     elif isinstance(value, list):
         for item in value:
             yield from _plain(item)
+    elif isinstance(value, str | bytes):
+        yield text(value) if isinstance(value, str) else value
     else:
-        yield float("nan") if value is None else value
+        yield float("nan") if value is None else number(value)
 
 
 class ObjectDecoder:
@@ -98,9 +100,7 @@ class ObjectDecoder:
         try:
             message = self.read(payload)
             values = [tuple(follow(message, steps)) for steps in self.paths]
-        except FormatError:
-            self.rejected["malformed"] += 1
-        except RecursionError:
+        except (FormatError, RecursionError):
             self.rejected["malformed"] += 1
         except (KeyError, ValueError, TypeError):
             self.rejected["field missing"] += 1
@@ -121,7 +121,5 @@ class ObjectDecoder:
                 values.append(tuple(str(x) for x in key))
                 continue
             array = np.array([v[k] for _, v in rows]).reshape(len(rows), key)
-            # Whole numbers past 64 bits come as objects.
-            array = array.astype(np.float64) if array.dtype.kind == "O" else array
             values.append(array[:, 0] if self.single[k] and key == 1 else array)
         return Part(np.array([row for row, _ in rows]), tuple(values))

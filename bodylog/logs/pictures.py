@@ -1,6 +1,5 @@
 """A recording's pictures as ROS 2 messages: payloads pass undecoded wherever ROS 2 tools can read them."""
 
-from base64 import b64decode
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -69,7 +68,7 @@ def _passed(path: Path, recording: Recording, frames: Frames, topics: Mapping[in
     for frame in frames():
         accepted.setdefault(frame.source_ns, deque()).append(frame.t)
     carriers = {number: _carrier(topic) for number, topic in topics.items()}
-    with open_log(path) as log:
+    with open_log(path, limits=recording.settings.input) as log:
         for batch in log.batches(list(topics)):
             kind, convert = carriers[batch.topic_id]
             for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
@@ -121,11 +120,11 @@ def _compressed(message: Mapping[str, Any], stamp: int) -> bytes:
 def _raw(message: Mapping[str, Any], stamp: int) -> bytes:
     fields: list[Field] = [
         *_header(message, stamp),
-        ("uint32", int(message.get("height", 0))),
-        ("uint32", int(message.get("width", 0))),
+        ("uint32", images.whole(message, "height")),
+        ("uint32", images.whole(message, "width")),
         ("string", str(message.get("encoding", ""))),
         ("uint8", 0),
-        ("uint32", int(message.get("step", 0))),
+        ("uint32", images.whole(message, "step")),
         _bytes(message),
     ]
     return cdr.serialise(1, fields).data.tobytes()
@@ -136,6 +135,5 @@ def _header(message: Mapping[str, Any], stamp: int) -> list[Field]:
 
 
 def _bytes(message: Mapping[str, Any]) -> Field:
-    data = message.get("data", b"")
-    row: Array = np.frombuffer(b64decode(data) if isinstance(data, str) else data, np.uint8)
+    row: Array = np.frombuffer(images.content(message), np.uint8)
     return "uint8[]", row[None]

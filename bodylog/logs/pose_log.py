@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import LogError
+from ..settings import LIMITS, Input
 from ..types import Array, Batch, Finding, Outgoing, Series, Topic
 from . import cdr
 from .cdr import Field
@@ -32,7 +33,9 @@ def independent(topics: Collection[Topic]) -> bool:
 class PoseLog:
     """A CSV, Parquet or YAML table of poses; see containers.Log."""
 
-    def __init__(self, path: Path, strict: bool = False, source: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
         """Read the table `source` (default: `path` itself) whole; LogError when it holds no poses."""
         source, self.path = source or path, path
         with source.open("rb") as stream:

@@ -26,12 +26,12 @@ def read(
 
     Who is `watching` is told of the first camera's pictures on the way, unless the log may tell what they show.
     """
-    with open_log(path, strict) as log:
+    with open_log(path, strict, settings.input) as log:
         settings = _remembered(log, settings)
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
         to_be_seen = "camera" in found and not _is_ours(log)
         with watching() if watching and to_be_seen else nullcontext() as watch:
-            told = camera.Told(log, found["camera"].topics, watch) if watch else None
+            told = camera.Told(log, found["camera"].topics, watch, settings.input) if watch else None
             heard, silent = streams(told or log, found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
@@ -67,7 +67,7 @@ def read(
 
 def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
     """What is in a log, as plain values: topics, rates, roles, joint names, clocks, findings."""
-    with open_log(path, strict) as log:
+    with open_log(path, strict, settings.input) as log:
         settings = _remembered(log, settings)
         heard: dict[str, Stream] = {}
         found: dict[str, roles.Role] = {}
@@ -144,9 +144,10 @@ def _films(
     """The pictures of every camera, by its role."""
     start = settings.topics.start
     first_s = 0.0 if start is None else (round(start * 1e9) - start_ns) / 1e9
+    limits = replace(settings.input, strict=strict)
     beside = {key: video.frames(sidecar, first_s, start_ns) for key, sidecar in sidecars.items()}
     return beside | {
-        key: camera.frames(path, strict, s.role.topics, s.counts, s.rows, s.dated.t_ns, start_ns)
+        key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.dated.t_ns, start_ns)
         for key, s in heard.items()
         if s.role.role == "camera"
     }

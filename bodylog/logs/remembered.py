@@ -1,6 +1,5 @@
 """What an earlier run of ours was told of a log holds for the log it wrote, too, unless told otherwise."""
 
-import json
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -9,6 +8,7 @@ from ..errors import ConfigError, LogError
 from ..settings import Body, Settings, Time, Topics
 from ..sources import Source
 from ..sources import parse as parse_source
+from ..values import read_json
 from .annotated import read_metadata
 from .containers import Log
 from .paths import parse
@@ -24,7 +24,7 @@ def remembered(log: Log, settings: Settings) -> Settings:
     """
     said: Any = {}
     with suppress(LogError, ValueError, KeyError):
-        said = json.loads(read_metadata(log.path)["settings"])
+        said = read_json(read_metadata(log.path)["settings"])
     names = [topic.name for topic in log.topics]
     topics = {role: text for role, text in _texts(said, "topics").items() if _there(text, names)}
     return replace(

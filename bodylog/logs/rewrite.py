@@ -6,19 +6,21 @@ from typing import Any
 from ..errors import LogError
 from ..files import replacing
 from ..outputs import Output, guard
+from ..settings import LIMITS, Input
 from ..types import Finding, Topic
 from .chunks import MESSAGE_HEAD
 from .containers import Log, open_log, payloads
 from .mcap import McapLog
 from .records import ATTACHMENT, HEAD, HEADER, METADATA, Record
 
+_U64 = 1 << 64
 _PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 
 
-def repair(path: Path, out: Path) -> tuple[Finding, ...]:
+def repair(path: Path, out: Path, limits: Input = LIMITS) -> tuple[Finding, ...]:
     """Write the sound messages of `path` to the MCAP `out`; what was wrong comes back. LogError when none is sound."""
     guard([path], [Output(out, "--repair")])
-    with open_log(path) as log, replacing(out) as beside:
+    with open_log(path, limits=limits) as log, replacing(out) as beside:
         written = _mcap(log, beside) if isinstance(log, McapLog) else _any(log, beside)
         if not written and any(finding.severity == "lost" for finding in log.findings):
             raise LogError(f"{path}: nothing in it can be saved; {log.findings[-1].text.removeprefix(f'{path}: ')}")
@@ -49,7 +51,7 @@ def _mcap(log: McapLog, beside: Path) -> int:
             _, size, channel, sequence, log_ns, publish_ns = head
             if channel in channels:
                 payload = content[start + MESSAGE_HEAD.itemsize : start + HEAD.size + size]
-                writer.add_message(channels[channel], log_ns, bytes(payload), publish_ns, sequence)
+                writer.add_message(channels[channel], log_ns % _U64, bytes(payload), publish_ns % _U64, sequence)
                 count += 1
     for record in log.records(ATTACHMENT):
         said = record.fields

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
+from ..settings import LIMITS, Input
 from ..types import Array, Batch, Finding, Topic
 from .bag_chunks import BagChunk, BagRun, Messages, load, messages, walked
 from .bag_records import BagRecord, fields_of
 from .compression import Buffer
 from .ledger import Ledger
 from .mapping import forget, mapped, uncut
-from .topics import Topics, split
+from .topics import Topics, span, split
 
 
 @dataclass
@@ -42,17 +43,18 @@ class BagLog:
 
     format = "bag"
 
-    def __init__(self, path: Path, strict: bool = False, source: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
         """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
         from .bag_salvage import survey_of
 
         self.path = path
-        self._ledger = Ledger(path, strict)
+        self._ledger = Ledger(path, strict, limits)
         self._data = mapped(source or path)
         self._survey = survey_of(self._data, self._ledger)
         self.topics, self._topic_of = _topics(self._survey)
-        self.start_ns = min(self._survey.times, default=0)
-        self.end_ns = max(self._survey.times, default=0)
+        self.start_ns, self.end_ns = span(self._survey.times, self._ledger)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -62,7 +64,7 @@ class BagLog:
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or run."""
         wanted = {c: t for c, t in self._topic_of.items() if ids is None or t in ids}
-        buffer = Buffer()
+        buffer = Buffer(self.path, self._ledger.limits)
         for part in self._survey.parts:
             if isinstance(part, BagRun):
                 whole = np.frombuffer(self._data, np.uint8)

@@ -3,10 +3,13 @@
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from .. import files
 from ..errors import InputError, LogError
+from ..settings import LIMITS, Input
 from ..types import Batch, Finding, Topic
 from .ledger import Ledger
 from .spans import widen
@@ -15,7 +18,8 @@ from .topics import Topics
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")
 METADATA = "metadata.yaml"
 
-_LONGEST = 16 << 20
+_LONGEST = 1 << 20
+"""Bytes: a topic takes some 2 kB, most of it its QoS, and pure Python reads a megabyte in some seconds."""
 
 
 class Rosbag2Log:
@@ -23,11 +27,11 @@ class Rosbag2Log:
 
     format = "rosbag2"
 
-    def __init__(self, path: Path, strict: bool = False) -> None:
+    def __init__(self, path: Path, strict: bool = False, limits: Input = LIMITS) -> None:
         """Survey every file; LogError when none can be read, or when strict and one cannot."""
         self.path = path
         self._strict = strict
-        self._ledger = Ledger(path, strict)
+        self._ledger = Ledger(path, strict, limits)
         self._members: list[tuple[Path, dict[int, int]]] = []
         self._findings: dict[Finding, None] = {}
         self._spans: dict[int, tuple[int, int]] = {}
@@ -52,7 +56,7 @@ class Rosbag2Log:
         for member, topic_of in self._members:
             inner = [own for own, topic in topic_of.items() if ids is None or topic in ids]
             if inner:
-                with open_log(member, self._strict) as log:
+                with open_log(member, self._strict, self._ledger.limits) as log:
                     for batch in log.batches(inner):
                         yield replace(batch, topic_id=topic_of[batch.topic_id])
                     self._findings.update(dict.fromkeys(log.findings))
@@ -77,7 +81,7 @@ class Rosbag2Log:
         from .containers import open_log
 
         try:
-            log = open_log(member, self._strict)
+            log = open_log(member, self._strict, self._ledger.limits)
         except InputError as problem:
             self._ledger.lost(len(self._members), member.stat().st_size, None, None, str(problem))
             return []
@@ -103,7 +107,7 @@ def members(path: Path, ledger: Ledger) -> list[Path]:
     if not found:
         names = ", ".join(sorted(p.name for p in path.iterdir())[:5]) or "nothing"
         raise LogError(f"{path}: a folder without .db3 or .mcap files (it holds {names}); name a log or rosbag2 folder")
-    named = [Path(str(name)).name for name in metadata_of(path, ledger).get("relative_file_paths") or ()]
+    named = _named(metadata_of(path, ledger).get("relative_file_paths"), ledger)
     listed = [p for name in named for p in found if p.name in (name, f"{name}.zstd", f"{name}.zst") or p.stem == name]
     missing = len(named) - len(listed)
     if not named or not listed:
@@ -117,6 +121,14 @@ def members(path: Path, ledger: Ledger) -> list[Path]:
     return list(dict.fromkeys(listed))
 
 
+def _named(listed: Any, ledger: Ledger) -> list[str]:
+    """The names of files that metadata.yaml lists; what is no list of texts names none, with a remark."""
+    if listed is None or (isinstance(listed, list) and all(isinstance(name, str) for name in listed)):
+        return [Path(name).name for name in listed or ()]
+    ledger.warn(f"{METADATA}: relative_file_paths is {str(listed)[:60]!r}; a list of names is possible; it is not used")
+    return []
+
+
 def metadata_of(path: Path, ledger: Ledger) -> dict[str, Any]:
     """What metadata.yaml says about the bag; empty, with a remark, when it is missing or unreadable."""
     file = path / METADATA
@@ -124,17 +136,31 @@ def metadata_of(path: Path, ledger: Ledger) -> dict[str, Any]:
         ledger.warn(f"there is no {METADATA}; all logs in the folder are read as one")
         return {}
     try:
-        from ruamel.yaml import YAML
-
-        if file.stat().st_size > _LONGEST:
-            raise ValueError(f"{file.stat().st_size} bytes")
-        said = YAML(typ="safe", pure=True).load(file.read_text(errors="replace"))["rosbag2_bagfile_information"]
+        said = _yaml(files.text(file, _LONGEST))["rosbag2_bagfile_information"]
         if isinstance(said, dict):
             return said
         raise ValueError("no table rosbag2_bagfile_information")
-    except Exception as problem:  # whatever is wrong with this file, the log is read without it
+    except Exception as problem:  # whatever is wrong with this file (also RecursionError), the log is read without it
         ledger.warn(f"{METADATA} is not readable ({type(problem).__name__}); the files' own contents are used")
         return {}
+
+
+@lru_cache(maxsize=4)
+def _yaml(text: str) -> Any:
+    """What a YAML text says; ValueError where it refers to a part of itself again: a few lines can grow without end."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer
+    from ruamel.yaml.events import AliasEvent
+
+    class Plain(Composer):
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.parser.check_event(AliasEvent):
+                raise ValueError("an alias, which rosbag2 does not write")
+            return super().compose_node(parent, index)
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Composer = Plain
+    return yaml.load(text)
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -180,7 +180,7 @@ class _Run:
 
 def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
     """Count the messages of every chunk: by its indexes where all their channels are known, else by opening it."""
-    buffer, unopened = Buffer(), []
+    buffer, unopened = Buffer(ledger.path, ledger.limits), []
     for chunk in [part for part in survey.parts if isinstance(part, Chunk)]:
         if chunk.indexes and survey.knows(chunk.indexes):
             for channel, at in chunk.indexes.items():

@@ -67,6 +67,7 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
             wrong = "names that are no texts" if isinstance(positions, np.ndarray) else "positions that are no numbers"
             rejected[wrong] += len(rows)
             continue
+        positions = positions.reshape(len(rows), -1)  # of a single joint JSON gives one number a message
         if not names and positions.shape[1]:
             names = _nameless(positions.shape[1], wanted, what)
         if len(names) != positions.shape[1] or not names:
@@ -133,14 +134,21 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
     return values
 
 
+def believed(values: Array) -> tuple[Array, int]:
+    """Readings (N,D) with NaN for what none reads, beyond FARTHEST in any unit, and how many these were."""
+    beyond = np.isfinite(values) & (np.abs(values) > FARTHEST)
+    count = int(beyond.sum())
+    return (np.where(beyond, np.nan, values) if count else values), count
+
+
 def angles(values: Array, follow: bool = True) -> tuple[Array, int, Array]:
     """Angles (N,D) rad as motions: without readings beyond FARTHEST, how many these were, and turns taken back (D,).
 
     From one reading to the next no joint makes a whole turn, within a radian: it wraps around there. Independent poses
     do not `follow` each other: their readings stay as they are.
     """
-    beyond = np.isfinite(values) & (np.abs(values) > FARTHEST)
-    values, turns = np.where(beyond, np.nan, values), np.zeros(values.shape[1], int)
+    values, beyond = believed(values)
+    values, turns = values.copy(), np.zeros(values.shape[1], int)
     for column in range(values.shape[1] if follow else 0):
         known = np.flatnonzero(np.isfinite(values[:, column]))
         steps = np.diff(values[known, column])
@@ -148,7 +156,7 @@ def angles(values: Array, follow: bool = True) -> tuple[Array, int, Array]:
         if wraps.any():
             values[known[1:], column] -= _TURN * np.cumsum(wraps)
             turns[column] = np.count_nonzero(wraps)
-    return values, int(beyond.sum()), turns
+    return values, beyond, turns
 
 
 def array(found: Sequence[Block]) -> Signal:

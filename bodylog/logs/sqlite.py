@@ -9,16 +9,20 @@ from urllib.parse import quote
 import numpy as np
 
 from ..errors import LogError
+from ..settings import LIMITS, Input
 from ..temporary import scratch
 from ..types import Batch, Finding, Topic
 from .ledger import Ledger
-from .sqlite_rows import DAMAGE, Block, Rows
-from .topics import Topics, normalised, split
+from .sqlite_rows import DAMAGE, Block, Rows, interrupted
+from .topics import Topics, normalised, span, split
 from .unpacked import unpacked
 
 _ENDS = ("min", "max")
 _FEW_TOPICS = 8
 _LARGEST = 1 << 30
+_TABLES = ("topics", "messages", "message_definitions")
+_STEPS = 1_000_000
+"""SQLite's own steps after which Python is asked, some milliseconds, so that a signal is heard while it looks."""
 
 
 class Db3Log:
@@ -26,19 +30,27 @@ class Db3Log:
 
     format = "db3"
 
-    def __init__(self, path: Path, strict: bool = False, source: Path | None = None) -> None:
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
         """Open `source` (default: `path` itself) read only; LogError when it has no topics or messages."""
         self.path = path
-        self._ledger = Ledger(path, strict)
+        self._ledger = Ledger(path, strict, limits)
         self._store = _connect(path, source or path)
         self._rows = Rows(self._store, self._ledger)
         try:
+            _only_tables(path, self._store)
             named = _topics(self._store)
-            counts, self.start_ns, self.end_ns = self._survey(list(named))
+            counts, *ends = self._survey(list(named))
+        except LogError:
+            self._store.close()
+            raise
         except DAMAGE as problem:
             self._store.close()
+            interrupted(problem)
             advice = f"type: sqlite3 {path} .recover | sqlite3 whole.db3"
             raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; {advice}") from None
+        self.start_ns, self.end_ns = span(ends if counts else (), self._ledger)
         topics, self._topic_of = Topics(), {}
         for number, (name, kind, encoding, definition, dialect, metadata) in named.items():
             count = counts.get(number, 0)
@@ -87,6 +99,7 @@ class Db3Log:
             if all(type(value) is int for value in (*counts, *(times if counts else ()))):
                 return counts, times[0] or 0, times[1] or 0
         except DAMAGE as problem:
+            interrupted(problem)
             self._ledger.warn(f"the table of messages is damaged: {problem}")
         counts, ends = {}, []
         for block in self._rows.blocks(None):
@@ -124,7 +137,21 @@ def _opened(address: str, size: int) -> sqlite3.Connection:
     store = sqlite3.connect(address, uri=True, check_same_thread=False)
     store.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(1 << 16, min(_LARGEST, size)))
     store.text_factory = _text
+    store.execute("PRAGMA trusted_schema = OFF")
+    store.set_progress_handler(lambda: 0, _STEPS)
     return store
+
+
+def _only_tables(path: Path, store: sqlite3.Connection) -> None:
+    """LogError where rows would be computed: by a view, which may never end, a virtual table or a generated column."""
+    for name in _TABLES:
+        found = store.execute("SELECT type, rootpage FROM sqlite_master WHERE lower(name) = ?", (name,)).fetchall()
+        kinds = [kind if kind != "table" or page else "virtual table" for kind, page in found]
+        if any(kind != "table" for kind in kinds):
+            raise LogError(f"{path}: {name} is a {kinds[0]}, where rosbag2 keeps a table; record the log again")
+        hidden = [row[1] for row in store.execute(f"PRAGMA table_xinfo({name})") if row[6]]
+        if hidden:
+            raise LogError(f"{path}: {name}.{hidden[0]} is computed, where rosbag2 stores values; record the log again")
 
 
 def _text(raw: bytes) -> str:

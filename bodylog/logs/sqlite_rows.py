@@ -1,6 +1,7 @@
 """The rows of a rosbag2 database as arrays, in the order stored, read on past what is damaged."""
 
 import sqlite3
+import time
 from array import array
 from collections.abc import Collection, Iterator
 from typing import NamedTuple
@@ -13,12 +14,23 @@ from .ledger import Ledger
 DAMAGE = (sqlite3.Error, UnicodeError)
 """What SQLite raises for a file that is damaged."""
 
+_AGAIN = 0.5
 _ROWS = 512
 _FIRST_ROWS = 16
 _BYTES = 16 << 20
 _LOWEST = -(1 << 63)
 _COLUMNS = "rowid, topic_id, timestamp, data"
 _SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
+
+def interrupted(problem: Exception) -> None:
+    """KeyboardInterrupt where a signal, not damage, ended a query: SQLite keeps what its handler raises to itself.
+
+    Who was told to stop otherwise is told again in a moment, and ends by that.
+    """
+    if getattr(problem, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
+        time.sleep(_AGAIN)
+        raise KeyboardInterrupt
+
 
 Row = tuple[int, int, int, bytes]
 """rowid, topic id in the file, log time (ns), payload."""
@@ -56,8 +68,8 @@ class Rows:
                 count = max(1, min(_ROWS, _BYTES // largest))
             else:
                 return
-        except DAMAGE:
-            pass  # read on row by row, and past the damage
+        except DAMAGE as problem:
+            interrupted(problem)  # else read on row by row, and past the damage
         yield from self._damaged_rows(chosen, wanted, low)
 
     def _damaged_rows(self, chosen: str, wanted: Collection[int] | None, low: int) -> Iterator[Block]:
@@ -72,6 +84,7 @@ class Rows:
                     low, last_ns = row[0], row[2]
                 return
             except DAMAGE as problem:
+                interrupted(problem)
                 found = self._next(low, last_ns, problem)
             if found is None:
                 return
@@ -106,7 +119,8 @@ class Rows:
         try:
             self._first(after)
             return True
-        except DAMAGE:
+        except DAMAGE as problem:
+            interrupted(problem)
             return False
 
     def _first(self, after: int) -> Row | None:

@@ -1,9 +1,8 @@
 """Where a topic's messages carry the time they speak of."""
 
-import json
-
 from ..errors import BodylogError
 from ..types import Topic
+from ..values import read_json
 from .columns import definition_of
 from .definitions import TIMES, Definition
 
@@ -24,8 +23,8 @@ def stamp_field(topic: Topic) -> str | None:
 
 def _in_schema(schema: bytes) -> str | None:
     try:
-        properties = json.loads(schema or b"{}").get("properties", {})
-    except (ValueError, AttributeError):
+        properties = read_json(schema or b"{}").get("properties", {})
+    except (ValueError, AttributeError):  # no JSON, or no table
         return None
     return next((name for name in _ALONE if name in properties), "header.stamp" if "header" in properties else None)
 

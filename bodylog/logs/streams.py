@@ -121,6 +121,8 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
         dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
         values, beyond, turns = signals.angles(values[keep], follow=not independent(role.topics))
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
+    elif values.dtype.kind == "f":
+        values, beyond = signals.believed(values)
     rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(dated.rejected))
     rejected.update({"same stamp again": idle} if idle else {})
     rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in read)
@@ -213,7 +215,7 @@ def remarks(stream: Stream) -> Iterator[Finding]:
     if stream.fallback:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
     if stream.beyond:
-        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {signals.FARTHEST:g} rad are taken for none")
+        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {signals.FARTHEST:g} are taken for none")
     yield from (Finding("warning", f"{name}: {text}") for text in (*_changing(stream), *_vanishing(stream)))
     for joint, count in stream.wraps.items():
         yield Finding("info", f"{name}: {joint} wraps around, {count} times; read as one motion, without whole turns")

@@ -1,11 +1,13 @@
 """One Topic per name, type, encoding and definition, however many channels carry it; batches by topic."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ..types import Array, Batch, Topic
+from ..values import LATEST_NS, is_time, text, times
+from .ledger import Ledger
 
 
 class Topics:
@@ -26,8 +28,8 @@ class Topics:
         metadata: Mapping[str, str],
     ) -> int:
         """The id of the topic with these properties; its messages are added to."""
-        key = (name, normalised(type_name), encoding, definition, definition_encoding)
-        known = self._topics.get(key) or Topic(len(self._topics), *key, 0, dict(metadata))
+        key = (text(name), normalised(text(type_name)), text(encoding), definition, text(definition_encoding))
+        known = self._topics.get(key) or Topic(len(self._topics), *key, 0, {k: text(v) for k, v in metadata.items()})
         self._topics[key] = replace(known, messages=known.messages + messages)
         return known.id
 
@@ -42,13 +44,23 @@ def normalised(type_name: str) -> str:
     return f"{package}/msg/{name}" if slash and "/" not in name else type_name
 
 
+def span(found: Collection[int], ledger: Ledger) -> tuple[int, int]:
+    """First and last of a log's times (ns), 0 where it has none; those that no clock shows are remarked on."""
+    sound = [ns for ns in found if is_time(ns)]
+    if len(sound) < len(found):
+        odd = next(ns for ns in found if not is_time(ns))
+        said = f"log times such as {odd} ns are none: those below 0 or beyond {LATEST_NS} ns are read as 0"
+        ledger.warn(f"{said}, and what they date is not used")
+    return min(sound, default=0), max(sound, default=0)
+
+
 def split(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array) -> Iterator[Batch]:
     """One Batch per topic id in topic (n,), in the order first met inside each; ids below 0 are left out."""
     if not len(topic):
         return
     if topic[0] == topic[-1] and (topic == topic[0]).all():
         if topic[0] >= 0:
-            yield Batch(int(topic[0]), log_ns.astype(np.int64), data, offset, length)
+            yield Batch(int(topic[0]), times(log_ns), data, offset, length)
         return
     order = np.argsort(topic, kind="stable")
     ids, firsts = np.unique(topic[order], return_index=True)
@@ -56,4 +68,4 @@ def split(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array
     for number, low, high in zip(ids.tolist(), bounds, bounds[1:], strict=False):
         if number >= 0:
             rows = order[low:high]
-            yield Batch(number, log_ns[rows].astype(np.int64), data, offset[rows], length[rows])
+            yield Batch(number, times(log_ns[rows]), data, offset[rows], length[rows])

@@ -9,6 +9,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import FormatError
+from ..settings import LIMITS, Input
 from ..types import Array, Batch, Finding, Topic
 from .append import NAME, ROOT, is_mcap
 from .cdr import Payloads, merge
@@ -44,7 +45,12 @@ Span = tuple[int, int]
 
 
 def carry(
-    source: Path, stream: BinaryIO, only: Collection[str] | None = None, ours: bool = False, span: Span | None = None
+    source: Path,
+    stream: BinaryIO,
+    only: Collection[str] | None = None,
+    ours: bool = False,
+    span: Span | None = None,
+    limits: Input = LIMITS,
 ) -> tuple[Writer, int, tuple[Finding, ...]]:
     """Write the messages of a log (`only` these topics, within `span`) to an MCAP that is not finished yet.
 
@@ -53,7 +59,7 @@ def carry(
     Returns its writer, how many messages were written, and what could not be carried over whole. ROS 1 payloads of
     bags become CDR; those that cannot stay as they are. An MCAP's own payloads, attachments and metadata stay.
     """
-    with open_log(source) as log:
+    with open_log(source, limits=limits) as log:
         writer = Writer(stream, Contents())
         findings: list[Finding] = []
         writer.begin(_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
@@ -62,7 +68,7 @@ def carry(
         for table in _tables(log.batches(list(carriers)), carriers, writer, span):
             writer.write(table)
         if only is None:
-            findings += _extras(source, writer, ours)
+            findings += _extras(source, writer, ours, limits)
         findings += [_resistance(source, c) for c in carriers.values() if c.resisted]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
 
@@ -219,13 +225,13 @@ def _profile(source: Path) -> str:
     return ""
 
 
-def _extras(source: Path, writer: Writer, ours: bool) -> list[Finding]:
+def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Finding]:
     """Keep attachments and metadata of an MCAP, packed or in a folder, up to where it is damaged; what was lost."""
     if source.is_dir():
         members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes)
-        return [finding for member in members for finding in _extras(member, writer, ours)]
+        return [finding for member in members for finding in _extras(member, writer, ours, limits)]
     if source.suffix in (".zst", ".zstd"):
-        return unpack_file(source, lambda inner: _extras(inner, writer, ours))
+        return unpack_file(source, lambda inner: _extras(inner, writer, ours, limits), limits)
     lost = []
     for file, head in sound_heads(source):
         if head.opcode in (ATTACHMENT, METADATA):

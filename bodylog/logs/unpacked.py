@@ -9,40 +9,54 @@ from typing import TypeVar
 import numpy as np
 
 from ..errors import FormatError, LogError
+from ..settings import LIMITS, Input
 from ..temporary import scratch
 from ..types import Array, Batch, Topic
-from .compression import unpack_zstd
+from .compression import Allowance, unpack_zstd
 from .ledger import Ledger
 
 ZSTD = b"\x28\xb5\x2f\xfd"
 """How a zstd frame begins; no CDR payload does."""
 
-_ALWAYS = 64 << 20
-_RATIO = 1024
 _MARGIN = 256 << 20
+_HEAD = 32
 _PIECE = 128 << 10
 """A block of zstd: of the piece with the damage nothing is had."""
+
+_TOGETHER = 16 << 20
+"""Bytes that are unpacked together, if no message is longer."""
 
 Opened = TypeVar("Opened")
 
 
-def unpack_file(path: Path, use: Callable[[Path], Opened]) -> Opened:
-    """What `use` makes of the unpacked file, which is unlinked afterwards; LogError when the disk is too small."""
+def unpack_file(
+    path: Path,
+    use: Callable[[Path], Opened],
+    limits: Input = LIMITS,
+    check: Callable[[bytes], object] = lambda first: None,
+) -> Opened:
+    """What `use` makes of the unpacked file, which is unlinked afterwards; LogError when disk or limits are too small.
+
+    `check` sees the first bytes, and may refuse them, before the rest is unpacked.
+    """
     with scratch() as folder:
         inner = folder / path.stem
-        _unpack(path, inner, shutil.disk_usage(folder).free - _MARGIN)
+        _unpack(path, inner, shutil.disk_usage(folder).free - _MARGIN, limits, check)
         return use(inner)
 
 
-def _unpack(path: Path, inner: Path, limit: int) -> None:
+def _unpack(path: Path, inner: Path, limit: int, limits: Input, check: Callable[[bytes], object]) -> None:
     import zstandard
 
-    written = 0
+    written, packed, allowance = 0, path.stat().st_size, Allowance(path, limits)
     with path.open("rb") as stream, inner.open("wb") as target:
         reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
         try:
             while piece := reader.read(_PIECE):
+                if not written:
+                    check(piece[:_HEAD])
                 written += len(piece)
+                allowance.check(packed, written)
                 if written > limit:
                     room = f"the {max(0, limit)} bytes free in {inner.parent.parent}"
                     raise LogError(f"{path}: unpacked it takes more than {room}; name a larger folder in TMPDIR")
@@ -57,25 +71,37 @@ def _unpack(path: Path, inner: Path, limit: int) -> None:
 
 def unpacked(batches: Iterable[Batch], topics: tuple[Topic, ...], ledger: Ledger) -> Iterator[Batch]:
     """The batches, with CDR payloads that rosbag2 packed one by one unpacked."""
-    cdr = {topic.id for topic in topics if topic.encoding == "cdr"}
+    cdr, allowance = {topic.id for topic in topics if topic.encoding == "cdr"}, Allowance(ledger.path, ledger.limits)
     for batch in batches:
         first = batch.data[batch.offset[0] : batch.offset[0] + 4].tobytes()
         if first == ZSTD and batch.topic_id in cdr:
-            batch = _each(batch, ledger)
-        if len(batch.length):
+            yield from _each(batch, ledger, allowance)
+        elif len(batch.length):
             yield batch
 
 
-def _each(batch: Batch, ledger: Ledger) -> Batch:
-    kept, payloads = np.ones(len(batch.length), bool), []
+def _each(batch: Batch, ledger: Ledger, allowance: Allowance) -> Iterator[Batch]:
+    """The batch unpacked, in parts of some megabytes: of very many bytes never more at once than of one message."""
+    kept: list[int] = []
+    payloads: list[bytes] = []
+    size = 0
     for i, payload in enumerate(_views(batch)):
         try:
-            payloads.append(unpack_zstd(payload, max(_ALWAYS, _RATIO * len(payload))))
+            payloads.append(unpack_zstd(payload, allowance))
+            kept.append(i)
+            size += len(payloads[-1])
         except FormatError as problem:
-            kept[i] = False
             ledger.lost(int(batch.offset[i]), len(payload), 1, 0.0, f"a message packed by itself: {problem}")
+        if size > _TOGETHER:
+            yield _joined(batch, kept, payloads)
+            kept, payloads, size = [], [], 0
+    if kept:
+        yield _joined(batch, kept, payloads)
+
+
+def _joined(batch: Batch, kept: list[int], payloads: list[bytes]) -> Batch:
     length = np.array([len(payload) for payload in payloads], np.int64)
-    data: Array = np.frombuffer(b"".join(payloads), np.uint8)
+    data: Array = np.frombuffer(payloads[0] if len(payloads) == 1 else b"".join(payloads), np.uint8)
     return replace(batch, log_ns=batch.log_ns[kept], data=data, offset=np.cumsum(length) - length, length=length)
 
 

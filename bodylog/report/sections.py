@@ -8,6 +8,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from ..types import Estimate, Features, Health, Recording, Score, Synchrony, Touch
+from ..values import read_json
 from .traces import EVENTS, JOINTS, TRACKS
 
 _ROWS, _WORD, _TEXT = 200, 200, 40_000
@@ -144,7 +145,7 @@ def _when(start_ns: int) -> str:
 
 def _parsed(value: str) -> Any:
     try:
-        return json.loads(value)
+        return read_json(value)
     except ValueError:
         return value
 

@@ -1,4 +1,6 @@
+import ast
 import json
+import math
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
@@ -83,6 +85,22 @@ def _liar(path: Path) -> None:
         np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 50,)})
 
 
+def _shape(shape: str) -> Callable[[Path], None]:
+    """The effector's weights with a header of another shape; its data are as long as that multiplies to, if at all."""
+
+    def change(path: Path) -> None:
+        with zipfile.ZipFile(path) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+        text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+        data = bytes(8 * abs(math.prod(ast.literal_eval(shape))))
+        members["effector/weights.npy"] = b"\x93NUMPY\1\0" + len(text).to_bytes(2, "little") + text.encode() + data
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, content in members.items():
+                archive.writestr(name, content)
+
+    return change
+
+
 def _text(old: str, new: str) -> Callable[[Path], None]:
     """The header's text with `old` replaced: what json.dumps would not write."""
 
@@ -118,16 +136,30 @@ _BROKEN = {
     "error of none": (_text(_ERRORS, '"std_error": {"nose": [1]}'), "field noise.std_error.nose: found (1.0,)"),
     "endless cell": (_text("[0.5, -31.0,", "[1e999, -31.0,"), "cells.7: found [inf, -31.0, 9.0], possible: a list"),
     "a joint twice": (_header(joints=["pan", "pan"]), "joints: found 'pan', possible: a list that names each"),
-    "joints of text": (_header(joints="pl"), "joints: found 'pl', possible: a list that names each"),
-    "wide": (_header(provenance={"image_width": "wide"}), "provenance.image_width: found 'wide', possible: a finite"),
+    "joints of text": (_header(joints="pl"), "joints: found pl, possible: a list of texts"),
+    "wide": (_header(provenance={"image_width": "wide"}), "provenance.image_width: found 'wide', possible: 1 to"),
     "endless width": (_text('{"logs"', '{"image_width": 1e999, "logs"'), "provenance.image_width: found inf, possible"),
-    "no width": (_header(provenance={"image_width": 0}), "provenance.image_width: found 0, possible: a finite"),
+    "no width": (_header(provenance={"image_width": 0}), "provenance.image_width: found 0, possible: 1 to"),
     "shape": (_set("effector/weights", np.ones((2, 7))), "effector/weights: found shape (2, 7), possible: (2, 30)"),
     "type": (_set("effector/mean", np.array(["a", "b"])), "effector/mean: found <U1 (2,)"),
     "object": (lambda p: np.savez(p, header=np.array([{}], object)), "header"),
-    "nan": (_poison("effector/factor", np.nan), "effector/factor: found nan, possible: finite"),
-    "infinite": (_poison("effector/weights", -np.inf), "effector/weights: found -inf, possible: finite"),
-    "scale": (_poison("effector/scales", -1.0), "effector/scales: found -1.0, possible: finite positive"),
+    "nan": (_poison("effector/factor", np.nan), "effector/factor: found nan, possible: numbers from -1e+30"),
+    "infinite": (_poison("effector/weights", -np.inf), "effector/weights: found -inf, possible: numbers from -1e+30"),
+    "scale": (_poison("effector/scales", -1.0), "effector/scales: found -1.0, possible: numbers from 1e-30"),
+    "tiny scale": (_poison("effector/scales", 1e-300), "effector/scales: found 1e-300, possible: numbers from 1e-30"),
+    "huge scale": (_poison("effector/scales", 1e300), "effector/scales: found 1e+300, possible: numbers from 1e-30"),
+    "negative noise": (_poison("effector/noise", -1e-9), "effector/noise: found -1e-09, possible: numbers from 0"),
+    "negative spread": (_poison("effector/spread", -1e-9), "effector/spread: found -1e-09, possible: numbers from 0"),
+    "tiny noise": (_text("[1e-06,", "[1e-300,"), "noise.encoder: found (1e-300, 2e-06), possible: 2 positive"),
+    "true noise": (_text("[1e-06,", "[true,"), "noise.encoder: found [True, 2e-06], possible: a list of finite"),
+    "negative shape": (_shape("(-1, -2)"), "effector/weights: found float64 (-1, -2)"),
+    "empty giant": (_shape("(0, 4611686018427387904, 8)"), "effector/weights: found float64 (0, 46116860184273"),
+    "true shape": (_shape("(True, 2)"), "effector/weights: found float64 (True, 2)"),
+    "cameras": (_header(provenance={"cameras": 5}), "provenance.cameras: found 5, possible: a list of texts"),
+    "deep": (_text('{"logs"', '{"x": ' + "[" * 900 + "]" * 900 + ', "logs"'), "field header: nested more than 64 deep"),
+    "deeper": (_text('{"logs"', '{"x": ' + "[" * 9000 + "]" * 9000 + ', "logs"'), "field header: nested too deeply"),
+    "degrees": (_header(units={"joints": "deg"}), "field units: found {'joints': 'deg'}, possible: {"),
+    "no joints": (_header(joints=[]), "joints: found [], possible: a list that names each"),
 }
 
 

@@ -158,7 +158,7 @@ def test_a_repair_keeps_sequence_publish_time_channels_attachments_and_metadata(
 def test_the_log_itself_is_never_the_output(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes((FOLDER / "none.mcap").read_bytes())
-    with pytest.raises(UsageError, match="name another file"):
+    with pytest.raises(UsageError, match="choose another name"):
         repair(path, path)
 
 

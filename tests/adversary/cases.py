@@ -1,0 +1,284 @@
+"""One case: hostile files or settings, the commands that meet them, and what must hold of each."""
+
+import json
+import os
+import re
+import shutil
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from . import annotated, bodies, configs
+from .grammar import Draw
+from .logs import WRITERS, Channel
+from .worker import BYTES, SECONDS, Run, folder, run, warm
+
+ALLOWED = (0, 2, 3, 4, 65, 73, 74)
+KINDS = (*WRITERS, "annotated.mcap", "body.npz")
+"""What a hostile file may be."""
+
+
+@dataclass(frozen=True)
+class Base:
+    """A folder with sound.mcap, body.npz and estimate.mcap, from which cases are made."""
+
+    path: Path
+
+    def __truediv__(self, name: str) -> Path:
+        """A file of it."""
+        return self.path / name
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What did not hold of one command."""
+
+    seed: int
+    kind: str
+    what: str
+    run: Run
+
+
+def prepare(path: Path) -> Base:
+    """Make the sound files in a folder."""
+    from .logs import mcap
+
+    path.mkdir(parents=True, exist_ok=True)
+    base = Base(path)
+    for seed in range(100):
+        said = {channel.name for channel in mcap(Draw(seed, 0.0), base / "sound.mcap")}
+        if said == {b"/joint_states", b"/camera/compressed", b"/skin"}:
+            break
+    log, body, done = str(base / "sound.mcap"), str(base / "body.npz"), str(base / "estimate.mcap")
+    runs = run([("fit", log, "-o", body), ("estimate", log, "--body", body, "-o", done)])
+    assert [one.code for one in runs] == [0, 0], runs
+    warm(
+        [
+            ("info", done),
+            ("info", body),
+            ("doctor", log),
+            ("doctor", log, "--repair", str(base / "a")),
+            ("extract", log, "-o", str(base / "b")),
+            ("ingest", log, "-o", str(base / "c")),
+            ("fit", log, "-o", str(base / "d")),
+            ("estimate", log, "--body", body, "-o", str(base / "e")),
+            ("report", done, "-o", str(base / "f")),
+            *(("info", str(found)) for found in _sound(base)),
+        ]
+    )
+    return base
+
+
+def _sound(base: Base) -> Iterator[Path]:
+    """A sound log of each kind."""
+    for name, write in WRITERS.items():
+        (base / "kinds").mkdir(exist_ok=True)
+        write(Draw(1, 0.0), base / "kinds" / name)
+        yield base / "kinds" / name
+
+
+def file_case(base: Base, place: Path, seed: int) -> tuple[str, list[Run], list[Problem]]:
+    """Write a hostile file and let every command meet it."""
+    draw = Draw(seed, 0.0)
+    draw.chance = draw.of((0.002, 0.01, 0.03, 0.1, 0.3))
+    kind = draw.of(KINDS)
+    place = place / str(seed)
+    place.mkdir(parents=True)
+    file, some = place / kind, None
+    if kind in WRITERS:
+        some = WRITERS[kind](draw, file)
+    else:
+        draw.chance = max(draw.chance, 0.3)
+        {"annotated.mcap": annotated, "body.npz": bodies}[kind].spoilt(draw, base / _SOURCES[kind], file)
+    commands = list(_commands(draw, base, kind, file, place))
+    before = folder(place)
+    runs = run(commands, partial(_same, file, some) if some is not None else None)
+    problems = [Problem(seed, kind, what, one) for one in runs for what in _wrong(one)]
+    problems += [Problem(seed, kind, what, runs[-1]) for what in _left(before, folder(place), runs)]
+    shutil.rmtree(os.fsencode(place)) if not problems else None
+    return kind, runs, problems
+
+
+_SOURCES = {"annotated.mcap": "estimate.mcap", "body.npz": "body.npz"}
+
+
+def settings_case(base: Base, place: Path, seed: int) -> tuple[str, list[Run], list[Problem]]:
+    """Hostile settings for commands on a sound log."""
+    draw = Draw(seed, 0.3)
+    place = place / f"settings{seed}"
+    place.mkdir(parents=True)
+    typed = configs.write(draw, place / "robot.toml")
+    log, body, config = str(base / "sound.mcap"), str(base / "body.npz"), ("--config", str(place / "robot.toml"))
+    before, outside = folder(place), folder(base.path)
+    out = str(place / "out.mcap")
+    commands = [
+        ("info", log, *config, "--json"),
+        ("config", str(place / "robot.toml")),
+        ("estimate", log, "--body", body, "-o", out, *config, "--json", *typed),
+        draw.of(
+            (
+                ("extract", log, "-o", str(place / "x.mcap"), *config, "--json"),
+                ("ingest", log, "-o", str(place / "i.mcap"), *config),
+                ("fit", log, "-o", str(place / "b.npz"), *config, "--json"),
+            )
+        ),
+    ]
+    runs = run(commands)
+    problems = [Problem(seed, "settings", what, one) for one in runs for what in _wrong(one)]
+    problems += [Problem(seed, "settings", what, runs[-1]) for what in _left(before, folder(place), runs)]
+    problems += [Problem(seed, "settings", "an input changed", runs[-1])] if folder(base.path) != outside else []
+    shutil.rmtree(place) if not problems else None
+    return "settings", runs, problems
+
+
+def _commands(draw: Draw, base: Base, kind: str, file: Path, place: Path) -> Iterator[tuple[str, ...]]:
+    log, body = str(file), str(base / "body.npz")
+    if kind == "body.npz":
+        yield ("info", log, "--json")
+        yield ("info", log)
+        yield ("estimate", str(base / "sound.mcap"), "--body", log, "-o", str(place / "e.mcap"), "--json")
+        yield ("fit", str(base / "sound.mcap"), "--update", log, "-o", str(place / "f.npz"), "--json")
+        return
+    yield ("info", log, "--json")
+    yield ("doctor", log)
+    estimate = ("estimate", log, "--body", body, "-o", str(place / "e.mcap"), "--json")
+    report = ("report", str(place / "e.mcap"), "-o", str(place / "r.html"))
+    further = (
+        (estimate,),
+        (estimate, report),
+        (("extract", log, "-o", str(place / "x.mcap"), "--json"),),
+        (("ingest", log, "-o", str(place / "i.mcap")),),
+        (("fit", log, "-o", str(place / "f.npz"), "--json"),),
+        (("doctor", log, "--repair", str(place / "d.mcap")), ("info", log)),
+    )
+    if kind == "annotated.mcap":
+        yield ("report", log, "-o", str(place / "r.html"))
+    for commands in draw.random.sample(further, 2):
+        yield from commands
+
+
+def _wrong(one: Run) -> Iterator[str]:
+    """What does not hold of a run."""
+    if one.command == ("check",):
+        if one.code:
+            yield f"reads otherwise: {one.err[-1500:]}"
+        return
+    if one.code is None:
+        yield "it did not end, or was killed"
+        return
+    if one.code not in ALLOWED:
+        yield f"exit code {one.code}"
+    if one.code not in (0, 3, 4) and (one.err.count("\n") != 1 or not one.err.startswith("bodylog: ")):
+        yield "not refused in one line"
+    if "not enough memory" in one.err:
+        yield "not enough memory"
+    if re.search(r"Traceback|Warning:|libpng|OpenCV|\[ WARN|\[ERROR", one.err):
+        yield "a library speaks"
+    if one.seconds > SECONDS:
+        yield f"{one.seconds:.1f} s"
+    if one.memory > BYTES:
+        yield f"{one.memory >> 20} MB"
+    if one.code in (0, 3, 4):
+        yield from _outputs(one)
+
+
+def _outputs(one: Run) -> Iterator[str]:
+    if "--json" in one.command:
+        try:
+            json.loads(one.out, parse_constant=_refuse)
+        except (ValueError, RecursionError) as problem:
+            yield f"its JSON: {problem}"
+    if (out := _output(one)) is None:
+        return
+    if not out.is_file():
+        yield "success without an output"
+    elif out.suffix == ".mcap":
+        yield from _mcap(out, one.command[0])
+
+
+def _output(one: Run) -> Path | None:
+    """The file that a command is to write."""
+    place = next((one.command.index(name) + 1 for name in ("-o", "--repair") if name in one.command), None)
+    return None if place is None else Path(one.command[place])
+
+
+def _refuse(name: str) -> None:
+    raise ValueError(f"{name} in it")
+
+
+def _mcap(path: Path, command: str) -> Iterator[str]:
+    """Whether mcap's own reader reads a log that was written, and its estimate is finite."""
+    from mcap.reader import NonSeekingReader
+
+    try:
+        with path.open("rb") as stream:
+            for _, channel, message in NonSeekingReader(stream, validate_crcs=True).iter_messages():
+                if command == "estimate" and channel.topic == "/bodylog/joint_states" and _has_nan(message.data):
+                    yield "NaN in the estimate"
+                    return
+    except Exception as problem:
+        yield f"mcap cannot read {path.name}: {type(problem).__name__}: {problem}"
+
+
+def _has_nan(data: bytes) -> bool:
+    from tests.logs.writing import store
+
+    return bool(np.isnan(store().deserialize_cdr(data, "sensor_msgs/msg/JointState").position).any())
+
+
+def _left(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, int]], runs: list[Run]) -> Iterator[str]:
+    """Files lost, changed, or left that no command ended well for."""
+    if any(after.get(name) != status for name, status in before.items()):
+        yield "an input changed or is gone"
+    good = {str(_output(one)) for one in runs if one.code in (0, 3, 4)}
+    killed = any(one.code is None for one in runs)
+    left = sorted(name for name in after if name not in before and name not in good)
+    if left and not killed:
+        yield f"left over: {', '.join(left)[:300]}"
+
+
+def _same(file: Path, some: list[Channel]) -> str | None:
+    """What bodylog's reader makes of a sound container otherwise than was written, or than other libraries read."""
+    from bodylog.errors import BodylogError
+    from bodylog.logs.containers import open_log, payloads
+
+    found: Counter[tuple[str, bytes]] = Counter()
+    try:
+        with open_log(file) as log:
+            names = {topic.id: topic.name for topic in log.topics}
+            for batch in log.batches():
+                found.update((names[batch.topic_id], bytes(p)) for p in payloads(batch))
+            if log.findings:
+                return None  # something was lost, and said
+    except BodylogError:
+        return None
+    for read in (_by_mcap, _by_rosbags):
+        with suppress(Exception):  # a library that does not read the file says nothing of it
+            other = read(file)
+            if other is not None and other != found:
+                counts = f"{sum(other.values())} messages, {sum(found.values())} ours"
+                return f"{counts}; {list((other - found) or (found - other))[:1]}"
+    return None
+
+
+def _by_mcap(file: Path) -> Counter[tuple[str, bytes]] | None:
+    from mcap.reader import NonSeekingReader
+
+    if file.suffix != ".mcap" or file.is_dir():
+        return None
+    with file.open("rb") as stream:
+        return Counter((c.topic, bytes(m.data)) for _, c, m in NonSeekingReader(stream).iter_messages())
+
+
+def _by_rosbags(file: Path) -> Counter[tuple[str, bytes]] | None:
+    from rosbags.rosbag1 import Reader
+
+    if file.suffix != ".bag":
+        return None
+    with Reader(file) as reader:
+        return Counter((c.topic, bytes(data)) for c, _, data in reader.messages())

@@ -1,0 +1,146 @@
+"""Hostile settings: robot.toml and what is typed."""
+
+import json
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from bodylog.settings import Settings
+
+from .grammar import FLOATS, INTEGERS, TEXTS, Draw
+
+TOPICS = (
+    "/joint_states",
+    "/joint_states.position",
+    "/joint_states.position[:]",
+    "/camera/image",
+    "/camera/compressed",
+    "/skin",
+    "/skin.data",
+    "/skin.data[-1:0]",
+    "/skin.data[99999999999999999999]",
+    '/skin.layout.dim[:]{label=="x"}.size',
+    "video.mp4",
+    "/",
+    "",
+    ".",
+    "/nope",
+    "/joint_states.header.stamp",
+    "/joint_states.name",
+)
+COLOURS: tuple[Any, ...] = (
+    "green",
+    "red",
+    "purple",
+    {"low": [0, 0, 0], "high": [180, 255, 255]},
+    {"low": [170, 50, 50], "high": [10, 255, 255]},
+    {"low": [-1, 0, 0], "high": [999, 0, 0]},
+    {"low": []},
+    {},
+    {"low": [180, 255, 255], "high": [0, 0, 0]},
+)
+WORDS = (
+    "auto",
+    "off",
+    "on",
+    "header",
+    "log",
+    "model",
+    "fixed",
+    "paper",
+    "default",
+    "laplace",
+    "smoother",
+    "ekf",
+    "kalman",
+    "predictive-coding",
+    "encoders",
+    "vision",
+    "touch",
+    "effector",
+    "rad",
+    "deg",
+    "literal",
+    "explicit",
+)
+NUMBERS = (*FLOATS, 0.0, 1.0, -1.0, 0.5, 3600.0, 3600.1, 1e6, 1e-3, 50.0, 100.0, 1e15)
+
+
+def value(draw: Draw, depth: int = 0) -> Any:
+    """Any value that TOML has."""
+    kinds = [
+        lambda: draw.of(NUMBERS),
+        lambda: draw.of([n for n in INTEGERS if abs(n) < 2**63]),
+        lambda: draw.of(TEXTS),
+        lambda: draw.of(WORDS),
+        lambda: draw.of(WORDS),
+        lambda: draw.of(TOPICS),
+        lambda: draw.of(TOPICS),
+        lambda: draw.of((True, False)),
+        lambda: draw.of(COLOURS),
+        lambda: [value(draw, depth + 1) for _ in range(draw.random.randint(0, 4))] if depth < 2 else [],
+        lambda: {draw.of((*WORDS, "camera", "a/b")): value(draw, depth + 1)} if depth < 2 else {},
+    ]
+    return draw.of(kinds)()
+
+
+def toml(draw: Draw) -> str:
+    """A robot.toml with one to four keys set, mostly to what they might be."""
+    lines = []
+    for _ in range(draw.random.randint(1, 4)):
+        section = draw.of(fields(Settings)).name
+        current = getattr(Settings(), section)
+        key = draw.of([f.name for f in fields(current)]) if is_dataclass(current) else json.dumps(draw.text("tip"))
+        lines.append(f"[{section}]\n{key} = {_toml(value(draw))}\n")
+    text = "".join(dict((line.split("\n")[0], line) for line in lines).values())
+    odd = (
+        "a" + ".a" * 20_000 + " = 1\n",
+        "x = [" * 3000,
+        "[" * 5000,
+        "\0",
+        "[topics]\njoints = '''",
+        "a = 1979-05-27\n",
+    )
+    return text + draw.of(odd) if draw.hostile(0.1) else text
+
+
+def _toml(said: Any) -> str:
+    if isinstance(said, bool):
+        return str(said).lower()
+    if isinstance(said, float):
+        return repr(said)
+    if isinstance(said, list):
+        return "[" + ", ".join(map(_toml, said)) + "]"
+    if isinstance(said, dict):
+        return "{" + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in said.items()) + "}"
+    return json.dumps(said) if isinstance(said, str) else str(said)
+
+
+TYPED: tuple[tuple[str, ...], ...] = (
+    ("--rate",),
+    ("--method",),
+    ("--with",),
+    ("--without",),
+    ("--precision",),
+    ("--bias",),
+    ("--touch",),
+    ("--step",),
+    ("--preset",),
+    ("--delay",),
+    ("--clock-offset",),
+)
+"""Options of estimate that take a value."""
+
+
+def typed(draw: Draw) -> list[str]:
+    """Some options of `estimate`."""
+    out: list[str] = []
+    for _ in range(draw.random.randint(0, 2)):
+        out += [*draw.of(TYPED), str(value(draw, 2))[:400].replace("\0", "")]
+    return out
+
+
+def write(draw: Draw, path: Path) -> list[str]:
+    """Write a robot.toml to `path`; gives what is typed besides."""
+    path.write_bytes(toml(draw).encode("utf-8", "replace"))
+    return typed(draw)

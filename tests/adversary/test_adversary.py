@@ -1,0 +1,74 @@
+"""Sound containers with hostile content, and hostile settings: read, or refused in one line; nothing half-written."""
+
+import pytest
+
+from . import cases, worker
+from .__main__ import meet
+from .grammar import Draw
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory):
+    """Sound files from which cases are made."""
+    return cases.prepare(tmp_path_factory.mktemp("adversary") / "base")
+
+
+def _said(problems):
+    return "\n".join(
+        f"{p.kind} {p.seed}: {' '.join(p.run.command)}: {p.what}\n{p.run.err[-800:]}" for p in problems[:5]
+    )
+
+
+def test_hostile_files_and_settings_are_read_or_refused_in_one_line(base, tmp_path):
+    problems, figures = meet(base, tmp_path, range(12), range(4))
+    assert not problems, _said(problems)
+    assert figures["commands"] > 50
+
+
+@pytest.mark.soak
+def test_twenty_thousand_hostile_files_and_settings(base, tmp_path):
+    problems, figures = meet(base, tmp_path, range(1000, 20_000), range(1000, 2000))
+    print(figures)
+    assert not problems, _said(problems)
+
+
+def _outcome(**how):
+    said = {"command": ("info", "x", "--json"), "code": 0, "out": "{}", "err": "", "seconds": 1.0, "memory": 1 << 28}
+    return worker.Run(**(said | how))
+
+
+@pytest.mark.parametrize(
+    ("how", "what"),
+    [
+        ({"code": 1, "err": "Traceback (most recent call last):\n"}, "exit code 1"),
+        ({"code": 65, "err": "bodylog: a\nbodylog: b\n"}, "not refused in one line"),
+        ({"code": 65, "err": "bodylog: there is not enough memory\n"}, "not enough memory"),
+        ({"err": "x.py:3: RuntimeWarning: overflow\n"}, "a library speaks"),
+        ({"out": '{"t": NaN}'}, "its JSON: NaN in it"),
+        ({"seconds": 61.0}, "61.0 s"),
+        ({"memory": 2 << 30}, "2048 MB"),
+        ({"code": None}, "it did not end, or was killed"),
+        ({"command": ("fit", "x", "-o", "/nowhere/b.npz")}, "success without an output"),
+    ],
+)
+def test_what_does_not_hold_is_noticed(how, what):
+    assert what in list(cases._wrong(_outcome(**how)))
+
+
+def test_a_sound_case_has_no_problem():
+    assert not list(cases._wrong(_outcome()))
+
+
+def test_a_message_that_is_read_otherwise_is_noticed(tmp_path, monkeypatch):
+    cases.WRITERS["log.mcap"](Draw(3, 0.0), tmp_path / "log.mcap")
+    assert cases._same(tmp_path / "log.mcap", []) is None
+    read = cases._by_mcap
+    monkeypatch.setattr(cases, "_by_mcap", lambda file: read(file) + read(file))
+    assert "messages" in cases._same(tmp_path / "log.mcap", [])
+
+
+def test_files_that_are_lost_or_left_are_noticed():
+    before, run = {"a": (1, 1), "b": (2, 2)}, _outcome(code=65)
+    assert list(cases._left(before, before, [run])) == []
+    assert list(cases._left(before, {"a": (1, 1)}, [run])) == ["an input changed or is gone"]
+    assert list(cases._left(before, before | {".c.part": (0, 0)}, [run])) == ["left over: .c.part"]
