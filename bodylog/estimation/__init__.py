@@ -10,6 +10,7 @@ from ..types import BodyModel, Estimate, Features
 from . import filtering, kalman, poses, predictive_coding, senses, smoother
 from .dating import as_stamped, dated, unsure
 from .doubts import doubts
+from .finite import finite
 
 __all__ = ["METHODS", "check", "estimate"]
 
@@ -29,7 +30,7 @@ def estimate(
 ) -> Estimate:
     """The belief by `settings.method`, each camera's `delay` taken off as `dated` has it.
 
-    ModelError, EvidenceError or UsageError when it cannot be had.
+    ModelError, EvidenceError or UsageError when it cannot be had: there are no numbers in it that are none.
     """
     check(body, settings)
     if features.poses:
@@ -38,7 +39,7 @@ def estimate(
         return replace(found, findings=(*found.findings, *doubts(found, settings)))
     with one_thread():
         timely = dated(features, body, delay)
-        found = METHODS[settings.method](timely.features, body, settings)
+        found = finite(METHODS[settings.method](timely.features, body, settings))
     if timely.delays:
         found = unsure(as_stamped(found, features, timely.features), timely)
         told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}

@@ -6,7 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..types import Array, Fault
+from .grain import grain
 from .laplace import Problem, Solution
+from .senses import Encoders
 from .suspicion import promise
 
 WALKS = (1e-4, 1e-5, 1e-3)
@@ -20,7 +22,8 @@ SIGMAS, LEAST = 4.0, 0.01
 def suspects(problem: Problem, solved: Solution) -> Array:
     """Encoders (M,) bool whose lie would, to first order, explain GAIN nats of the log: a sound one costs no more."""
     gain, offset, var = promise(problem, solved, WALKS[0])
-    return np.asarray((gain > GAIN) & _certain(offset, var).any(axis=0) & (_given(problem) == 0))
+    certain = _certain(offset, var, least(problem.evidence.encoders))
+    return np.asarray((gain > GAIN) & certain.any(axis=0) & (_given(problem) == 0))
 
 
 def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Problem:
@@ -76,16 +79,32 @@ def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> A
     return None
 
 
-def _certain(offset: Array, var: Array) -> Array:
-    """Where offsets (N,M), of variances (N,M), are faults."""
-    return np.asarray(np.abs(offset) > np.maximum(LEAST, SIGMAS * np.sqrt(var)))
+def least(encoders: Encoders | None) -> Array | float:
+    """Offsets (M,) rad that may be faults at least: a sound encoder is off by half the step it counts in.
+
+    One that never moved is taken to count in the steps of the others.
+    """
+    if encoders is None:
+        return LEAST
+    said = [column[np.isfinite(column)] for column in encoders.values.T]
+    steps = [grain(y) for y in said]
+    shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, said, strict=True)]
+    return np.maximum(LEAST, shown)
+
+
+def _certain(offset: Array, var: Array, least: Array | float) -> Array:
+    """Where offsets (N,M), of variances (N,M), are faults, which are no smaller than `least` (M,) rad."""
+    return np.asarray(np.abs(offset) > np.maximum(least, SIGMAS * np.sqrt(var)))
 
 
 def faults(
-    names: tuple[str, ...], t: Array, offset: Array, var: Array, known: tuple[Fault, ...]
+    names: tuple[str, ...], t: Array, offset: Array, var: Array, known: tuple[Fault, ...], least: Array | float = LEAST
 ) -> tuple[Fault, ...]:
-    """Drifting encoders from offsets and their variances (N,M): since when they are certainly off, and by how much."""
-    found, certain = [], _certain(offset, var)
+    """Drifting encoders from offsets and their variances (N,M): since when they are certainly off, and by how much.
+
+    least (M,) rad: smaller offsets are none.
+    """
+    found, certain = [], _certain(offset, var, least)
     for joint, name in enumerate(names):
         if any(fault.name == name for fault in known):
             continue

@@ -102,9 +102,11 @@ def encoder_rows(problem: "Problem", until: int | None = None) -> tuple[Array, A
     Of the first instants `until` some one alone, if that is given.
     """
     t, at = problem.timeline.t[:until], problem.timeline.encoders
-    encoders = np.full((len(t), len(problem.start)), np.nan)
-    if problem.evidence.encoders is not None:
-        rows = int(np.searchsorted(at, len(t)))
-        encoders[at[:rows]] = problem.evidence.encoders.values[:rows]
+    encoders, told = np.full((len(t), len(problem.start)), np.nan), problem.evidence.encoders
     var = np.tile(problem.precision.encoder, (len(t), 1))
+    if told is not None:
+        rows = int(np.searchsorted(at, len(t)))
+        encoders[at[:rows]] = told.values[:rows]
+        if told.relative is not None:
+            var[at[:rows]] *= told.relative[:rows]
     return (encoders, var) if problem.habit is None else problem.habit.fill(t, encoders, var)

@@ -10,11 +10,11 @@ import numpy as np
 from ..settings import Estimation
 from ..types import BodyModel, Estimate, Fault, Features, Finding
 from . import bias, motion, results
-from .faults import screen
+from .faults import screen, turns
 from .habit import habit
 from .laplace import Problem, Restless, Solution, solve
 from .lost import named
-from .precision import resolve, warned
+from .precision import resolve, warned, weighed
 from .results import Beliefs
 from .senses import gather, start
 from .timeline import timeline
@@ -56,10 +56,13 @@ def pose(
     evidence = warned(gather(features, body, settings), body, settings)
     faults: tuple[Fault, ...] = ()
     if evidence.encoders is not None:
-        sound, faults = screen(evidence.encoders, body.joints)
-        evidence = replace(evidence, encoders=sound)
+        angles = "encoders" not in body.senses
+        said = turns(evidence.encoders, body.joints) if angles else ()
+        sound, faults = screen(evidence.encoders, body.joints, evidence.sightings if angles else (), angles)
+        evidence = replace(evidence, encoders=sound, findings=(*evidence.findings, *said))
     first = start(evidence, settings, body.joints)
     precision = resolve(evidence, body, settings)
+    evidence = weighed(evidence, precision, settings)
     usual = habit(evidence, precision.process, first)
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
     allowed = bias.allowed(settings.bias, body.joints, faults)
@@ -154,4 +157,4 @@ def drifts(
     m, unfold = len(names), solved.fold.unfold
     var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, 2 * m :, 2 * m :], np.eye(m)))
     offsets = unfold(solved.trace.z[:, 2 * m :])
-    return bias.faults(names, problem.timeline.t, offsets, var, known)
+    return bias.faults(names, problem.timeline.t, offsets, var, known, bias.least(problem.evidence.encoders))

@@ -30,7 +30,26 @@ def dithered(t: Array, y: Array) -> tuple[Array, float, float]:
     """Readings (N,) spread evenly over the step they were counted in, the variance (rad²) of that, and their least."""
     step = grain(y)
     if step == 0.0:
-        return y, 0.0, 0.0
+        return y, 0.0, resolved(y) * repeated(t, y)
     variance = step * step / 12.0
     spread = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
     return spread, variance, variance * repeated(t, y)
+
+
+def relative(t: Array, y: Array, variance: float) -> Array:
+    """Variance of each reading (N,) over the encoder's, `variance` (rad²): what repeats at rest is one reading."""
+    own = resolved(y) or variance / repeated(t, y)
+    runs = np.flatnonzero(np.append(True, np.diff(y) != 0.0))
+    counts = np.diff(runs, append=len(y))
+    lasting = t[np.minimum(runs + counts, len(y) - 1)] - t[runs]
+    shared = np.clip(lasting / ONE, 1.0, counts)
+    beside = max(variance - own * (repeated(t, y) - 1.0), own)
+    return np.asarray(np.repeat(beside + own * (shared - 1.0), counts) / variance)
+
+
+def resolved(y: Array) -> float:
+    """Variance (rad²) of counting readings (N,) in steps, or in least changes where they repeat; 0 if neither."""
+    steps = np.abs(np.diff(y))
+    moved = steps[steps > 0.0]
+    step = grain(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
+    return step * step / 12.0

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..types import Array
 from .folds import Fold
+from .following import followed
 from .grain import dithered, repeated
 from .senses import Encoders
 
@@ -23,8 +24,12 @@ FEWEST = 30
 """Readings of a joint that say nothing certain of its noise."""
 BREAK = 10.0
 """Robust standard deviations: a larger second difference is a jump, where the filter starts anew."""
+AROUND = 5
+"""Second differences on each side among which that of a jump stands alone."""
 MEMORY = 1.0
 """Seconds of readings a belief about a resting joint may average."""
+LEAST = 1e-12
+"""rad²: no encoder errs by less than a microradian, a twentieth of the step of a 19-bit one."""
 
 
 def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Array]:
@@ -46,9 +51,26 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
         elif len(known):
             encoder[joint] *= repeated(encoders.t[known], column[known])
     if joints:
-        (found, process[joints]), (added, least) = likeliest(heard), np.transpose(coarse)
+        (found, density), (added, least) = likeliest(heard), np.transpose(coarse)
         encoder[joints] = np.maximum(found - added, least)
+        noise = np.maximum(found, encoder[joints])
+        process[joints] = [_followed(*one) for one in zip(heard, noise, density, strict=True)]
     return encoder, process
+
+
+def _followed(heard: tuple[Array, Array], noise: float, process: float) -> float:
+    """The density that the motion in times and readings (N,) asks for, `process` at least."""
+    t, y = heard
+    return followed(t, y, _alone(np.abs(np.diff(y, 2))), noise, process)
+
+
+def followable(encoders: Encoders, encoder: Array, process: Array) -> Array:
+    """Densities (M,) rad²/s³, at least `process`, with which a filter follows all that the encoders read."""
+    process = process.copy()
+    for joint, column in enumerate(encoders.values.T):
+        known = np.isfinite(column)
+        process[joint] = _followed((encoders.t[known], column[known]), encoder[joint], process[joint])
+    return process
 
 
 def floor(encoders: Encoders, encoder: Array) -> Array:
@@ -134,18 +156,30 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array) -> tuple[Array, A
         logs += counts[i] * np.log(s)
         x, v = x + gx * nu, v + gv * nu
         pvv, pxv, pxx = pvv - gv * pxv, pxv - gx * pxv, gx
-    n = np.maximum(counts.sum(axis=(0, 2)), 1.0)
-    noise = squares.sum(axis=2) / n
-    return -0.5 * (n * np.log(noise) + logs.sum(axis=2)), noise
+    n, misfit = np.maximum(counts.sum(axis=(0, 2)), 1.0), squares.sum(axis=2)
+    noise = np.maximum(misfit / n, LEAST)
+    return -0.5 * (n * np.log(noise) + misfit / noise + logs.sum(axis=2)), noise
 
 
 def _breaks(t: Array, y: Array) -> Array:
     """Where the reading cannot follow from its neighbours (N,): the filter starts anew there."""
     bend = np.abs(np.diff(y, 2))
-    typical = 1.4826 * np.median(bend) + np.finfo(float).tiny
     gap = np.diff(t) > 20.0 * np.median(np.diff(t))
+    alone = _alone(bend)
     fresh = np.zeros(len(y), bool)
-    fresh[1:-1] = bend > BREAK * typical
-    fresh[2:] |= bend > BREAK * typical
+    fresh[1:-1] = alone
+    fresh[2:] |= alone
     fresh[1:] |= gap
     return fresh
+
+
+def _alone(bend: Array) -> Array:
+    """Which bends (N,) stand out of all others, and of those around them: an arm that starts to move goes on."""
+    moved = bend[bend > 0.0]
+    # where most readings repeat, what the others do is typical
+    typical = np.median(bend) if 2 * len(moved) > len(bend) else np.median(moved) if len(moved) else np.inf
+    found = bend > BREAK * 1.4826 * typical
+    at = np.flatnonzero(found)
+    around = np.pad(bend, AROUND)[at[:, None] + np.arange(2 * AROUND + 1)]
+    found[at] = bend[at] > BREAK * np.median(around, axis=1)
+    return np.asarray(found)

@@ -11,6 +11,7 @@ from ..settings import Estimation
 from ..types import Array, BodyModel, Finding
 from . import motion
 from .alike import NEAR
+from .grain import relative
 from .senses import Encoders, Evidence
 
 
@@ -78,6 +79,19 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precis
         return Precision(encoder, process, None, scale, near)
     encoder, evident = motion.learn(evidence.encoders, encoder, process)
     return Precision(encoder, process, None, scale, near).held(evident, evidence.encoders)
+
+
+def weighed(evidence: Evidence, precision: Precision, settings: Estimation) -> Evidence:
+    """The evidence with readings that repeat, as an arm at rest has them, worth less each; if noise is from the log."""
+    encoders = evidence.encoders
+    if settings.precision != "auto" or encoders is None or not (np.diff(encoders.values, axis=0) == 0.0).any():
+        return evidence
+    found = np.ones(encoders.values.shape)
+    for joint, (column, variance) in enumerate(zip(encoders.values.T, precision.encoder, strict=True)):
+        known = np.isfinite(column)
+        if known.any():
+            found[known, joint] = relative(encoders.t[known], column[known], variance)
+    return replace(evidence, encoders=replace(encoders, relative=found))
 
 
 def carried(body: BodyModel, found: Mapping[str, Any] | None) -> Precision:

@@ -16,11 +16,15 @@ from .stuck import unfrozen
 
 @dataclass(frozen=True, eq=False)
 class Encoders:
-    """Encoder rows: t (N,) s strictly rising · values (N,M) rad, NaN where silent · source_ns (N,)."""
+    """Encoder rows: t (N,) s strictly rising · values (N,M) rad, NaN where silent · source_ns (N,).
+
+    relative: each reading's variance (N,M) over its encoder's, None where they are all alike.
+    """
 
     t: Array
     values: Array
     source_ns: Array
+    relative: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from ..types import Array
 from .brief import Brief, tile
 from .laplace import Problem, Solution, briefly
 from .least import least
-from .motion import floor
+from .motion import floor, followable
 from .outset import handed_over, priors
 from .precision import Precision
 from .scan import scan
@@ -66,11 +66,17 @@ def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole
     if whole:
         held = replace(part.precision, process=np.maximum(part.precision.process, floor))
         process, stated = least(replace(part, precision=held), told)
-        return replace(part.precision, process=np.maximum(process, floor), stated=stated)
+        return replace(part.precision, process=_led(part, np.maximum(process, floor)), stated=stated)
     evident, white = _own(problem, part, told[1])
     if encoders is None:
         return replace(part.precision, process=evident)
     return part.precision.held(evident, encoders, white)
+
+
+def _led(part: Problem, process: Array) -> Array:
+    """Process variances (M,) of a smoother whose way forth stays within the gate."""
+    encoders = part.evidence.encoders
+    return process if encoders is None else followable(encoders, part.precision.encoder, process)
 
 
 def _told(part: Problem, view: View) -> tuple[Problem, tuple[Brief, Solution]]:
@@ -179,7 +185,8 @@ def middle(problem: Problem) -> Problem:
         cut = Evidence(None, sightings, problem.start, evidence.used, ())
         return replace(problem, evidence=cut, timeline=timeline(cut, None))
     rows = (found.t >= low) & (found.t <= high)
-    encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows])
+    relative = None if found.relative is None else found.relative[rows]
+    encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows], relative)
     known = [column[np.isfinite(column)] for column in encoders.values.T]
     start = np.array([c[0] if len(c) else s for c, s in zip(known, problem.start, strict=True)])
     cut = Evidence(encoders, sightings, start, evidence.used, ())

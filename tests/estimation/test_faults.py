@@ -5,8 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate, faults
+from bodylog.estimation import estimate
+from bodylog.estimation.dead import silent
+from bodylog.estimation.frozen import frozen
+from bodylog.estimation.jumping import jumps, turned
 from bodylog.settings import Estimation
+from tests.estimation.resting import Drawn, drawn, judged
 
 
 def spoil(drawn, change, joint="pan"):
@@ -102,19 +106,19 @@ def test_a_frozen_encoder_costs_less_than_three_milliradians(world):
 def test_an_ideal_encoder_at_rest_is_not_frozen():
     t = np.arange(0.0, 10.0, 0.02)
     smooth = np.where(t < 5.0, np.sin(t), np.sin(5.0))
-    assert faults.frozen(t, smooth) == []
+    assert frozen(t, smooth) == []
     noisy = np.sin(t) + np.random.default_rng(0).normal(0, 1e-3, len(t))
     noisy[200:260] = noisy[200]
-    assert faults.frozen(t, noisy) == [(201, 260)]
+    assert frozen(t, noisy) == [(201, 260)]
 
 
 def test_a_single_spike_is_no_jump():
     y = np.random.default_rng(1).normal(0, 0.01, 400)
     t = np.arange(400) / 50.0
     y[200] += 1.0
-    assert faults.jumps(t, y) == []
+    assert jumps(t, y) == []
     y[250:] += 0.5
-    ((at, size),) = faults.jumps(t, y)
+    ((at, size),) = jumps(t, y)
     assert at == 250 and size == pytest.approx(0.5, abs=0.05)
 
 
@@ -122,17 +126,17 @@ def test_where_a_joint_is_after_a_silence_is_no_jump():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.sin(t) + np.random.default_rng(2).normal(0, 0.01, len(t))
     heard = (t < 6.0) | (t > 9.0)
-    assert faults.jumps(t[heard], y[heard]) == []
-    assert faults.jumps(t, np.where(heard, y, np.nan)) == []
+    assert jumps(t[heard], y[heard]) == []
+    assert jumps(t, np.where(heard, y, np.nan)) == []
 
 
 def test_the_steps_of_a_coarse_encoder_are_no_jumps():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.round(0.2 * np.sin(t / 2) / 0.01) * 0.01
     assert np.mean(np.diff(y) == 0.0) > 0.5
-    assert faults.jumps(t, y) == []
+    assert jumps(t, y) == []
     y[600:] += 0.3
-    ((at, size),) = faults.jumps(t, y)
+    ((at, size),) = jumps(t, y)
     assert at == 600 and size == pytest.approx(0.3, abs=0.02)
 
 
@@ -142,3 +146,47 @@ def test_offsets_on_request_are_reported_for_every_joint(world):
     assert found.bias is not None and found.bias.names == drawn.body.joints
     assert np.abs(found.bias.values).max() < 0.05
     assert estimate(drawn.features, drawn.body, Estimation(bias="off")).bias is None
+
+
+def test_an_encoder_that_hunts_by_steps_and_then_rests_is_not_frozen():
+    rng, t = np.random.default_rng(3), np.arange(0.0, 20.0, 0.02)
+    angle = 0.3 * np.sin(np.minimum(t, 8.0)) + rng.normal(0, 1e-3, len(t))
+    y = np.round(angle / 1.5e-3) * 1.5e-3
+    y[t > 9.0] = y[-1]
+    assert frozen(t, y) == []
+
+
+def test_a_joint_that_moves_fast_does_not_jump():
+    t = np.arange(0.0, 10.0, 0.055)
+    servo = np.where(t < 5.0, 0.3, 0.35) + 0.2 * (t > 7.0)
+    assert jumps(t, np.round(servo / 1.5e-3) * 1.5e-3) == []
+    slow = np.repeat(np.sin(np.arange(0.0, 20.0, 0.05)), 25)  # read at 500 Hz, sampled at 20 Hz
+    assert jumps(np.arange(len(slow)) * 2e-3, slow) == []
+
+
+def test_whole_turns_are_counted_away_and_are_no_jumps(world):
+    y = np.linspace(0.0, 20.0, 500)
+    wrapped = (y + np.pi) % (2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(turned(wrapped), y, atol=1e-9)
+    sound = world(0, duration=8.0)
+    features = spoil(sound, lambda t, v: np.copyto(v, np.where(t > 4.0, v - 2.0 * np.pi, v)))
+    assert not estimate(features, sound.body, Estimation()).faults
+
+
+def test_an_encoder_that_speaks_seldom_is_not_dead():
+    t = np.arange(0.0, 10.0, 0.02)
+    seldom = np.where(np.arange(len(t)) % 40 == 0, 0.1, np.nan)
+    seldom[t > 8.9] = np.nan
+    assert silent(t, seldom) is None
+    assert silent(t, np.where(t < 6.0, 0.1, np.nan)) == pytest.approx(5.98)
+
+
+@pytest.mark.parametrize("moves", ["sines", "reach"])
+@pytest.mark.parametrize("joint", [0, 1, 2])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_images_tell_a_frozen_encoder_from_one_that_counts_in_steps_and_rests(moves, joint, noise):
+    sound = drawn(0, Drawn(moves, 1.5e-3, noise))
+    found = estimate(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, Estimation())
+    assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
+    error, nees = judged(sound, found.joints, found.cov)
+    assert error < 0.02 and nees < 2.0  # 0.06 to 0.14 rad where it is believed

@@ -1,0 +1,62 @@
+"""Encoders that count in steps and joints that rest: sound ones, of which every method makes true numbers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.errors import EvidenceError
+from bodylog.estimation import METHODS, estimate
+from bodylog.estimation.finite import finite
+from bodylog.settings import Estimation
+from tests.estimation.resting import Drawn, drawn, judged
+from tests.seeds import seeds
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("step", [1e-6, 1.5e-3])
+def test_every_method_gives_numbers_for_an_arm_that_mostly_rests(method, step):
+    world = drawn(0, Drawn("reach", step, encoder_hz=100.0))
+    assert np.mean(np.diff(world.features.joints.values, axis=0) == 0.0) > 0.4
+    found = estimate(world.features, world.body, Estimation(method=method))
+    assert finite(found) is found and not found.faults
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("senses", [None, ("encoders",)])
+@pytest.mark.parametrize(("step", "noise"), [(1e-6, 0.0), (1e-4, 0.0), (1.5e-3, 0.0), (0.01, 0.0), (1.5e-3, 1e-3)])
+@pytest.mark.parametrize("moves", ["slow", "sines", "reach"])
+@pytest.mark.parametrize("seed", seeds(1, 5))
+def test_a_quantised_encoder_is_believed_as_far_as_its_step(method, senses, step, noise, moves, seed):
+    world = drawn(seed, Drawn(moves, step, noise))
+    found = estimate(world.features, world.body, Estimation(method=method, senses=senses))
+    error, nees = judged(world, found.joints, found.cov)
+    assert error < 0.75 * max(step, noise) and nees < 1.8
+    # no encoder is held for better than a microradian, and what rests may err by half its step
+    assert nees > (0.4 if noise else 0.03 if step < 1e-5 else 0.15)
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+def test_a_joint_that_starts_after_a_long_rest_is_followed(method):
+    world = drawn(0, Drawn("reach", 1e-4))
+    found = estimate(world.features, world.body, Estimation(method=method, senses=("encoders",)))
+    truth = np.stack([np.interp(found.joints.t, world.truth.t, column) for column in world.truth.values.T], axis=1)
+    assert np.abs(found.joints.values - truth).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("field", "text"),
+    [
+        ("joints", "the angle of lift at 0.060 s is not a number by laplace"),
+        ("rate", "the rate of lift at 0.060 s"),
+        ("cov", "the variance of lift at 0.060 s"),
+        ("free_energy", "the free energy at 0.060 s"),
+    ],
+)
+def test_no_estimate_with_a_number_that_is_none_is_given_out(world, field, text):
+    found = estimate(*(lambda w: (w.features, w.body))(world(0, duration=2.0)), Estimation())
+    bad = getattr(found, field)
+    values = np.array(bad if isinstance(bad, np.ndarray) else bad.values)
+    values[(3, 1) if values.ndim > 1 else 3] = np.nan
+    with pytest.raises(EvidenceError, match=text):
+        finite(replace(found, **{field: values if isinstance(bad, np.ndarray) else replace(bad, values=values)}))

@@ -1,0 +1,80 @@
+"""Healthy logs, none of which names a fault: drawn with many settings, recorded, and real robots' joints."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate
+from bodylog.logs import recording
+from bodylog.settings import Estimation, Settings
+from bodylog.types import BodyModel, Features, Noise, Series, TouchConstants
+from tests.estimation.resting import MOTIONS, Drawn, drawn
+
+SHARED = Path(__file__).parents[3] / "shared"
+READ = (
+    {"noise": 0.02},
+    {"noise": 0.003, "camera_hz": 30.0},
+    {"noise": 0.005, "gaps": 3},
+    {"noise": 0.001, "encoder_hz": 125.0, "slip": 0.004},
+    {"step": 1e-6, "encoder_hz": 100.0, "camera_hz": 30.0},
+    {"step": 1e-4},
+    {"step": 1.5e-3},
+    {"step": 1.5e-3, "noise": 1e-3},
+    {"step": 1.5e-3, "encoder_hz": 20.0, "slip": 0.006},
+    {"step": 1.5e-3, "encoder_hz": 200.0, "slip": 0.006, "camera_hz": 30.0},
+    {"step": 1.5e-3, "noise": 5e-4, "encoder_hz": 18.0, "slip": 0.003, "gaps": 2, "camera_hz": 10.0},
+    {"step": 4.6e-3, "noise": 0.002, "encoder_hz": 100.0, "slip": 0.01},
+    {"step": 0.01, "gaps": 2},
+)
+"""How joints are read: 13 ways for each of four motions, two seeds each, with a camera and without: 208 logs."""
+
+
+def accused(joints: Series) -> list[str]:
+    """Faults of joints by themselves."""
+    m = len(joints.names)
+    body = BodyModel(joints.names, {}, Noise((1e-4,) * m, {}, (0.3,) * m), TouchConstants(1.0, 0.005, 1.0, 50.0), {})
+    found = estimate(Features(joints, {}, None, (), (), {}), body, Estimation())
+    return [f"{fault.name} {fault.kind} {fault.since:.2f} s" for fault in found.faults]
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("moves", MOTIONS)
+@pytest.mark.parametrize("how", READ, ids=str)
+def test_no_drawn_encoder_is_accused(moves, how):
+    for seed in (100, 101):
+        world = drawn(seed, Drawn(moves, **how))
+        for senses in (None, ("encoders",)):
+            assert not estimate(world.features, world.body, Estimation(senses=senses)).faults
+
+
+LOGS = (
+    "ipab-slmc__kuka_honeypot_demo/data/test.bag",
+    "vbarcena2020__abitobot/rosbag",
+    *(f"worlds/{name}" for name in ("ball_explore", "ball_offset", "tag_explore", "tag_noise")),
+    *(f"arm/{name}" for name in ("drift.mcap", "explore.mcap", "reach.mcap", "touch.mcap", "touch_async.mcap")),
+    *(f"arm/{name}" for name in ("reach.bag", "reach_rosbag2")),
+)
+
+
+@pytest.mark.parametrize("name", LOGS)
+def test_no_joint_of_a_real_log_is_accused_by_its_own_readings(name):
+    path = SHARED / "logs" / name
+    if not path.exists():
+        pytest.skip(f"{path} is not at hand")
+    joints = recording.read(path, Settings()).joints
+    assert joints is not None and not accused(joints)
+
+
+@pytest.mark.parametrize("episode", [0, 1])
+@pytest.mark.parametrize("column", ["observation.state", "action"])
+def test_no_servo_of_a_real_arm_is_accused(episode, column):
+    path = SHARED / "real" / "so101" / "data" / "chunk-000" / f"episode_{episode:06}.parquet"
+    if not path.exists():
+        pytest.skip(f"{path} is not at hand")
+    table = pytest.importorskip("pyarrow.parquet").read_table(path, columns=["timestamp", column])
+    t, ticks = (np.array(table[name].to_pylist(), float) for name in ("timestamp", column))
+    names = tuple(f"servo_{number}" for number in range(ticks.shape[1]))
+    joints = Series(t, ticks * 2.0 * np.pi / 4096.0, names, "rad", (t * 1e9).astype(np.int64))
+    assert np.mean(np.diff(ticks, axis=0) == 0.0) > 0.6
+    assert not accused(joints)
