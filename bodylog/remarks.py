@@ -10,13 +10,16 @@ FIRST = 1.0
 
 def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
     """Which sensor lied, how, since when and how much."""
+    return tuple(Finding("warning", _lie(fault)) for fault in faults)
+
+
+def _lie(fault: Fault) -> str:
+    since = f"{fault.sense} {fault.name}: {fault.kind} since {fault.since:.3f} s"
+    # a fault that is one of several joints' has no size
+    known = fault.size == fault.size
+    size = f", {fault.size:.4g} {fault.unit}" if known else "; the log cannot tell which of them it is"
     first = "; from the first on: homed differently, or the camera has moved since the body was learned"
-    said = (
-        f"{f.sense} {f.name}: {f.kind} since {f.since:.3f} s, {f.size:.4g} {f.unit}"
-        + first * (f.kind == "drifting" and f.since < FIRST)
-        for f in faults
-    )
-    return tuple(Finding("warning", text) for text in said)
+    return since + size + first * (fault.kind == "drifting" and fault.since < FIRST)
 
 
 def sightings(found: Features) -> tuple[Finding, ...]:

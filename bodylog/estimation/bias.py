@@ -1,7 +1,7 @@
 """Encoder offsets: whether the log asks for one, whose it is, and since when it drifts."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,12 +11,29 @@ from .laplace import Problem, Solution
 from .senses import Encoders
 from .suspicion import promise
 
-WALKS = (1e-4, 1e-5, 1e-3)
-"""rad²/s: how fast an offset may wander, the first tried first."""
+WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
+"""rad²/s: how fast an offset may wander, the first tried first; the last is a joint homed differently, and stays."""
 GAIN = 20.0
 """Nats of evidence that one more offset must win."""
+MOST = 2000
+"""Instants by which a fault's size is told, at most."""
+EITHER = " or "
+"""Between the names of joints of which one lies, it cannot be told which."""
 SIGMAS, LEAST = 4.0, 0.01
 """An offset is a fault when it is this many of its standard deviations, and this many rad, from where it began."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """A problem, its nats, and of each joint with an offset (by number) those whose offset does nearly as well."""
+
+    problem: Problem
+    nats: float
+    rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+
+    def of(self, problem: Problem) -> "Chosen":
+        """The same of another problem."""
+        return replace(self, problem=problem)
 
 
 def suspects(problem: Problem, solved: Solution) -> Array:
@@ -26,34 +43,52 @@ def suspects(problem: Problem, solved: Solution) -> Array:
     return np.asarray((gain > GAIN) & certain.any(axis=0) & (_given(problem) == 0))
 
 
-def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Problem:
+def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
     """The problem with an offset for each encoder whose lie explains GAIN nats of the log; `cost` in nats.
 
     suspected (M,) bool: the encoders asked first, at least one.
     """
-    least = cost(problem)
-    best = _added(problem, suspected, nats(solved) if np.isinf(least) else least, cost)
-    if best is problem:
-        return problem
-    others = [with_drift(best, _given(best) * (walk / WALKS[0])) for walk in WALKS[1:]]
+    first = cost(problem)
+    found = _added(Chosen(problem, nats(solved) if np.isinf(first) else first), suspected, cost)
+    if found.problem is problem:
+        return found
     # pictures taken for blurred on the lie's account are as sharp as perception says
-    sharp = replace(best.precision, scale=dict.fromkeys(best.precision.scale, 1.0))
-    return min([best, replace(best, precision=sharp), *others], key=cost)
+    precision = found.problem.precision
+    sharp = replace(found.problem, precision=replace(precision, scale=dict.fromkeys(precision.scale, 1.0)))
+    return found if sharp.precision.scale == precision.scale or cost(sharp) >= found.nats else found.of(sharp)
 
 
-def _added(problem: Problem, suspected: Array, least: float, cost: Callable[[Problem], float]) -> Problem:
-    """The problem, which costs `least` nats, with one offset after the other while each wins GAIN of them."""
-    best = problem
+def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
+    """The same with one offset after the other while each wins GAIN nats, and how fast it wanders as the log has it."""
     while suspected.any():
-        drift = _given(best)
-        trials = [with_drift(problem, np.where(alone, WALKS[0], drift)) for alone in np.eye(len(drift))[suspected] > 0]
-        costs = [cost(trial) for trial in trials]
-        if min(costs) > least - GAIN:
-            return best
-        least, best = min(zip(costs, trials, strict=True), key=lambda pair: pair[0])
+        drift = _given(found.problem)
+        asked = np.flatnonzero(suspected)
+        own = [np.arange(len(drift)) == j for j in asked]
+        costs = np.array([cost(with_drift(found.problem, np.where(one, WALKS[0], drift))) for one in own])
+        best = int(costs.argmin())
+        if costs[best] > found.nats - GAIN:
+            return found
+        near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + GAIN]
+        ways = [_wandering(found.problem, j, float(costs[asked == j][0]), cost) for j in near]
+        # before a further offset is asked for: one that wanders too freely leaves others to be found
+        least = min(nats for nats, _ in ways)
+        # of those that cannot be told apart the one that wanders least: others follow what the body model errs
+        alike = [
+            (_given(way)[j], nats, j, way) for j, (nats, way) in zip(near, ways, strict=True) if nats < least + GAIN
+        ]
+        _, nats, joint, chosen = min(alike, key=lambda one: one[:3])
+        found = Chosen(chosen, nats, {**found.rivals, joint: tuple(sorted(j for *_, j, _ in alike if j != joint))})
         # with one lie out of the way, any other may show
-        suspected = _given(best) == 0
-    return best
+        suspected = _given(found.problem) == 0
+    return found
+
+
+def _wandering(problem: Problem, joint: int, least: float, cost: Callable[[Problem], float]) -> tuple[float, Problem]:
+    """Nats, and the problem, with an offset of a joint that wanders as the log has it; by the first walk `least`."""
+    own = np.arange(len(problem.start)) == joint
+    ways = [with_drift(problem, np.where(own, walk, _given(problem))) for walk in WALKS]
+    costs = [least, *(cost(way) for way in ways[1:])]
+    return min(zip(costs, ways, strict=True), key=lambda pair: pair[0])
 
 
 def _given(problem: Problem) -> Array:
@@ -98,19 +133,33 @@ def _certain(offset: Array, var: Array, least: Array | float) -> Array:
 
 
 def faults(
-    names: tuple[str, ...], t: Array, offset: Array, var: Array, known: tuple[Fault, ...], least: Array | float = LEAST
+    problem: Problem, names: tuple[str, ...], offset: Array, var: Array, known: tuple[Fault, ...]
 ) -> tuple[Fault, ...]:
     """Drifting encoders from offsets and their variances (N,M): since when they are certainly off, and by how much.
 
-    least (M,) rad: smaller offsets are none.
+    Where another joint's offset does nearly as well both are named, with no size.
     """
-    found, certain = [], _certain(offset, var, least)
+    t, walks = problem.timeline.t, _given(problem)
+    found, certain = [], _certain(offset, var, least(problem.evidence.encoders))
     for joint, name in enumerate(names):
         if any(fault.name == name for fault in known):
             continue
         off = certain[:, joint]
         lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
         if lasting.any():
-            size = offset[np.abs(offset[:, joint]).argmax(), joint]
-            found.append(Fault("encoders", name, "drifting", float(t[lasting.argmax()]), float(size), "rad"))
+            rivals = problem.rivals.get(joint, ())
+            size = np.nan if rivals else _size(t, offset[:, joint], var[:, joint], float(walks[joint]))
+            either = EITHER.join([name, *(names[k] for k in rivals)])
+            found.append(Fault("encoders", either, "drifting", float(t[lasting.argmax()]), size, "rad"))
     return tuple(found)
+
+
+def _size(t: Array, offset: Array, var: Array, walk: float) -> float:
+    """The largest offset (rad) by the whole log, of filtered ones (N,) with variances at t (N,) s."""
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST)).astype(int))
+    grown = walk * np.diff(t[some])
+    back = var[some][:-1] / np.maximum(var[some][:-1] + grown, np.finfo(float).tiny)
+    whole = offset[some].tolist()
+    for k in range(len(whole) - 2, -1, -1):
+        whole[k] += back[k] * (whole[k + 1] - whole[k])
+    return float(max(whole, key=abs))

@@ -122,7 +122,10 @@ def offset(problem: Problem, solved: Solution) -> Problem | None:
     if not suspected.any():
         return None
     chosen = bias.choose(problem, solved, suspected, partial(cost, warm=solved))
-    return None if chosen is problem else chosen
+    if chosen.problem is problem:
+        return None
+    names = {joint: rivals for joint, rivals in chosen.rivals.items() if rivals}
+    return replace(chosen.problem, rivals=names)
 
 
 def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
@@ -157,4 +160,4 @@ def drifts(
     m, unfold = len(names), solved.fold.unfold
     var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, 2 * m :, 2 * m :], np.eye(m)))
     offsets = unfold(solved.trace.z[:, 2 * m :])
-    return bias.faults(names, problem.timeline.t, offsets, var, known, bias.least(problem.evidence.encoders))
+    return bias.faults(problem, names, offsets, var, known)

@@ -5,6 +5,7 @@ stretches of the log are filtered side by side from the ends of their predecesso
 the points of linearisation nor the starts move: the fixed point is the sequential filter's own.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,7 +39,8 @@ class Problem:
 
     path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say · habit: where
     joints without an encoder are wont to be · anew: times (R,) s by which nothing is known any more of
-    joints (R,M) bool · stepwise: pictures alone lead it for long, where sweeps may rest in another posture.
+    joints (R,M) bool · stepwise: pictures alone lead it for long, where sweeps may rest in another posture ·
+    rivals: joints by number whose offsets explain nearly as much as that of another.
     """
 
     evidence: Evidence
@@ -49,6 +51,7 @@ class Problem:
     habit: Habit | None = None
     anew: tuple[Array, Array] | None = None
     stepwise: bool = False
+    rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     def anew_at(self, t: Array) -> tuple[Array, Array]:
         """Which of instants t (E,) s begin anew, and what joints (R,M) bool of them."""

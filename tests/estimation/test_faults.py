@@ -10,6 +10,7 @@ from bodylog.estimation.dead import silent
 from bodylog.estimation.frozen import frozen
 from bodylog.estimation.jumping import jumps, turned
 from bodylog.settings import Estimation
+from tests.estimation.conftest import Linear
 from tests.estimation.resting import Drawn, drawn, judged
 
 
@@ -190,3 +191,19 @@ def test_images_tell_a_frozen_encoder_from_one_that_counts_in_steps_and_rests(mo
     assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
     error, nees = judged(sound, found.joints, found.cov)
     assert error < 0.02 and nees < 2.0  # 0.06 to 0.14 rad where it is believed
+
+
+@pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
+def test_an_offset_that_stays_is_told_by_the_whole_log(world, joint):
+    drawn = world(0, duration=16.0, encoder_std=0.01)
+    (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
+    assert fault.name == joint and fault.size == pytest.approx(0.0873, abs=0.004)
+
+
+@pytest.mark.parametrize(("joint", "named"), [("lift", {"lift", "elbow"}), ("pan", {"pan"})])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_joints_that_images_cannot_tell_apart_are_both_named_without_a_size(world, joint, named, seed):
+    alike = Linear(np.array([[300.0, 120.0, 120.0], [15.0, 250.0, 250.0]]), np.array([160.0, 120.0]))
+    drawn = world(seed, duration=16.0, encoder_std=0.01, model=alike)
+    (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
+    assert set(fault.name.split(" or ")) == named and np.isnan(fault.size) == (len(named) > 1)
