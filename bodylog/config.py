@@ -10,19 +10,18 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from . import files
+from . import toml_file
 from .errors import ConfigError
 from .settings import Estimation, Settings
 from .sources import check_colour, parse, spelled
-
-_MOST_BYTES = 1 << 20
+from .toml_file import shown
 
 
 def load(path: Path | None, overrides: Mapping[str, Mapping[str, Any]] | None = None) -> Settings:
     """Settings from a robot.toml (None: defaults), then {section: {key: value}} overrides; ConfigError if unsound."""
     settings = Settings()
     if path is not None:
-        settings = merge(settings, _parse(path), str(path))
+        settings = merge(settings, toml_file.read(path), str(path))
     return merge(settings, overrides or {}, "command line")
 
 
@@ -42,17 +41,6 @@ def merge(settings: Settings, given: Mapping[str, Any], where: str) -> Settings:
     return settings
 
 
-def _parse(path: Path) -> dict[str, Any]:
-    import tomllib
-
-    try:
-        return tomllib.loads(files.text(path, _MOST_BYTES))
-    except OSError as err:
-        raise ConfigError(f"{path}: cannot be read ({err.strerror}); give --config a robot.toml") from err
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as err:
-        raise ConfigError(f"{path}: not TOML: {err}") from err
-
-
 def _section(current: Any, section: str, values: Mapping[str, Any], where: str) -> Any:
     hints = typing.get_type_hints(type(current))
     known = [f.name for f in fields(current)]
@@ -66,10 +54,10 @@ def _section(current: Any, section: str, values: Mapping[str, Any], where: str) 
     return replace(current, **changed)
 
 
-def _known(name: str, known: list[str], where: str, kind: str, shown: str) -> None:
+def _known(name: str, known: list[str], where: str, kind: str, label: str) -> None:
     if name not in known:
-        near = difflib.get_close_matches(name, known, 1, 0.0)
-        raise ConfigError(f"{where}: unknown {kind} {shown}; did you mean {near[0]}? known: {', '.join(known)}")
+        near = difflib.get_close_matches(name[:99], known, 1, 0.0)
+        raise ConfigError(f"{where}: unknown {kind} {label[:200]}; did you mean {near[0]}? known: {', '.join(known)}")
 
 
 def _typed(value: Any, hint: Any, what: str) -> Any:
@@ -79,7 +67,7 @@ def _typed(value: Any, hint: Any, what: str) -> Any:
         fitted = _fit(value, option)
         if fitted is not _MISFIT:
             return fitted
-    raise ConfigError(f"{what} is {value!r}; it must be {_names(options)}")
+    raise ConfigError(f"{what} is {shown(value)}; it must be {_names(options)}")
 
 
 _MISFIT = object()
@@ -158,24 +146,25 @@ LATEST = 3600.0
 def _allowed(section: str, key: str, value: Any, where: str) -> None:
     possible = ALLOWED.get((section, key))
     if possible and value not in possible:
-        near = difflib.get_close_matches(str(value), possible, 1, 0.0)
+        near = difflib.get_close_matches(str(value)[:99], possible, 1, 0.0)
         raise ConfigError(
-            f"{where}: {section}.{key} is {value!r}; possible: {', '.join(possible)}; did you mean {near[0]}?"
+            f"{where}: {section}.{key} is {shown(value)}; possible: {', '.join(possible)}; did you mean {near[0]}?"
         )
     low, high = LIMITS.get((section, key), (-math.inf, math.inf))
     if isinstance(value, int | float) and not low <= value <= high:
-        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be from {low:g} to {high:g}")
+        raise ConfigError(f"{where}: {section}.{key} is {shown(value)}; it must be from {low:g} to {high:g}")
     if (section, key) == ("body", "joints") and value is not None and len(set(value)) < max(len(value), 1):
-        raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must name joints, each once")
+        raise ConfigError(f"{where}: {section}.{key} is {shown(list(value))}; it must name joints, each once")
     if (section, key) == ("synchrony", "clock_offset") and isinstance(value, str) and value != "auto":
-        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto or a number of seconds")
+        raise ConfigError(f"{where}: {section}.{key} is {shown(value)}; it must be auto or a number of seconds")
     if (section, key) == ("time", "delay") and isinstance(value, str) and value not in ("auto", "off"):
-        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be auto, off or {{camera = seconds}}")
+        raise ConfigError(f"{where}: {section}.{key} is {shown(value)}; it must be auto, off or {{camera = seconds}}")
     late = value.values() if (section, key) == ("time", "delay") and isinstance(value, Mapping) else ()
     if any(abs(seconds) > LATEST for seconds in late):
-        raise ConfigError(f"{where}: {section}.{key} is {value!r}; it must be at most {LATEST:g} s")
+        raise ConfigError(f"{where}: {section}.{key} is {shown(value)}; it must be at most {LATEST:g} s")
     if section == "topics" and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):
-        raise ConfigError(f"{where}: {section}.{key} is {list(value)!r}; it must be a topic, or several different ones")
+        what = "a topic, or several different ones"
+        raise ConfigError(f"{where}: {section}.{key} is {shown(list(value))}; it must be {what}")
     if (section, key) == ("colours", "shapes") and (bad := next((name for name in value if "/" in name), None)):
         raise ConfigError(f"{where}: {section}.{key} names {bad!r}; a feature's name has no /, which ends a camera's")
     if section == "colours":

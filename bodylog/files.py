@@ -4,9 +4,11 @@ import errno
 import hashlib
 import mmap
 import os
+import select
 import shutil
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from . import temporary
@@ -87,13 +89,31 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
+PATIENCE = 20.0
+"""Seconds that what is to come through a pipe may take: nobody may write to it."""
+
+
 def text(path: Path, most: int) -> str:
-    """What a file, or a pipe, says in UTF-8; OSError (too large) where that is more than `most` bytes."""
-    with path.open("rb") as stream:
-        said = stream.read(most + 1)
-    if len(said) > most:
-        raise OSError(errno.EFBIG, f"more than {most} bytes")
-    return said.decode()
+    """What a file, or a pipe, says in UTF-8; OSError where that is more than `most` bytes, or does not come to its end.
+
+    A pipe that nobody writes to is waited for PATIENCE s.
+    """
+    data, until = bytearray(), time.monotonic() + PATIENCE
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        ready = select.poll()
+        ready.register(handle, select.POLLIN)
+        while len(data) <= most:
+            if not ready.poll(max(0.0, until - time.monotonic()) * 1000.0):
+                raise OSError(errno.ETIMEDOUT, f"a pipe that did not come to its end in {PATIENCE:g} s")
+            with suppress(BlockingIOError):
+                piece = os.read(handle, most + 1 - len(data))
+                if not piece:
+                    return data.decode()
+                data += piece
+    finally:
+        os.close(handle)
+    raise OSError(errno.EFBIG, f"more than {most} bytes")
 
 
 def is_archive(path: Path) -> bool:

@@ -103,7 +103,7 @@ def _parts(given: Path) -> Iterator[Path]:
     """An input, and what else is read with it."""
     yield given
     if given.is_dir():
-        yield from _inside(given, set())
+        yield from _inside(given)
         return
     yield from (given.with_name(given.name + end) for end in BESIDE if given.suffix == ".db3")
     for folder in {given.parent, _behind(given).parent}:
@@ -111,17 +111,17 @@ def _parts(given: Path) -> Iterator[Path]:
             yield from (path for path in folder.iterdir() if path.name == METADATA or path.name.endswith(RECORDED))
 
 
-def _inside(folder: Path, seen: set[Key]) -> Iterator[Path]:
+def _inside(folder: Path) -> Iterator[Path]:
     """Everything in a folder, links followed; each folder once."""
-    found = key(folder)
-    if found is None or found in seen:
-        return
-    seen.add(found)
-    try:
-        names = sorted(folder.iterdir())
-    except OSError:
-        return
-    for path in names:
-        yield path
-        if path.is_dir():
-            yield from _inside(path, seen)
+    seen, left = set[Key | None]((None,)), [folder]
+    while left:
+        found = key(path := left.pop())
+        if found in seen:
+            continue
+        seen.add(found)
+        try:
+            names = list(path.iterdir())
+        except OSError:
+            continue
+        yield from names
+        left += [name for name in names if name.is_dir()]

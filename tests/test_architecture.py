@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 STAGES = {"logs", "perception", "body", "estimation", "sim", "evaluation", "report"}
 RECORDS = {"types", "errors", "settings", "sources", "files", "outputs", "temporary", "threads", "values"}
 LAYERS = (
-    {*RECORDS, "memory", "stopping", "torn"},
+    {*RECORDS, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},
     STAGES,
     {"live", "dates", "inventory", "refusals", "remarks"},

@@ -30,6 +30,8 @@ _BEGIN = {
 }
 """How the files begin that earlier versions left in folders without a mark."""
 _LONGEST = 200
+TAKEN = frozenset((*SUMMARIES, *BODY))
+"""Names in a batch's folder that no log's folder may have."""
 
 
 def named(names: Mapping[str, str]) -> dict[str, str]:
@@ -38,7 +40,7 @@ def named(names: Mapping[str, str]) -> dict[str, str]:
     Alike are also names that differ in case or in how accents are spelled, for some disks take them for one.
     """
     plain = {log: re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log" for log, name in names.items()}
-    taken = Counter([*map(folded, plain.values()), *map(folded, (*SUMMARIES, *BODY))])
+    taken = Counter([*map(folded, plain.values()), *TAKEN])
     for length in (8, 64):
         found = {log: f"{name[:_LONGEST]}-{_digest(log)[:length]}" for log, name in plain.items()}
         found |= {log: name for log, name in plain.items() if taken[folded(name)] == 1 and len(name) <= _LONGEST}

@@ -1,6 +1,8 @@
 """Which logs a batch is about, paths or URLs, and what each is called."""
 
 import glob
+import itertools
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,12 +10,15 @@ from typing import Any
 
 from .. import stores
 from ..errors import LogError, UsageError
+from ..outputs import Key, key
 from ..settings import Settings
 from . import folders
 
 Row = dict[str, Any]
 """What became of one log, as plain values: a line of results.jsonl."""
 
+MOST = 100_000
+"""Names that a pattern may fit, and folders that are searched: more are not meant."""
 SUFFIXES = (".bag", ".bag.active", ".mcap", ".mcap.zst", ".db3", ".db3.zstd")
 
 
@@ -59,27 +64,45 @@ def find(given: str) -> Iterator[str]:
     if stores.is_url(given):
         yield from stores.behind(given, SUFFIXES)
         return
-    matches = (Path(match) for match in sorted(glob.glob(given, recursive=True)))
-    paths = [Path(given)] if Path(given).exists() else [m for m in matches if not folders.is_result(m.parent)]
+    paths = [Path(given)] if Path(given).exists() else _matches(given)
     if not paths:
         raise LogError(f"{given}: no such file, folder or pattern; type: ls {given}")
     for path in paths:
-        yield from map(str, _inside(path, set()) if path.is_dir() else [path])
+        yield from map(str, _inside(path) if path.is_dir() else [path])
 
 
-def _inside(folder: Path, seen: set[Path]) -> Iterator[Path]:
-    """The logs in a folder; `seen` are folders that were looked into, which links may lead back to."""
-    if folder.resolve() in seen or folders.is_result(folder):
-        return
-    seen.add(folder.resolve())
-    if is_rosbag2(folder):
-        yield folder
-        return
-    for path in sorted(folder.iterdir()):
-        if path.is_dir() and not path.name.startswith("."):
-            yield from _inside(path, seen)
-        elif path.name.endswith(SUFFIXES):
+def _matches(pattern: str) -> list[Path]:
+    """What fits a pattern, but for what batches left; UsageError for one that has no end, or nearly so."""
+    if re.search(r"[*?\[].*/\.\.(/|$)", pattern):
+        raise UsageError(f"{pattern}: a pattern goes back (..) after a wildcard; name the folders to search instead")
+    found = glob.iglob(re.sub(r"(\*\*/)+", "**/", pattern), recursive=True)
+    try:
+        matches = list(itertools.islice(found, MOST + 1))
+    except RecursionError:
+        raise UsageError(f"{pattern}: folders are too deep for a pattern; name a folder to search instead") from None
+    if len(matches) > MOST:
+        raise UsageError(f"{pattern}: more than {MOST} names fit; name folders nearer to the logs")
+    return [path for path in map(Path, sorted(matches)) if not folders.is_result(path.parent)]
+
+
+def _inside(folder: Path) -> Iterator[Path]:
+    """The logs in a folder, in path order, each folder once: links may lead back; UsageError when there is no end."""
+    seen, left = set[Key | None]((None,)), [folder]
+    while left:
+        path = left.pop()
+        if not path.is_dir():
             yield path
+            continue
+        if (found := key(path)) in seen or folders.is_result(path):
+            continue
+        seen.add(found)
+        if len(seen) > MOST:
+            raise UsageError(f"{folder}: more than {MOST} folders are in it; name folders nearer to the logs")
+        if is_rosbag2(path):
+            yield path
+            continue
+        names = sorted(path.iterdir(), reverse=True)
+        left += [one for one in names if (one.name[0] != "." if one.is_dir() else one.name.endswith(SUFFIXES))]
 
 
 def is_rosbag2(folder: Path) -> bool:

@@ -2,15 +2,19 @@
 
 import difflib
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from .. import stores, toml_file
 from ..config import merge
 from ..errors import ConfigError
 from ..settings import Settings
-from . import Group
+from ..toml_file import shown
+from . import Group, folders
+
+LONGEST = 200
+"""Characters of a group's name, of which a folder's is made."""
 
 KEYS: Mapping[str, type[Any]] = {
     "name": str,
@@ -26,17 +30,14 @@ KEYS: Mapping[str, type[Any]] = {
 
 def load(path: Path, settings: Settings) -> tuple[Group, ...]:
     """The groups of a manifest, one for each method where several are named; ConfigError if it makes no sense."""
-    try:
-        said = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as err:
-        raise ConfigError(f"{path}: cannot be read as TOML: {err}") from err
+    said = toml_file.read(path)
     tables = said.get("group")
     if set(said) != {"group"} or not isinstance(tables, list) or not tables:
-        raise ConfigError(f"{path}: it must hold [[group]] tables and nothing else; found {list(said)}")
+        raise ConfigError(f"{path}: it must hold [[group]] tables and nothing else; found {shown(list(said))}")
     groups = [group for number, table in enumerate(tables) for group in _groups(path, number, table, settings)]
     names = [group.name for group in groups]
-    if len(set(names)) != len(names):
-        raise ConfigError(f"{path}: two groups are called alike: {', '.join(sorted(names))}; give each a name")
+    if len(set(map(folders.folded, names))) != len(names):
+        raise ConfigError(f"{path}: two groups are called alike: {shown(sorted(names))}; give each a name")
     return tuple(groups)
 
 
@@ -61,11 +62,13 @@ def _by(method: str) -> dict[str, dict[str, str]]:
 
 def _known(where: str, key: str, value: Any) -> None:
     if key not in KEYS:
-        near = difflib.get_close_matches(key, KEYS, 1, 0.0)
-        raise ConfigError(f"{where}: unknown key {key}; did you mean {near[0]}? known: {', '.join(KEYS)}")
+        near = difflib.get_close_matches(key[:99], KEYS, 1, 0.0)
+        raise ConfigError(f"{where}: unknown key {key[:200]}; did you mean {near[0]}? known: {', '.join(KEYS)}")
     strings = not isinstance(value, list) or all(isinstance(item, str) for item in value)
     if not isinstance(value, KEYS[key]) or not strings:
-        raise ConfigError(f"{where}: {key} is {value!r}; it must be {_words(KEYS[key])}")
+        raise ConfigError(f"{where}: {key} is {shown(value)}; it must be {_words(KEYS[key])}")
+    if "" in (value if isinstance(value, list) else [value]):
+        raise ConfigError(f"{where}: {key} is {shown(value)}; a text of it is empty, where a name is expected")
 
 
 def _words(kind: type[Any]) -> str:
@@ -75,9 +78,12 @@ def _words(kind: type[Any]) -> str:
 
 def _group(path: Path, table: Mapping[str, Any], name: str, settings: Settings) -> Group:
     base = path.parent
+    safe = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "group"
+    if len(safe) > LONGEST or folders.folded(safe) in folders.TAKEN:
+        raise ConfigError(f"{path}: a group is called {shown(name)}: too long, or taken; give another name")
     return Group(
-        name=re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "group",
-        logs=tuple(str(base / log) for log in table["logs"]),
+        name=safe,
+        logs=tuple(log if stores.is_url(log) else str(base / log) for log in table["logs"]),
         settings=settings,
         body=base / table["body"] if "body" in table else None,
         train=tuple(base / log for log in table.get("train", ())),

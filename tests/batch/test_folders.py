@@ -4,10 +4,11 @@ import json
 import shutil
 import subprocess
 import sys
+import time
 
 import pytest
 
-from bodylog.batch import folders, resume
+from bodylog.batch import folders, jobs, resume
 from bodylog.batch.jobs import Job, find, named
 from bodylog.batch.results import Journal
 from bodylog.errors import UsageError
@@ -170,16 +171,40 @@ def _names(out):
 
 def test_a_row_that_a_killed_shard_began_to_write_goes(tmp_path):
     folders.mark(tmp_path, folders.BATCH)
-    jobs = [Job(name, name, tmp_path / name, tmp_path, Settings(), (), False, "how") for name in "abc"]
-    rows = {job.name: {"name": job.name, "outputs": {}} for job in jobs}
+    three = [Job(name, name, tmp_path / name, tmp_path, Settings(), (), False, "how") for name in "abc"]
+    rows = {job.name: {"name": job.name, "outputs": {}} for job in three}
     own: dict = {}
-    journal = Journal(tmp_path, jobs, frozenset("ab"), own)
+    journal = Journal(tmp_path, three, frozenset("ab"), own)
     own["a"] = rows["a"]
     journal.add(rows["a"])
     with (tmp_path / "results.jsonl").open("a") as stream:
         stream.write('{"name": "c", "outp')
-    folders.mark(jobs[2].folder, folders.RESULT)
-    resume.leave(jobs[2], rows["c"])
+    folders.mark(three[2].folder, folders.RESULT)
+    resume.leave(three[2], rows["c"])
     own["b"] = rows["b"]
     journal.add(rows["b"])
     assert _names(tmp_path) == ["a", "b", "c"]
+
+
+def test_a_search_without_end_is_refused(tmp_path, monkeypatch):
+    """Patterns that go down again and again, and folders too many or too deep for a search that calls itself."""
+    deep = tmp_path.joinpath(*"d" * 400)
+    deep.mkdir(parents=True)
+    (deep / "a.mcap").touch()
+    limit = sys.getrecursionlimit()
+    sys.setrecursionlimit(350)
+    try:
+        assert list(find(str(tmp_path))) == [str(deep / "a.mcap")]
+    finally:
+        sys.setrecursionlimit(limit)
+    (tmp_path / "below" / "1/2/3/4/5/6/7/8/9/10").mkdir(parents=True)
+    (tmp_path / "below" / "a.mcap").touch()
+    begun = time.process_time()
+    assert list(find(f"{tmp_path}/below/{'**/' * 12}a.mca?")) == [str(tmp_path / "below" / "a.mcap")]
+    assert time.process_time() - begun < 2
+    with pytest.raises(UsageError, match="goes back"):
+        list(find(f"{tmp_path}/*/../*/../a.mcap"))
+    monkeypatch.setattr(jobs, "MOST", 10)
+    for given in (str(tmp_path), f"{tmp_path}/**"):
+        with pytest.raises(UsageError, match="more than 10"):
+            list(find(given))

@@ -43,6 +43,11 @@ def test_a_group_per_method_with_paths_beside_the_manifest(tmp_path):
         ("[groups]\nlogs = ['a']", r"\[\[group\]\]"),
         ("[[group]]\nname = 'a'\nlogs = ['a']\n[[group]]\nname = 'a'\nlogs = ['b']", "called alike"),
         ("[[group]]\nlogs = ['a']\nsettings = {skin = {treshold = 1}}", "did you mean threshold"),
+        ("[[group]]\nlogs = ['']", "a name is expected"),
+        ("[[group]]\nlogs = ['a']\ntrain = ['b', '']", "a name is expected"),
+        ("[[group]]\nlogs = ['a']\nbody = ''", "a name is expected"),
+        ("[[group]]\nname = 'junit.XML'\nlogs = ['a']", "or taken"),
+        ("[[group]]\nname = 'a'\nlogs = ['a']\n[[group]]\nname = 'A'\nlogs = ['b']", "called alike"),
         ("[[group", "cannot be read as TOML"),
         ("group = " + "[" * 100_000, "cannot be read as TOML"),
     ],
@@ -63,3 +68,8 @@ methods = ["laplace", "kalman"]
     assert bodylog("batch", _manifest(tmp_path, text), "-o", tmp_path / "out") == 0
     assert (tmp_path / "out" / "arm-kalman" / "reach.mcap" / "report.html").exists()
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == 2
+
+
+def test_logs_behind_urls_are_not_beside_the_manifest(tmp_path):
+    (group,) = load(_manifest(tmp_path, "[[group]]\nlogs = ['s3://bucket/a.mcap']"), Settings())
+    assert group.logs == ("s3://bucket/a.mcap",)

@@ -1,0 +1,90 @@
+"""What people write, and what is made to look like it: refused in a line before it costs time or memory."""
+
+import os
+import resource
+import subprocess
+import sys
+import time
+
+import pytest
+
+from bodylog import files, toml_file
+from bodylog.errors import ConfigError
+
+BOMBS = {
+    "dotted": "a." * 500_000 + "a = 1",
+    "spaced": "a . " * 250_000 + "a = 1",
+    "quoted": '"".' * 300_000 + "a = 1",
+    "table": "[" + "a." * 500_000 + "a]",
+    "inline": "x = {" + "a." * 500_000 + "a = 1}",
+    "nested": "x = " + "[" * 500_000,
+    "nested soundly": "x = " + "[" * 200 + "]" * 200,
+    "tables": "x = " + "{a = " * 100_000,
+    "digits": "x = " + "9" * 1_000_000,
+    "hexadecimal": "x = 0x" + "f" * 1_000_000,
+    "beyond 64 bits": f"x = {2**63}",
+    "nothing": 'x = "a\\u0000b"',
+    "key of nothing": '"a\\u0000b" = 1',
+    "strings without end": 'x = "' + '\\"' * 500_000,
+    "bytes": "\ud800",
+    "too long": "#" * (toml_file.MOST_BYTES + 1),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_bomb_is_refused_in_a_line(tmp_path, name):
+    path = tmp_path / "robot.toml"
+    path.write_bytes(BOMBS[name].encode(errors="surrogatepass"))
+    begun = time.process_time()
+    with pytest.raises(ConfigError, match=r"^.*robot\.toml: [^\n]{1,300}$"):
+        toml_file.read(path)
+    assert time.process_time() - begun < 5
+
+
+def test_what_people_write_is_read(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text("""
+    [colours.shapes."a.b"]   # ...................................... and 1.2.3.4.5.6
+    low = [1, 2, 3]
+    [topics]
+    joints = '/a.b.c.d'
+    camera = "side.\\"avi"
+    rate = 1.5e3
+    [estimate.start.x]
+    y.z = 1
+    """)
+    found = toml_file.read(path)
+    assert found["topics"]["joints"] == "/a.b.c.d" and found["estimate"]["start"]["x"]["y"] == {"z": 1}
+
+
+def test_keys_are_counted_where_they_are_keys():
+    for content, parts in (("a = 1", 1), ("a.b = 1.5", 2), ('a . "b.c" . d', 3), ("a b.c", 2), (". . .", 0)):
+        assert toml_file._longest_key(content) == parts, content
+
+
+def test_a_pipe_that_nobody_writes_to_is_refused(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "robot.toml")
+    monkeypatch.setattr(files, "PATIENCE", 0.2)
+    with pytest.raises(ConfigError, match="did not come to its end"):
+        toml_file.read(tmp_path / "robot.toml")
+
+
+MANIFESTS = ("pipe", "/dev/zero", "/dev/full", "folder", "bomb")
+
+
+@pytest.mark.parametrize("name", MANIFESTS)
+def test_a_manifest_that_has_no_end_is_refused_in_a_line(tmp_path, name):
+    """As a process of its own, with little memory and patience."""
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "bomb").write_text(BOMBS["dotted"])
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "batch.toml").symlink_to(tmp_path / name)
+    script = "import sys; from bodylog import files; files.PATIENCE = 0.5; import bodylog_cli; bodylog_cli.main()"
+    typed = [sys.executable, "-c", script, "batch", tmp_path / "batch.toml", "-o", tmp_path / "out"]
+
+    def little():
+        resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
+
+    done = subprocess.run(typed, capture_output=True, text=True, timeout=30, preexec_fn=little)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and str(tmp_path / "batch.toml") in done.stderr
+    assert not (tmp_path / "out").exists()
