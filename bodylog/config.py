@@ -131,7 +131,9 @@ LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
     ("skin", "release"): (0, 1),
     ("skin", "shortest"): (0, 3600),
     ("skin", "columns"): (1, 10**6),
-    ("estimate", "rate"): (1e-3, 1e15),
+    ("estimate", "rate"): (1e-3, 1e4),  # Hz: as the fastest joint controllers; more is a mistake that takes hours
+    ("estimate", "start"): (-1e4, 1e4),
+    ("synchrony", "clock_offset"): (-9e9, 9e9),
     ("fit", "samples"): (8, 10**9),
     ("fit", "every"): (1, 10**9),
     ("fit", "seed"): (0, 2**63),
@@ -151,7 +153,8 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
             f"{where}: {section}.{key} is {shown(value)}; possible: {', '.join(possible)}; did you mean {near[0]}?"
         )
     low, high = LIMITS.get((section, key), (-math.inf, math.inf))
-    if isinstance(value, int | float) and not low <= value <= high:
+    numbers = [one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, int | float)]
+    if not all(low <= one <= high for one in numbers):
         raise ConfigError(f"{where}: {section}.{key} is {shown(value)}; it must be from {low:g} to {high:g}")
     if (section, key) == ("body", "joints") and value is not None and len(set(value)) < max(len(value), 1):
         raise ConfigError(f"{where}: {section}.{key} is {shown(list(value))}; it must name joints, each once")
