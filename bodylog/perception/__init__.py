@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 import numpy as np
 
 from ..settings import Colour, Settings, wanted
-from ..sources import ColourSource, Source, board_points, track_names
+from ..sources import ColourSource, PointSource, Source, board_points, track_names
 from ..types import Board, Features, Finding, Frame, Health, Recording, Series, Stroke
 from . import colour, skin, strokes, synchrony, tracking
 from .look import Looking, Seen
+from .tracking import points
 
 __all__ = ["Looking", "looking", "observe", "rigid"]
 
@@ -70,6 +71,10 @@ def _tracks(
     else:
         seen = _look(recording.frames, features, settings, progress)
     tracks, health, findings = _seen(seen, recording.frames, features, recording.joints)
+    given = {name: source for name, source in features.items() if isinstance(source, PointSource)}
+    followed = points.tracked(recording.frames, given, recording.name)
+    more = tracking.series(followed, seen.t, seen.source_ns, np.arange(seen.t.size))
+    tracks, health = tracks | more[0], health | more[1]
     for camera, frames in recording.views.items():
         # touches are compared with the first camera's hand
         beside = {f"{camera}/{name}": source for name, source in features.items() if name != "hand"}
