@@ -30,15 +30,16 @@ def tracked(
     frames: Callable[[], Iterator[Frame]], points: Mapping[str, PointSource], where: str = "image"
 ) -> list[Tracked]:
     """What following each point gives in all frames, which are read twice; EvidenceError where one cannot be."""
-    trackers = {name: PointTracker(name, *_first(frames, point, f"{where}: features.{name}")) for name, point in points.items()}
+    firsts = {name: _first(frames, point, f"{where}: features.{name}") for name, point in points.items()}
+    trackers = [PointTracker(name, *first) for name, first in firsts.items()]
     for frame in frames() if trackers else ():
         try:
             image = gray(frame.decode(1))
         except InputError:
             image = None
-        for tracker in trackers.values():
+        for tracker in trackers:
             tracker.add(image)
-    return [tracker.tracked() for tracker in trackers.values()]
+    return [tracker.tracked() for tracker in trackers]
 
 
 class PointTracker:
