@@ -45,7 +45,7 @@ def writable(path: Path, folder: bool = False) -> Path:
 
     Of a `folder`, which may not be there yet, whether files may be written into it.
     """
-    if path.is_symlink():
+    if path.is_symlink() and (folder or path.is_file() or not path.exists()):  # /dev/stdout leads to no name
         path = _behind(path)
     if folder:
         place = next(one for one in (path, *path.absolute().parents) if one.exists())

@@ -38,7 +38,7 @@ def scratch(folder: Path | None = None) -> Iterator[Path]:
         from tempfile import gettempdir
 
         folder = Path(gettempdir())
-        remove_stale(folder, f"{SCRATCH}*")
+        remove_stale(folder, f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users call their own folders so, too
         name: Callable[[str], str] = f"{SCRATCH}{{}}".format
     else:
         remove_stale(folder, f".*{PART}")

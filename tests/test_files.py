@@ -3,6 +3,7 @@ import fcntl
 import os
 import subprocess
 import sys
+import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.files import made, replacing, sha256, text
-from bodylog.temporary import FOREIGN_S, PART, held, machine, remove_stale
+from bodylog.temporary import FOREIGN_S, PART, held, machine, remove_stale, scratch
 
 WRITER = """
 import sys
@@ -230,6 +231,18 @@ def test_a_folder_goes_once_nobody_holds_it(tmp_path):
         assert ours and folder.is_dir()
     remove_stale(tmp_path, f".*{PART}")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_users_folder_of_nearly_that_name_stays(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    users = tmp_path / "bodylog-results"
+    users.mkdir()
+    for left in (users, tmp_path / f"bodylog-{machine()}-{'0' * 16}", tmp_path / f"bodylog-0badcafe-{'0' * 16}"):
+        left.mkdir(exist_ok=True)
+        os.utime(left, (0, left.stat().st_mtime - FOREIGN_S - 1))
+    with scratch() as folder:
+        assert sorted(tmp_path.iterdir()) == sorted([users, folder])
+    assert list(tmp_path.iterdir()) == [users]
 
 
 SWEEPS = """

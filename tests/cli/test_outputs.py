@@ -199,7 +199,7 @@ def test_two_outputs_are_not_one(tmp_path, capsys, bodylog, robot):
         assert "in the place of -o" in capsys.readouterr().err and not out.exists()
 
 
-@pytest.mark.parametrize("place", ["folder", "folder/", "pipe", "no/out.mcap", "out.mcap/", "loop", "/dev/full", "."])
+@pytest.mark.parametrize("place", ["folder", "folder/", "pipe", "no/out.mcap", "out.mcap/", "loop", "/dev/full", "/dev/stdin", "."])
 def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
     tmp_path, capsys, bodylog, monkeypatch, place
 ):
