@@ -19,12 +19,15 @@ EXTRAS = PROJECT["optional-dependencies"]
 HIGH = {"test", "all", "view"}
 """Extras that the lowest environment does without: Rerun asks for NumPy 2, and test tools are not the user's."""
 
+WARNINGS = {"lowest": ("-W", "ignore::DeprecationWarning")}
+"""Old Matplotlib calls what its newer parser deprecates; elsewhere every warning fails a test."""
+
 
 def main(arguments: list[str]) -> int:
     """Exit code 1 when one environment's tests fail."""
     split = arguments.index("--") if "--" in arguments else len(arguments)
     names = arguments[:split] or ["lowest", *VERSIONS]
-    ends = {name: _tests(_environment(name), arguments[split + 1 :]) for name in names}
+    ends = {name: _tests(_environment(name), [*WARNINGS.get(name, ()), *arguments[split + 1 :]]) for name in names}
     for name, code in ends.items():
         print(f"{name}: {'passed' if code == 0 else f'pytest ended with {code}'}")
     return int(any(ends.values()))

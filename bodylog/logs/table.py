@@ -77,7 +77,7 @@ class Table:
         return self._times[self._rows]
 
     def to_pandas(self, fields: Sequence[str] | None = None) -> Any:
-        """A pandas DataFrame: log_ns, then each field, arrays as one column per element. Needs pandas."""
+        """A pandas DataFrame: log_ns, then each field, arrays as one column per element. Needs the extra pandas."""
         import pandas as pd
 
         return pd.DataFrame(dict(self._flat(fields)))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 
 from bodylog.estimation import estimate, least, tuning
 from bodylog.settings import Estimation
@@ -37,7 +38,7 @@ def test_of_motion_that_much_is_left_of_the_steady_variance(power):
     u = np.exp(np.linspace(-10.0, 8.0, 100_001))
 
     def whole(y):
-        return float(np.trapezoid(y * u, np.log(u)))
+        return float(trapezoid(y * u, np.log(u)))
 
     def passed(q):
         return 1.0 / (1.0 + u**4 / q)

@@ -135,16 +135,22 @@ def _heard(z, p, reading, encoder_var, seen, at):
         y.append(place - mean + np.einsum("qdm,qm->qd", jac, at))
         r.append(var)
     h, y, r = np.concatenate(h, axis=1), np.concatenate(y, axis=1), np.diag(np.concatenate(r))
-    gain = np.linalg.solve(h @ p @ h.mT + r, h @ p).mT
+    gain = _turned(np.linalg.solve(h @ p @ _turned(h) + r, h @ p))
     keep = np.eye(2 * m) - gain @ h
-    return z + np.einsum("qkd,qd->qk", gain, y - np.einsum("qdk,qk->qd", h, z)), keep @ p @ keep.mT + gain @ r @ gain.mT
+    change = np.einsum("qkd,qd->qk", gain, y - np.einsum("qdk,qk->qd", h, z))
+    return z + change, keep @ p @ _turned(keep) + gain @ r @ _turned(gain)
+
+
+def _turned(matrices):
+    """The transpose of each of (…,n,m) matrices."""
+    return np.swapaxes(matrices, -1, -2)
 
 
 def _back(moves, priors, prior_covs, means, covs):
     """Rauch, Tung and Striebel's way back."""
     smooth, cov = [means[-1]], [covs[-1]]
     for k in range(len(means) - 2, -1, -1):
-        gain = np.linalg.solve(prior_covs[k + 1], moves[k + 1] @ covs[k]).mT
+        gain = _turned(np.linalg.solve(prior_covs[k + 1], moves[k + 1] @ covs[k]))
         smooth.append(means[k] + np.einsum("qij,qj->qi", gain, smooth[-1] - priors[k + 1]))
-        cov.append(covs[k] + gain @ (cov[-1] - prior_covs[k + 1]) @ gain.mT)
+        cov.append(covs[k] + gain @ (cov[-1] - prior_covs[k + 1]) @ _turned(gain))
     return np.array(smooth[::-1]), np.array(cov[::-1])
