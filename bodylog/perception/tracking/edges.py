@@ -17,7 +17,7 @@ _RELIEF = 0.4
 _OUTLYING = 3.0
 _REACH, _LEAST_REACH, _CLOSE = 0.8, 1.5, 3.0
 """How far from a side its edge is looked for: in cells; px at least; px at last."""
-_MOST_STEPS = 20
+_MOST_STEPS, _LEAST_ROOM = 20, 1.0
 _FLOOR, _PULL, _CLEAR, _ALIKE = 0.015, 4.5, 0.165, 0.6
 """How far edges lie beside where they seem, px, where all of a side does so: at least; what a neighbouring edge adds
 grows as the square of blur per cell above a limit; the share in which opposite sides differ. Of drawn tags of 16 to 100
@@ -53,8 +53,14 @@ def refine(gray: Array, quads: Array, cell: Array) -> Refined:
 
 def _refine(gray: Array, quads: Array, cell: Array) -> Refined:
     reach = np.maximum(_REACH * cell, _LEAST_REACH)
-    near = _once(gray, quads, cell, reach)
-    return _once(gray, near.quads, cell, np.minimum(reach, _CLOSE))
+    near = _once(gray, quads, cell, _within(gray, quads, reach))
+    return _once(gray, near.quads, cell, _within(gray, near.quads, np.minimum(reach, _CLOSE)))
+
+
+def _within(gray: Array, quads: Array, reach: Array) -> Array:
+    """The reach (M,) px, or what room quads near the image's border leave."""
+    room = np.minimum(quads, np.array(gray.shape[::-1]) - 1 - quads).min(axis=(1, 2))
+    return np.where(room >= _LEAST_ROOM, np.minimum(reach, room), reach)
 
 
 def _once(gray: Array, quads: Array, cell: Array, reach: Array) -> Refined:
