@@ -10,6 +10,7 @@ from .pipeline import Progress, infer, judge, observe
 from .refusals import about, gone, same_camera, same_size
 from .remarks import named
 from .settings import Settings
+from .sought import of_body
 from .types import BodyModel, Features, Finding, Recording, Score
 
 
@@ -40,6 +41,7 @@ def compare(
     from .estimation import choices
 
     learned = model.load(body)
+    settings = of_body(learned, settings)
     read, features = observe(log, settings, progress)
     cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
     same_size(log, learned, features, settings)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from . import __version__
+from . import __version__, sought
 from .files import sha256
 from .outputs import Output
 from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
@@ -38,8 +38,14 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
     return Result(out)
 
 
-def observe(log: Path, settings: Settings, progress: Progress | None = None) -> tuple[Recording, Features]:
-    """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over."""
+def observe(
+    log: Path, settings: Settings, progress: Progress | None = None, guess: bool = False
+) -> tuple[Recording, Features]:
+    """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over.
+
+    `guess`: where nothing is configured and the default colour is not the arm's, what moves as the joints do is
+    followed; the recording's settings then name it.
+    """
     from . import perception
     from .logs import recording
 
@@ -48,7 +54,25 @@ def observe(log: Path, settings: Settings, progress: Progress | None = None) -> 
 
     read = recording.read(log, settings, settings.input.strict, looking)
     found = _posed(read, settings, progress) if read.poses else _observed(read, settings, progress)
+    if guess and sought.unconfigured(read.settings) and not (read.features and read.features.tracks):
+        read, found = _guessed(log, read, found, settings, progress)
     return read, replace(found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside)
+
+
+def _guessed(
+    log: Path, read: Recording, found: Features, settings: Settings, progress: Progress | None
+) -> tuple[Recording, Features]:
+    """The recording and what it shows of the arm, where the default colour shows something else."""
+    from . import perception
+
+    other = perception.instead(read, found, settings)
+    if other is None:
+        return read, found
+    chosen, remarks = sought.guessed(str(log), other.why, other.survey, settings)
+    if chosen.features:
+        read = replace(read, settings=replace(read.settings, features=chosen.features), watched=None)
+        found = _posed(read, chosen, progress) if read.poses else _observed(read, chosen, progress)
+    return read, replace(found, findings=(*remarks, *found.findings))
 
 
 def _observed(read: Recording, settings: Settings, progress: Progress | None) -> Features:
@@ -85,7 +109,7 @@ def extract(
 
     distinct([log], [Output(out), *folders("--csv", tables)], settings)
     with annotate.begun(log, out, whole=False, limits=settings.input) as written:
-        read, features = observe(log, settings, progress)
+        read, features = observe(log, settings, progress, guess=True)
         something_seen(log, features)
         roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
         kept = [topic for role in roles if (topic := topic_of(read, role)) is not None]
@@ -116,11 +140,13 @@ def fit(
 
     distinct([*logs, *test, *(() if update is None else (update,))], [Output(out)], settings)
     known = None if update is None else model.load(update)
+    settings = settings if known is None else sought.of_body(known, settings)
     digests, observed, remarks = [], [], list[Finding]()
     for log in logs:
         with Copy(log) as read_too:
-            observed.append(observe(log, settings, progress))
+            observed.append(observe(log, settings, progress, guess=True))
             digests.append((log, read_too.digest()))
+        settings = sought.of_log(observed[-1][0], settings)
     features = [found for _, found in observed]
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
@@ -161,6 +187,7 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
 
     distinct([log, body], [Output(out)], settings)
     learned = model.load(body)
+    settings = sought.of_body(learned, settings)
     estimation.check(learned, settings.estimate)
     with annotate.begun(log, out, limits=settings.input) as written:
         read, features = observe(log, settings, progress)

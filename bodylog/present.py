@@ -1,8 +1,8 @@
-"""What a person looks at: figures, the page on a log, a viewer's layout, the colours a log offers."""
+"""What a person looks at: figures, the page on a log, a viewer's layout, the features a log offers."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,11 +15,13 @@ from .outputs import Output
 from .pipeline import Progress, Result, doctor, folders, ingest, judge, observe, topic_of
 from .refusals import about, distinct
 from .settings import Settings, plain
+from .sought import toml_line
 from .stores import naming
 from .temporary import scratch
 from .types import Estimate, Features, Finding, Recording
 
 if TYPE_CHECKING:
+    from .perception import Candidate
     from .report.companion import Camera
     from .report.overlay import Picture
 
@@ -177,27 +179,46 @@ def _frame_id(log: Path, topic: str) -> str:
 
 
 @dataclass(frozen=True, eq=False)
-class Colours:
-    """Colour ranges a log offers, the likeliest effector first, as plain values."""
+class Offered:
+    """What a log offers to follow, the likeliest of the arm first, as plain values; how many images were looked at."""
 
-    proposals: list[dict[str, Any]]
+    candidates: list[dict[str, Any]]
+    images: int
     findings: tuple[Finding, ...]
 
 
-def colours(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> Colours:
-    """Ranges of the saturated blobs in a log; `out` becomes a contact sheet (PNG) of what they find."""
+def features(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> Offered:
+    """Tags and colours in a log, and how much of their motion the joints explain; `out`: a contact sheet (PNG)."""
     from .logs import recording
-    from .perception import palette
-    from .report import overlay
+    from .perception import survey
+    from .report import contact_sheet, overlay
 
     if out is not None:
         distinct([log], [Output(out)], settings)
     read = recording.read(log, settings, settings.input.strict)
     with about(log):
-        proposals, sheet = palette.propose(read, effector)
+        found = survey(read, settings.colours.hand, effector)
+    rows = [_offered(one, one is found.arm) for one in found.candidates]
     if out is not None:
-        overlay.write(sheet, out)
-    return Colours([asdict(one) for one in proposals], read.findings)
+        marks = [
+            contact_sheet.Mark(_caption(row), row["arm"], one.track)
+            for row, one in zip(rows, found.candidates, strict=True)
+        ]
+        overlay.write(contact_sheet.draw(found.images, marks), out)
+    return Offered(rows, found.count, read.findings)
+
+
+def _offered(one: "Candidate", arm: bool) -> dict[str, Any]:
+    """A candidate as plain values."""
+    line = toml_line("effector", one.source)
+    share = {"seen": one.seen, "strays_px": one.strays, "explained": one.explained}
+    return {"name": one.name, "kind": one.kind, **share, "arm": arm, "why_not": one.why or None, "line": line}
+
+
+def _caption(row: Mapping[str, Any]) -> str:
+    said = f"{row['name']}: in {row['seen']:.0%} of the images, joints explain {row['explained']:.0%}"
+    also = "also moves as the joints do" if row["why_not"] is None else row["why_not"]
+    return f"{said}; the arm's: {row['line']}" if row["arm"] else f"{said}; {also}"
 
 
 def _figures(

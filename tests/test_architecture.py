@@ -14,7 +14,7 @@ LAYERS = (
     {*RECORDS, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},
     STAGES,
-    {"live", "dates", "inventory", "refusals", "remarks"},
+    {"live", "dates", "inventory", "refusals", "remarks", "sought"},
     {"pipeline"},
     {"present", "comparison"},
     {"batch", "experiments"},

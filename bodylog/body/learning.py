@@ -99,7 +99,7 @@ def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequ
     if not poor:
         return f"no track to learn from, though {moved}; type: bodylog info LOG, and name a marker in [features]"
     said = "; ".join(f"{name}: {why}, {taught.seen(features, name)}" for name, why in poor.items())
-    advice = "type bodylog colours LOG to see what else there is, or record a marker that all joints move in view"
+    advice = "type bodylog features LOG to see what else there is, or record a marker that all joints move in view"
     return f"no track teaches a body, though {moved}: {said}; {advice}"
 
 

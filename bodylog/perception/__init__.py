@@ -8,10 +8,12 @@ from ..settings import Colour, Settings, wanted
 from ..sources import ColourSource, PointSource, Source, board_points, track_names
 from ..types import Board, Features, Finding, Frame, Health, Recording, Series, Stroke
 from . import colour, skin, strokes, synchrony, tracking
+from .candidates import Candidate, Survey, survey
 from .look import Looking, Seen
 from .tracking import points
+from .unconfigured import instead
 
-__all__ = ["Looking", "looking", "observe", "rigid"]
+__all__ = ["Candidate", "Looking", "Survey", "instead", "looking", "observe", "rigid", "survey"]
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""

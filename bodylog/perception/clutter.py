@@ -72,7 +72,7 @@ def choose(t: Array, found: Array, joints: Series | None, width: float) -> Choic
     still = _still(rows, q, width)
     best = _nothing(q)
     for start in _starts(t, found, rows.only(still < 0), q, width):
-        if best.beyond_chance and _within(start, best.place, width) > _SAME:
+        if len(start.frame) < _FEWEST or (best.beyond_chance and _within(start, best.place, width) > _SAME):
             continue
         best = max(best, _follow(t, rows, still, start, q, width), key=_worth)
     if best.beyond_chance < EXPLAINED:

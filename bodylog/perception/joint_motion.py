@@ -11,7 +11,8 @@ from ..types import Array, Series
 _LENGTH = 1.5
 _AMPLITUDE = 0.3
 """Share of the image width that places scatter by, before anything is known."""
-_MOVES = 0.01
+_STILL = 0.005
+_MOVES, _FAR = 0.01, 0.1
 _BLOCKS = 8
 _MOST = 400
 _FEWEST = 20
@@ -49,25 +50,37 @@ class Regression:
 
 def angles(joints: Series | None, t: Array, delay: float = 0.0) -> Array:
     """Angles (N,M) rad of the joints that move, `delay` s before t (N,); M is 0 where no joint moves."""
-    if joints is None or not len(t):
+    if joints is None or len(t) < 2:
         return np.zeros((len(t), 0))
     heard = [(joints.t[there], column[there]) for column in joints.values.T if (there := np.isfinite(column)).any()]
     columns = [np.interp(t - delay, at, angle) for at, angle in heard]
-    return np.array([column - column.mean() for column in columns if column.std() > _MOVES]).reshape(-1, len(t)).T
+    return np.array([column - column.mean() for column in columns if _moves(column)]).reshape(-1, len(t)).T
+
+
+def _moves(angle: Array) -> bool:
+    """Whether angles (n,) rad move: far, or steadily, as noise does not (of that, von Neumann's ratio is 2)."""
+    variance = float(angle.var())
+    steadily = float(np.square(np.diff(angle)).mean()) < variance
+    return variance > _FAR**2 or (variance > _MOVES**2 and steadily)
 
 
 def explained(q: Array, y: Array, width: float) -> float:
     """The share (0..1) of the variance of places y (n,2) px that angles q (n,M) explain in held-out blocks of time.
 
-    0 where the samples are too few or no joint moves.
+    0 where the samples are too few, no joint moves, or the thing stands still.
     """
-    if len(y) < _FEWEST or not q.shape[1]:
+    if len(y) < _FEWEST or not q.shape[1] or stands(y, width):
         return 0.0
     rest, centred = residuals(q, y, width), y - np.median(y, axis=0)
     # a sample counts at most as much as the usual one: a few foreign places must not decide
     total = (centred**2).sum(axis=1)
     lost = np.minimum((rest**2).sum(axis=1), 4 * max(float(total.mean()), 1e-9))
     return float(np.clip(1 - lost.sum() / max(float(total.sum()), 1e-9), 0.0, 1.0))
+
+
+def stands(y: Array, width: float) -> bool:
+    """Whether places y (n,2) px are those of a thing that stands: light and compression move it a little."""
+    return float(np.hypot(*y.std(axis=0))) < max(1.0, _STILL * width)
 
 
 def beyond_chance(q: Array, frames: Array, y: Array, width: float) -> float:
@@ -88,6 +101,8 @@ def residuals(q: Array, y: Array, width: float) -> Array:
     rest = np.empty(y.shape)
     for block in range(_BLOCKS):
         out, kept = label == block, np.flatnonzero(label[some] != block)
+        if not out.any():
+            continue
         known = kernel[some[kept]][:, kept] + noise * np.eye(len(kept))
         mean = y[some[kept]].mean(axis=0)
         rest[out] = y[out] - mean - kernel[out][:, kept] @ np.linalg.solve(known, y[some[kept]] - mean)

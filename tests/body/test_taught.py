@@ -40,7 +40,7 @@ def test_a_track_that_stands_still_is_refused_by_name(run):
     still = np.full(run.tracks["effector"].values.shape, [40.0, 30.0])
     said = _refused(_only(run, still))
     assert "effector: stands still at (40.0, 30.0) px in all 199 sightings, seen in 199 of 199 images" in said
-    assert "3 joints moved (pan, lift, elbow)" in said and "type bodylog colours LOG" in said
+    assert "3 joints moved (pan, lift, elbow)" in said and "type bodylog features LOG" in said
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -246,13 +246,15 @@ def test_plots_are_pictures(tmp_path, bodylog, robot):
         assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_effectors_colour_is_proposed_first(tmp_path, capsys, bodylog, robot):
-    sheet = tmp_path / "colours.png"
-    capsys.readouterr()
-    assert bodylog("colours", robot / "explore.mcap", "-o", sheet, "--json") == 0
-    first = json.loads(capsys.readouterr().out)["proposals"][0]
-    assert first["name"] == "green" and first["joints"] > 0.9
-    assert sheet.read_bytes().startswith(b"\x89PNG")
+def test_what_moves_as_the_joints_do_is_offered_first_under_both_names(tmp_path, capsys, bodylog, robot):
+    sheet = tmp_path / "sheet.png"
+    for name in ("features", "colours"):
+        capsys.readouterr()
+        assert bodylog(name, robot / "explore.mcap", "-o", sheet, "--json") == 0
+        first = json.loads(capsys.readouterr().out)["candidates"][0]
+        assert first["name"] == "green" and first["arm"] and first["explained"] > 0.9
+        assert first["line"].startswith("effector = {low = [")
+        assert sheet.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_log_recorded_twice_has_the_same_bytes(tmp_path, bodylog, robot):

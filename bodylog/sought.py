@@ -1,0 +1,66 @@
+"""Which features a log is searched for where none is configured: a body's own, or what moves as the joints do."""
+
+import json
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from .config import toml_value
+from .errors import ConfigError
+from .settings import Colours, Settings
+from .sources import Source, check_colour, parse, spelled
+from .types import BodyModel, Finding, Recording
+
+if TYPE_CHECKING:
+    from .perception import Survey
+
+
+_DEFAULTS = {"effector": Colours().effector, "hand": Colours().hand}
+
+
+def unconfigured(settings: Settings) -> bool:
+    """Whether neither [features] nor [colours] name anything to look for."""
+    return not settings.features and replace(settings.colours, fast=False) == Colours()
+
+
+def of_body(learned: BodyModel, settings: Settings) -> Settings:
+    """The settings; where they configure no feature, with the features and colours the body was learned with."""
+    if not unconfigured(settings):
+        return settings
+    said: Any = {}
+    with suppress(ValueError, KeyError, TypeError):
+        said = json.loads(learned.provenance["settings"])
+    with suppress(ConfigError, AttributeError, TypeError):
+        features = {str(name): parse(str(name), value, "body") for name, value in said.get("features", {}).items()}
+        colours = said.get("colours", {})
+        effector, hand = (check_colour(colours.get(key, default), key) for key, default in _DEFAULTS.items())
+        shapes = {str(name): check_colour(value, name) for name, value in colours.get("shapes", {}).items()}
+        there = replace(settings.colours, effector=effector, hand=hand, shapes=shapes)
+        return replace(settings, features=features, colours=there)
+    return settings
+
+
+def of_log(read: Recording, settings: Settings) -> Settings:
+    """The settings; where they configure no feature, with those that were followed in a log."""
+    return replace(settings, features=read.settings.features) if unconfigured(settings) else settings
+
+
+def guessed(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
+    """The settings with what moves as the joints do as the effector, and what to say of it and of the rest."""
+    rest = [one for one in survey.candidates if one is not survey.arm and one.seen]
+    others = "; ".join(f"{one.name}: {one.why or 'also moves as the joints do'}" for one in rest) or "nothing"
+    default = f"effector: {settings.colours.effector} is not the arm's: {why}"
+    if survey.arm is None:
+        said = f"{default}; nothing else moves as the joints do; in view: {others}; "
+        said += f"type: bodylog features {log} -o sheet.png"
+        return settings, (Finding("warning", said),)
+    arm = survey.arm
+    said = f"{default}; {arm.name} is: in {arm.seen:.0%} of {survey.count} images, the joints explain "
+    said += f"{arm.explained:.0%} of its motion; ready for robot.toml: [features] {toml_line('effector', arm.source)}"
+    remarks = Finding("info", said), Finding("info", f"effector: not followed: {others}")
+    return replace(settings, features={"effector": arm.source}), remarks
+
+
+def toml_line(name: str, source: Source) -> str:
+    """The line of [features] that names a source."""
+    return f"{name} = {toml_value(spelled(source))}"

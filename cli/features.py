@@ -1,0 +1,72 @@
+"""bodylog features, and colours as its other name."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .options import OUT, Common, common_options, log_argument
+
+if TYPE_CHECKING:
+    from bodylog.present import Offered
+
+
+@click.command(epilog="Example: bodylog features run.bag -o sheet.png")
+@log_argument
+@click.option("-o", "--output", "out", type=OUT, help="A contact sheet (.png): images with every candidate outlined.")
+@click.option("--effector", metavar="U,V", help="Where the effector is in the first picture, in px.")
+@common_options
+def features(log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool) -> int:
+    """Tags and colours a log shows: how often, how much of their motion joints explain, and the line to paste."""
+    from bodylog import present
+    from bodylog.pipeline import Result
+
+    from .output import as_data, data, lost, talk
+
+    found = present.features(log, out, common.settings(), _place(effector))
+    talk(found.findings)
+    if as_json:
+        data(as_data(Result(out, findings=found.findings)) | {"candidates": found.candidates, "images": found.images})
+    else:
+        _print(found)
+    return lost(found.findings)
+
+
+colours = click.Command(
+    "colours",
+    callback=features.callback,
+    params=features.params,
+    help="The same as features.",
+    epilog="Example: bodylog colours run.bag -o sheet.png",
+)
+"""The name that this command had when it proposed colours alone."""
+
+
+def _print(found: "Offered") -> None:
+    from .output import line
+
+    rows = [("", "seen", "strays", "joints explain", ""), *(_row(one) for one in found.candidates)]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    line(f"# {found.images} images looked at")
+    for name, *figures, verdict in rows:
+        told = "  ".join(f"{text:>{width}}" for text, width in zip(figures, widths[1:], strict=True))
+        line(f"{name:<{widths[0]}}  {told}  {verdict}".rstrip())
+    line("# paste one of these under [features] in robot.toml")
+    for one in found.candidates:
+        line(one["line"] if one["arm"] else f"# {one['line']}  # {one['name']}")
+
+
+def _row(one: dict[str, Any]) -> tuple[str, ...]:
+    also = one["why_not"] or "also moves as the joints do"
+    figures = f"{one['seen']:.0%}", f"{one['strays_px']:.0f} px", f"{one['explained']:.0%}"
+    return one["name"], *figures, "the arm's" if one["arm"] else also
+
+
+def _place(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        u, v = (float(part) for part in text.split(","))
+    except ValueError:
+        raise click.BadParameter(f"{text!r}; it must be U,V in px, e.g. 160,120", param_hint="--effector") from None
+    return u, v

@@ -1,0 +1,112 @@
+"""Features proposed from drawn films."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from bodylog.errors import FormatError, LogError
+from bodylog.perception.candidates import survey
+from bodylog.report.contact_sheet import Mark, draw
+from bodylog.sources import TagSource
+from bodylog.types import Array, Recording, Series
+from tests.perception import scenes
+from tests.perception.scenes import Disc
+
+T = np.arange(120) / 5.0
+ANGLES = np.column_stack([np.sin(1.7 * T), np.cos(1.3 * T)])
+
+
+def _paste(image: Array, number: int, left: int, top: int) -> None:
+    """An AprilTag 36h11 with its white rim."""
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    printed = cv2.aruco.generateImageMarker(dictionary, number, 48)
+    rim = cv2.copyMakeBorder(printed, 6, 6, 6, 6, cv2.BORDER_CONSTANT, value=255)
+    image[top : top + 60, left : left + 60] = rim[..., None]
+
+
+def film(tag: int | None = None, arm: bool = True) -> Recording:
+    """A green disc that moves with the joints, a red one that moves without them, a yellow one that stays.
+
+    With a `tag` of that number, which moves with the joints as well; then the green one need not (`arm`).
+    """
+    rng = np.random.default_rng(0)
+    wall = scenes.wall(rng, contrast=3.0)
+    things = []
+    for moment, (a, b) in zip(T, ANGLES, strict=True):
+        red = Disc(160.0 + 90.0 * np.sin(0.83 * moment + 2 * np.sin(0.37 * moment)), 40.0, 7.0, scenes.RED)
+        own = (a, b) if arm else (np.sin(0.7 * moment + 2), np.cos(0.9 * moment + np.sin(0.31 * moment)))
+        green = Disc(160.0 + 60.0 * own[0], 150.0 + 40.0 * own[1], 6.0)
+        things.append([green, red, Disc(30.0, 210.0, 9.0, scenes.YELLOW)])
+    drawn = [scenes.draw(wall, discs, rng) for discs in things]
+    if tag is not None:
+        for image, (a, b) in zip(drawn, ANGLES, strict=True):
+            _paste(image, tag, round(220 + 30 * b), round(60 + 20 * a))
+    pictures = [scenes.jpeg(image) for image in drawn]
+    joints = Series(T, ANGLES, ("a", "b"), "rad", (T * 1e9).astype(np.int64))
+    return replace(scenes.recording(scenes.frames(T, pictures)), joints=joints)
+
+
+def test_the_blob_that_moves_with_the_joints_comes_first_and_the_others_are_refused_by_name() -> None:
+    found = survey(film(), "red")
+    first = found.candidates[0]
+    assert first is found.arm and first.name == "green" and first.explained > 0.9 and first.seen > 0.95
+    why = {one.name: one.why for one in found.candidates}
+    assert why["yellow"] == "it stands still while the joints move" and why["red"] == "the hand's colour"
+    assert "does not move as the joints do" in {one.name: one.why for one in survey(film(), "blue").candidates}["red"]
+    assert len(found.images) == 6 and found.count == len(T)
+
+
+def test_a_tag_that_moves_with_the_joints_comes_before_colours() -> None:
+    found = survey(film(tag=7), "red")
+    assert found.arm is not None and found.arm.source == TagSource(7, "apriltag_36h11")
+    assert found.candidates[1].name == "green" and not found.candidates[1].why
+
+
+def test_where_the_effector_is_said_to_be_decides() -> None:
+    assert survey(film(), "red", effector_uv=(30.0, 210.0)).candidates[0].name == "yellow"
+
+
+def test_no_pictures_is_an_error_that_names_the_log() -> None:
+    with pytest.raises(LogError, match="no pictures to look for features in; type: bodylog info"):
+        survey(scenes.recording(), "red")
+
+
+def test_pictures_that_cannot_be_decoded_are_an_error_that_says_why() -> None:
+    def broken(_: int) -> Array:
+        raise FormatError("/camera: not a JPEG")
+
+    whole = film()
+    assert whole.frames is not None
+    frames = [replace(frame, decode=broken) for frame in whole.frames()]
+    with pytest.raises(LogError, match="no picture can be decoded: /camera: not a JPEG; type: bodylog info"):
+        survey(replace(whole, frames=lambda: iter(frames)), "red")
+
+
+def test_readings_that_are_none_do_not_count_against_the_others() -> None:
+    whole, values = film(), np.column_stack([ANGLES, np.full(len(T), np.nan)])
+    values[20:, 0] = np.nan
+    assert whole.joints is not None
+    some = replace(whole.joints, values=values, names=("a", "b", "c"))
+    assert survey(replace(whole, joints=some), "red").candidates[0].name == "green"
+    nothing = replace(whole.joints, values=np.full_like(values, np.nan), names=("a", "b", "c"))
+    assert all(one.why and not one.explained for one in survey(replace(whole, joints=nothing), "red").candidates)
+
+
+def test_pictures_of_two_sizes_and_damaged_ones_are_looked_at_as_far_as_they_go() -> None:
+    whole = film()
+    assert whole.frames is not None
+    frames = list(whole.frames())
+
+    def damaged(_k: int) -> np.ndarray:
+        raise FormatError("cut off")
+
+    odd = [replace(f, decode=damaged) if i % 7 == 3 else f for i, f in enumerate(frames)]
+    odd[30:] = [replace(f, decode=lambda k, f=f: f.decode(2 * k)) for f in odd[30:]]
+    found = survey(replace(whole, frames=lambda: iter(odd)), "red")
+    assert "green" in {one.name for one in found.candidates}
+    marks = [Mark(one.name, not one.why, one.track) for one in found.candidates]
+    assert draw(found.images, marks).shape[1] == 3 * 480
+    with pytest.raises(LogError, match="no picture can be decoded: cut off"):
+        survey(replace(whole, frames=lambda: iter([replace(f, decode=damaged) for f in frames])), "red")
