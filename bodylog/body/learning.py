@@ -1,7 +1,7 @@
 """The body stage in one function: features of exploration logs -> BodyModel, scores, findings."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +9,8 @@ import numpy as np
 from ..errors import EvidenceError, ModelError
 from ..settings import Fit, Settings
 from ..threads import one_thread
-from ..types import BodyModel, Features, Finding, ForwardModel, Score
-from . import coverage, encoders, noise, reference, sense, taught, touch
+from ..types import BodyModel, Features, Finding, ForwardModel, Noise, Score
+from . import coverage, encoders, noise, pose_errors, reference, sense, taught, touch
 from .gp import GP
 from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, silent
 from .shown import shown
@@ -51,6 +51,7 @@ def learn(
         raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
     learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
+    learned, repeated = _posed(learned, senses, len(chosen)) if all(f.poses for f in features) else (learned, {})
     learned = learned if update is None else noise.pooled(learned, update.noise)
     constants, cells, touched = touch.learned(told, names, gps.get("effector"))
     read = reference.learned(features, chosen, learned)
@@ -64,11 +65,24 @@ def learn(
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
     covered = coverage.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
     gaps, pictures = coverage.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
+    about = {**pictures, **repeated, **provenance}
     return Learned(
-        BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, {**pictures, **provenance}, cells),
+        BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
         (*coverage.scores(chosen, gps, learned), *scores, *read.scores),
         (taught.moved(heard, chosen), *covered, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
     )
+
+
+def _posed(
+    learned: Noise, senses: Mapping[str, sense.Sense], count: int
+) -> tuple[Noise, dict[str, Any]]:
+    """The noise with what still poses tell of their encoders, and that as std (rad) for the provenance."""
+    found = pose_errors.learned(senses, count)
+    if found is None:
+        return learned, {}
+    variance, error = (tuple(float(v) for v in values) for values in found)
+    std = {"pose_std": [v**0.5 for v in variance]}
+    return replace(learned, encoder=variance, std_error={**learned.std_error, "encoder": error}), std
 
 
 def _senses(

@@ -164,6 +164,11 @@ def _provenance(found: Any) -> dict[str, Any]:
     provenance = dict(found)
     if "cameras" in provenance:
         provenance["cameras"] = list(_texts("provenance.cameras", provenance["cameras"]))
+    if "pose_std" in provenance:
+        std = _floats("provenance.pose_std", provenance["pose_std"])
+        if any(value < 0.0 for value in std):
+            raise ValueError(f"provenance.pose_std: found {min(std)!r}, possible: 0 rad and more")
+        provenance["pose_std"] = list(std)
     width = provenance.get("image_width", 1)
     if isinstance(width, bool) or not isinstance(width, int | float) or not 1 <= width <= _WIDEST:
         raise ValueError(f"provenance.image_width: found {width!r}, possible: 1 to {_WIDEST} px")

@@ -24,7 +24,7 @@ _ROUNDS = 3
 class Sense:
     """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2).
 
-    constant (n,2) px: the residual of the others' median, held out in the same blocks (n,).
+    constant (n,2) px: the residual of the others' median, held out in the same blocks · used: the sightings, n of them.
     """
 
     gp: GP
@@ -32,7 +32,7 @@ class Sense:
     residual: Array
     variance: Array
     constant: Array
-    block: Array
+    used: Pairs
     whole: Pairs
     rejected: int
     rule: str
@@ -43,17 +43,17 @@ def sense(whole: Pairs, chosen: Sequence[Joint], fit: Fit) -> Sense:
     if fit.preset == "paper":
         part = whole.rows(spaced(len(whole.x), SAMPLES))
         data = Samples(part.x, part.y, np.zeros(part.y.shape))
-        return _sense(data, paper(data), part.block, whole, 0, "as many as the paper's")
+        return _sense(data, paper(data), part, whole, 0, "as many as the paper's")
     part = whole.rows(farthest(whole.x, fit.samples))
     kept = len(part.x)
     for _ in range(_ROUNDS):
-        block, data = part.block, Samples(part.x, part.y, part.floor, part.variance, coupled(part, chosen))
+        used, data = part, Samples(part.x, part.y, part.floor, part.variance, coupled(part, chosen))
         kernels = fitted(data, ROTATION, True, fit.seed)
         sound = _believable(data, kernels)
         if sound.all():
             break
         part = part.rows(np.flatnonzero(sound))
-    return _sense(data, kernels, block, whole, kept - len(data.x), "which cover the exploration best")
+    return _sense(data, kernels, used, whole, kept - len(data.x), "which cover the exploration best")
 
 
 def scores(name: str, found: Sense, joints: Sequence[str], noise: Noise) -> Iterator[Score]:
@@ -77,12 +77,13 @@ def findings(name: str, found: Sense) -> Iterator[Finding]:
         yield Finding("info", f"{name}: {used + found.rejected} of {sightings} sightings kept, {found.rule}")
 
 
-def _sense(data: Samples, found: Fitted, block: Array, whole: Pairs, rejected: int, rule: str) -> Sense:
+def _sense(data: Samples, found: Fitted, used: Pairs, whole: Pairs, rejected: int, rule: str) -> Sense:
+    block = used.block
     residual, variance = residuals(data, found, block)
     # samples of a body to update are in blocks before the first, and their floor holds more than pixels' noise
     floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
     gp, constant = shortened(build(data, found, _OUTPUTS, "px")), _constant(data.y, block)
-    return Sense(gp, floor, residual, variance, constant, block, whole, rejected, rule)
+    return Sense(gp, floor, residual, variance, constant, used, whole, rejected, rule)
 
 
 def _constant(y: Array, block: Array) -> Array:

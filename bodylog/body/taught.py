@@ -31,7 +31,7 @@ def unfit(part: Pairs, chosen: Sequence[Joint]) -> str | None:
 
 def unexplained(found: Sense) -> str | None:
     """Why a learned track is not worth keeping: what it foretells held out is no better than a constant."""
-    logs = np.array([_ratio(found.residual[rows], found.constant[rows]) for rows in _blocks(found.block)])
+    logs = np.array([_ratio(found.residual[rows], found.constant[rows]) for rows in _blocks(found.used.block)])
     spread = float(logs.std(ddof=1) / np.sqrt(len(logs))) if len(logs) > 1 else np.inf
     if float(logs.mean()) + SURE * spread < 0.0 and float(logs.mean()) < np.log(BETTER):
         return None

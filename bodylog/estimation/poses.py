@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import EvidenceError, UsageError
+from ..errors import EvidenceError, ModelError, UsageError
 from ..settings import Estimation
 from ..types import Array, BodyModel, Estimate, Features, Finding, Series
 from .senses import Evidence, Sighting, gather
@@ -52,7 +52,7 @@ def _written(
         settings.method,
         Series(t, at.x, names, "rad", poses.source_ns),
         Series(t, np.zeros(at.x.shape), names, "rad/s", poses.source_ns),
-        _covariance(found, at),
+        _covariance(found, at, body),
         errors, at.cost, evidence.used, predicted, covs, used,
         Series(t, offset, names, "rad", poses.source_ns) if found.free.any() else None,
         (*evidence.faults, *faults(names, found, float(t[0]))),
@@ -60,10 +60,17 @@ def _written(
     )  # fmt: skip
 
 
-def _covariance(found: Encoding, at: Solved) -> Array:
-    """Covariance (P,M,M) of the angles, with what the offsets' own uncertainty adds: dx/db = −Λ⁻¹ Σ⁻¹."""
+def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
+    """Covariance (P,M,M) of the angles, with what the offsets' own uncertainty adds: dx/db = −Λ⁻¹ Σ⁻¹.
+
+    All tracks of a pose err alike by what the poses they were learned from are off by, so that adds to it, too.
+    """
+    std = np.array(body.provenance.get("pose_std", [0.0] * at.x.shape[1]), float)
+    if std.shape != at.x.shape[1:]:
+        raise ModelError(f"provenance.pose_std: {len(std)} numbers for {at.x.shape[1]} joints; fit the body again")
+    common = np.square(std)
     lean = at.cov * (at.encoder_weight / found.variance)[:, None, :]
-    return np.asarray(at.cov + np.einsum("pij,j,pkj->pik", lean, found.offset_var, lean))
+    return np.asarray(at.cov + np.diag(common) + np.einsum("pij,j,pkj->pik", lean, found.offset_var, lean))
 
 
 def _foretold(

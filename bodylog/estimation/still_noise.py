@@ -13,7 +13,9 @@ from .still import Poses, Solved, solved
 
 WIDE = 0.05
 """rad: how noisy encoders are held to be while it is not known how noisy they are."""
-TURNS = 4
+TURNS = 3
+HOPE = -3.0
+"""Nats: an offset that promises less with the noise as it is, which may have grown for it, is not tried."""
 WIDTH = 2.0
 """Of the logarithm of an encoder's standard deviation: how far from the body's it may well be."""
 PRIOR = 0.3
@@ -57,11 +59,13 @@ def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bia
     if len(whole) < FEWEST or not (noise or bias != "off"):
         return replace(found, free=np.zeros(m, bool))
     at: Array | None = None
+    begin = [np.log(known), np.full(m, 2.0 * np.log(WIDE))]
     for turn in range(TURNS):
         wide = np.maximum(found.variance, WIDE**2) if turn == 0 else found.variance
         at = solved(poses, wide, found.offset, at).x
         rows = _rows(poses, solved(poses, wide, found.offset, at), whole)
-        found = _chosen(rows, known, names, noise, bias)
+        found = _chosen(rows, known, names, noise, bias, begin)
+        begin = [np.log(found.variance)]
     return found
 
 
@@ -73,15 +77,21 @@ def _rows(poses: Poses, at: Solved, whole: Array) -> _Rows:
     return _Rows(np.where(seen, nu, 0.0)[whole], at.jac[whole], var[whole])
 
 
-def _chosen(rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str) -> Encoding:
-    """Noise and offsets of greatest evidence; with `auto` one offset after the other while each wins GAIN nats."""
+def _chosen(
+    rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]
+) -> Encoding:
+    """Noise and offsets of greatest evidence; with `auto` one offset after the other while each wins GAIN nats.
+
+    The search for the noise begins at each of `begin`. Tried are the offsets that promise something where noise stays.
+    """
     free, findings = np.full(len(known), bias == "on"), list[Finding]()
-    value, log_var = _best(rows, known, free, noise)
+    value, log_var = _best(rows, known, free, noise, begin)
     while bias == "auto" and not free.all():
-        trials = {j: _best(rows, known, free | (np.arange(len(known)) == j), noise) for j in np.flatnonzero(~free)}
+        likely = [j for j in np.flatnonzero(~free) if _promise(rows, log_var, free, int(j)) > HOPE]
+        also = [*begin, log_var]
+        trials = {j: _best(rows, known, free | (np.arange(len(known)) == j), noise, also) for j in likely}
         order = sorted(trials, key=lambda j: -trials[j][0])
-        gain = trials[order[0]][0] - value
-        if gain < GAIN:
+        if not order or trials[order[0]][0] - value < GAIN:
             break
         if len(order) > 1 and trials[order[0]][0] - trials[order[1]][0] < APART:
             alike = [names[j] for j in order if trials[order[0]][0] - trials[j][0] < APART]
@@ -95,7 +105,13 @@ def _chosen(rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias
     return Encoding(variance, offset, np.diag(cov), free, tuple(findings))
 
 
-def _best(rows: _Rows, known: Array, free: Array, noise: bool) -> tuple[float, Array]:
+def _promise(rows: _Rows, log_var: Array, free: Array, joint: int) -> float:
+    """Nats of evidence that one more offset wins while the noise stays as it is."""
+    more = free | (np.arange(len(free)) == joint)
+    return _evidence(log_var, rows, more)[0] - _evidence(log_var, rows, free)[0]
+
+
+def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array]) -> tuple[float, Array]:
     """The greatest evidence (nats) with offsets `free` (M,), and ln of the encoders' variances (M,) it is had with."""
     from scipy.optimize import minimize
 
@@ -109,8 +125,7 @@ def _best(rows: _Rows, known: Array, free: Array, noise: bool) -> tuple[float, A
         return -value + 0.5 * float(away @ away), -slope + away / (2.0 * WIDTH)
 
     bounds = [(2.0 * np.log(_LOWEST), 2.0 * np.log(10.0))] * len(first)
-    starts = [first, np.full(len(first), 2.0 * np.log(WIDE))]
-    found = [minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in starts]
+    found = [minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in begin]
     best = min(found, key=lambda one: float(one.fun))
     return -float(best.fun), np.asarray(best.x)
 

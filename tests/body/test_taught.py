@@ -43,7 +43,7 @@ def test_a_track_that_stands_still_is_refused_by_name(run):
     assert "3 joints moved (pan, lift, elbow)" in said and "type bodylog features LOG" in said
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_track_that_foreign_things_move_is_refused(run, seed):
     draw, track = np.random.default_rng(seed), run.tracks["effector"]
     noise = draw.normal([40.0, 30.0], 0.4, track.values.shape)

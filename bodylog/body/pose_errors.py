@@ -1,0 +1,75 @@
+"""How far still poses are from what their encoders read, by what several tracks err alike when they are held out.
+
+Held-out residuals of all tracks in one pose are r = J e + own: e, common to them, is normal with variance Q (M,) rad²
+of each joint (encoders, and whatever of the arm does not repeat); their own part is a share of the variance expected.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from .angles import STILL
+from .sense import Sense
+
+WIDTH = 2.0
+"""Of the logarithm of a standard deviation: how far from STILL it may well be."""
+FEWEST = 10
+"""Poses at least to learn it from."""
+_LEAST, _STEP = 1e-6, 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Of P poses: residuals r (P,K) px, Jacobians (P,K,M) px/rad, variances (P,K) px², infinite where not seen."""
+
+    r: Array
+    jac: Array
+    var: Array
+
+
+def learned(senses: Mapping[str, Sense], joints: int) -> tuple[Array, Array] | None:
+    """Variance Q (M,) rad² and its standard error (M,); None where there are too few poses."""
+    from scipy.optimize import minimize
+
+    rows = _rows(list(senses.values()), joints)
+    if len(rows.r) < FEWEST:
+        return None
+    first = np.append(np.full(joints, 2.0 * np.log(STILL)), 0.0)
+    bounds = [(2.0 * np.log(_LEAST), 0.0)] * joints + [(-3.0, 3.0)]
+    found = np.asarray(minimize(lambda p: _loss(p, rows), first, method="L-BFGS-B", bounds=bounds).x)
+    best = _loss(found, rows)
+    bend = np.array([_loss(found + s, rows) + _loss(found - s, rows) - 2.0 * best for s in _STEP * np.eye(joints + 1)])
+    error = 1.0 / np.sqrt(np.maximum(bend[:joints] / _STEP**2, 1.0 / (2.0 * WIDTH) ** 2))
+    variance = np.exp(found[:joints])
+    return variance, variance * error
+
+
+def _rows(senses: Sequence[Sense], joints: int) -> _Rows:
+    """The held-out residuals of all tracks, pose by pose."""
+    keys = [np.stack([s.used.log.astype(float), s.used.t], axis=1) for s in senses]
+    poses = np.unique(np.concatenate([key[key[:, 0] >= 0] for key in keys]), axis=0)
+    shape = len(poses), 2 * len(senses)
+    r, jac, var = np.zeros(shape), np.zeros((*shape, joints)), np.full(shape, np.inf)
+    index = {tuple(pose): k for k, pose in enumerate(poses.tolist())}
+    for k, (found, key) in enumerate(zip(senses, keys, strict=True)):
+        at = np.array([index.get(tuple(one), -1) for one in key.tolist()])
+        mine, columns = at >= 0, slice(2 * k, 2 * k + 2)
+        r[at[mine], columns], var[at[mine], columns] = found.residual[mine], found.variance[mine]
+        jac[at[mine], columns] = found.gp.means(found.used.x)[1][mine]
+    return _Rows(r, jac, var)
+
+
+def _loss(p: Array, rows: _Rows) -> float:
+    """Minus ln density (nats) of all residuals with ln Q (M,) and ln of the tracks' own share, under the prior of Q."""
+    common, own = np.exp(p[:-1]), rows.var * np.exp(p[-1])
+    seen = np.isfinite(own)
+    scaled = rows.jac / own[..., None]
+    inner = np.einsum("pki,pkj->pij", scaled, rows.jac) + np.diag(1.0 / common)
+    side = np.einsum("pki,pk->pi", scaled, rows.r)
+    square = float(np.where(seen, rows.r**2 / own, 0.0).sum())
+    square -= float((side * np.linalg.solve(inner, side[..., None])[..., 0]).sum())
+    logdet = float(np.log(own[seen]).sum() + np.linalg.slogdet(inner)[1].sum() + len(rows.r) * np.log(common).sum())
+    away = (p[:-1] - 2.0 * np.log(STILL)) / (2.0 * WIDTH)
+    return 0.5 * (square + logdet + float(away @ away))
