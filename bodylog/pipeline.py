@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,26 +54,11 @@ def observe(
         return perception.looking(settings, progress)
 
     read = recording.read(log, settings, settings.input.strict, looking)
-    found = _posed(read, settings, progress) if read.poses else _observed(read, settings, progress)
-    if guess and sought.unconfigured(read.settings) and not (read.features and read.features.tracks):
-        read, found = _guessed(log, read, found, settings, progress)
+    look = _posed if read.poses else _observed
+    found = look(read, settings, progress)
+    if guess:
+        read, found = sought.guessed(log, read, found, settings, partial(look, progress=progress))
     return read, replace(found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside)
-
-
-def _guessed(
-    log: Path, read: Recording, found: Features, settings: Settings, progress: Progress | None
-) -> tuple[Recording, Features]:
-    """The recording and what it shows of the arm, where the default colour shows something else."""
-    from . import perception
-
-    other = perception.instead(read, found, settings)
-    if other is None:
-        return read, found
-    chosen, remarks = sought.guessed(str(log), other.why, other.survey, settings)
-    if chosen.features:
-        read = replace(read, settings=replace(read.settings, features=chosen.features), watched=None)
-        found = _posed(read, chosen, progress) if read.poses else _observed(read, chosen, progress)
-    return read, replace(found, findings=(*remarks, *found.findings))
 
 
 def _observed(read: Recording, settings: Settings, progress: Progress | None) -> Features:

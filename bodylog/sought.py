@@ -1,15 +1,17 @@
 """Which features a log is searched for where none is configured: a body's own, or what moves as the joints do."""
 
 import json
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .config import toml_value
 from .errors import ConfigError
 from .settings import Colours, Settings
 from .sources import Source, check_colour, parse, spelled
-from .types import BodyModel, Finding, Recording
+from .types import BodyModel, Features, Finding, Recording
 
 if TYPE_CHECKING:
     from .perception import Survey
@@ -45,7 +47,27 @@ def of_log(read: Recording, settings: Settings) -> Settings:
     return replace(settings, features=read.settings.features) if unconfigured(settings) else settings
 
 
-def guessed(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
+def guessed(
+    log: Path, read: Recording, found: Features, settings: Settings, look: Callable[[Recording, Settings], Features]
+) -> tuple[Recording, Features]:
+    """A recording and what it shows, where it is looked at again if the default colour is not the arm's.
+
+    What moves as the joints do is followed then; the recording's settings name it.
+    """
+    from .perception import instead
+
+    carried = read.tracks or (read.features and read.features.tracks)
+    other = instead(read, found, settings) if unconfigured(read.settings) and not carried else None
+    if other is None:
+        return read, found
+    chosen, remarks = _chosen(str(log), other.why, other.survey, settings)
+    if chosen.features:
+        read = replace(read, settings=replace(read.settings, features=chosen.features), watched=None)
+        found = look(read, chosen)
+    return read, replace(found, findings=(*remarks, *found.findings))
+
+
+def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
     """The settings with what moves as the joints do as the effector, and what to say of it and of the rest."""
     rest = [one for one in survey.candidates if one is not survey.arm and one.seen]
     others = "; ".join(f"{one.name}: {one.why or 'also moves as the joints do'}" for one in rest) or "nothing"
