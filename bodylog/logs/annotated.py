@@ -16,6 +16,7 @@ from .columns import columns_of
 from .containers import Log, open_log
 from .messages import ERROR, PREDICTED, PREDICTED_NAMES, TRACK, TRACK_NAMES, unescape
 from .records import HEAD, METADATA, METADATA_INDEX, parse
+from .signals import believed
 from .toplevel import TopLevel
 
 _VECTOR = ("header.stamp", "names", "data")
@@ -158,7 +159,7 @@ class _Table:
         for name, series in found.items():
             if len(series.names) != len(TRACK_NAMES):
                 raise self._unfit(TRACK + name, f"{len(series.names)} names, not {len(TRACK_NAMES)}")
-        return found
+        return {name: replace(series, values=believed(series.values)[0]) for name, series in found.items()}
 
     def aligned(self, name: str, joints: Series, width: int) -> Array:
         """Values (N,width) that go with each row of `joints`; LogError when they do not."""

@@ -136,7 +136,7 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
 
 def believed(values: Array) -> tuple[Array, int]:
     """Readings (N,D) with NaN for what none reads, beyond FARTHEST in any unit, and how many these were."""
-    beyond = np.isfinite(values) & (np.abs(values) > FARTHEST)
+    beyond = np.abs(values) > FARTHEST
     count = int(beyond.sum())
     return (np.where(beyond, np.nan, values) if count else values), count
 

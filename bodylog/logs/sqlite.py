@@ -1,5 +1,6 @@
 """rosbag2's SQLite files -> undecoded batches: read only, never a file written beside the user's."""
 
+import os
 import shutil
 import sqlite3
 from collections.abc import Collection, Iterator
@@ -121,14 +122,14 @@ class Db3Log:
 def _connect(path: Path, source: Path) -> sqlite3.Connection:
     pending = [beside for end in ("-wal", "-journal") if (beside := source.with_name(source.name + end)).is_file()]
     if not any(beside.stat().st_size for beside in pending):
-        return _opened(f"file:{quote(str(source.resolve()))}?mode=ro&immutable=1", source.stat().st_size)
+        return _opened(f"file:{quote(os.fsencode(source.resolve()))}?mode=ro&immutable=1", source.stat().st_size)
     needed = sum(part.stat().st_size for part in (source, *pending))
     with scratch() as folder:
         if shutil.disk_usage(folder).free < 2 * needed:
             raise LogError(f"{path}: {pending[0].name} holds unsaved rows; {2 * needed} bytes are needed in {folder}")
         for part in (source, *pending):
             shutil.copyfile(part, folder / part.name)
-        store = _opened(f"file:{quote(str(folder))}/{quote(source.name)}?mode=rw", 2 * needed)
+        store = _opened(f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw", 2 * needed)
         store.execute("SELECT count(*) FROM sqlite_master").fetchall()
         return store
 

@@ -118,7 +118,7 @@ def settings_case(base: Base, place: Path, seed: int) -> tuple[str, list[Run], l
     out = str(place / "out.mcap")
     commands = [
         ("info", log, *config, "--json"),
-        ("config", str(place / "robot.toml")),
+        ("config", *config),
         ("estimate", log, "--body", body, "-o", out, *config, "--json", *typed),
         draw.of(
             (

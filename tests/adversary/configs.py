@@ -1,10 +1,12 @@
 """Hostile settings: robot.toml and what is typed."""
 
 import json
+import typing
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from bodylog.config import ALLOWED, LIMITS
 from bodylog.settings import Settings
 
 from .grammar import FLOATS, INTEGERS, TEXTS, Draw
@@ -84,6 +86,32 @@ def value(draw: Draw, depth: int = 0) -> Any:
     return draw.of(kinds)()
 
 
+def fitting(draw: Draw, section: str, key: str, hint: Any) -> Any:
+    """A value of a setting's type, most of them in range."""
+    if (section, key) in ALLOWED:
+        return draw.of(ALLOWED[section, key])
+    low, high = LIMITS.get((section, key), (-10.0, 10.0))
+    options = [option for option in typing.get_args(hint) or (hint,) if option is not type(None)]
+    option = draw.of(options) if typing.get_origin(hint) is not tuple else hint
+    if option is bool:
+        return draw.of((True, False))
+    if option in (int, float):
+        edges = (low, high, low + 1, min(high, 1000), draw.random.uniform(low, min(high, 100.0)))
+        number = draw.of(edges)
+        return float(number) if option is float else int(min(number, 2**63 - 1))
+    if section == "topics":
+        return draw.of(TOPICS) if option is str else [draw.of(TOPICS), draw.of(TOPICS)]
+    if section == "colours":
+        return draw.of(COLOURS) if key != "shapes" else {draw.text("tip"): draw.of(COLOURS)}
+    if key == "delay":
+        return draw.of(("auto", "off", {"camera": draw.of(NUMBERS)}, {"other": 0.1}, {"joints": -0.01}))
+    if key in ("joints", "senses", "without"):
+        return draw.of((["shoulder", "elbow"], ["elbow"], ["wrist"], ["vision"], ["encoders"], ["effector", "touch"]))
+    if key == "start":
+        return [draw.number(0.1), draw.number(0.2)]
+    return draw.of(WORDS)
+
+
 def toml(draw: Draw) -> str:
     """A robot.toml with one to four keys set, mostly to what they might be."""
     lines = []
@@ -91,7 +119,10 @@ def toml(draw: Draw) -> str:
         section = draw.of(fields(Settings)).name
         current = getattr(Settings(), section)
         key = draw.of([f.name for f in fields(current)]) if is_dataclass(current) else json.dumps(draw.text("tip"))
-        lines.append(f"[{section}]\n{key} = {_toml(value(draw))}\n")
+        hints = typing.get_type_hints(type(current)) if is_dataclass(current) else {}
+        fits = key in hints and draw.random.random() < 0.85
+        chosen = fitting(draw, section, key, hints[key]) if fits else value(draw)
+        lines.append(f"[{section}]\n{key} = {_toml(chosen)}\n")
     text = "".join(dict((line.split("\n")[0], line) for line in lines).values())
     odd = (
         "a" + ".a" * 20_000 + " = 1\n",
@@ -116,27 +147,29 @@ def _toml(said: Any) -> str:
     return json.dumps(said) if isinstance(said, str) else str(said)
 
 
-TYPED: tuple[tuple[str, ...], ...] = (
-    ("--rate",),
-    ("--method",),
-    ("--with",),
-    ("--without",),
-    ("--precision",),
-    ("--bias",),
-    ("--touch",),
-    ("--step",),
-    ("--preset",),
-    ("--delay",),
-    ("--clock-offset",),
-)
-"""Options of estimate that take a value."""
+TYPED: dict[str, tuple[str, ...]] = {
+    "--rate": ("50", "0.1", "0", "1e-3", "1e6", "1e15", "nan"),
+    "--method": ("laplace", "smoother", "ekf", "kalman", "predictive-coding", "x"),
+    "--with": ("encoders", "encoders,vision", "vision", "touch", ",", "x"),
+    "--without": ("vision", "encoders", "touch", "encoders,vision,touch", ""),
+    "--precision": ("model", "fixed", "auto", "x"),
+    "--bias": ("on", "off", "auto"),
+    "--touch": ("literal", "likelihood"),
+    "--step": ("explicit", "implicit"),
+    "--preset": ("paper", "default"),
+    "--delay": ("off", "auto", "camera=0.05", "camera=-1", "joints=3600", "camera=1e300", "=", "x=1,x=2"),
+    "--clock-offset": ("auto", "0.1", "-1e300", "1e999"),
+}
+"""Options of estimate, and what may be typed behind them."""
 
 
 def typed(draw: Draw) -> list[str]:
     """Some options of `estimate`."""
     out: list[str] = []
     for _ in range(draw.random.randint(0, 2)):
-        out += [*draw.of(TYPED), str(value(draw, 2))[:400].replace("\0", "")]
+        name = draw.of(tuple(TYPED))
+        said = draw.of(TYPED[name]) if draw.random.random() < 0.9 else str(value(draw, 2))[:400].replace("\0", "")
+        out += [name, said]
     return out
 
 
