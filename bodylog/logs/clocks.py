@@ -8,6 +8,7 @@ import numpy as np
 from ..types import Array
 
 _DAY = 86_400_000_000_000
+_YEAR = 366 * _DAY
 _FEW = 0.1
 BACK = 500_000_000
 """ns: no transport delivers a message so long after its successors; a clock that says so ran backwards."""
@@ -120,14 +121,18 @@ def _doubled(stamp_ns: Array, log_ns: Array) -> bool:
 
 
 def _near(t_ns: Array) -> Array:
-    """True where a time belongs to the bulk: more than a day off, a tenth or less, or at time zero, does not."""
+    """True where a time belongs to the bulk: more than a day off, a tenth or less, or at time zero, does not.
+
+    More than a year off, nothing but the most does: no log lasts as long, and a belief is lost on the way.
+    """
     order = np.argsort(t_ns, kind="stable")
     far = np.diff(t_ns[order]) > _DAY
     if not far.any():
         return np.ones(len(t_ns), bool)
     island = np.concatenate([[0], np.cumsum(far)])
+    era = np.concatenate([[0], np.cumsum(np.diff(t_ns[order]) > _YEAR)])
     keep = np.empty(len(t_ns), bool)
-    keep[order] = (np.bincount(island) > _FEW * len(t_ns))[island]
+    keep[order] = (np.bincount(island) > _FEW * len(t_ns))[island] & (era == np.bincount(era).argmax())
     return keep & (t_ns > 0)
 
 

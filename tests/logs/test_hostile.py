@@ -292,3 +292,9 @@ def test_logs_whose_names_are_not_utf_8_are_read_and_written(tmp_path, bodylog, 
         os.rename(tmp_path / "y.db3", log)
     for command in (("info",), ("doctor",), ("ingest", "-o", tmp_path / "i.mcap")):
         assert bodylog(command[0], os.fsdecode(log), *command[1:]) == 0
+
+
+def test_of_times_decades_apart_the_most_are_used(tmp_path):
+    times = [T0 + k * 10**7 for k in range(30)] + [2 * T0 + k * 10**7 for k in range(20)]
+    read = recording.read(_joints(tmp_path / "x.mcap", times), Settings())
+    assert len(read.joints.t) == 30 and read.health["/joint_states"].rejected == {"time years away": 20}
