@@ -132,7 +132,8 @@ def _near(t_ns: Array) -> Array:
     island = np.concatenate([[0], np.cumsum(far)])
     era = np.concatenate([[0], np.cumsum(np.diff(t_ns[order]) > _YEAR)])
     keep = np.empty(len(t_ns), bool)
-    keep[order] = (np.bincount(island) > _FEW * len(t_ns))[island] & (era == np.bincount(era).argmax())
+    most = np.bincount(era, t_ns[order] > 0).argmax()
+    keep[order] = (np.bincount(island) > _FEW * len(t_ns))[island] & (era == most)
     return keep & (t_ns > 0)
 
 
