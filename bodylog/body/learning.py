@@ -12,7 +12,7 @@ from ..threads import one_thread
 from ..types import BodyModel, Features, Finding, ForwardModel, Noise, Score
 from . import coverage, encoders, noise, pose_errors, reference, sense, taught, touch
 from .gp import GP
-from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, silent
+from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, restless, silent
 from .shown import shown
 
 
@@ -39,6 +39,8 @@ def learn(
     features, absurd = plausible(features)
     wanted = settings.body.joints if update is None else _same(features, update)
     told = [encoders.referred(f, update) for f in features]
+    if update is None and not any(name != "hand" for f in features for name in f.tracks):
+        raise EvidenceError(_nothing_seen(told))  # before joints are smoothed, which takes long
     heard = joints(told, wanted)
     chosen = [j for j in heard if wanted or moves(j)]
     if not chosen:
@@ -107,11 +109,16 @@ def _senses(
     return found, poor
 
 
+def _nothing_seen(features: Sequence[Features]) -> str:
+    """That there is no track at all, and which joints moved."""
+    names = restless(features)
+    moved = f"{len(names)} joints moved ({', '.join(names)})" if names else "no joint moved"
+    return f"no track to learn from, though {moved}; type: bodylog info LOG, and name a marker in [features]"
+
+
 def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:
     """What there was, why no body can be learned of it, and what to record or type."""
     moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
-    if not poor:
-        return f"no track to learn from, though {moved}; type: bodylog info LOG, and name a marker in [features]"
     said = "; ".join(f"{name}: {why}, {taught.seen(features, name)}" for name, why in poor.items())
     advice = "type bodylog features LOG to see what else there is, or record a marker that all joints move in view"
     return f"no track teaches a body, though {moved}: {said}; {advice}"

@@ -133,6 +133,17 @@ def moves(joint: Joint) -> bool:
     return joint.range > _LEAST_RANGE
 
 
+def restless(features: Sequence[Features]) -> list[str]:
+    """Joints whose readings, noise and all, span more than those of a joint at rest."""
+    found: dict[str, None] = {}
+    for series in (f.joints for f in features if f.joints is not None):
+        for name, column in zip(series.names, series.values.T, strict=True):
+            known = column[np.isfinite(column)]
+            if len(known) and float(np.ptp(np.percentile(known, [1, 99]))) > _LEAST_RANGE:
+                found[name] = None
+    return list(found)
+
+
 def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
     """Sightings of one track with the angles of the chosen joints at the same instants."""
     parts = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
