@@ -17,7 +17,7 @@ _BORDER = 0.65
 """Share of the border's cells that must be dark: OpenCV's 1 - maxErroneousBitsInBorderRate."""
 _ALIKE = 0.6
 """How alike bits and pattern must be at least, -1..1; of two patterns 3 of 16 bits apart the wrong one reaches 0.63."""
-_LIKELY = 0.35
+_LIKELY = 0.5
 """The same before a quad is refined to its edges."""
 
 
