@@ -1,7 +1,7 @@
 """Which features a log is searched for where none is configured: a body's own, or what moves as the joints do."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .perception import Survey
 
 
+_NAMED = 6
 _DEFAULTS = {"effector": Colours().effector, "hand": Colours().hand}
 
 
@@ -70,7 +71,7 @@ def guessed(
 def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
     """The settings with what moves as the joints do as the effector, and what to say of it and of the rest."""
     rest = [one for one in survey.candidates if one is not survey.arm and one.seen]
-    others = "; ".join(f"{one.name}: {one.why or 'also moves as the joints do'}" for one in rest) or "nothing"
+    others = _grouped([(one.name, one.why or "also moves as the joints do") for one in rest])
     default = f"effector: {settings.colours.effector} is not the arm's: {why}"
     if survey.arm is None:
         said = f"{default}; nothing else moves as the joints do; in view: {others}; "
@@ -81,6 +82,15 @@ def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[S
     said += f"{arm.explained:.0%} of its motion; ready for robot.toml: [features] {toml_line('effector', arm.source)}"
     remarks = Finding("info", said), Finding("info", f"effector: not followed: {others}")
     return replace(settings, features={"effector": arm.source}), remarks
+
+
+def _grouped(named: Sequence[tuple[str, str]]) -> str:
+    """Names by what is said of them; of many names the first few."""
+    by_reason: dict[str, list[str]] = {}
+    for name, why in named:
+        by_reason.setdefault("in too few images" if why.startswith("seen in") else why, []).append(name)
+    more = {why: f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "" for why, names in by_reason.items()}
+    return "; ".join(f"{', '.join(names[:_NAMED])}{more[why]}: {why}" for why, names in by_reason.items()) or "nothing"
 
 
 def toml_line(name: str, source: Source) -> str:
