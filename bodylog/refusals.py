@@ -21,13 +21,17 @@ def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings |
 
 
 def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
-    """The files that the settings name and that are read with these logs, from here or beside them: videos, tables."""
+    """The files read with these logs, from here or beside them: videos and tables that settings name, poses' images."""
     from .logs.cameras import is_video
+    from .logs.pose_log import image_files
 
     videos = (name for name in settings.topics.cameras if is_video("camera", name))
     tables = (source.table for source in settings.features.values() if isinstance(source, TableSource))
+    logs = tuple(logs)
     for name in (*videos, *tables):
         yield from (Path(name), *(log.parent / name for log in logs))
+    for log in logs:
+        yield from image_files(log)
 
 
 def something_seen(log: Path, features: Features) -> None:

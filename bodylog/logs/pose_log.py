@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import BodylogError, LogError
 from ..settings import LIMITS, Input
 from ..types import Array, Batch, Finding, Outgoing, Series, Topic
 from . import cdr
@@ -137,6 +137,17 @@ class PoseLog:
         except (OSError, ValueError):
             return None
         return data if file.suffix.lower() in _AS_THEY_ARE else _as_png(data)
+
+
+def image_files(path: Path) -> tuple[Path, ...]:
+    """The images that a table of poses names, where they lie; none of any other file."""
+    if not path.is_file() or (form := kind(path)) is None:
+        return ()
+    try:
+        found = poses(read(path, form), str(path)).images
+    except BodylogError:
+        return ()
+    return tuple(path.parent / str(name) for files in found.values() for name in files.tolist() if name)
 
 
 def _as_png(data: Array) -> Array | None:

@@ -2,11 +2,13 @@
 
 import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ..errors import UsageError
 from ..types import Array, Topic
 from .columns import Columns, definition_of
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition
@@ -78,14 +80,14 @@ class Table:
 
     def to_pandas(self, fields: Sequence[str] | None = None) -> Any:
         """A pandas DataFrame: log_ns, then each field, arrays as one column per element. Needs the extra pandas."""
-        import pandas as pd
-
+        with _installed("pandas"):
+            import pandas as pd
         return pd.DataFrame(dict(self._flat(fields)))
 
     def to_arrow(self, fields: Sequence[str] | None = None) -> Any:
-        """A pyarrow Table: log_ns, then each field, arrays as one column per element. Needs pyarrow."""
-        import pyarrow as pa
-
+        """A pyarrow Table: log_ns, then each field, arrays as one column per element; UsageError without pyarrow."""
+        with _installed("pyarrow"):
+            import pyarrow as pa
         return pa.table({name: pa.array(values) for name, values in self._flat(fields)})
 
     def _flat(self, fields: Sequence[str] | None) -> Iterator[tuple[str, Array]]:
@@ -124,6 +126,15 @@ class Table:
         self._found |= other._found
         for reason, count in other.rejected.items():
             self.rejected[reason] = max(count, self.rejected.get(reason, 0))
+
+
+@contextmanager
+def _installed(package: str) -> Iterator[None]:
+    """UsageError, which says what to type, where an import in the `with` fails."""
+    try:
+        yield
+    except ImportError:
+        raise UsageError(f"{package} is not installed; type: pip install {package}") from None
 
 
 class Struct:

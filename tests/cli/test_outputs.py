@@ -229,3 +229,11 @@ def test_searched_folders_are_no_inputs_but_their_logs_are(tmp_path, capsys, bod
     _refused(capsys, bodylog, tmp_path, ("batch", tmp_path, *body, "-o", tmp_path))
     _refused(capsys, bodylog, tmp_path, ("batch", f"{tmp_path}/*.mcap", *body, "-o", tmp_path))
     assert Searched().convert("a*", None, None) == "a*" and Path("a*") != "a*"
+
+
+def test_images_that_a_table_of_poses_names_are_inputs(tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "a.png").write_bytes(b"\x89PNG")
+    (tmp_path / "poses.csv").write_text("elbow,image\n0.1,images/a.png\n")
+    with pytest.raises(UsageError, match="also an input"):
+        distinct([tmp_path / "poses.csv"], [Output(tmp_path / "images" / "a.png")], Settings())

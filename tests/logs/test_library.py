@@ -277,3 +277,12 @@ def test_every_recipe_runs_in_the_order_of_the_page(kitchen):
     }
     assert "changed: ['header.frame_id']" in done.stdout
     assert not logs.examine(kitchen / "both.mcap")
+
+
+def test_conversion_without_its_package_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with (
+        logs.open(joints(tmp_path / "a.mcap")) as log,
+        pytest.raises(UsageError, match="pandas is not installed; type: pip install pandas"),
+    ):
+        log["/joint_states"].to_pandas()
