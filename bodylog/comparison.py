@@ -6,9 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .errors import EvidenceError, InputError, UsageError
-from .pipeline import Progress, infer, judge, observe
+from .pipeline import Progress, infer, observe
 from .refusals import about, gone, same_camera, same_size
 from .remarks import named
+from .scoring import judge
 from .settings import Settings
 from .sought import of_body
 from .types import BodyModel, Features, Finding, Recording, Score

@@ -9,9 +9,11 @@ from typing import Any
 
 from . import __version__, sought
 from .files import sha256
+from .joints_only import joints_alone, without_body
 from .outputs import Output
 from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
 from .remarks import named, sightings, untold
+from .scoring import against, bounded, judge
 from .settings import LIMITS, Input, Settings, plain, wanted
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
@@ -29,6 +31,7 @@ class Result:
     findings: tuple[Finding, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
     faults: tuple[Fault, ...] = ()
+    figures: tuple[Score, ...] = ()
 
 
 def record(scenario: str, out: Path, **options: Any) -> Result:
@@ -165,18 +168,20 @@ def _tested(
     return scores, (*remarks, *more)
 
 
-def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
-    """Replay a log against a learned body and write it back with the estimate in it."""
+def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
+    """Replay a log against a learned body and write it back with the estimate in it; without one, its joints alone."""
     from . import estimation
     from .body import model
     from .logs import annotate, annotated
 
-    distinct([log, body], [Output(out)], settings)
-    learned = model.load(body)
-    settings = sought.of_body(learned, settings)
-    estimation.check(learned, settings.estimate)
+    distinct([log, *([] if body is None else [body])], [Output(out)], settings)
+    known = None if body is None else model.load(body)
+    if known is not None:
+        settings = sought.of_body(known, settings)
+        estimation.check(known, settings.estimate)
     with annotate.begun(log, out, limits=settings.input) as written:
-        read, features = observe(log, settings, progress)
+        read, features = observe(log, settings, progress) if body else joints_alone(log, settings)
+        learned = without_body(read, settings) if known is None else known
         written.copy()
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
         same_size(log, learned, features, settings)
@@ -184,10 +189,10 @@ def estimate(log: Path, body: Path, out: Path, settings: Settings, progress: Pro
         lost = written.add(_estimate_messages(read, features, found))
         scores = judge(found, read)
         origin = _provenance([(log, written.digest())], read.settings)
-        written.about(origin | {"body_sha256": sha256(body)} | annotated.describe(found))
+        written.about(origin | ({} if body is None else {"body_sha256": sha256(body)}) | annotated.describe(found))
     remarks = (*read.findings, *features.findings, *cameras, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
-    return Result(out, scores, health, remarks, dict(found.settings), found.faults)
+    return Result(out, scores, health, remarks, dict(found.settings), found.faults, bounded(found, scores))
 
 
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
@@ -211,21 +216,17 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, said))
 
 
-def judge(found: Estimate, read: Recording) -> tuple[Score, ...]:
-    """Figures of merit; those against truth only where the recording carries it."""
-    from .evaluation.scores import scores
-
-    return scores(found, read.truth, read.joints)
-
-
-def evaluate(log: Path, settings: Settings) -> Result:
-    """Score the estimate an annotated log carries."""
+def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result:
+    """Score the estimate an annotated log carries; `truth`: a table, arrays or a log that has the true angles."""
     from .logs import annotated, recording
 
     read = recording.read(log, settings, settings.input.strict)
     found = annotated.read_estimate(log, read.start_ns)
+    if truth is not None:
+        read = against(truth, found, read, settings)
     remarks = (*read.findings, *named(found.faults), *untold(found, read.truth))
-    return Result(log, judge(found, read), found.used, remarks, faults=found.faults)
+    scores = judge(found, read)
+    return Result(log, scores, found.used, remarks, dict(found.settings), found.faults, bounded(found, scores))
 
 
 def ingest(

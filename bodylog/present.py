@@ -12,8 +12,9 @@ import numpy as np
 from .errors import FormatError, LogError
 from .files import is_archive, made
 from .outputs import Output
-from .pipeline import Progress, Result, doctor, folders, ingest, judge, observe, topic_of
+from .pipeline import Progress, Result, doctor, folders, ingest, observe, topic_of
 from .refusals import about, distinct
+from .scoring import judge
 from .settings import Settings, plain
 from .sought import toml_line
 from .stores import naming

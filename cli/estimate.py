@@ -10,22 +10,34 @@ from . import options
 
 @click.command(epilog="Example: bodylog estimate run.bag --body body.npz -o run.mcap --method smoother")
 @options.log_argument
-@click.option("--body", type=options.PATH, required=True, help="The body model that fit wrote.")
+@click.option("--body", type=options.PATH, help="What fit wrote; without it, joint sensors alone.")
 @options.out_option("The annotated MCAP to write.")
+@options.fail_option
 @options.estimation_options
 @options.fast_option
 @options.clock_option
 @options.delay_option
 @options.common_options
 def estimate(
-    log: Path, body: Path, out: Path, fast: bool | None, common: options.Common, as_json: bool, **typed: Any
+    log: Path,
+    body: Path | None,
+    out: Path,
+    bounds: tuple[str, ...],
+    fast: bool | None,
+    common: options.Common,
+    as_json: bool,
+    **typed: Any,
 ) -> int:
     """Replay a log: where the body was, how sure that is, and which sensor lied; written back as an annotated MCAP."""
     from bodylog import pipeline
+    from bodylog.evaluation import bounds as rules
 
     from .output import progress, show
 
+    wanted = [rules.parse(text) for text in bounds]
     chosen = common.settings(colours={"fast": fast}, estimate=options.estimation(typed))
     with progress("estimate") as tick:
         result = pipeline.estimate(log, body, out, chosen, tick)
-    return show(result, as_json)
+    code = show(result, as_json)
+    rules.check({str(log): result.figures}, wanted)
+    return code

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import PATH, Common, common_options, logs_argument
+from .options import PATH, Common, common_options, fail_option, logs_argument
 
 if TYPE_CHECKING:
     from bodylog.pipeline import Result
@@ -13,19 +13,21 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: bodylog evaluate run.mcap --fail-if 'joint_rmse>0.02'")
 @logs_argument
-@click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help="E.g. 'joint_rmse>0.02'; broken: exit 4.")
+@fail_option
+@click.option("--truth", type=PATH, metavar="FILE", help="True angles kept elsewhere: .csv, .npz or a log.")
 @click.option("--baseline", type=PATH, metavar="RESULTS.jsonl", help="A batch's results to be no worse than.")
 @click.option("--tolerance", default="5%", show_default=True, help="By how much an error may grow over the baseline.")
 @common_options
 def evaluate(
     logs: tuple[Path, ...],
     bounds: tuple[str, ...],
+    truth: Path | None,
     baseline: Path | None,
     tolerance: str,
     common: Common,
     as_json: bool,
 ) -> int:
-    """Score annotated logs against the truth they carry.
+    """Score annotated logs against the truth they carry, or one kept beside them.
 
     In a batch's folder the logs are OUT/NAME/annotated.mcap; the baseline is looked up by NAME.
     """
@@ -39,14 +41,14 @@ def evaluate(
     wanted, share = [rules.parse(text) for text in bounds], earlier.tolerance(tolerance)
     before = earlier.load(baseline) if baseline else None
     chosen = common.settings()
-    results, refused = each(logs, lambda log: pipeline.evaluate(log, chosen))
+    results, refused = each(logs, lambda log: pipeline.evaluate(log, chosen, truth))
     if as_json:
         shown = [{"path": path, **as_data(result)} for path, result in results.items()]
         data(shown[0] if len(logs) == 1 else shown)
     else:
         _print(results)
     try:
-        rules.check({path: result.scores for path, result in results.items()}, wanted)
+        rules.check({path: result.figures for path, result in results.items()}, wanted)
         if before is not None:
             earlier.check({_name(log): results[str(log)].scores for log in logs if str(log) in results}, before, share)
     except BoundError as broken:

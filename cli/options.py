@@ -181,6 +181,12 @@ def delay_option(function: Command) -> Command:
     return click.option("--delay", metavar="auto|off|NAME=S", help=help_)(function)
 
 
+def fail_option(function: Command) -> Command:
+    """--fail-if: bounds on scores, faults, delays and what was used."""
+    help_ = "E.g. 'joint_rmse>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; broken: exit 4."
+    return click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help=help_)(function)
+
+
 def fast_option(function: Command) -> Command:
     """--fast: the pictures at half scale."""
     help_ = "Look at JPEG pictures at half scale: in less time, less exact."

@@ -14,7 +14,7 @@ LAYERS = (
     {*RECORDS, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},
     STAGES,
-    {"live", "dates", "inventory", "refusals", "remarks", "sought"},
+    {"live", "dates", "inventory", "joints_only", "refusals", "remarks", "scoring", "sought"},
     {"pipeline"},
     {"present", "comparison"},
     {"batch", "experiments"},

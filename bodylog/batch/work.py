@@ -95,7 +95,7 @@ def _estimate(job: Job) -> dict[str, Any]:
     lost = any(finding.severity == "lost" for finding in result.findings)
     code, error = (3 if lost else 0), None
     try:
-        bounds.check({job.name: result.scores}, [bounds.parse(text) for text in job.bounds])
+        bounds.check({job.name: result.figures}, [bounds.parse(text) for text in job.bounds])
     except BoundError as err:
         code, error = err.exit_code, str(err)
     return {"code": code, "error": error, "result": result, "messages": pipeline.count(annotated)}

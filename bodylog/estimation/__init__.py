@@ -8,11 +8,12 @@ from ..settings import Estimation
 from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
 from . import filtering, kalman, poses, predictive_coding, senses, smoother
+from .alone import joints_body, readings, unlearned_body
 from .dating import as_stamped, dated, unsure
 from .doubts import doubts
 from .finite import finite
 
-__all__ = ["METHODS", "check", "estimate"]
+__all__ = ["METHODS", "check", "estimate", "joints_body", "readings", "unlearned_body"]
 
 METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
     "laplace": filtering.laplace,

@@ -1,9 +1,11 @@
-"""Bounds on scores, as typed after --fail-if: 'joint_rmse>0.02' fails when the score is above."""
+"""Bounds as typed after --fail-if: 'joint_rmse>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/*>0.05'."""
 
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
 
 from ..errors import BoundError, UsageError
 from ..types import Score
@@ -14,11 +16,13 @@ COMPARE: Mapping[str, Callable[[float, float], bool]] = {
     ">": operator.gt,
     "<": operator.lt,
 }
+MOST = 12
+"""Names that a refusal lists."""
 
 
 @dataclass(frozen=True)
 class Bound:
-    """Fails when the score `name` compares so with `limit`."""
+    """Fails when a figure that `name` matches, * and ? as in file names, compares so with `limit`."""
 
     name: str
     sign: str
@@ -27,7 +31,7 @@ class Bound:
 
 def parse(text: str) -> Bound:
     """A bound as typed; UsageError when it is not NAME, sign and number."""
-    found = re.fullmatch(r"\s*([\w./:\-]+)\s*(>=|<=|>|<)\s*([-+0-9.eE]+)\s*", text)
+    found = re.fullmatch(r"\s*([^\s<>=]+)\s*(>=|<=|>|<)\s*([-+0-9.eE]+)\s*", text)
     try:
         return Bound(found[1], found[2], float(found[3])) if found else _refuse(text)
     except ValueError:
@@ -35,20 +39,36 @@ def parse(text: str) -> Bound:
 
 
 def _refuse(text: str) -> Bound:
-    raise UsageError(f"--fail-if {text!r}: not a bound; type a score, a sign and a number, e.g. 'joint_rmse>0.02'")
+    raise UsageError(
+        f"--fail-if {text!r}: not a bound; type a score, a sign and a number, e.g. 'joint_rmse>0.02' or 'faults>0'"
+    )
 
 
-def check(scores: Mapping[str, Sequence[Score]], bounds: Sequence[Bound]) -> None:
-    """BoundError naming each broken bound; UsageError when a log has no such score. A NaN score breaks its bound."""
-    broken = [text for path, found in scores.items() for bound in bounds if (text := _broken(path, found, bound))]
+def check(figures: Mapping[str, Sequence[Score]], bounds: Sequence[Bound]) -> None:
+    """BoundError naming each broken bound; UsageError when a log has no such figure. A NaN breaks its bound."""
+    broken = [text for path, found in figures.items() for bound in bounds for text in _broken(path, found, bound)]
     if broken:
         raise BoundError("; ".join(broken))
 
 
-def _broken(path: str, scores: Sequence[Score], bound: Bound) -> str | None:
-    values = {score.name: score.value for score in scores}
-    if bound.name not in values:
-        raise UsageError(f"{path}: no score {bound.name!r} to bound; possible: {', '.join(sorted(values))}")
-    value = values[bound.name]
-    holds = value == value and not COMPARE[bound.sign](value, bound.limit)
-    return None if holds else f"{path}: {bound.name} is {value:.6g}, bound broken: {bound.sign} {bound.limit:g}"
+def _broken(path: str, figures: Sequence[Score], bound: Bound) -> Iterator[str]:
+    values = {figure.name: figure.value for figure in figures}
+    plain = [bound.name] if bound.name in values else [name for name in values if fnmatchcase(name, bound.name)]
+    if not plain:
+        raise UsageError(f"{path}: no score {bound.name!r} to bound; {_near(bound.name, values)}")
+    for name in plain:
+        value = values[name]
+        if value != value or COMPARE[bound.sign](value, bound.limit):
+            yield f"{path}: {name} is {value:.6g}, bound broken: {bound.sign} {bound.limit:g}"
+
+
+def _near(name: str, values: Mapping[str, float]) -> str:
+    """Names like the one typed, else the kinds of names there are."""
+    parts = name.strip("*").split("/")
+    near = get_close_matches(name, values, MOST, 0.6) or [one for one in values if parts[-1] and parts[-1] in one]
+    if len(values) <= MOST:
+        near = sorted(values)
+    if near:
+        return f"possible: {', '.join(near[:MOST])}"
+    kinds = {f"{one.split('/')[0]}/..." if "/" in one else one for one in values}
+    return f"possible: {', '.join(sorted(kinds))}"

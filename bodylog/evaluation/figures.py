@@ -1,0 +1,64 @@
+"""What bounds may be set on beside scores: faults by kind and joint, delays, what was used, squared innovations."""
+
+from collections.abc import Iterator, Sequence
+
+from ..types import Estimate, Fault, Score
+from .scores import EVIDENT
+
+OFFSET = ("drifting", "jumping")
+"""Kinds of fault that are offsets of an encoder."""
+KINDS = ("encoder_offset", *OFFSET, "frozen", "dead")
+SOUGHT = ("encoder_offset", "drifting")
+"""Kinds that only images show, and only to methods that look for them: else there is no saying, NaN."""
+EITHER = " or "
+"""Between the names of joints of which one lies."""
+
+
+def figures(found: Estimate) -> tuple[Score, ...]:
+    """Everything a bound may name that no score says: 0 for a fault, or a delay, that was not found."""
+    return (*_faults(found), *_delays(found), *_shares(found))
+
+
+def _faults(found: Estimate) -> Iterator[Score]:
+    """Of each kind and joint or track the greatest size, 1 for faults without one, NaN where nothing can be said."""
+    yield Score("faults", float(len(found.faults)), "1")
+    tracks = [name for name in found.used if name not in ("encoders", "touch")]
+    sought = found.method in EVIDENT and any(found.used[name].used for name in tracks)
+    for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in found.faults for n in _names(f)))):
+        for kind in KINDS:
+            own = [fault for fault in found.faults if name in _names(fault) and kind in _kinds(fault)]
+            unit = own[0].unit if own else "rad" if name in found.joints.names else "px"
+            open_ = not own and kind in SOUGHT and not sought
+            yield Score(f"fault/{kind}/{name}", float("nan") if open_ else _greatest(own), unit)
+
+
+def _greatest(faults: Sequence[Fault]) -> float:
+    sizes = [abs(fault.size) or 1.0 for fault in faults]
+    return float("nan") if any(size != size for size in sizes) else max(sizes, default=0.0)
+
+
+def _names(fault: Fault) -> list[str]:
+    return fault.name.split(EITHER)
+
+
+def _kinds(fault: Fault) -> tuple[str, ...]:
+    return (fault.kind, "encoder_offset") if fault.sense == "encoders" and fault.kind in OFFSET else (fault.kind,)
+
+
+def _delays(found: Estimate) -> Iterator[Score]:
+    """Seconds by which each camera was late."""
+    known = found.settings.get("delay", {})
+    cameras = [name.rpartition("/")[0] or "camera" for name in found.used if name not in ("encoders", "touch")]
+    for name in dict.fromkeys((*cameras, *(known if isinstance(known, dict) else ()))):
+        late = known.get(name, 0.0) if isinstance(known, dict) else 0.0
+        yield Score(f"delay/{name}", float(late), "s")
+
+
+def _shares(found: Estimate) -> Iterator[Score]:
+    """Share of each sense's observations that was used, and the mean square of its normalised innovations."""
+    for sense, health in sorted(found.used.items()):
+        yield Score(f"used_share/{sense}", health.used / health.seen if health.seen else 0.0, "1")
+    for sense, errors in sorted(found.errors.items()):
+        known = errors.values[errors.values == errors.values]
+        if len(known):
+            yield Score(f"nis/{sense}", float((known**2).mean()), "1")

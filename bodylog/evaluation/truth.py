@@ -1,0 +1,134 @@
+"""True angles kept beside a log: a table (.csv) with a time column and the joints by name, or arrays (.npz)."""
+
+import csv
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from .. import files
+from ..errors import InputError
+from ..types import Array, Series
+
+MOST_BYTES = 1 << 30
+"""Bytes that a table, or the arrays of an archive once unpacked, may have."""
+TIMES = ("t", "time", "timestamp", "stamp", "t_ns", "time_ns", "timestamp_ns", "stamp_ns", "t_s", "time_s", "seconds")
+NAMES, ANGLES, STARTS = ("names", "joints", "joint_names"), ("q", "positions", "position"), ("start", "start_ns", "T0")
+"""Columns and arrays that are looked for, in order."""
+EPOCH = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6), (1e8, 1e9))
+"""From which number on a time is one since 1970, and its unit in ns; smaller ones are s since the log began."""
+SURE = 0.5
+"""Share of the distance to any other joint by which an unnamed column must be nearer to its own."""
+
+
+def load(path: Path, start_ns: int, joints: Series | None) -> Series:
+    """The truth in a file, t in s since `start_ns`; what an archive does not name is told by the readings `joints`.
+
+    InputError where it is no such file, or has no times or no angles.
+    """
+    try:
+        found = _archive(path, start_ns, joints) if path.suffix == ".npz" else _table(path, start_ns)
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, csv.Error, EOFError) as err:
+        raise InputError(f"{path}: no truth can be read from it ({err}); {_possible()}") from None
+    if not len(found.t) or not np.isfinite(found.t).all() or not np.isfinite(found.values).any():
+        raise InputError(f"{path}: {len(found.t)} rows, but not with numbers for times and angles; {_possible()}")
+    order = np.argsort(found.t, kind="stable")
+    return Series(found.t[order], found.values[order], found.names, "rad", found.source_ns[order])
+
+
+def _possible() -> str:
+    return (
+        "possible: a .csv with a column t (s since the log's first joint reading, or since 1970 in s, ms, µs, ns) and "
+        "one in rad for each joint by its name; an .npz with arrays t, q and names; or a log"
+    )
+
+
+def _table(path: Path, start_ns: int) -> Series:
+    rows = list(csv.reader(files.text(path, MOST_BYTES).splitlines()))
+    if len(rows) < 2:
+        raise ValueError(f"{len(rows)} lines")
+    header = [name.strip() for name in rows[0]]
+    time = _named(TIMES, header)
+    bad = next((k for k, row in enumerate(rows[1:], 2) if len(row) != len(header)), None)
+    if bad is not None:
+        raise ValueError(f"line {bad} has {len(rows[bad - 1])} columns, the first has {len(header)}")
+    others = tuple(name for name in header if name != time)
+    told = [row[header.index(time)].strip() for row in rows[1:]]
+    cells = [[_number(row[header.index(name)]) for name in others] for row in rows[1:]]
+    values = np.array(cells).reshape(len(told), -1)
+    return Series(_times(told, start_ns), values, others, "rad", np.zeros(len(told), np.int64))
+
+
+def _number(text: str) -> float:
+    """A cell; what is empty, or no number, is not known."""
+    try:
+        return float(text)
+    except ValueError:
+        return float("nan")
+
+
+def _archive(path: Path, start_ns: int, joints: Series | None) -> Series:
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > MOST_BYTES:
+        raise ValueError(f"{size} bytes unpacked, at most {MOST_BYTES} are read")
+    with np.load(path, allow_pickle=False) as said:
+        arrays = {name: said[name] for name in said.files}
+    t = np.asarray(arrays[_named(TIMES, list(arrays))]).ravel()
+    begin = next((name for name in STARTS if name in arrays), None)
+    if begin is not None and abs(float(t.max(initial=0.0))) < EPOCH[-1][0]:
+        t = t.astype(float) + (int(arrays[begin]) - start_ns) / 1e9
+    else:
+        t = _times([str(one) for one in t.tolist()], start_ns)
+    values, names = _angles(arrays, t, joints)
+    return Series(t, values, names, "rad", np.zeros(len(t), np.int64))
+
+
+def _angles(arrays: Mapping[str, Array], t: Array, joints: Series | None) -> tuple[Array, tuple[str, ...]]:
+    """Angles (N,M) and their joints' names."""
+    known = () if joints is None else joints.names
+    if single := tuple(name for name in known if name in arrays):
+        return np.stack([np.asarray(arrays[name], float).ravel() for name in single], axis=1), single
+    values = np.asarray(arrays[_named(ANGLES, list(arrays))], float)
+    if values.ndim != 2 or len(values) != len(t):
+        raise ValueError(f"angles are of shape {values.shape}, times {t.shape}")
+    given = next((arrays[name] for name in NAMES if name in arrays and arrays[name].dtype.kind == "U"), None)
+    if given is not None:
+        if given.shape != (values.shape[1],):
+            raise ValueError(f"{given.shape[0]} names for {values.shape[1]} columns")
+        return values, tuple(str(name) for name in given)
+    return values, _alike(values, t, joints)
+
+
+def _alike(values: Array, t: Array, joints: Series | None) -> tuple[str, ...]:
+    """Names of the columns (N,M), by which joint's readings they follow; ValueError where that is not plain."""
+    if joints is None or len(joints.names) != values.shape[1]:
+        have = "no joints" if joints is None else f"{len(joints.names)} joints"
+        raise ValueError(f"{values.shape[1]} columns without names, the log has {have}; add an array names")
+    read = np.stack([np.interp(t, joints.t[ok], c[ok]) for c, ok in ((c, np.isfinite(c)) for c in joints.values.T)])
+    apart = np.sqrt(np.nanmean(np.square(read[:, :, None] - values[None]), axis=1))
+    own = apart.argmin(axis=0)
+    second = np.sort(apart, axis=0)[1] if len(apart) > 1 else np.full(len(own), np.inf)
+    if len(set(own.tolist())) < len(own) or (apart.min(axis=0) > SURE * second).any():
+        raise ValueError("columns without names, and the log's readings do not tell whose they are; add an array names")
+    return tuple(joints.names[k] for k in own)
+
+
+def _named(possible: tuple[str, ...], found: list[str]) -> str:
+    for name in possible:
+        if name in found:
+            return name
+    raise ValueError(f"found {', '.join(found[:20])}; one of {', '.join(possible)} is needed")
+
+
+def _times(told: list[str], start_ns: int) -> Array:
+    """Times (N,) s since start_ns; whole numbers of ns are taken as they are, for a float would round them."""
+    first = abs(float(told[0])) if told else 0.0
+    unit = next((ns for least, ns in EPOCH if first > least), None)
+    if unit is None:
+        return np.array([float(one) for one in told])
+    if unit == 1.0 and all(one.lstrip("-").isdigit() for one in told):
+        return np.array([(int(one) - start_ns) / 1e9 for one in told])
+    return np.array([float(one) * unit / 1e9 - start_ns / 1e9 for one in told])
+

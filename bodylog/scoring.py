@@ -1,0 +1,56 @@
+"""What an estimate is judged by: truth kept beside the log, and everything that --fail-if may name."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from .errors import InputError, LogError
+from .settings import Settings, Topics
+from .types import Estimate, Recording, Score, Series
+
+
+def judge(found: Estimate, read: Recording) -> tuple[Score, ...]:
+    """Figures of merit; those against truth only where the recording carries it."""
+    from .evaluation.scores import scores
+
+    return scores(found, read.truth, read.joints)
+
+
+def against(path: Path, found: Estimate, read: Recording, settings: Settings) -> Recording:
+    """The recording with the truth in a file beside it; InputError where that says nothing about the estimate."""
+    read = replace(read, truth=_beside(path, read, settings))
+    _comparable(path, found, read)
+    return read
+
+
+def _beside(path: Path, read: Recording, settings: Settings) -> Series:
+    """The true angles in a file beside the log, t in s since the recording's start."""
+    from .evaluation import truth
+    from .logs import recording
+
+    if path.suffix in (".csv", ".npz"):
+        return truth.load(path, read.start_ns, read.joints)
+    # the names of topics are those of the log that was estimated
+    other = recording.read(path, Settings(topics=Topics(truth=settings.topics.truth)), settings.input.strict)
+    angles = other.truth if other.truth is not None else other.joints
+    if angles is None:
+        raise LogError(f"{path}: neither truth nor joints in it; type: bodylog info {path}")
+    return replace(angles, t=angles.t + (other.start_ns - read.start_ns) / 1e9)
+
+
+def bounded(found: Estimate, scores: tuple[Score, ...]) -> tuple[Score, ...]:
+    """Everything that --fail-if may name: the scores, faults, delays, shares and squared innovations."""
+    from .evaluation.figures import figures
+
+    return (*scores, *figures(found))
+
+
+def _comparable(path: Path, found: Estimate, read: Recording) -> None:
+    """InputError where truth from a file beside the log is of other joints, or of another time, than the estimate."""
+    truth, t = read.truth, found.joints.t
+    assert truth is not None
+    if not set(truth.names) & set(found.joints.names):
+        names = f"its columns are {', '.join(truth.names)}, possible: {', '.join(found.joints.names)}"
+        raise InputError(f"{path}: {names}; name the columns as the joints")
+    if not len(t) or truth.t[0] > t[-1] or truth.t[-1] < t[0]:
+        span = f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} to {t[-1]:.3f} s"
+        raise InputError(f"{path}: {span} after the log's first joint reading; give times since that one, or 1970")

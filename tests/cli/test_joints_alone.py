@@ -1,0 +1,81 @@
+"""Logs without a body, truth kept elsewhere, and bounds on faults: what people automate."""
+
+import json
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from bodylog.logs import recording
+from bodylog.settings import Settings
+from tests.conftest import SHARED
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory, robot, bodylog):
+    out = tmp_path_factory.mktemp("alone") / "alone.mcap"
+    assert bodylog("estimate", robot / "reach.mcap", "-o", out) == 0
+    return out
+
+
+def test_a_log_without_a_body_gets_its_joints_alone(robot, alone, capsys, bodylog):
+    with alone.open("rb") as stream:
+        topics = {channel.topic for channel in make_reader(stream).get_summary().channels.values()}
+    assert {"/bodylog/joint_states", "/bodylog/joint_covariance", "/bodylog/free_energy"} <= topics
+    capsys.readouterr()
+    assert bodylog("estimate", robot / "reach.mcap", "-o", alone, "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    texts = [finding["text"] for finding in said["findings"]]
+    assert any("no --body: the joints' own sensors alone" in text and "--body body.npz" in text for text in texts)
+    assert not said["faults"] and "joint_rmse" in {score["name"] for score in said["scores"]}
+
+
+def test_what_no_sense_could_show_breaks_its_bound_without_a_body(robot, alone, bodylog):
+    name = recording.read(robot / "reach.mcap", Settings()).joints.names[0]
+    assert bodylog("evaluate", alone, "--fail-if", "faults>0", "--fail-if", f"fault/frozen/{name}>0") == 0
+    assert bodylog("evaluate", alone, "--fail-if", f"fault/encoder_offset/{name}>0.05") == 4
+    assert bodylog("evaluate", alone, "--fail-if", "fault/encoder_offset/nobody>0.05") == 2
+
+
+def test_a_bound_of_estimate_is_checked_after_the_log_is_written(tmp_path, robot, bodylog):
+    typed = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "a.mcap", "--fail-if")
+    assert bodylog(*typed, "fault/*>0.05") == 0
+    assert bodylog(*typed, "nis/encoders>0.01") == 4 and (tmp_path / "a.mcap").exists()
+    assert bodylog(*typed, "nonsense") == 2
+
+
+@pytest.mark.parametrize("form", ["csv", "npz", "log"])
+def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone, bodylog, capsys, form):
+    read = recording.read(robot / "reach.mcap", Settings())
+    truth, path = read.truth, tmp_path / f"truth.{form}"
+    ns = read.start_ns + np.round(truth.t * 1e9).astype(np.int64)
+    if form == "csv":
+        rows = [",".join(map(str, [at, *row])) for at, row in zip(ns.tolist(), truth.values.tolist(), strict=True)]
+        path.write_text("\n".join([",".join(["t", *truth.names]), *rows]))
+    elif form == "npz":
+        np.savez(path, t=truth.t, q=truth.values, names=np.array(truth.names), start=read.start_ns)
+    else:
+        path = robot / "reach.mcap"
+    said = []
+    for typed in ((), ("--truth", path)):
+        capsys.readouterr()
+        assert bodylog("evaluate", alone, "--json", *typed) == 0
+        said.append({s["name"]: s["value"] for s in json.loads(capsys.readouterr().out)["scores"]})
+    assert said[0]["joint_rmse"] == pytest.approx(said[1]["joint_rmse"], rel=1e-4)
+
+
+def test_truth_of_other_joints_or_another_time_is_refused_with_what_is_possible(tmp_path, alone, bodylog, capsys):
+    name = recording.read(alone, Settings()).joints.names[0]
+    others = (("t,nobody\n0,1\n1,1\n", "its columns are nobody"), (f"t,{name}\n900,1\n901,1\n", "it is from 900"))
+    for text, why in others:
+        (tmp_path / "a.csv").write_text(text)
+        assert bodylog("evaluate", alone, "--truth", tmp_path / "a.csv") == 65
+        assert why in capsys.readouterr().err
+
+
+def test_a_real_robots_joints_are_told_by_themselves(tmp_path, bodylog, capsys):
+    log = SHARED / "ipab-slmc__kuka_honeypot_demo" / "data" / "test.bag"
+    if not log.exists():
+        pytest.skip(f"{log} is not at hand")
+    assert bodylog("estimate", log, "-o", tmp_path / "a.mcap", "--fail-if", "faults>0") == 0
+    assert "readings that repeat the one before: lwr_arm_4_joint 67%" in capsys.readouterr().err
