@@ -18,8 +18,9 @@ NAMES, ANGLES, STARTS = ("names", "joints", "joint_names"), ("q", "positions", "
 """Columns and arrays that are looked for, in order."""
 EPOCH = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6), (1e8, 1e9))
 """From which number on a time is one since 1970, and its unit in ns; smaller ones are s since the log began."""
-SURE = 0.5
-"""Share of the distance to any other joint by which an unnamed column must be nearer to its own."""
+SURE, SAME = 0.5, 0.01
+"""Share of the distance to any other column by which a joint must be nearer to its own, and how far apart (rad) columns
+must be for that."""
 
 
 def load(path: Path, start_ns: int, joints: Series | None) -> Series:
@@ -103,14 +104,20 @@ def _angles(arrays: Mapping[str, Array], t: Array, joints: Series | None) -> tup
 
 def _alike(values: Array, t: Array, joints: Series | None) -> tuple[str, ...]:
     """Names of the columns (N,M), by which joint's readings they follow; ValueError where that is not plain."""
+    from scipy.optimize import linear_sum_assignment
+
     if joints is None or len(joints.names) != values.shape[1]:
         have = "no joints" if joints is None else f"{len(joints.names)} joints"
         raise ValueError(f"{values.shape[1]} columns without names, the log has {have}; add an array names")
     read = np.stack([np.interp(t, joints.t[ok], c[ok]) for c, ok in ((c, np.isfinite(c)) for c in joints.values.T)])
     apart = np.sqrt(np.nanmean(np.square(read[:, :, None] - values[None]), axis=1))
-    own = apart.argmin(axis=0)
-    second = np.sort(apart, axis=0)[1] if len(apart) > 1 else np.full(len(own), np.inf)
-    if len(set(own.tolist())) < len(own) or (apart.min(axis=0) > SURE * second).any():
+    rows, columns = linear_sum_assignment(apart)
+    own = rows[np.argsort(columns)]
+    beside = apart[own, np.arange(len(own))]
+    # columns that are the same may be exchanged
+    differ = np.sqrt(np.nanmean(np.square(values[:, :, None] - values[:, None]), axis=0))
+    near = (apart[own] < beside[:, None] / SURE) & (differ > SAME)
+    if near.any():
         raise ValueError("columns without names, and the log's readings do not tell whose they are; add an array names")
     return tuple(joints.names[k] for k in own)
 
