@@ -300,7 +300,7 @@ def folder(draw: Draw, path: Path) -> list[Channel]:
     some = [channel for name in names for channel in writer(draw, path / name)]
     if draw.hostile(0.2):
         os.rename(os.fsencode(path / names[0]), os.fsencode(path) + b"/\xff\xfe" + suffix.encode())
-    (path / "metadata.yaml").write_bytes(metadata_yaml(draw, names).encode("utf-8", "surrogateescape"))
+    (path / "metadata.yaml").write_bytes(metadata_yaml(draw, names).encode("utf-8", "backslashreplace"))
     return some
 
 
