@@ -46,7 +46,7 @@ def test_arrays_are_dated_by_their_start(tmp_path, key, later):
 def test_columns_without_names_are_told_by_the_readings_they_follow(tmp_path):
     np.savez(tmp_path / "a.npz", t=T, q=Q)
     assert load(tmp_path / "a.npz", START, READ).names == ("lift", "pan")
-    np.savez(tmp_path / "b.npz", t=T, q=[*Q.mean(axis=1, keepdims=True), -0.2, 0.2])
+    np.savez(tmp_path / "b.npz", t=T, q=Q.mean(axis=1, keepdims=True) + np.array([-0.2, 0.2]))
     with pytest.raises(InputError, match="add an array names"):
         load(tmp_path / "b.npz", START, READ)
 
