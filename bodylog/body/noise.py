@@ -18,7 +18,8 @@ def learned(motions: Sequence[Motion], senses: Mapping[str, GP], floors: Mapping
     """Noise of the joints (white-acceleration motions, one each) and senses; floors {name: (n,D) unit²} as measured."""
     variances = {name: np.maximum(gp.noise + floors[name].mean(axis=0), _LEAST_PIXEL) for name, gp in senses.items()}
     errors = {name: _tuple(value * np.sqrt(2.0 / len(floors[name]))) for name, value in variances.items()}
-    errors["encoder"] = tuple(min(m.std_error[1], 1e9) for m in motions)
+    # of a variance that nothing is known of, at most itself
+    errors["encoder"] = tuple(min(m.std_error[1], max(m.encoder, _LEAST_ENCODER)) for m in motions)
     errors["process"] = tuple(min(m.std_error[0], 1e9) for m in motions)
     return Noise(
         encoder=tuple(max(m.encoder, _LEAST_ENCODER) for m in motions),

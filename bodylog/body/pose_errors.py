@@ -17,6 +17,10 @@ WIDTH = 2.0
 """Of the logarithm of a standard deviation: how far from STILL it may well be."""
 FEWEST = 10
 """Poses at least to learn it from."""
+SURE = 2.0
+"""Times its noise that a held-out sighting may be uncertain by: beyond, models err alike, and not the joints."""
+FARTHEST = 0.02
+"""rad: no encoder is off by more in every pose; tracks that err alike by more have models of too few poses."""
 _LEAST, _STEP = 1e-6, 0.1
 
 
@@ -30,7 +34,7 @@ class _Rows:
 
 
 def learned(senses: Mapping[str, Sense], joints: int) -> tuple[Array, Array] | None:
-    """Variance Q (M,) rad² and its standard error (M,); None where there are too few poses."""
+    """Variance Q (M,) rad² and its standard error (M,); None where poses are too few to tell it from models' errors."""
     from scipy.optimize import minimize
 
     rows = _rows(list(senses.values()), joints)
@@ -39,6 +43,8 @@ def learned(senses: Mapping[str, Sense], joints: int) -> tuple[Array, Array] | N
     first = np.append(np.full(joints, 2.0 * np.log(STILL)), 0.0)
     bounds = [(2.0 * np.log(_LEAST), 0.0)] * joints + [(-3.0, 3.0)]
     found = np.asarray(minimize(lambda p: _loss(p, rows), first, method="L-BFGS-B", bounds=bounds).x)
+    if np.exp(0.5 * found[:joints]).max() > FARTHEST:
+        return None
     best = _loss(found, rows)
     bend = np.array([_loss(found + s, rows) + _loss(found - s, rows) - 2.0 * best for s in _STEP * np.eye(joints + 1)])
     error = 1.0 / np.sqrt(np.maximum(bend[:joints] / _STEP**2, 1.0 / (2.0 * WIDTH) ** 2))
@@ -55,10 +61,12 @@ def _rows(senses: Sequence[Sense], joints: int) -> _Rows:
     index = {tuple(pose): k for k, pose in enumerate(poses.tolist())}
     for k, (found, key) in enumerate(zip(senses, keys, strict=True)):
         at = np.array([index.get(tuple(one), -1) for one in key.tolist()])
-        mine, columns = at >= 0, slice(2 * k, 2 * k + 2)
+        noise = found.gp.noise + found.used.floor
+        mine, columns = (at >= 0) & (found.variance <= SURE * noise).all(axis=1), slice(2 * k, 2 * k + 2)
         r[at[mine], columns], var[at[mine], columns] = found.residual[mine], found.variance[mine]
         jac[at[mine], columns] = found.gp.means(found.used.x)[1][mine]
-    return _Rows(r, jac, var)
+    told = np.isfinite(var).any(axis=1)
+    return _Rows(r[told], jac[told], var[told])
 
 
 def _loss(p: Array, rows: _Rows) -> float:

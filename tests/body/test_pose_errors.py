@@ -42,6 +42,20 @@ def test_what_joints_are_off_by_is_learned_from_what_tracks_err_alike(seed, tmp_
     np.testing.assert_allclose(model.load(tmp_path / "body.npz").provenance["pose_std"], learned)
 
 
+def test_what_models_of_too_few_poses_err_alike_is_laid_to_no_encoder():
+    """Two dozen poses of three joints: tracks are off by tens of pixels, and alike."""
+    draw = np.random.default_rng(5)
+    q = draw.uniform(-1.5, 1.5, (24, 3))
+    t, ns = np.arange(24.0), np.arange(24) * 10**9
+    tracks = {
+        f"track{k}": Series(t, _places(q, turn, fore) + draw.normal(0, 0.3, (24, 2)), ("u", "v"), "px", ns)
+        for k, (turn, fore) in enumerate((turn, fore) for turn in (-0.2, 0.0, 0.2) for fore in (0.39, 0.37, 0.35))
+    }
+    features = Features(Series(t, q, JOINTS, "rad", ns), tracks, None, (), (), {}, poses=True)
+    found = body.learn([features], Settings(), {})
+    assert np.sqrt(found.model.noise.encoder).max() < 0.02
+
+
 @pytest.fixture(scope="module")
 def motoman(tmp_path_factory):
     """A body of 144 real poses, and the 72 withheld, every third."""
