@@ -57,3 +57,27 @@ def test_a_point_in_a_plain_place_is_refused_with_the_log_and_the_key(tagged, bo
     said = capsys.readouterr().err
     assert code == 65 and "log.mcap: features.tip.point is [1.0, 1.0]; possible: 10 to 469" in said
     assert not (tagged / "no.mcap").exists()
+
+
+def test_a_tag_and_a_point_on_it_are_as_exact_as_stated(tagged) -> None:
+    import numpy as np
+
+    from bodylog import logs, pipeline
+    from bodylog.config import merge
+    from bodylog.settings import Settings
+
+    truth = logs.open(tagged / "log.mcap")["/truth/effector_pixel"]
+    settings = merge(Settings(), {"features": {"wrist": {"tag": 7}}}, "here")
+    read, found = pipeline.observe(tagged / "log.mcap", settings)
+    wrist = found.tracks["wrist"]
+    first = int(np.flatnonzero(np.isfinite(wrist.values[:, 0]))[0])
+    given = {"tip": {"point": wrist.values[first].tolist(), "at": float(wrist.t[first])}}
+    tip = pipeline.observe(tagged / "log.mcap", merge(Settings(), {"features": given}, "here"))[1].tracks["tip"]
+    t = (truth["header.stamp"] - read.start_ns) / 1e9
+    true = np.column_stack([np.interp(wrist.t, t, truth[axis]) for axis in ("point.x", "point.y")])
+    known = np.abs(wrist.t[:, None] - t).min(axis=1) < 1e-3  # there is no truth while a part is out of view
+    for track, least in ((wrist, 0.9), (tip, 0.5)):
+        seen = np.isfinite(track.values[:, 0]) & known
+        error = np.sqrt(np.mean((track.values - true)[seen] ** 2))
+        assert seen.mean() > least and error < 0.08
+        assert 0.5 < np.sqrt(np.mean(track.std[seen] ** 2)) / error < 2.0
