@@ -137,6 +137,7 @@ LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
     ("fit", "samples"): (8, 10**9),
     ("fit", "every"): (1, 10**9),
     ("fit", "seed"): (0, 2**63),
+    ("kinematics", "offset_prior"): (0, 180),
 }
 """Of numbers, the least and the most."""
 

@@ -9,6 +9,7 @@ from .settings import Settings
 from .types import Array, BodyModel, Features, Finding, ForwardModel
 
 if TYPE_CHECKING:
+    from .body.kinematic import Robotics
     from .body.learning import Learned
     from .estimation.delay import Delay
     from .estimation.unlearned import Prior
@@ -34,7 +35,11 @@ class _Turn:
 
 
 def learned(
-    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    known: BodyModel | None,
+    robot: "Robotics | None" = None,
 ) -> "Learned":
     """`body.learn` of features whose cameras' delays, as given or as each log tells them, are taken off, and said.
 
@@ -45,11 +50,14 @@ def learned(
 
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
         timely = [dating.earlier(found, delays) for found, delays in zip(features, late, strict=True)]
-        found = body.learn(timely, settings, {**provenance, **({"delay": dict(own)} if own else {})}, known)
-        return _Turn(found, late, [_late(one, found.model, known) for one in timely], own)
+        told = {**provenance, **({"delay": dict(own)} if own else {})}
+        found = body.learn(timely, settings, told, known, robot is not None)
+        sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
+        return _Turn(found, late, [_late(one, sure, known) for one in timely], own)
 
     if all(found.poses for found in features):
-        return body.learn(features, settings, provenance, known)
+        found = body.learn(features, settings, provenance, known, robot is not None)
+        return body.with_kinematics(features, settings, found, robot, known)
     fixed = dating.named(settings.time.delay, dating.cameras([name for f in features for name in f.tracks]))
     own = {} if known is None else {k: v for k, v in dating.as_learned(known).items() if k not in fixed}
     begun, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
@@ -62,7 +70,9 @@ def learned(
         if _missed(after, surest) > least * _missed(turn, surest):
             break
         turn, begun = after, begun | set(surest)
-    return replace(turn.found, findings=(*_said(turn, fixed, begun), *turn.found.findings))
+    timely = [dating.earlier(found, delays) for found, delays in zip(features, turn.late, strict=True)]
+    found = body.with_kinematics(timely, settings, turn.found, robot, known)
+    return replace(found, findings=(*_said(turn, fixed, begun), *found.findings))
 
 
 def _said(turn: _Turn, fixed: Delays, begun: set[str]) -> Iterator[Finding]:

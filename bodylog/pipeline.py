@@ -123,11 +123,11 @@ def fit(
 
     It is scored on the logs to `test` it with, which it does not learn from.
     """
-    from . import dates
+    from . import dates, robots
     from .body import model
     from .logs.copying import Copy
 
-    distinct([*logs, *test, *(() if update is None else (update,))], [Output(out)], settings)
+    distinct([*logs, *test, *(() if update is None else (update,)), *robots.named(settings)], [Output(out)], settings)
     known = None if update is None else model.load(update)
     settings = settings if known is None else sought.of_body(known, settings)
     digests, observed, remarks = [], [], list[Finding]()
@@ -143,8 +143,9 @@ def fit(
         remarks += same_camera(log, cameras, read, found)
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
+    robot = robots.robot(logs, features, settings)
     with about(logs[0], findings, len(logs) - 1):
-        learned = dates.learned(features, settings, provenance, known)
+        learned = dates.learned(features, settings, provenance, known, robot)
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     model.save(learned.model, out)
     said = (*findings, *remarks, *learned.findings, *more)

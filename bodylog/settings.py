@@ -7,8 +7,8 @@ from typing import Any
 from .sources import Colour, ColourSource, Source, spelled
 
 __all__ = [
-    "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Input", "Settings", "Skin", "Source", "Time", "Topics",
-    "plain", "wanted",
+    "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Input", "Kinematics", "Settings", "Skin", "Source",
+    "Time", "Topics", "plain", "wanted",
 ]  # fmt: skip
 
 
@@ -123,6 +123,15 @@ class Fit:
 
 
 @dataclass(frozen=True)
+class Kinematics:
+    """[kinematics]: the robot's URDF ("log": its /robot_description), whether to use it, σ of joint offsets, °."""
+
+    urdf: str | None = None
+    use: bool = True
+    offset_prior: float = 5.0
+
+
+@dataclass(frozen=True)
 class Estimation:
     """[estimate]: method, senses (None: all that are there), output rate in Hz (None: as the encoders, at most 100).
 
@@ -153,6 +162,7 @@ class Settings:
     skin: Skin = field(default_factory=Skin)
     time: Time = field(default_factory=Time)
     fit: Fit = field(default_factory=Fit)
+    kinematics: Kinematics = field(default_factory=Kinematics)
     estimate: Estimation = field(default_factory=Estimation)
     synchrony: Clocks = field(default_factory=Clocks)
 

@@ -15,6 +15,9 @@ from .options import PATH, Common, clock_option, common_options, delay_option, l
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
 @click.option("--test", type=PATH, multiple=True, metavar="LOG", help="Score the body on this log; may be repeated.")
+@click.option("--urdf", metavar="ROBOT.urdf|log", help="Learn with this URDF; log: the log's /robot_description.")
+@click.option("--no-urdf", is_flag=True, default=None, help="Learn without the URDF that robot.toml names.")
+@click.option("--offset-prior", type=float, metavar="DEG", help="Expected size of joint offsets; default 5, 0: none.")
 @clock_option
 @delay_option
 @common_options
@@ -26,6 +29,9 @@ def fit(
     every: int | None,
     update: Path | None,
     test: tuple[Path, ...],
+    urdf: str | None,
+    no_urdf: bool | None,
+    offset_prior: float | None,
     common: Common,
     as_json: bool,
 ) -> int:
@@ -34,7 +40,10 @@ def fit(
 
     from .output import body, progress, show
 
-    chosen = common.settings(fit={"preset": preset, "every": every}, body={"joints": listed(joints)})
+    kinematics = {"urdf": urdf, "use": None if no_urdf is None else not no_urdf, "offset_prior": offset_prior}
+    chosen = common.settings(
+        fit={"preset": preset, "every": every}, body={"joints": listed(joints)}, kinematics=kinematics
+    )
     with progress("fit") as tick:
         result = pipeline.fit(logs, out, chosen, tick, update, test)
     learned = inventory.info(out, chosen)

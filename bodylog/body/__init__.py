@@ -1,6 +1,7 @@
 """Stage: body. What the robot should see, learned from exploration logs."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from ..settings import Settings
@@ -8,15 +9,42 @@ from ..types import BodyModel, Features
 from .encoders import Polynomial
 
 if TYPE_CHECKING:
+    from .kinematic import Robotics
     from .learning import Learned
 
-__all__ = ["Polynomial", "learn"]
+__all__ = ["Polynomial", "learn", "with_kinematics"]
 
 
 def learn(
-    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    update: BodyModel | None = None,
+    hopeful: bool = False,
 ) -> "Learned":
     """`learning.learn`, imported when there is something to learn from: predicting needs none of it."""
     from . import learning
 
-    return learning.learn(features, settings, provenance, update)
+    return learning.learn(features, settings, provenance, update, hopeful)
+
+
+def with_kinematics(
+    features: Sequence[Features],
+    settings: Settings,
+    found: "Learned",
+    robot: "Robotics | None",
+    update: BodyModel | None = None,
+) -> "Learned":
+    """`kinematic.learn` of a body learned without a URDF; that body itself where there is none, or it is unfit.
+
+    Tracks that only kinematics could have explained are then refused, as they are where there is no URDF.
+    """
+    if robot is None:
+        return found
+    from . import kinematic
+
+    with_it = kinematic.learn(features, settings, found, robot)
+    if with_it.model is not found.model or not found.poor:
+        return with_it
+    plain = learn(features, settings, found.model.provenance, update)
+    return replace(plain, findings=(*plain.findings, *with_it.findings[len(found.findings) :]))

@@ -1,7 +1,7 @@
 """The body stage in one function: features of exploration logs -> BodyModel, scores, findings."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -18,21 +18,31 @@ from .shown import shown
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A body model, what it scored on data held out, and remarks on the exploration."""
+    """A body model, what it scored on data held out, and remarks on the exploration; the joints it was learned over.
+
+    poor: tracks, and why, of which a process alone learns nothing, kept for kinematics to explain.
+    """
 
     model: BodyModel
     scores: tuple[Score, ...]
     findings: tuple[Finding, ...]
+    joints: tuple[Joint, ...] = ()
+    poor: Mapping[str, str] = field(default_factory=dict)
 
 
 @one_thread("scipy.linalg")
 def learn(
-    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    update: BodyModel | None = None,
+    hopeful: bool = False,
 ) -> Learned:
     """A body model from the features of one or many exploration logs, with what it says of itself.
 
     A body to update keeps its joints, the senses it was given, and touch where no log tells of it; what it was learned
-    from counts as one more log. Where logs have a reference, angles are its, and what encoders read is learned as well.
+    from counts as one more log. `hopeful`: tracks that teach too little are kept for kinematics to explain.
+    Where logs have a reference, angles are its, and what encoders read is learned as well.
     LogError without joints, ConfigError for an unknown joint, ModelError for another
     robot's body, EvidenceError when nothing was seen or moved.
     """
@@ -48,7 +58,7 @@ def learn(
         raise EvidenceError(f"no joint moved; heard: {possible}; record an exploration, or name them in [body] joints")
     chosen, unseen = (chosen, []) if wanted else shown(features, chosen, settings.fit)
     tracks = dict(_tracks(features, chosen, settings.fit, update))
-    senses, poor = _senses(tracks, chosen, settings.fit)
+    senses, poor = _senses(tracks, chosen, settings.fit, hopeful)
     if not senses:
         raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
@@ -63,7 +73,8 @@ def learn(
         constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
     scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
     scores += [Score(f"explained.{name}", taught.explained(found), "1") for name, found in senses.items()]
-    few = [Finding("warning", f"{name}: left out: {why}; {taught.seen(features, name)}") for name, why in poor.items()]
+    useless = [name for name in poor if name not in senses]
+    few = [Finding("warning", f"{n}: left out: {poor[n]}; {taught.seen(features, n)}") for n in useless]
     left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
     covered = coverage.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
     gaps, pictures = coverage.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
@@ -72,6 +83,8 @@ def learn(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
         (*coverage.scores(chosen, gps, learned), *scores, *read.scores),
         (taught.moved(heard, chosen), *covered, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
+        tuple(chosen),
+        {name: why for name, why in poor.items() if name in senses},
     )
 
 
@@ -88,12 +101,12 @@ def _posed(
 
 
 def _senses(
-    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit
+    tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, hopeful: bool
 ) -> tuple[dict[str, sense.Sense], dict[str, str]]:
-    """Each track's model, and why there is none of the others."""
+    """Each track's model, and why there is none of the others; where `hopeful`, none worth keeping by itself."""
     found, poor = dict[str, sense.Sense](), dict[str, str]()
     for name, part in tracks.items():
-        why = taught.unfit(part, chosen)
+        why = taught.unfit(part, [] if hopeful else chosen)
         if why is None:
             try:
                 found[name] = sense.sense(part, chosen, fit)
@@ -105,7 +118,8 @@ def _senses(
             continue  # the printed constants are asked for, whatever they foretell
         if why is not None:
             poor[name] = why
-            found.pop(name, None)
+            if not hopeful:
+                found.pop(name, None)
     return found, poor
 
 

@@ -14,8 +14,10 @@ from ..errors import ModelError
 from ..files import replacing
 from ..types import Array, BodyModel, Noise, TouchConstants
 from ..values import read_json, text
+from . import kinematic_file
 from .encoders import Polynomial
 from .gp import GP
+from .kinematic_gp import KinematicGP
 
 VERSION = 1
 _KIND = "bodylog body model"
@@ -37,8 +39,14 @@ _LEARNED = {
     "spread": "sd",
 }
 # of a polynomial: d = m encoders, k coefficients each
-_SHAPES: dict[str, dict[str, str]] = {"gp": _LEARNED, "polynomial": {"coefficients": "mk"}}
-_KINDS: dict[type, str] = {GP: "gp", Polynomial: "polynomial"}
+_SHAPES: dict[str, dict[str, str]] = {
+    "gp": _LEARNED,
+    "polynomial": {"coefficients": "mk"},
+    "kinematic": _LEARNED | kinematic_file.SHAPES,
+}
+_KINDS: dict[type, str] = {GP: "gp", Polynomial: "polynomial", KinematicGP: "kinematic"}
+_WITH = "kinematic"
+_SIZES = {digit: int(digit) for digit in "1346"}
 _UNITS = {
     "joints": "rad",
     "encoder": "rad^2",
@@ -47,7 +55,7 @@ _UNITS = {
     "b2": "1/s^2",
     "cells": "px",
 }
-_POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude"), ("noise", "spread")
+_POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude", "doubt"), ("noise", "spread", "drift")
 _LEAST, _LARGEST = 1e-30, 1e30
 """Of what must be positive, and of any number: squares and products of four of these are finite and not 0."""
 
@@ -60,7 +68,9 @@ def save(model: BodyModel, path: Path) -> None:
             possible = ", ".join(kind.__name__ for kind in _KINDS)
             raise ModelError(f"{path}: sense {name!r}: a {type(sense).__name__} cannot be saved; possible: {possible}")
         fields = _SHAPES[_KINDS[type(sense)]]
-        arrays |= {f"{name}/{field}.npy": np.asarray(getattr(sense, field), np.float64) for field in fields}
+        own = kinematic_file.arrays(sense) if isinstance(sense, KinematicGP) else {}
+        values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
+        arrays |= {f"{name}/{field}.npy": np.asarray(value, np.float64) for field, value in values.items()}
     arrays[_HEADER] = np.array(json.dumps(_header(model), sort_keys=True))
     with replacing(path) as beside, zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as archive:
         for name in sorted(arrays):
@@ -84,6 +94,7 @@ def load(path: Path) -> BodyModel:
 def _header(model: BodyModel) -> dict[str, Any]:
     senses = {
         name: {"kind": _KINDS[type(sense)], "outputs": sense.outputs, "unit": getattr(sense, "unit", "")}
+        | ({"kinematics": kinematic_file.names(sense)} if isinstance(sense, KinematicGP) else {})
         for name, sense in model.senses.items()
     }
     return {
@@ -106,6 +117,8 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
         noise, touch = _noise(header["noise"]), TouchConstants(**header["touch"])
         cells = {int(cell): _floats(f"cells.{cell}", place) for cell, place in header.get("cells", {}).items()}
         senses = {text(n): _about(n, sense) for n, sense in header["senses"].items()}
+        linked = {text(n): s for n, s in header["senses"].items() if s.get("kind") == _WITH}
+        links = {name: kinematic_file.checked(said.get("kinematics")) for name, said in linked.items()}
         provenance = _provenance(header["provenance"])
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{path}: field header: {error}; fit the body again") from error
@@ -113,7 +126,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
     bad = {cell: place for cell, place in cells.items() if cell < 0 or len(place) != 3 or place[2] <= 0.0}
     if bad:
         raise ModelError(f"{path}: field cells: found {bad}, possible: cell from 0 on, u, v and a positive spread, px")
-    learned = {name: _sense(path, archive, name, *about, joints) for name, about in senses.items()}
+    learned = {name: _sense(path, archive, name, *about, joints, links.get(name)) for name, about in senses.items()}
     places = {cell: (u, v, spread) for cell, (u, v, spread) in cells.items()}
     return BodyModel(joints, learned, noise, touch, provenance, places)
 
@@ -225,8 +238,9 @@ def _sense(
     outputs: tuple[str, ...],
     unit: str,
     joints: tuple[str, ...],
+    links: Mapping[str, str] | None,
 ) -> GP | Polynomial:
-    sizes = {"d": len(outputs), "m": len(joints)}
+    sizes = {"d": len(outputs), "m": len(joints), **_SIZES}
     arrays: dict[str, Array] = {}
     for field, letters in _SHAPES[kind].items():
         value = _array(path, archive, f"{name}/{field}.npy", "f")
@@ -240,8 +254,14 @@ def _sense(
             wanted = f"numbers from {least:g} to {_LARGEST:g}"
             raise ModelError(f"{path}: field {name}/{field}: found {bad[0]}, possible: {wanted}")
         arrays[field] = value
-    if kind == "gp":
-        return GP(outputs, unit, **arrays)
+    if kind in ("gp", _WITH):
+        plain = GP(outputs, unit, **{field: arrays[field] for field in _LEARNED})
+        if links is None:
+            return plain
+        try:
+            return kinematic_file.build(plain, joints, arrays, links)
+        except ValueError as error:
+            raise ModelError(f"{path}: field {name}/{error}; fit the body again") from error
     if len(outputs) != len(joints):
         raise ModelError(f"{path}: field senses.{name}.outputs: found {len(outputs)}, possible: one for each joint")
     return Polynomial(outputs, unit=unit, **arrays)

@@ -1,0 +1,94 @@
+"""A forward model whose mean is kinematics and a camera, and a Gaussian process on what that leaves."""
+
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+
+from ..kinematics.rig import Rig, Seen
+from ..types import Array
+from .gp import GP, se
+
+_ROWS = 2048
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicGP(GP):
+    """One point of one marker before one camera; the fields of GP are those of the residual, whose mean is zero.
+
+    rig: one camera, one marker, one sight · point: which of the sight's · theta (P,), of greatest posterior · root
+    (P,p): θ's covariance is root rootᵀ · lean (D,p,n): the samples foretell root's columns by it, as weights do the
+    residual · drift (D,) px²: variance of an error that lasts longer than a log.
+    """
+
+    rig: Rig
+    theta: Array
+    root: Array
+    lean: Array
+    drift: Array
+    point: int = 0
+
+    @classmethod
+    def on(cls, plain: GP, rig: Rig, theta: Array, root: Array, lean: Array, drift: Array, point: int = 0) -> Self:
+        """The model with a residual `plain`."""
+        residual: dict[str, Any] = {field.name: getattr(plain, field.name) for field in fields(GP)}
+        return cls(**residual, rig=rig, theta=theta, root=root, lean=lean, drift=drift, point=point)
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
+        x = np.atleast_2d(x)
+        if len(x) > _ROWS:
+            parts = [self.predict(x[start : start + _ROWS]) for start in range(0, len(x), _ROWS)]
+            value, slope, spread = (np.concatenate(column) for column in zip(*parts, strict=True))
+            return value, slope, spread
+        value, slope, spread = super().predict(x)
+        seen = self._seen(x)
+        unknown = np.square(self._unknown(x, seen)).sum(axis=2)
+        return value + seen.image[:, self.point], slope + seen.slope[:, self.point], spread + unknown + self.drift
+
+    def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
+        """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
+        value, slope, spread = super().predict_one(x)
+        seen = self._seen(x[None])
+        unknown = np.square(self._unknown(x[None], seen)).sum(axis=2)[0]
+        return value + seen.image[0, self.point], slope + seen.slope[0, self.point], spread + unknown + self.drift
+
+    def means(self, x: Array) -> tuple[Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
+        value, slope = super().means(x)
+        seen = self._seen(x)
+        return value + seen.image[:, self.point], slope + seen.slope[:, self.point]
+
+    def kinematics(self, x: Array) -> Array:
+        """What kinematics and camera alone foretell (N,D) px at x (N,M) rad."""
+        return np.asarray(self._seen(np.atleast_2d(x)).image[:, self.point])
+
+    def covariance(self, x: Array) -> Array:
+        """Between all pairs of x (N,M) rad: (1,N,N) px², the outputs' mean."""
+        leaning = self._unknown(x, self._seen(x)) / np.sqrt(self.share)[:, None]
+        return np.asarray(super().covariance(x) + np.einsum("ndp,kdp->nk", leaning, leaning)[None] / len(self.share))
+
+    def slope_variance(self, x: Array) -> Array:
+        """Variance of the Jacobian at x (N,M) rad: (N,D,M) per rad squared."""
+        result = super().slope_variance(x)
+        for m in range(x.shape[1]):
+            step = _STEP * np.eye(x.shape[1])[m]
+            above, below = (self._unknown(x + way, self._seen(x + way)) for way in (step, -step))
+            result[..., m] += np.square((above - below) / (2.0 * _STEP)).sum(axis=2)
+        return result
+
+    @property
+    def offsets(self) -> tuple[Array, Array]:
+        """The joints' zeros (M,) rad or m, and their covariance (M,M)."""
+        part = self.rig.of_joints
+        return self.theta[part], np.asarray(self.root[part] @ self.root[part].T)
+
+    def _seen(self, x: Array) -> Seen:
+        return self.rig.see(self.rig.sights[0], self.theta, x)
+
+    def _unknown(self, x: Array, seen: Seen) -> Array:
+        """What one standard deviation of each direction of θ (N,D,p) still changes, px."""
+        scales = self.scales[0]
+        kernel = se(x / scales, self.centres / scales, self.amplitude[0])
+        return np.asarray(seen.design[:, self.point] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))

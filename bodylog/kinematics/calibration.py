@@ -1,0 +1,248 @@
+"""The unknowns θ from sightings: robust Gauss-Newton (Levenberg-Marquardt) from several starts, and θ's covariance."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from .rig import Rig
+
+STEPS = 60
+_SETTLED = 1e-5
+_STUCK = 1e9
+_COARSE = 80
+_SCOUT = 12
+_FINALISTS = 2
+_LEAST = 1e-6
+_FALSE = 1e-3
+"""Share of sightings that show something else, before any is weighed."""
+_ANYWHERE = 600.0
+"""px: such a sighting lies anywhere in a square of this side."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sighted:
+    """What one sight of a rig showed: q (N,M) rad or m · image (N,C,2) px, NaN where unseen · variance (N,C,2) px²."""
+
+    q: Array
+    image: Array
+    variance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Calibrated:
+    """theta (P,) of greatest posterior, its covariance (P,P) · noise px² beyond the stated · weights per sight (N,C).
+
+    evidence: ln of the sightings' probability under this rig (nats), θ marginalised about theta (Laplace).
+    """
+
+    rig: Rig
+    theta: Array
+    covariance: Array
+    noise: float
+    weights: tuple[Array, ...]
+    evidence: float
+
+    def rms(self, data: Sequence[Sighted]) -> float:
+        """Root mean square residual (px, per axis) of sightings that count."""
+        left = zip(self.weights, residuals(self.rig, self.theta, data), strict=True)
+        total = sum(float(np.nansum(w[..., None] * np.square(r))) for w, r in left)
+        return float(np.sqrt(total / max(2.0 * sum(float(w.sum()) for w in self.weights), 1.0)))
+
+
+def residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
+    """Measured minus expected (N,C,2) px of each sight; NaN where unseen."""
+    return [one.image - rig.see(sight, theta, one.q).image for sight, one in zip(rig.sights, data, strict=True)]
+
+
+def calibrate(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Calibrated:
+    """θ from the best of several starts: coarse loss from each, then finer ones."""
+    few = [_thinned(one) for one in data]
+    loss = _arsinh(50.0)
+    coarse = [descend(rig, few, start, loss, 1.0, _SCOUT) for start in starts]
+    coarse.sort(key=lambda found: found[1])
+    coarse = [descend(rig, few, found[0], loss, 1.0) for found in coarse[:_FINALISTS]]
+    best = min(coarse, key=lambda found: found[1])[0]
+    for scale in (10.0, 3.0):
+        best = descend(rig, few, best, _soft(scale), 1.0)[0]
+    return refine(rig, data, best)
+
+
+def scout(rig: Rig, data: Sequence[Sighted], start: Array) -> float:
+    """What a short descent from one start leaves of the coarse loss."""
+    return descend(rig, data, start, _arsinh(50.0), 1.0, _SCOUT)[1]
+
+
+def _thinned(data: Sighted) -> Sighted:
+    """At most _COARSE of the rows, evenly spaced."""
+    rows = np.unique(np.linspace(0, len(data.q) - 1, min(len(data.q), _COARSE)).round().astype(int))
+    return Sighted(data.q[rows], data.image[rows], data.variance[rows])
+
+
+def refine(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> Calibrated:
+    """From near the solution: θ, noise and weights of false sightings in turn until they settle."""
+    noise, before = _scale(rig, theta, data), np.inf
+    for _ in range(rounds):
+        weigh = _mixture(noise)
+        theta, _ = descend(rig, data, theta, weigh, noise)
+        noise = _noise(rig, theta, data, weigh)
+        if abs(noise - before) < 0.01 * noise:
+            break
+        before = noise
+    return _finished(rig, data, theta, noise)
+
+
+Loss = Callable[[Array], tuple[Array, Array]]
+"""From squared residuals over their variance (…,): the loss of each (2 × nats) and its slope, the weight."""
+
+
+def _soft(scale: float) -> Loss:
+    """soft-L1 with its knee at `scale` px."""
+
+    def loss(square: Array) -> tuple[Array, Array]:
+        root = np.sqrt(1.0 + square / scale**2)
+        return 2.0 * scale**2 * (root - 1.0), 1.0 / root
+
+    return loss
+
+
+def _arsinh(scale: float) -> Loss:
+    """arsinh² with its knee at `scale` px: what is far off pulls ever less."""
+
+    def loss(square: Array) -> tuple[Array, Array]:
+        ratio = np.sqrt(square) / scale
+        curve = np.arcsinh(ratio)
+        weight = np.where(ratio > 1e-6, curve / np.maximum(ratio * np.sqrt(1.0 + ratio**2), 1e-6), 1.0)
+        return scale**2 * curve**2, weight
+
+    return loss
+
+
+def _mixture(noise: float) -> Loss:
+    """A Gaussian of one px² (times the noise) among a few that lie anywhere: −2 ln((1 − ε) e^{−s/2} + ε')."""
+    floor = _FALSE * 2.0 * np.pi * noise / _ANYWHERE**2
+
+    def loss(square: Array) -> tuple[Array, Array]:
+        near = np.exp(-0.5 * np.minimum(square, 1400.0))
+        return -2.0 * np.log((near + floor) / (1.0 + floor)), near / (near + floor)
+
+    return loss
+
+
+def descend(
+    rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float, steps: int = STEPS
+) -> tuple[Array, float]:
+    """θ (P,) of least loss from a start, and that loss; Levenberg-Marquardt, sightings weighed again at each step."""
+    damping, found = 1e-3, _normal(rig, data, theta, loss, noise)
+    std = rig.prior[1]
+    for _ in range(steps):
+        scaled = found.matrix * std * std[:, None]
+        step = std * _solve(scaled + damping * np.diag(np.diag(scaled)), found.pull * std)
+        after = _normal(rig, data, theta + step, loss, noise)
+        if not after.value < found.value:
+            damping *= 6.0
+            if damping > _STUCK:
+                break
+            continue
+        gain = found.value - after.value
+        theta, found, damping = theta + step, after, max(damping / 6.0, 1e-12)
+        if gain < _SETTLED * (1e-3 * found.value + 1.0) and damping < 1e-2:
+            break
+    return theta, found.value
+
+
+def _solve(matrix: Array, right: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.solve(matrix, right))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=None)[0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """Gauss-Newton's matrix (P,P) and pull (P,), and twice the loss."""
+
+    matrix: Array
+    pull: Array
+    value: float
+
+
+def _normal(rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float) -> _Normal:
+    mean, std = rig.prior
+    matrix, pull = np.diag(std**-2.0), (mean - theta) / std**2
+    value = float(np.square((theta - mean) / std).sum())
+    for sight, one in zip(rig.sights, data, strict=True):
+        seen = rig.see(sight, theta, one.q)
+        valid = np.isfinite(one.image).all(axis=-1)
+        residual, design = (one.image - seen.image)[valid], seen.design[valid]
+        precision = 1.0 / (noise + one.variance[valid])
+        cost, weight = loss((np.square(residual) * precision).sum(axis=-1))
+        scaled = design * (weight[:, None] * precision)[..., None]
+        matrix += np.tensordot(scaled, design, axes=([0, 1], [0, 1]))
+        pull += np.tensordot(scaled, residual, axes=([0, 1], [0, 1]))
+        value += float(cost.sum())
+    return _Normal(matrix, pull, value)
+
+
+def _scale(rig: Rig, theta: Array, data: Sequence[Sighted]) -> float:
+    """Variance (px², per axis) by the median residual."""
+    sizes = np.concatenate([np.square(r).sum(axis=-1).ravel() for r in residuals(rig, theta, data)])
+    return max(float(np.nanmedian(sizes)) / float(2.0 * np.log(2.0)), _LEAST)
+
+
+def _noise(rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss) -> float:
+    """Variance (px², per axis) of what is not false, over the degrees of freedom that θ leaves."""
+    total, count, noise = 0.0, 0.0, _scale(rig, theta, data)
+    for residual in residuals(rig, theta, data):
+        square = np.square(residual).sum(axis=-1)
+        square = square[np.isfinite(square)]
+        weight = loss(square / noise)[1]
+        total, count = total + float(weight @ square), count + 2.0 * float(weight.sum())
+    matrix = _normal(rig, data, theta, loss, noise).matrix
+    known = float(np.trace(np.eye(len(theta)) - np.linalg.solve(matrix, np.diag(rig.prior[1] ** -2.0))))
+    return max(total / max(count - known, 0.1 * count, 1.0), _LEAST)
+
+
+def _finished(rig: Rig, data: Sequence[Sighted], theta: Array, noise: float) -> Calibrated:
+    weigh = _mixture(noise)
+    found = _normal(rig, data, theta, weigh, noise)
+    std = rig.prior[1]
+    scaled = found.matrix * std * std[:, None]
+    covariance = np.linalg.inv(scaled) * std * std[:, None]
+    weights, entropy = [], 0.0
+    for residual, one in zip(residuals(rig, theta, data), data, strict=True):
+        precision = 1.0 / (noise + one.variance)
+        square = (np.square(residual) * precision).sum(axis=-1)
+        seen = np.isfinite(square)
+        weights.append(np.where(seen, weigh(np.where(seen, square, 0.0))[1], 0.0))
+        entropy += float(np.log(2.0 * np.pi / precision[seen]).sum())
+    evidence = float(-0.5 * (found.value + entropy + np.linalg.slogdet(scaled)[1]))
+    covariance = covariance + _jackknife(rig, data, theta, noise, weights, found.matrix)
+    return Calibrated(rig, theta, covariance, noise, tuple(weights), evidence)
+
+
+def _jackknife(
+    rig: Rig, data: Sequence[Sighted], theta: Array, noise: float, weights: Sequence[Array], matrix: Array
+) -> Array:
+    """How θ varies (P,P) as boards' frames are left out, one after the other (one Gauss-Newton step each).
+
+    Corners of one frame err together, by what the joints and the board's print are off, so there is less to know than
+    they are many (Liang & Zeger 1986). Of single points nothing is added.
+    """
+    std, moved = rig.prior[1], []
+    for sight, one, weight in zip(rig.sights, data, weights, strict=True):
+        if len(sight.points) == 1:
+            continue
+        seen = rig.see(sight, theta, one.q)
+        residual = np.where(weight[..., None] > 0, np.nan_to_num(one.image - seen.image), 0.0)
+        design = (seen.design * std).reshape(len(residual), -1, len(theta))
+        precision = np.where(weight[..., None] > 0, weight[..., None] / (noise + np.nan_to_num(one.variance)), 0.0)
+        scaled = design * precision.reshape(len(residual), -1, 1)
+        each = np.einsum("nkp,nkq->npq", scaled, design)
+        pull = np.einsum("nkp,nk->np", scaled, residual.reshape(len(residual), -1))
+        moved.append(np.linalg.solve(matrix * std * std[:, None] - each, pull[..., None])[..., 0] * std)
+    if not moved:
+        return np.zeros((len(theta), len(theta)))
+    steps = np.concatenate(moved)
+    return np.asarray(steps.T @ steps * (len(steps) - 1) / len(steps))

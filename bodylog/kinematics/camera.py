@@ -1,0 +1,45 @@
+"""A pinhole camera with two radial distortion terms, for many points at once."""
+
+import numpy as np
+
+from ..types import Array
+
+LENS = ("focal length", "aspect ratio", "centre u", "centre v", "distortion k1", "distortion k2")
+"""What the six numbers of a lens are: ln f (px), ln of fv over fu, centre (px), k1, k2."""
+
+NEAREST = 0.02
+"""m: depth is held above this, so that a search can pass a point that lies behind the camera."""
+
+
+def lens(focal: float, width: float, height: float) -> Array:
+    """The six numbers of a lens without distortion, focal length and image size in px."""
+    return np.array([np.log(focal), 0.0, width / 2.0, height / 2.0, 0.0, 0.0])
+
+
+def project(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
+    """Points (…,3) m in the camera: image places (…,2) px · slopes by point (…,2,3) · by the lens (…,2,6)."""
+    depth = np.maximum(points[..., 2], NEAREST)
+    x, y = points[..., 0] / depth, points[..., 1] / depth
+    fu = np.exp(numbers[0])
+    focal = np.array([fu, fu * np.exp(numbers[1])])
+    square = x * x + y * y
+    bend = 1.0 + square * (numbers[4] + numbers[5] * square)
+    rise = 2.0 * (numbers[4] + 2.0 * numbers[5] * square)
+    plain = np.stack([x, y], axis=-1)
+    image = focal * plain * bend[..., None] + numbers[2:4]
+    # d(x bend, y bend) / d(x, y): bend I + rise [x y]ᵀ[x y]
+    inner = bend[..., None, None] * np.eye(2) + rise[..., None, None] * plain[..., :, None] * plain[..., None, :]
+    shrink = np.zeros((*points.shape[:-1], 2, 3))
+    shrink[..., 0, 0] = shrink[..., 1, 1] = 1.0 / depth
+    shrink[..., 2] = -plain / depth[..., None] * (points[..., 2] > NEAREST)[..., None]
+    return image, focal[:, None] * (inner @ shrink), _by_lens(plain, square, bend, focal)
+
+
+def _by_lens(plain: Array, square: Array, bend: Array, focal: Array) -> Array:
+    result = np.zeros((*plain.shape[:-1], 2, 6))
+    result[..., 0] = focal * plain * bend[..., None]
+    result[..., 1, 1] = result[..., 1, 0]
+    result[..., 0, 2] = result[..., 1, 3] = 1.0
+    result[..., 4] = focal * plain * square[..., None]
+    result[..., 5] = result[..., 4] * square[..., None]
+    return result

@@ -1,0 +1,99 @@
+"""Which joints' zeros the sightings tell, and of the others what they cannot be told from, in words."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..types import Array
+from .rig import Rig
+
+LEAST = 1.0 / 3.0
+"""A zero is told when its standard deviation has come down to this share of what was held beforehand."""
+_TOGETHER = 0.5
+_ALONG = 0.9
+
+
+@dataclass(frozen=True)
+class Offset:
+    """One joint's zero: value ± std in `unit`, rad or m · beforehand: σ of its prior · what it cannot be told from."""
+
+    joint: str
+    value: float
+    std: float
+    beforehand: float
+    unit: str = "rad"
+    confused: tuple[str, ...] = ()
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the sightings tell it."""
+        return self.std <= LEAST * self.beforehand
+
+    @property
+    def shown(self) -> str:
+        """Value and standard deviation in degrees or millimetres."""
+        factor, unit = (np.degrees(1.0), "°") if self.unit == "rad" else (1e3, " mm")
+        return f"{factor * self.value:+.2f}{unit} ± {factor * self.std:.2f}{unit}"
+
+
+def offsets(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
+    """Each joint's zero for θ (P,) ± covariance (P,P)."""
+    std, found = np.sqrt(np.diag(covariance)), []
+    for m, name in enumerate(rig.joints):
+        index = rig.of_joints.start + m
+        unit = "m" if rig.slides(m) else "rad"
+        plain = Offset(name, float(theta[index]), float(std[index]), float(rig.prior[1][index]), unit)
+        words = () if plain.identifiable else tuple(_confused(rig, covariance, index))[:2]
+        found.append(replace(plain, confused=words))
+    return tuple(found)
+
+
+def said(found: Sequence[Offset]) -> Iterator[str]:
+    """In a line each: joints whose zeros are not identifiable, and why."""
+    for one in found:
+        if not one.identifiable:
+            with_ = " and ".join(one.confused) or "nothing the sightings show"
+            yield f"{one.joint}: its zero cannot be told from {with_}"
+
+
+def _confused(rig: Rig, covariance: Array, index: int) -> Iterator[str]:
+    """What errs together with an unknown, what most does first."""
+    std = np.sqrt(np.diag(covariance))
+    together = covariance[index] / np.maximum(std * std[index], 1e-300)
+    groups = []
+    for start, stop, words in _groups(rig):
+        rows = [k for k in range(start, stop) if k != index]
+        if rows:
+            groups.append((float(np.abs(together[rows]).max()), words, rows))
+    for size, words, rows in sorted(groups, key=lambda group: -group[0]):
+        if size > _TOGETHER:
+            yield words + (_axis(rig, rows, covariance[rows, index]) if words.endswith("turn") else "")
+
+
+def _groups(rig: Rig) -> Iterator[tuple[int, int, str]]:
+    for k, camera in enumerate(rig.cameras):
+        begin = rig.of_camera(k).start
+        yield begin, begin + 3, f"{camera.name}'s place"
+        yield begin + 3, begin + 6, f"{camera.name}'s turn"
+        yield begin + 6, begin + 12, f"{camera.name}'s lens"
+    for k, carrier in enumerate(rig.carriers):
+        part = rig.of_carrier(k)
+        yield part.start, part.start + 3, f"{carrier.name}'s place"
+        if carrier.turns:
+            yield part.start + 3, part.stop, f"{carrier.name}'s turn"
+    for m, name in enumerate(rig.joints):
+        yield rig.of_joints.start + m, rig.of_joints.start + m + 1, f"{name}'s zero"
+
+
+def _axis(rig: Rig, rows: Sequence[int], lean: Array) -> str:
+    """About which axis of its link a thing's turn goes along with something, where it is one axis."""
+    for k, camera in enumerate(rig.cameras):
+        if rows[0] == rig.of_camera(k).start + 3:
+            turn, link = camera.anchor[:3, :3].T @ lean, camera.link
+            break
+    else:
+        carriers = (one for k, one in enumerate(rig.carriers) if rows[0] == rig.of_carrier(k).start + 3)
+        turn, link = lean, next(carriers).link
+    share = np.abs(turn) / max(float(np.linalg.norm(turn)), 1e-300)
+    return f" about the {'xyz'[int(share.argmax())]} axis of {link}" if share.max() > _ALONG else ""

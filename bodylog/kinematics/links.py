@@ -1,0 +1,243 @@
+"""Which link carries the camera and which the marker: as the log says, else by evidence over the URDF's links."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import ModelError
+from ..types import Array
+from .calibration import Calibrated, Sighted, calibrate, scout
+from .camera import lens
+from .chain import Chain, between
+from .rig import Camera, Carrier, Rig, Sight
+from .rotations import inverse
+from .starts import starts
+from .urdf import MOVING, Robot
+
+ANYWHERE = 10.0
+"""m and rad: σ of a pose of which nothing is known."""
+MARKER = 0.3
+"""m: σ of a point's place about its link's frame: the size of what an arm carries."""
+FREE_LENS = np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
+"""σ of a lens of which the image's size alone is known: fields of view from 35° to 80°, small distortion."""
+INFO_LENS = np.array([0.01, 0.002, 5.0, 5.0, 0.02, 0.02])
+"""σ of a lens that a CameraInfo states: a percent of the focal length, a few pixels of the centre."""
+FRAME_POSE = np.array([0.02] * 3 + [np.radians(6.0)] * 3)
+"""m, rad: σ of a camera whose optical frame stands in the URDF, by its drawing."""
+TF_POSE = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
+"""m, rad: σ of a camera that a transform of the log places, measured by someone."""
+_FEW = 60
+_PROMISING = 3
+
+
+@dataclass(frozen=True, eq=False)
+class CameraHint:
+    """What a log says of a camera: its link or None · pose (4,4) of camera in link, m, or None · lens (6,) or None.
+
+    size: of its images, (width, height) px, or None.
+    """
+
+    link: str | None = None
+    pose: Array | None = None
+    lens: Array | None = None
+    size: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Sightings of one marker in one camera, both by name · points (C,3) m of a rigid board, or one at the origin."""
+
+    camera: str
+    marker: str
+    data: Sighted
+    points: Array = field(default_factory=lambda: np.zeros((1, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The rig chosen, its calibration, and by how many nats it is likelier than the next that was tried (or None)."""
+
+    calibrated: Calibrated
+    margin: float | None
+
+
+def find(
+    robot: Robot,
+    joints: Sequence[str],
+    still: Mapping[str, float],
+    tracks: Mapping[str, Track],
+    hints: Mapping[str, CameraHint],
+    doubt: float,
+) -> Found:
+    """The likeliest links of the camera and the marker of each track, all calibrated together; sure tracks come first.
+
+    joints: names of the data's columns · still: angles of joints that did not move · doubt: σ of joints' zeros, rad.
+    """
+    space = Space(robot, tuple(joints), still, doubt)
+    placed: dict[str, str] = {name: hint.link for name, hint in hints.items() if hint.link is not None}
+    markers, margin, best = dict[str, str](), None, None
+    for track in tracks.values():
+        if track.camera in placed and track.marker in markers:
+            continue
+        best, least = _likeliest(space, track, placed.get(track.camera), markers.get(track.marker), hints)
+        margin = least if margin is None or (least is not None and least < margin) else margin
+        placed[track.camera] = best.rig.cameras[0].link
+        markers[track.marker] = best.rig.carriers[0].link
+    if len(tracks) > 1 or best is None:
+        rig = space.rig(list(tracks.values()), placed, markers, hints)
+        data = [one.data for one in tracks.values()]
+        rig, first = starts(rig, data)
+        best = calibrate(rig, data, first)
+    return Found(best, margin)
+
+
+def _likeliest(
+    space: "Space", track: Track, camera: str | None, marker: str | None, hints: Mapping[str, CameraHint]
+) -> tuple[Calibrated, float | None]:
+    """One track's calibration on the likeliest links, which a few sightings tell, and by how many nats they are so."""
+    rows = np.unique(np.linspace(0, len(track.data.q) - 1, min(len(track.data.q), _FEW)).round().astype(int))
+    part = Sighted(track.data.q[rows], track.data.image[rows], track.data.variance[rows])
+    few, found = replace(track, data=part), list[Calibrated]()
+    for pairs in space.pairs(camera, marker):
+        for a, b in _promising(space, few, pairs, hints):
+            rig, first = starts(space.rig([few], {few.camera: a}, {few.marker: b}, hints), [part])
+            found.append(calibrate(rig, [part], first))
+        found.sort(key=lambda one: -one.evidence)
+        if found and _explains(found[0], part):
+            break
+    if not found:
+        raise ModelError(f"{space.robot.source}: no joint that moved lies between two of its links")
+    margin = found[0].evidence - found[1].evidence if len(found) > 1 else None
+    links = found[0].rig.cameras[0].link, found[0].rig.carriers[0].link
+    rig, first = starts(space.rig([track], {track.camera: links[0]}, {track.marker: links[1]}, hints), [track.data])
+    return calibrate(rig, [track.data], first), margin
+
+
+def _promising(
+    space: "Space", track: Track, pairs: Sequence[tuple[str, str]], hints: Mapping[str, CameraHint]
+) -> list[tuple[str, str]]:
+    """Of many pairs of links the few that a short descent from one start leaves least of."""
+    drawn = [(a, b) for a, b in pairs if is_optical(a)]
+    rest = [(a, b) for a, b in pairs if not is_optical(a)]
+    if len(rest) <= _PROMISING:
+        return [*drawn, *rest]
+    left = []
+    for a, b in rest:
+        rig, first = starts(space.rig([track], {track.camera: a}, {track.marker: b}, hints), [track.data])
+        left.append((scout(rig, [track.data], first[0]), a, b))
+    return [*drawn, *((a, b) for _, a, b in sorted(left)[:_PROMISING])]
+
+
+def _explains(found: Calibrated, data: Sighted) -> bool:
+    """Whether a calibration leaves little of how the sightings spread."""
+    spread, seen = float(np.nanmean(np.nanvar(data.image, axis=0))), np.isfinite(data.image[..., 0])
+    return found.noise < EXPLAINED**2 * spread and float(np.mean(found.weights[0][seen])) > 0.5
+
+
+EXPLAINED = 0.1
+"""Share of the sightings' spread that kinematics may leave; a real NAO's leaves 0.03, wrong links a third and more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """A robot's links as the joints that moved part them: links without such a joint between them are one."""
+
+    robot: Robot
+    joints: tuple[str, ...]
+    still: Mapping[str, float]
+    doubt: float
+
+    def chain(self, camera: str, marker: str) -> Chain:
+        """From the camera's link to the marker's, joints that did not move, or that the log lacks, held."""
+        found = between(self.robot, camera, marker)
+        held = {name: self.still.get(name, 0.0) for name in found.joints if name not in self.joints}
+        return found.holding(held).over(self.joints)
+
+    def lacking(self, camera: str, marker: str) -> list[str]:
+        """Joints between the links that the log lacks."""
+        names = between(self.robot, camera, marker).joints
+        return [name for name in names if name not in self.joints and name not in self.still]
+
+    def pairs(self, camera: str | None, marker: str | None) -> Iterator[list[tuple[str, str]]]:
+        """Links for camera and marker with most of the joints between them, then all others."""
+        groups = self.groups
+        optical = [link for link in self.robot.links if is_optical(link)]
+        cameras, markers = [camera] if camera else [*optical, *groups], [marker] if marker else groups
+        counted = [(len(set(self._between(a, b))), a, b) for a in cameras for b in markers]
+        counted = [one for one in counted if one[0]]
+        most = max((count for count, _, _ in counted), default=0)
+        yield [(a, b) for count, a, b in counted if count == most]
+        rest = [(a, b) for count, a, b in counted if count < most]
+        if rest:
+            yield rest
+
+    @property
+    def groups(self) -> list[str]:
+        """The uppermost link of each group."""
+        below = (self.robot.root, *(j.child for j in self.robot.joints if self._moves(j.name)))
+        return list(below)
+
+    def _moves(self, name: str) -> bool:
+        joint = self.robot.by_name[name]
+        while joint.mimic is not None:
+            joint = self.robot.by_name[joint.mimic.joint]
+        return joint.kind in MOVING and joint.name in self.joints
+
+    def _between(self, a: str, b: str) -> list[str]:
+        return [name for name in between(self.robot, a, b).joints if name in self.joints]
+
+    def rig(
+        self,
+        tracks: Sequence[Track],
+        placed: Mapping[str, str],
+        markers: Mapping[str, str],
+        hints: Mapping[str, CameraHint],
+    ) -> Rig:
+        """The rig of some tracks with their cameras and markers on given links."""
+        names = list(dict.fromkeys(track.camera for track in tracks))
+        cameras = tuple(_camera(name, placed[name], hints.get(name, CameraHint()), self.robot) for name in names)
+        things = {track.marker: track for track in tracks}
+        carriers = tuple(_carrier(name, markers[name], len(track.points) > 1) for name, track in things.items())
+        sights = tuple(
+            Sight(
+                f"{track.camera}/{track.marker}",
+                names.index(track.camera),
+                list(things).index(track.marker),
+                self.chain(placed[track.camera], markers[track.marker]),
+                track.points,
+            )
+            for track in tracks
+        )
+        doubt = np.array([self.doubt * (_SLIDE if self._slides(name) else 1.0) for name in self.joints])
+        return Rig(cameras, carriers, sights, self.joints, np.maximum(doubt, 1e-9))
+
+    def _slides(self, name: str) -> bool:
+        return name in self.robot.by_name and self.robot.by_name[name].kind == "prismatic"
+
+
+def is_optical(link: str) -> bool:
+    """Whether a link is a camera's optical frame by its name (REP 103): z into the picture, x to its right."""
+    return "optical" in link
+
+
+_SLIDE = 0.1
+"""m per rad: a slide's zero is doubted by as many m times this as a turning joint's by rad; 5° are 9 mm."""
+
+
+def _camera(name: str, link: str, hint: CameraHint, robot: Robot) -> Camera:
+    width, height = hint.size or (640, 480)
+    numbers, known = (lens(width, width, height), FREE_LENS) if hint.lens is None else (hint.lens, INFO_LENS)
+    pose = hint.pose if hint.link == link else None
+    if pose is not None:
+        anchor, doubt = inverse(pose), TF_POSE
+    elif is_optical(link):
+        anchor, doubt = np.eye(4), FRAME_POSE
+    else:
+        anchor, doubt = np.eye(4), np.full(6, ANYWHERE)
+    scale = np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0]) if hint.lens is None else 1.0
+    return Camera(f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale]))
+
+
+def _carrier(name: str, link: str, rigid: bool) -> Carrier:
+    return Carrier(name, link, np.eye(4), np.full(6, ANYWHERE) if rigid else np.full(3, MARKER))

@@ -1,0 +1,171 @@
+"""What hangs where: cameras and markers on links, their unknowns θ in one vector, and what is seen of them."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..types import Array
+from .camera import LENS, project
+from .chain import Chain
+from .rotations import exponential, left_jacobian, skew, transform
+
+POSE = ("x", "y", "z", "turn about x", "turn about y", "turn about z")
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A camera on a link: anchor (4,4), the link in the camera, m · lens (6,) beforehand · doubt (12,): σ of both.
+
+    The pose's unknowns move the anchor: p ↦ exp(w) p + v, v in m and w in rad, in the camera.
+    """
+
+    name: str
+    link: str
+    anchor: Array
+    lens: Array
+    doubt: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Carrier:
+    """A marker on a link: anchor (4,4), the marker in the link, m · doubt (3,) or (6,): σ of its place (and turn).
+
+    A point has a place alone; a rigid board a turn as well.
+    """
+
+    name: str
+    link: str
+    anchor: Array
+    doubt: Array
+
+    @property
+    def turns(self) -> bool:
+        """Whether its turn is unknown as well."""
+        return len(self.doubt) == 6
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """One marker before one camera: chain from the camera's link to the marker's · points (C,3) of the marker, m."""
+
+    name: str
+    camera: int
+    carrier: int
+    chain: Chain
+    points: Array = field(default_factory=lambda: np.zeros((1, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Cameras, markers, who sees whom, the joints (M,) with σ of their offsets (M,) rad or m: what θ (P,) stands for.
+
+    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and turn (6), each joint's offset.
+    """
+
+    cameras: tuple[Camera, ...]
+    carriers: tuple[Carrier, ...]
+    sights: tuple[Sight, ...]
+    joints: tuple[str, ...]
+    doubt: Array
+
+    @cached_property
+    def prior(self) -> tuple[Array, Array]:
+        """Mean (P,) and standard deviation (P,) of θ beforehand."""
+        mean = [np.concatenate([np.zeros(6), one.lens]) for one in self.cameras]
+        mean += [np.zeros(len(one.doubt)) for one in self.carriers]
+        std = [*(one.doubt for one in self.cameras), *(one.doubt for one in self.carriers)]
+        return np.concatenate([*mean, np.zeros(len(self.joints))]), np.concatenate([*std, self.doubt])
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """What each of θ is, in words."""
+        cameras = [f"{c.name}'s {part}" for c in self.cameras for part in (*POSE, *LENS)]
+        carriers = [f"{c.name}'s {part}" for c in self.carriers for part in POSE[: len(c.doubt)]]
+        return (*cameras, *carriers, *(f"{name}'s zero" for name in self.joints))
+
+    def of_camera(self, index: int) -> slice:
+        """Where the 12 of a camera stand in θ."""
+        return slice(12 * index, 12 * index + 12)
+
+    def of_carrier(self, index: int) -> slice:
+        """Where the 3 or 6 of a marker stand in θ."""
+        begin = 12 * len(self.cameras) + sum(len(one.doubt) for one in self.carriers[:index])
+        return slice(begin, begin + len(self.carriers[index].doubt))
+
+    @property
+    def of_joints(self) -> slice:
+        """Where the joints' offsets stand in θ."""
+        return slice(len(self.prior[0]) - len(self.joints), len(self.prior[0]))
+
+    def see(self, sight: Sight, theta: Array, q: Array) -> "Seen":
+        """What a sight shows at joint angles q (N,M), rad or m, for unknowns theta (P,)."""
+        return _see(self, sight, theta, q)
+
+    def slides(self, joint: int) -> bool:
+        """Whether a joint slides, by the first chain it is in."""
+        chains = (one.chain for one in self.sights)
+        return next((bool(c.slides[list(c.column).index(joint)]) for c in chains if joint in c.column), False)
+
+    def alone(self, index: int) -> tuple["Rig", Array]:
+        """The rig of one sight alone, and which of θ (P,) it keeps."""
+        sight = self.sights[index]
+        parts = self.of_camera(sight.camera), self.of_carrier(sight.carrier), self.of_joints
+        used = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+        camera, carrier = self.cameras[sight.camera], self.carriers[sight.carrier]
+        one = replace(sight, camera=0, carrier=0)
+        return replace(self, cameras=(camera,), carriers=(carrier,), sights=(one,)), used
+
+    def camera_pose(self, index: int, theta: Array) -> Array:
+        """The camera's link in the camera (4,4), m."""
+        return np.asarray(_moved(theta[self.of_camera(index)][:6]) @ self.cameras[index].anchor)
+
+    def carrier_pose(self, index: int, theta: Array) -> Array:
+        """The marker in its link (4,4), m."""
+        return np.asarray(_moved(theta[self.of_carrier(index)]) @ self.carriers[index].anchor)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """image (N,C,2) px · slope (N,C,2,M) by the joints, px per rad or m · design (N,C,2,P) by θ.
+
+    stretch (N,C,2,K−1) px: by the lengths between the chain's steps, each in shares of itself.
+    """
+
+    image: Array
+    slope: Array
+    design: Array
+    stretch: Array
+
+
+def _moved(unknowns: Array) -> Array:
+    turn = unknowns[3:] if len(unknowns) == 6 else np.zeros(3)
+    return transform(exponential(turn), unknowns[:3])
+
+
+def _see(rig: Rig, sight: Sight, theta: Array, q: Array) -> Seen:
+    camera, carrier = rig.cameras[sight.camera], rig.carriers[sight.carrier]
+    own, mine = theta[rig.of_camera(sight.camera)], theta[rig.of_carrier(sight.carrier)]
+    poses = sight.chain.at(q + theta[rig.of_joints])
+    marker, by_marker = _shifted(sight.points @ carrier.anchor[:3, :3].T + carrier.anchor[:3, 3], mine)
+    linked = marker @ poses.rotation.transpose(0, 2, 1) + poses.place[:, None]
+    placed = linked @ camera.anchor[:3, :3].T + camera.anchor[:3, 3]
+    inside, by_pose = _shifted(placed, own[:6])
+    image, by_point, by_lens = project(inside, own[6:])
+    turn = by_point @ (exponential(own[3:6]) @ camera.anchor[:3, :3])
+    slope = turn @ sight.chain.slopes(poses, linked)
+    design = np.zeros((*image.shape, len(theta)))
+    design[..., rig.of_camera(sight.camera)] = np.concatenate([by_point @ by_pose, by_lens], axis=-1)
+    design[..., rig.of_carrier(sight.carrier)] = (turn @ poses.rotation[:, None]) @ by_marker
+    design[..., rig.of_joints] = slope
+    return Seen(image, slope, design, turn @ poses.strides.transpose(0, 2, 1)[:, None])
+
+
+def _shifted(points: Array, unknowns: Array) -> tuple[Array, Array]:
+    """exp(w) p + v of points (…,3), and its slopes (…,3,3) by v or (…,3,6) by v and w."""
+    by_place = np.broadcast_to(np.eye(3), (*points.shape, 3))
+    if len(unknowns) == 3:
+        return points + unknowns, by_place
+    turned = points @ exponential(unknowns[3:]).T
+    by_turn = -skew(turned) @ left_jacobian(unknowns[3:])
+    return turned + unknowns[:3], np.concatenate([by_place, by_turn], axis=-1)

@@ -1,0 +1,93 @@
+"""Rotations for many rows at once: from vectors, axes, quaternion-free; angles in rad."""
+
+import numpy as np
+
+from ..types import Array
+
+_SMALL = 1e-4
+
+
+def skew(v: Array) -> Array:
+    """Cross-product matrices (…,3,3) of vectors (…,3)."""
+    zero = np.zeros(v.shape[:-1])
+    x, y, z = v[..., 0], v[..., 1], v[..., 2]
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def exponential(w: Array) -> Array:
+    """Rotation (3,3) by the vector w (3,), rad (Rodrigues)."""
+    angle = float(np.linalg.norm(w))
+    cross = skew(w)
+    if angle < _SMALL:
+        return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
+    return np.asarray(np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross)
+
+
+def left_jacobian(w: Array) -> Array:
+    """J (3,3) with exp(w + dw) = exp(J dw) exp(w) to first order."""
+    angle = float(np.linalg.norm(w))
+    cross = skew(w)
+    if angle < _SMALL:
+        return np.asarray(np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
+    first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+
+
+def logarithm(rotation: Array) -> Array:
+    """The vector (3,), rad, of a rotation (3,3); its length is at most π."""
+    # the quaternion's largest component is found from the largest eigenvalue (Bar-Itzhack 2000): sound near π as well
+    r = rotation
+    lower = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
+    matrix = np.empty((4, 4))
+    matrix[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
+    matrix[:3, 3] = matrix[3, :3] = lower
+    matrix[3, 3] = np.trace(r)
+    quaternion = np.linalg.eigh(matrix)[1][:, -1]
+    vector, scalar = quaternion[:3] * np.sign(quaternion[3] or 1.0), abs(quaternion[3])
+    length = float(np.linalg.norm(vector))
+    if length < 1e-12:
+        return np.zeros(3)
+    return np.asarray(vector / length * 2.0 * np.arctan2(length, scalar))
+
+
+def nearest(matrix: Array) -> Array:
+    """The rotation (3,3) nearest to a matrix."""
+    u, _, vt = np.linalg.svd(matrix)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt)
+
+
+def from_rpy(rpy: Array) -> Array:
+    """Rotation (3,3) of URDF's roll, pitch, yaw (3,), rad: about the fixed x, y, then z axis."""
+    x, y, z = (exponential(np.eye(3)[k] * rpy[k]) for k in range(3))
+    return np.asarray(z @ y @ x)
+
+
+def to_rpy(rotation: Array) -> Array:
+    """Roll, pitch, yaw (3,), rad, of a rotation (3,3)."""
+    pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
+    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: yaw is taken as zero
+        return np.array([np.arctan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
+    return np.array(
+        [np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])]
+    )
+
+
+def from_z(axis: Array) -> Array:
+    """A rotation (3,3) that turns the z axis into the unit vector `axis` (3,)."""
+    if abs(axis[2]) > 1.0 - 1e-15:
+        return np.eye(3) if axis[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    cross = np.cross([0.0, 0.0, 1.0], axis)
+    return exponential(cross / np.linalg.norm(cross) * np.arctan2(np.linalg.norm(cross), axis[2]))
+
+
+def transform(rotation: Array, place: Array) -> Array:
+    """The homogeneous matrix (4,4) of a rotation (3,3) and a translation (3,)."""
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = rotation, place
+    return result
+
+
+def inverse(pose: Array) -> Array:
+    """The inverse of a homogeneous matrix (4,4)."""
+    return transform(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])

@@ -1,0 +1,163 @@
+"""Where the search for θ starts: the rig as given, resection of a point, or hand-eye alignment of a board."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..types import Array
+from .calibration import Sighted
+from .rig import Camera, Rig
+from .rotations import inverse, logarithm, nearest, transform
+
+_STEP = 0.1
+"""m: how far off the link's frame a marker is tried."""
+_KNOWN = 1.0
+"""rad: a camera whose turn is known to less than this starts where it is said to be."""
+_FEWEST = 6
+_FARTHEST = 50.0
+"""m: no marker is seen from farther off."""
+
+
+def starts(rig: Rig, data: Sequence[Sighted]) -> tuple[Rig, list[Array]]:
+    """The rig, its unknown poses anchored near a solution where one is found, and first θ's (P,) to search from."""
+    for index, camera in enumerate(rig.cameras):
+        boards = [k for k in _before(rig, index) if rig.carriers[rig.sights[k].carrier].turns]
+        if boards and camera.doubt[3:6].max() >= _KNOWN:
+            rig = _aligned(rig, data, boards[0])
+    first = list(_places(rig))
+    for index, camera in enumerate(rig.cameras):
+        seen = [k for k in _before(rig, index) if not rig.carriers[rig.sights[k].carrier].turns]
+        if seen and len(seen) == len(_before(rig, index)) and camera.doubt[3:6].max() >= _KNOWN:
+            first = _resected(rig, data, index, first)
+    return rig, first
+
+
+def _before(rig: Rig, camera: int) -> list[int]:
+    return [k for k, sight in enumerate(rig.sights) if sight.camera == camera]
+
+
+def _places(rig: Rig) -> Iterator[Array]:
+    """θ as held likely, then with the points' places a step to each side."""
+    mean = rig.prior[0]
+    yield mean
+    points = [rig.of_carrier(k) for k, one in enumerate(rig.carriers) if not one.turns]
+    for axis in range(3 if points else 0):
+        for step in (-_STEP, _STEP):
+            moved = mean.copy()
+            for place in points:
+                moved[place][axis] += step
+            yield moved
+
+
+def _resected(rig: Rig, data: Sequence[Sighted], index: int, first: Sequence[Array]) -> list[Array]:
+    """Each θ with the camera where its own markers put it by resection."""
+    camera, found = rig.cameras[index], []
+    for theta in first:
+        points, images = [], []
+        for k in _before(rig, index):
+            sight, one = rig.sights[k], data[k]
+            arm, place = sight.chain.at(one.q), rig.carrier_pose(sight.carrier, theta)[:3, 3]
+            valid = np.isfinite(one.image[:, 0]).all(axis=1)
+            points.append((arm.rotation @ place + arm.place)[valid])
+            images.append(one.image[valid, 0])
+        pose = resection(np.concatenate(points), normalised(np.concatenate(images), camera.lens))
+        if pose is not None and np.linalg.norm(pose[:3, 3]) < _FARTHEST:
+            step, there = pose @ inverse(camera.anchor), theta.copy()
+            there[rig.of_camera(index)][:6] = np.concatenate([step[:3, 3], logarithm(step[:3, :3])])
+            found.append(there)
+    return found or list(first)
+
+
+def normalised(image: Array, lens: Array) -> Array:
+    """Image places (…,2) px as directions x/z, y/z of a lens (6,) whose distortion is left out."""
+    focal = np.exp(lens[0]) * np.array([1.0, np.exp(lens[1])])
+    return np.asarray((image - lens[2:4]) / focal)
+
+
+def resection(points: Array, rays: Array) -> Array | None:
+    """The pose (4,4) that puts points (n,3) m at directions (n,2); None where they are too few or in one plane."""
+    centre = points.mean(axis=0)
+    size = np.sqrt(np.square(points - centre).sum(axis=1).mean())
+    if len(points) < _FEWEST or size < 1e-6:
+        return None
+    near = np.column_stack([(points - centre) / size, np.ones(len(points))])
+    zero = np.zeros_like(near)
+    rows = np.concatenate(
+        [np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])]
+    )
+    for _ in range(5):  # rows of a false sighting count less each time
+        values, vectors = np.linalg.eigh(rows.T @ rows)
+        matrix = vectors[:, 0].reshape(3, 4)
+        size_of = np.abs(rows @ vectors[:, 0])
+        weight = 1.0 / (1.0 + np.square(size_of / max(3.0 * float(np.median(size_of)), 1e-12)))
+        rows = rows * np.sqrt(weight)[:, None]
+    if values[1] < 1e-12 * values[-1]:
+        return None
+    turn, place = matrix[:, :3], matrix[:, 3]
+    sign = np.sign(np.median(near @ matrix[2])) or 1.0
+    turn, place = sign * turn, sign * place
+    scale = np.cbrt(max(np.linalg.det(turn), 1e-12))
+    rotation = nearest(turn)
+    return transform(rotation, size * place / scale - rotation @ centre)
+
+
+def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
+    """Camera and board placed by hand-eye alignment of the board's poses before the camera."""
+    sight, one = rig.sights[k], data[k]
+    camera = rig.cameras[sight.camera]
+    poses = [planar(sight.points, normalised(image, camera.lens)) for image in one.image]
+    rows = [n for n, pose in enumerate(poses) if pose is not None]
+    if len(rows) < 3:
+        return rig
+    arm = sight.chain.at(one.q[rows])
+    link = [transform(r, t) for r, t in zip(arm.rotation, arm.place, strict=True)]
+    found = hand_eye([poses[n] for n in rows if poses[n] is not None], link)  # type: ignore[misc]
+    carrier = replace(rig.carriers[sight.carrier], anchor=found[1])
+    carriers = tuple(carrier if n == sight.carrier else one for n, one in enumerate(rig.carriers))
+    return _anchored(replace(rig, carriers=carriers), sight.camera, found[0])
+
+
+def planar(points: Array, rays: Array) -> Array | None:
+    """The pose (4,4) of a flat board with corners (C,3) m seen at directions (C,2); None where too few are seen."""
+    seen = np.isfinite(rays).all(axis=-1)
+    if seen.sum() < _FEWEST:
+        return None
+    corners, rays = points[seen], rays[seen]
+    centre = corners.mean(axis=0)
+    axes = np.linalg.svd(corners - centre)[2]
+    if np.linalg.det(axes) < 0:
+        axes[2] *= -1.0
+    flat = (corners - centre) @ axes.T
+    near = np.column_stack([flat[:, :2], np.ones(len(flat))])
+    zero = np.zeros_like(near)
+    rows = np.concatenate(
+        [np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])]
+    )
+    columns = np.linalg.svd(rows)[2][-1].reshape(3, 3)
+    columns /= np.linalg.norm(columns[:, :2], axis=0).mean() * (np.sign(columns[2, 2]) or 1.0)
+    rotation = nearest(np.column_stack([columns[:, 0], columns[:, 1], np.cross(columns[:, 0], columns[:, 1])]))
+    return transform(rotation @ axes, columns[:, 2] - rotation @ axes @ centre)
+
+
+def hand_eye(boards: Sequence[Array], links: Sequence[Array]) -> tuple[Array, Array]:
+    """X (link in camera) and Z (board in its link) with board pose = X · link pose · Z for all (4,4) pairs, m."""
+    order = range(len(boards))
+    # turns from each pose to those some places on: rotation vectors of both sides differ by X's rotation alone
+    gaps = [(i, j) for gap in (1, 2, 5) for i in order if (j := i + gap) < len(boards)]
+    seen = np.array([logarithm(boards[i][:3, :3] @ boards[j][:3, :3].T) for i, j in gaps])
+    moved = np.array([logarithm(links[i][:3, :3] @ links[j][:3, :3].T) for i, j in gaps])
+    turn = nearest(seen.T @ moved)
+    turns = [(turn @ a[:3, :3]).T @ p[:3, :3] for a, p in zip(links, boards, strict=True)]
+    board = nearest(np.sum(turns, axis=0))
+    rows = np.concatenate([np.hstack([turn @ a[:3, :3], np.eye(3)]) for a in links])
+    right = np.concatenate([p[:3, 3] - turn @ a[:3, 3] for a, p in zip(links, boards, strict=True)])
+    places = np.linalg.lstsq(rows, right, rcond=None)[0]
+    return transform(turn, places[3:]), transform(board, places[:3])
+
+
+def _anchored(rig: Rig, index: int, pose: Array) -> Rig:
+    def moved(camera: Camera) -> Camera:
+        return replace(camera, anchor=pose)
+
+    return replace(rig, cameras=tuple(moved(c) if n == index else c for n, c in enumerate(rig.cameras)))

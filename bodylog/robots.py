@@ -1,0 +1,119 @@
+"""The robot that a body is learned of: its URDF, from a file or the log, and what the log says of its cameras."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .errors import LogError
+from .settings import Settings
+from .types import Array, Features
+
+if TYPE_CHECKING:
+    from .body.kinematic import Robotics
+    from .kinematics.links import CameraHint
+    from .kinematics.urdf import Robot
+    from .logs.described import CameraInfo, Described
+
+
+FROM_LOG = "log"
+"""In place of a file: the log's own /robot_description."""
+
+
+def named(settings: Settings) -> tuple[Path, ...]:
+    """The URDF's file, where one is named and used."""
+    urdf = settings.kinematics.urdf if settings.kinematics.use else None
+    return () if urdf in (None, FROM_LOG) else (Path(str(urdf)),)
+
+
+def robot(logs: Sequence[Path], features: Sequence[Features], settings: Settings) -> "Robotics | None":
+    """What is known of the robot, or None where no URDF is asked for. FormatError where it cannot be read.
+
+    LogError where the log's own is asked for and it has none.
+    """
+    chosen = settings.kinematics
+    if not chosen.use or chosen.urdf is None or settings.fit.preset == "paper":
+        return None
+    from math import radians
+
+    from .body.kinematic import Robotics
+    from .kinematics import urdf
+    from .logs.described import described
+
+    told = [described(log) for log in logs]
+    texts = [(log, one.urdf) for log, one in zip(logs, told, strict=True) if one.urdf]
+    if chosen.urdf != FROM_LOG:
+        found = urdf.load(Path(chosen.urdf))
+    elif texts:
+        found = urdf.parse(str(texts[0][1]), f"{texts[0][0]}: /robot_description")
+    else:
+        raise LogError(f"{logs[0]}: no /robot_description in it; give the URDF's file: --urdf ROBOT.urdf")
+    return Robotics(found, _hints(found, told, features), radians(chosen.offset_prior))
+
+
+def _hints(robot: "Robot", told: "Sequence[Described]", features: Sequence[Features]) -> "dict[str, CameraHint]":
+    """Of each camera by name, what the logs say."""
+    from .kinematics.links import CameraHint
+
+    names = {name.rpartition("/")[0] for found in features for name in found.tracks}
+    topics = {name: topic for found in features for name, topic in found.cameras.items()}
+    hints = {}
+    for name in sorted(names):
+        size = next((found.picture_size for found in features if found.picture_size and not name), None)
+        infos = [info for one in told if (info := _info(topics.get(name), one.cameras)) is not None]
+        hint = CameraHint(size=size or _extent(name, features))
+        for one, info in zip(told, infos, strict=False):
+            link, pose = _placed(info.frame, robot, one.transforms)
+            hint = CameraHint(link, pose, _lens(info), (info.width, info.height))
+            break
+        hints[name] = hint
+    return hints
+
+
+def _info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":
+    """The CameraInfo beside an image topic."""
+    from .logs.cameras import camera_name
+
+    if topic is None:
+        return None
+    known = {name.rpartition("/")[0].strip("/"): info for name, info in cameras.items()}
+    return known.get(camera_name(topic))
+
+
+def _extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
+    """A size of image (px) that holds all that was seen; None where nothing was."""
+    import numpy as np
+
+    seen = [s.values for f in features for n, s in f.tracks.items() if n.rpartition("/")[0] == name]
+    values = np.concatenate(seen) if seen else np.empty((0, 2))
+    with suppress(ValueError):
+        width, height = np.nanmax(values, axis=0)
+        return (640, 480) if width < 640 and height < 480 else (int(width * 1.1), int(height * 1.1))
+    return None
+
+
+def _placed(
+    frame: str, robot: "Robot", transforms: "Mapping[str, tuple[str, Array]]"
+) -> "tuple[str | None, Array | None]":
+    """The link that a frame hangs on by fixed transforms, and its pose (4,4) there, None where it is that link."""
+    import numpy as np
+
+    pose, seen = np.eye(4), {frame}
+    while frame not in robot.links and frame in transforms:
+        frame, step = transforms[frame]
+        pose = step @ pose
+        if frame in seen:
+            return None, None
+        seen.add(frame)
+    if frame not in robot.links:
+        return None, None
+    return frame, None if len(seen) == 1 else pose
+
+
+def _lens(info: "CameraInfo") -> "Array":
+    """The six numbers of a lens; distortion of other than radial models is left out."""
+    import numpy as np
+
+    radial = info.distortion[:2] if info.model == "plumb_bob" and len(info.distortion) > 1 else np.zeros(2)
+    fu, fv = info.matrix[0], info.matrix[4]
+    return np.array([np.log(fu), np.log(fv / fu), info.matrix[2], info.matrix[5], *radial])

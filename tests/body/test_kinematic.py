@@ -1,0 +1,219 @@
+"""Bodies learned with a URDF: foretelling, derivatives, files, and URDFs that are another robot's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import body
+from bodylog.body import model as files
+from bodylog.body.evidence import Hyper, cholesky, independent
+from bodylog.body.explicit import Rows, evidence, held_out, solved
+from bodylog.body.gp import GP, se
+from bodylog.body.kinematic import Robotics, learn
+from bodylog.body.kinematic_gp import KinematicGP
+from bodylog.errors import ModelError
+from bodylog.kinematics import urdf
+from bodylog.kinematics.links import CameraHint
+from bodylog.settings import Settings
+from bodylog.types import Features, Series
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM, JOINTS
+
+DEGREE = np.radians(1.0)
+OFFSETS = {"lift": 2.0 * DEGREE, "elbow": -1.0 * DEGREE}
+STEP = 1e-6
+
+
+def features(count=60, bend=3.0, noise=0.3, drift=0.0, seed=1) -> Features:
+    """Still poses of the arm, whose picture bends by what no kinematics says."""
+    rig = robots.rig(known=False)
+    q = robots.angles(count, seed)
+    draw = np.random.default_rng(seed + 50)
+    image = rig.see(rig.sights[0], robots.truth(rig, OFFSETS), q).image[:, 0] + _bent(q, bend)
+    image += draw.normal(0.0, noise, image.shape) + drift * np.linspace(-1, 1, count)[:, None]
+    t = np.arange(count, dtype=float)
+    ns = (t * 1e9).astype(np.int64)
+    track = Series(t, image, ("u", "v"), "px", ns)
+    return Features(Series(t, q, JOINTS, "rad", ns), {"effector": track}, None, (), (), {}, (), (640, 480), poses=True)
+
+
+def _bent(q, size):
+    return size * np.column_stack([np.sin(2 * q[:, 1]) * np.cos(q[:, 2]), np.cos(1.5 * q[:, 2] + q[:, 0])])
+
+
+def given(text=ARM, doubt=5 * DEGREE) -> Robotics:
+    return Robotics(urdf.parse(text, "arm.urdf"), {"": CameraHint(size=(640, 480))}, doubt)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return body.learn([features()], Settings(), {})
+
+
+@pytest.fixture(scope="module")
+def learned(plain):
+    return learn([features()], Settings(), plain, given())
+
+
+def _truth(q, bend=3.0):
+    rig = robots.rig(known=False)
+    return rig.see(rig.sights[0], robots.truth(rig, OFFSETS), q).image[:, 0] + _bent(q, bend)
+
+
+def test_it_foretells_better_than_a_process_alone_and_says_how_well(plain, learned):
+    q = robots.angles(300, seed=8)
+    alone, both = plain.model.senses["effector"], learned.model.senses["effector"]
+    assert isinstance(both, KinematicGP)
+    errors = [model.predict(q)[0] - _truth(q) for model in (alone, both)]
+    sizes = [np.sqrt(np.square(error).mean()) for error in errors]
+    assert sizes[1] < 0.5 * sizes[0] and sizes[1] < 1.5
+    standard = np.square(errors[1]) / both.predict(q)[2]
+    assert 0.4 < standard.mean() < 1.6 and (standard < 4).mean() > 0.9
+
+
+def test_beyond_what_was_explored_it_follows_kinematics_and_its_error_bars_grow(plain, learned):
+    q = robots.angles(300, seed=8) * [2.0, 1.0, 1.0, 1.0]
+    beyond = np.abs(q[:, 0]) > 0.8
+    alone, both = plain.model.senses["effector"], learned.model.senses["effector"]
+    errors = [np.sqrt(np.square(m.predict(q[beyond])[0] - _truth(q[beyond])).mean()) for m in (alone, both)]
+    assert errors[1] < 0.3 * errors[0]
+    spread = both.predict(q)[2]
+    assert spread[beyond].mean() > 3 * spread[~beyond].mean()
+    standard = np.square(both.predict(q[beyond])[0] - _truth(q[beyond])) / spread[beyond]
+    assert (standard < 4).mean() > 0.85
+
+
+def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
+    gp, x = learned.model.senses["effector"], robots.angles(6, seed=3)
+    value, slope, spread = gp.predict(x)
+    numeric = [(gp.predict(x + s)[0] - gp.predict(x - s)[0]) / (2 * STEP) for s in STEP * np.eye(4)]
+    np.testing.assert_allclose(slope, np.stack(numeric, axis=-1), atol=1e-3)
+    for k in range(6):
+        for one, many in zip(gp.predict_one(x[k]), (value[k], slope[k], spread[k]), strict=True):
+            np.testing.assert_allclose(one, many, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(gp.means(x)[0], value, atol=1e-9)
+    np.testing.assert_allclose(gp.covariance(x)[0].diagonal(), (spread - gp.drift).mean(axis=1), rtol=0.05)
+
+
+def test_zeros_are_told_and_what_is_not_is_said(learned):
+    scores = {score.name: score.value for score in learned.scores}
+    assert "offset.pan" not in scores and "offset.wrist" not in scores
+    for name, true in OFFSETS.items():
+        assert abs(scores[f"offset.{name}"] - true) < 3 * scores[f"offset_std.{name}"] < 4.5 * DEGREE
+    text = [finding.text for finding in learned.findings]
+    assert any("pan: its zero cannot be told from camera's" in line for line in text)
+
+
+def test_a_file_keeps_it_to_the_last_bit(learned, tmp_path):
+    files.save(learned.model, tmp_path / "body.npz")
+    found, x = files.load(tmp_path / "body.npz"), robots.angles(5, seed=4)
+    both = (one.senses["effector"].predict(x) for one in (found, learned.model))
+    for one, other in zip(*both, strict=True):
+        assert np.array_equal(one, other)
+    files.save(found, tmp_path / "again.npz")
+    assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "body.npz").read_bytes()
+
+
+BROKEN = {
+    "steps": lambda steps: np.where(np.arange(4) == 0, 7.0, steps),
+    "doubt": lambda doubt: doubt[:-1],
+    "point": lambda point: point + 3,
+    "root": lambda root: root * np.nan,
+}
+
+
+@pytest.mark.parametrize("field", BROKEN)
+def test_a_file_that_contradicts_itself_is_refused_by_field(learned, tmp_path, field, monkeypatch):
+    from bodylog.body import kinematic_file
+
+    arrays = kinematic_file.arrays
+    monkeypatch.setattr(kinematic_file, "arrays", lambda one: (a := arrays(one)) | {field: BROKEN[field](a[field])})
+    files.save(learned.model, tmp_path / "body.npz")
+    with pytest.raises(ModelError, match="field effector"):
+        files.load(tmp_path / "body.npz")
+
+
+OTHERS = {
+    "wrong axis": ARM.replace('<axis xyz="0.1 1 0"/>', '<axis xyz="1 0 0.1"/>'),
+    "no lengths": ARM.replace("0 -0.05 0.4", "0 0 0").replace("0 0 0.35", "0 0 0").replace("0 0.1 0", "0 0 0")
+    .replace("0 0 0.3\"", "0 0 0\"").replace("0 0.05 0.1", "0 0 0"),
+    "millimetres": ARM.replace("0 -0.05 0.4", "0 -50 400"),
+    "another joint": ARM.replace('name="lift"', 'name="shoulder"'),
+    "a long arm": ARM.replace("0 -0.05 0.4", "0 -0.0625 0.5"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("which", OTHERS)
+def test_another_robots_urdf_is_named_and_not_used(plain, which):
+    found = learn([features()], Settings(), plain, given(OTHERS[which]))
+    assert found.model is plain.model
+    said = found.findings[-1]
+    assert said.severity == "warning" and said.text.startswith("the URDF is not used: ")
+
+
+def test_a_urdf_without_a_joint_of_the_log_is_refused(plain):
+    text = ARM
+    for name in JOINTS:
+        text = text.replace(f'name="{name}"', f'name="left_{name}"')
+    with pytest.raises(ModelError, match=r"none of the joints that moved \(pan, lift"):
+        learn([features()], Settings(), plain, given(text))
+
+
+def test_an_error_that_lasts_is_found_and_stated():
+    sizes = {}
+    for drift in (0.0, 2.0):
+        some = features(bend=0.0, drift=drift)
+        found = learn([some], Settings(), body.learn([some], Settings(), {}), given())
+        sizes[drift] = {score.name: score.value for score in found.scores}["lasting_error.effector"]
+    assert sizes[0.0] < 0.1 and 0.5 < sizes[2.0] < 4.0
+
+
+def test_without_a_urdf_nothing_changes(plain):
+    assert body.with_kinematics([features()], Settings(), plain, None) is plain
+
+
+def _rows(count=25, unknowns=3):
+    draw = np.random.default_rng(2)
+    x = draw.uniform(-1, 1, (count, 2))
+    spread = independent(np.full((count, 2), 0.1) * [1.0, 2.0])
+    return Rows(x, draw.normal(size=(count, 2)), draw.normal(size=(count, 2, unknowns)), spread)
+
+
+def test_evidence_is_that_of_the_whole_covariance_and_its_gradient_right():
+    rows, kernel = _rows(), Hyper(np.array([0.7, 1.2]), 0.8, 0.2)
+    value, gradient = evidence(kernel.theta, rows)
+    assert value == pytest.approx(_whole(rows, kernel)[0], rel=1e-6)
+    steps = STEP * np.eye(4)
+    numeric = [(evidence(kernel.theta + s, rows)[0] - evidence(kernel.theta - s, rows)[0]) / (2 * STEP) for s in steps]
+    np.testing.assert_allclose(gradient, numeric, rtol=1e-5)
+
+
+def _whole(rows, kernel):
+    """Evidence (nats) and covariance (2n,2n) written out."""
+    n, z = len(rows.x), rows.x / kernel.scales
+    own = se(z, z, kernel.amplitude) + np.diag(rows.spread.diagonal) + kernel.noise * np.eye(n)
+    design = rows.design.transpose(1, 0, 2).reshape(2 * n, -1)
+    cov = np.kron(np.diag(rows.spread.share), own) + design @ design.T
+    residual = rows.residual.T.reshape(-1)
+    fit = residual @ np.linalg.solve(cov, residual) + np.linalg.slogdet(cov)[1] + 2 * n * np.log(2 * np.pi)
+    return -0.5 * fit, cov
+
+
+def test_held_out_is_what_the_others_foretell():
+    rows, kernel = _rows(), Hyper(np.array([0.7, 1.2]), 0.8, 0.2)
+    z = rows.x / kernel.scales
+    chol = cholesky(se(z, z, kernel.amplitude), rows.spread, kernel.noise)
+    blocks = np.arange(25) // 5
+    residual, variance = held_out(chol, rows, blocks)
+    cov, y = _whole(rows, kernel)[1], rows.residual.T.reshape(-1)
+    out = np.tile(blocks == 2, 2)
+    gain = cov[np.ix_(out, ~out)] @ np.linalg.inv(cov[np.ix_(~out, ~out)])
+    np.testing.assert_allclose(residual[blocks == 2].T.reshape(-1), y[out] - gain @ y[~out], rtol=1e-6)
+    left = np.diag(cov[np.ix_(out, out)] - gain @ cov[np.ix_(~out, out)])
+    np.testing.assert_allclose(variance[blocks == 2].T.reshape(-1), left, rtol=1e-6)
+    assert solved(chol, replace(rows, residual=0 * rows.residual)).mean == pytest.approx(np.zeros(3))
+
+
+def test_the_plain_body_is_a_process_still(plain):
+    assert type(plain.model.senses["effector"]) is GP

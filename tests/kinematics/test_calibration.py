@@ -1,0 +1,169 @@
+"""θ from sightings: as the data was made, as sure as it says, on the right links, and silent of what cannot be told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.kinematics import identifiability, urdf
+from bodylog.kinematics.calibration import Sighted, calibrate
+from bodylog.kinematics.links import CameraHint, Track, find
+from bodylog.kinematics.rig import Camera, Carrier, Rig, Sight
+from bodylog.kinematics.rotations import exponential, transform
+from bodylog.kinematics.starts import hand_eye, planar, resection, starts
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM, JOINTS
+
+DEGREE = np.radians(1.0)
+SEEDS = range(12)
+
+
+def solve(rig, data):
+    anchored, first = starts(rig, [data])
+    return calibrate(anchored, [data], first)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_next_poses_are_foretold_from_forty(known):
+    rig = robots.rig(known=known)
+    theta = robots.truth(rig, {"elbow": 2 * DEGREE})
+    found = solve(rig, robots.seen(rig, theta, robots.angles(40), 0.3))
+    q = robots.angles(200, seed=9)
+    there = found.rig.see(found.rig.sights[0], found.theta, q).image
+    error = there - rig.see(rig.sights[0], theta, q).image
+    assert np.sqrt(np.square(error).mean()) < 0.35
+    assert 0.2 < np.sqrt(found.noise) < 0.4
+
+
+def test_offsets_are_as_far_off_as_they_say():
+    """NEES near 1 over seeds, of the zeros that are identifiable."""
+    squares = []
+    for seed in SEEDS:
+        rig = robots.rig()
+        mean, std = rig.prior
+        draw = np.random.default_rng(100 + seed)
+        theta = mean + std * draw.normal(size=len(mean)) * np.where(std > 0.2, 0.1, 1.0)
+        theta[rig.of_joints] = draw.normal(0.0, 2 * DEGREE, 4)
+        found = solve(rig, robots.seen(rig, theta, robots.angles(40, seed=seed), 0.3, seed=seed))
+        part = slice(rig.of_joints.start + 1, rig.of_joints.start + 3)  # lift and elbow
+        off = found.theta[part] - theta[part]
+        squares.append(off @ np.linalg.solve(found.covariance[part, part], off) / 2)
+    assert 0.6 < np.mean(squares) < 1.6  # 24 degrees of freedom: 1 ± 0.3
+
+
+def test_false_sightings_do_not_move_it():
+    rig = robots.rig()
+    theta = robots.truth(rig)
+    data = robots.seen(rig, theta, robots.angles(60), 0.3)
+    clean = solve(rig, data)
+    image = data.image.copy()
+    image[::10] += 80.0
+    image[5] = np.nan
+    found = solve(rig, replace(data, image=image))
+    assert np.array_equal(np.flatnonzero(found.weights[0][:, 0] < 0.5), [0, 5, 10, 20, 30, 40, 50])
+    part = rig.of_joints
+    moved = (found.theta - clean.theta)[part] / np.sqrt(np.diag(found.covariance))[part]
+    assert np.abs(moved).max() < 1.0
+
+
+def test_what_cannot_be_told_is_named_and_not_numbered():
+    rig = robots.rig(known=False)
+    found = solve(rig, robots.seen(rig, robots.truth(rig), robots.angles(80), 0.3))
+    offsets = {one.joint: one for one in identifiability.offsets(found.rig, found.theta, found.covariance)}
+    assert [name for name, one in offsets.items() if one.identifiable] == ["lift", "elbow"]
+    text = "; ".join(identifiability.said(list(offsets.values())))
+    assert "pan: its zero cannot be told from camera's" in text and "turn about the z axis of base" in text
+    assert "wrist: its zero cannot be told from point's place" in text
+
+
+def test_an_offset_prior_of_zero_turns_offsets_off():
+    rig = robots.rig(doubt=1e-9)
+    found = solve(rig, robots.seen(rig, robots.truth(rig), robots.angles(40), 0.3))
+    assert np.abs(found.theta[rig.of_joints]).max() < 1e-8
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_links_of_camera_and_marker_are_found_by_evidence(swapped):
+    robot = urdf.parse(ARM, "arm.urdf")
+    rig = robots.rig(known=False)
+    theta = robots.truth(rig)
+    data = robots.seen(rig, theta, robots.angles(60), 0.3)
+    if swapped:  # the camera on the tool looks at a point beside the base
+        data = _eye_in_hand(robots.angles(60))
+    track = Track("", "point", data)
+    found = find(robot, JOINTS, {}, {"point": track}, {"": CameraHint(size=(640, 480))}, 5 * DEGREE)
+    best = found.calibrated.rig
+    links = best.cameras[0].link, best.carriers[0].link
+    assert links == (("hand", "base") if swapped else ("base", "hand"))
+    assert found.margin is not None and found.margin > 20 and np.sqrt(found.calibrated.noise) < 0.5
+
+
+def _eye_in_hand(q):
+    robot = urdf.parse(ARM, "arm.urdf")
+    from bodylog.kinematics.chain import between
+
+    chain = between(robot, "tool", "base").over(JOINTS)
+    place = chain.at(np.median(q, axis=0)[None])
+    target = np.array([0.6, 0.2, 0.0])
+    inside = place.rotation[0] @ target + place.place[0]
+    axis = inside / np.linalg.norm(inside)
+    from bodylog.kinematics.rotations import from_z
+
+    anchor = transform(from_z(axis).T, np.zeros(3))
+    doubt = np.ones(12)
+    rig = Rig(
+        (Camera("c", "tool", anchor, np.array([np.log(600.0), 0.0, 320.0, 240.0, 0.0, 0.0]), doubt),),
+        (Carrier("p", "base", transform(np.eye(3), target), np.ones(3)),),
+        (Sight("s", 0, 0, chain),),
+        JOINTS,
+        np.ones(4),
+    )
+    return robots.seen(rig, rig.prior[0], q, 0.3)
+
+
+def test_a_board_on_the_hand_is_found_from_nothing_but_its_corners():
+    rig = _board()
+    theta = rig.prior[0].copy()
+    theta[rig.of_joints] = np.array([0.0, 1.0, -1.5, 0.0]) * DEGREE
+    q = robots.angles(25)
+    image = rig.see(rig.sights[0], theta, q).image + np.random.default_rng(3).normal(0.0, 0.2, (25, 12, 2))
+    image[np.random.default_rng(4).random((25, 12)) < 0.2] = np.nan
+    blind = replace(
+        rig,
+        cameras=(replace(rig.cameras[0], anchor=np.eye(4)),),
+        carriers=(replace(rig.carriers[0], anchor=np.eye(4)),),
+    )
+    found = solve(blind, Sighted(q, image, np.zeros(image.shape)))
+    assert 0.15 < np.sqrt(found.noise) < 0.25
+    offsets = {one.joint: one for one in identifiability.offsets(found.rig, found.theta, found.covariance)}
+    assert not offsets["pan"].identifiable and not offsets["wrist"].identifiable
+    for name, true in (("lift", 1.0), ("elbow", -1.5)):
+        assert offsets[name].identifiable and offsets[name].std < 0.3 * DEGREE
+        assert abs(offsets[name].value - true * DEGREE) < 3 * offsets[name].std
+
+
+def _board():
+    rig = robots.rig(known=False)
+    grid = np.stack(np.meshgrid(np.arange(4), np.arange(3)), axis=-1).reshape(-1, 2) * 0.05
+    points = np.column_stack([grid, np.zeros(12)])
+    camera = replace(rig.cameras[0], anchor=robots.camera_pose())
+    anchor = transform(exponential(np.array([0.2, 0.3, -0.4])), np.array([0.02, 0.0, 0.05]))
+    board = Carrier("board", "tool", anchor, np.full(6, 10.0))
+    sight = Sight("board", 0, 0, rig.sights[0].chain, points)
+    return Rig((camera,), (board,), (sight,), JOINTS, rig.doubt)
+
+
+def test_starts_are_exact_where_nothing_is_noise():
+    draw = np.random.default_rng(5)
+    pose = transform(exponential(draw.normal(size=3)), np.array([0.1, -0.2, 3.0]))
+    points = draw.uniform(-1, 1, (20, 3))
+    inside = points @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(resection(points, inside[:, :2] / inside[:, 2:]), pose, atol=1e-6)
+    assert resection(points[:4], points[:4, :2]) is None
+    flat = points * [1.0, 1.0, 0.0]
+    inside = flat @ pose[:3, :3].T + pose[:3, 3]
+    np.testing.assert_allclose(planar(flat, inside[:, :2] / inside[:, 2:]), pose, atol=1e-6)
+    x, z = (transform(exponential(draw.normal(size=3)), draw.normal(size=3)) for _ in range(2))
+    links = [transform(exponential(draw.normal(size=3)), draw.normal(size=3)) for _ in range(8)]
+    found = hand_eye([x @ link @ z for link in links], links)
+    np.testing.assert_allclose(found, (x, z), atol=1e-6)

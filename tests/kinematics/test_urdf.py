@@ -1,0 +1,64 @@
+"""What a URDF says, and what is refused of it by name."""
+
+import numpy as np
+import pytest
+
+from bodylog.errors import FormatError
+from bodylog.kinematics import urdf
+from tests.kinematics.robots import ARM, MIXED
+
+
+def test_joints_and_links_are_read_with_unit_axes():
+    robot = urdf.parse(ARM, "arm.urdf")
+    assert robot.root == "base" and robot.by_name["lift"].axis.tolist() == [0.0, 1.0, 0.0]
+    follower = urdf.parse(MIXED, "m.urdf").by_name["follower"].mimic
+    assert follower is not None and (follower.joint, follower.multiplier, follower.offset) == ("turn", -0.5, 0.1)
+
+
+LIES = {
+    "type is 'screw'": ARM.replace('type="continuous"', 'type="screw"'),
+    "axis is '0 0 0'": ARM.replace('axis xyz="0 2 0"', 'axis xyz="0 0 0"'),
+    "xyz is '0 0 nan'": ARM.replace('xyz="0 0 0.3"', 'xyz="0 0 nan"'),
+    "possible: 3 finite": ARM.replace('rpy="0.1 0 0"', 'rpy="0.1 0"'),
+    "link 'gone', which is not declared": ARM.replace('link="tool"/></joint>', 'link="gone"/></joint>'),
+    "hangs on two joints": ARM.replace('link="tool"/></joint>', 'link="turret"/></joint>'),
+    "in a loop": ARM.replace('parent link="base"', 'parent link="tool"'),
+    "link 'hand' is declared twice": ARM.replace('<link name="base"/>', '<link name="base"/><link name="hand"/>'),
+    "hang on no joint": ARM.replace('<link name="base"/>', '<link name="base"/><link name="lonely"/>'),
+    "joint 'flange': has no <parent": ARM.replace('<parent link="hand"/>', ""),
+    "mimics 'nobody'": MIXED.replace('mimic joint="turn"', 'mimic joint="nobody"'),
+    "mimics itself": MIXED.replace('mimic joint="turn"', 'mimic joint="follower"'),
+    "begins with <sdf>": "<sdf/>",
+    "not XML": "a: 1",
+    "xacro": ARM.replace('name="arm">', 'name="arm" xmlns:xacro="x"><xacro:macro/>'),
+    "DOCTYPE": '<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot>&b;</robot>',
+    "has no <link>": "<robot/>",
+}
+
+
+@pytest.mark.parametrize("why", LIES)
+def test_lies_are_refused_in_one_line_that_names_the_file(why):
+    with pytest.raises(FormatError) as refused:
+        urdf.parse(LIES[why], "arm.urdf")
+    text = str(refused.value)
+    assert text.startswith("arm.urdf: ") and why in text and "\n" not in text
+
+
+def test_lengths_that_no_robot_has_are_named():
+    assert urdf.implausible(urdf.parse(ARM, "arm.urdf")) is None
+    millimetres = ARM.replace('xyz="0 -0.05 0.4"', 'xyz="0 -50 400"')
+    assert "'elbow' stands 403 m" in str(urdf.implausible(urdf.parse(millimetres, "arm.urdf")))
+    robot = urdf.parse(ARM, "arm.urdf")
+    for joint in robot.joints:
+        joint.origin[:3, 3] = 0.0
+    assert "no" in str(urdf.implausible(robot)) and "origin" in str(urdf.implausible(robot))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(FormatError, match="cannot be read"):
+        urdf.load(tmp_path / "none.urdf")
+
+
+def test_parsed_twice_is_the_same():
+    first, second = (urdf.parse(MIXED, "m") for _ in range(2))
+    assert all(np.array_equal(a.origin, b.origin) for a, b in zip(first.joints, second.joints, strict=True))
