@@ -15,7 +15,7 @@ LAYERS = (
     {*RECORDS, *SHARED, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},
     STAGES,
-    {"live", "dates", "inventory", "joints_only", "robots", "refusals", "remarks", "scoring", "sought"},
+    {"live", "dates", "inventory", "joints_only", "robots", "zeros", "refusals", "remarks", "scoring", "sought"},
     {"pipeline"},
     {"present", "comparison"},
     {"batch", "experiments"},

@@ -71,15 +71,20 @@ class Robot:
 
 def load(path: Path) -> Robot:
     """Read a URDF file; FormatError says what is wrong with it."""
+    return parse(text(path), str(path))
+
+
+def text(path: Path) -> str:
+    """A URDF's text; FormatError where it cannot be read."""
     try:
-        return parse(read_text(path, _MOST_BYTES), str(path))
+        return read_text(path, _MOST_BYTES)
     except (OSError, UnicodeDecodeError) as problem:
         raise FormatError(f"{path}: cannot be read as a URDF ({problem})") from problem
 
 
-def parse(text: str, source: str) -> Robot:
+def parse(said: str, source: str) -> Robot:
     """A URDF's text as a Robot; FormatError, beginning with `source`, says what is wrong with it."""
-    root = _element(text, source)
+    root = element(said, source)
     if root.tag != "robot":
         raise FormatError(f"{source}: the XML begins with <{root.tag[:40]}>; a URDF begins with <robot>")
     if any("xacro" in str(child.tag) for child in root):
@@ -94,7 +99,7 @@ def parse(text: str, source: str) -> Robot:
     return robot
 
 
-def _element(text: str, source: str) -> "Element":
+def element(said: str, source: str) -> "Element":
     """The XML's root; entities, which may grow without bound or read files, are refused with their declaration."""
     from xml.etree.ElementTree import TreeBuilder
     from xml.parsers import expat
@@ -106,7 +111,7 @@ def _element(text: str, source: str) -> "Element":
     parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
-        parser.Parse(text.encode(), True)
+        parser.Parse(said.encode(), True)
     except expat.ExpatError as problem:
         raise FormatError(f"{source}: not XML ({problem}); give a URDF file") from problem
     return builder.close()

@@ -16,17 +16,22 @@ STEP = 1e-6
 )
 def test_poses_are_those_of_another_library(text, start, end, tmp_path):
     pybullet = pytest.importorskip("pybullet")
-    limits = '<limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'  # without which it reads none
-    (tmp_path / "robot.urdf").write_text(text.replace("</joint>", limits))
     chain = between(urdf.parse(text, "r"), start, end)
+    for q in np.random.default_rng(3).uniform(-1.5, 1.5, (3, len(chain.joints))):
+        ends = ends_of(pybullet, text, dict(zip(chain.joints, q, strict=True)), tmp_path)
+        pose, poses = np.linalg.inv(ends[start]) @ ends[end], chain.at(q[None])
+        np.testing.assert_allclose(poses.rotation[0], pose[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(poses.place[0], pose[:3, 3], atol=1e-6)
+
+
+def ends_of(pybullet, text, angles, folder):
+    """Poses (4,4) of all links in the base, by PyBullet."""
+    limits = '<limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'  # without which it reads none
+    (folder / "robot.urdf").write_text(text.replace("</joint>", limits))
     client = pybullet.connect(pybullet.DIRECT)
     try:
-        body = pybullet.loadURDF(str(tmp_path / "robot.urdf"), useFixedBase=True, physicsClientId=client)
-        for q in np.random.default_rng(3).uniform(-1.5, 1.5, (5, len(chain.joints))):
-            ends = _linked(pybullet, client, body, dict(zip(chain.joints, q, strict=True)))
-            pose, poses = np.linalg.inv(ends[start]) @ ends[end], chain.at(q[None])
-            np.testing.assert_allclose(poses.rotation[0], pose[:3, :3], atol=1e-6)
-            np.testing.assert_allclose(poses.place[0], pose[:3, 3], atol=1e-6)
+        body = pybullet.loadURDF(str(folder / "robot.urdf"), useFixedBase=True, physicsClientId=client)
+        return _linked(pybullet, client, body, angles)
     finally:
         pybullet.disconnect(client)
 

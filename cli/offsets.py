@@ -1,0 +1,33 @@
+"""bodylog offsets."""
+
+from pathlib import Path
+
+import click
+
+from .options import OUT, PATH
+
+
+@click.command(epilog="Example: bodylog offsets body.npz --urdf robot.urdf -o corrected.urdf")
+@click.argument("body", metavar="BODY.npz", type=PATH)
+@click.option("-o", "--output", "out", type=OUT, help="Write them: .yaml, .json, or .urdf with --urdf.")
+@click.option("--urdf", type=PATH, metavar="ROBOT.urdf", help="The URDF to correct.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
+def offsets(body: Path, out: Path | None, urdf: Path | None, as_json: bool) -> int:
+    """How far each joint's zero is off, by a body that was learned with a URDF."""
+    from bodylog import zeros
+
+    from .output import data, line
+
+    found = zeros.zeros(body)
+    if out is not None:
+        zeros.write(found, out, urdf)
+    if as_json:
+        data({"output": None if out is None else str(out), "offsets": zeros.plain(found)})
+        return 0
+    width = max(len(one.joint) for one in found)
+    for one in found:
+        told = one.shown if one.identifiable else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
+        line(f"{one.joint:<{width}}  {told}")
+    if out is not None:
+        line(f"wrote {out}", err=True)
+    return 0

@@ -1,0 +1,34 @@
+"""A corrected URDF at q is the old one at q + zeros, by this program and by another."""
+
+import numpy as np
+import pytest
+
+from bodylog.errors import ModelError
+from bodylog.kinematics import urdf
+from bodylog.kinematics.chain import between
+from bodylog.kinematics.corrected import corrected
+from tests.kinematics.robots import MIXED
+from tests.kinematics.test_chain import ends_of
+
+ZEROS = {"rail": 0.02, "turn": 0.1, "side": -0.2}
+
+
+def test_zeros_move_by_just_what_was_written(tmp_path):
+    text = corrected(MIXED, "m.urdf", ZEROS)
+    for start, end in (("e", "d"), ("a", "c"), ("d", "b")):
+        old, new = (between(urdf.parse(one, "m"), start, end) for one in (MIXED, text))
+        q = np.random.default_rng(1).uniform(-1, 1, (5, len(old.joints)))
+        off = np.array([ZEROS[name] for name in old.joints])
+        np.testing.assert_allclose(new.at(q).place, old.at(q + off).place, atol=1e-12)
+        np.testing.assert_allclose(new.at(q).rotation, old.at(q + off).rotation, atol=1e-12)
+    pybullet = pytest.importorskip("pybullet")
+    angles = {"rail": 0.1, "turn": -0.4, "side": 0.3}
+    moved = {name: angles[name] + ZEROS[name] for name in angles}
+    old, new = ends_of(pybullet, MIXED, moved, tmp_path), ends_of(pybullet, text, angles, tmp_path)
+    for link in ("b", "c", "e"):  # d follows, which PyBullet does not read
+        np.testing.assert_allclose(new[link], old[link], atol=1e-6)
+
+
+def test_a_joint_that_is_not_there_is_named():
+    with pytest.raises(ModelError, match="no joint 'knee'"):
+        corrected(MIXED, "m.urdf", {"knee": 0.1})
