@@ -1,10 +1,12 @@
 """A forward model whose mean is kinematics and a camera, and a Gaussian process on what that leaves."""
 
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
 
+from ..kinematics.instant import Instant, instant
 from ..kinematics.rig import Rig, Seen
 from ..types import Array
 from .gp import GP, se
@@ -38,6 +40,9 @@ class KinematicGP(GP):
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
         x = np.atleast_2d(x)
+        if len(x) == 1:
+            one = self.predict_one(x[0])
+            return one[0][None], one[1][None], one[2][None]
         if len(x) > _ROWS:
             parts = [self.predict(x[start : start + _ROWS]) for start in range(0, len(x), _ROWS)]
             value, slope, spread = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -50,9 +55,11 @@ class KinematicGP(GP):
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         value, slope, spread = super().predict_one(x)
-        seen = self._seen(x[None])
-        unknown = np.square(self._unknown(x[None], seen)).sum(axis=2)[0]
-        return value + seen.image[0, self.point], slope + seen.slope[0, self.point], spread + unknown + self.drift
+        image, by_joints, design = self._instant(x)
+        apart = (self.centres - x) / self.scales[0]
+        kernel = np.exp(-0.5 * (apart * apart).sum(axis=1))
+        unknown = design.dot(self.root) - self._leaning.dot(kernel).reshape(len(image), -1)
+        return value + image, slope + by_joints, spread + (unknown * unknown).sum(axis=1) + self.drift
 
     def means(self, x: Array) -> tuple[Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
@@ -83,6 +90,15 @@ class KinematicGP(GP):
         """The joints' zeros (M,) rad or m, and their covariance (M,M)."""
         part = self.rig.of_joints
         return self.theta[part], np.asarray(self.root[part] @ self.root[part].T)
+
+    @cached_property
+    def _instant(self) -> Instant:
+        return instant(self.rig, self.theta, self.point)
+
+    @cached_property
+    def _leaning(self) -> Array:
+        """lean as rows (D p,n), of a kernel of amplitude 1."""
+        return np.ascontiguousarray(self.lean.reshape(-1, self.lean.shape[2]) * self.amplitude[0])
 
     def _seen(self, x: Array) -> Seen:
         return self.rig.see(self.rig.sights[0], self.theta, x)

@@ -1,5 +1,7 @@
 """Small robots, and what a camera sees of them, for tests."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from bodylog.kinematics import urdf
@@ -54,6 +56,18 @@ def rig(doubt: float = np.radians(5.0), known: bool = True, text: str = ARM) -> 
     return Rig((camera,), (Carrier("point", "tool", np.eye(4), np.full(3, 0.3)),), (sight,), JOINTS, np.full(4, doubt))
 
 
+def board() -> Rig:
+    """The same with a flat board of 4 × 3 corners on the tool, at a pose that is unknown, before an unknown camera."""
+    one = rig(known=False)
+    grid = np.stack(np.meshgrid(np.arange(4), np.arange(3)), axis=-1).reshape(-1, 2) * 0.05
+    points = np.column_stack([grid, np.zeros(12)])
+    camera = replace(one.cameras[0], anchor=camera_pose())
+    anchor = transform(exponential(np.array([0.2, 0.3, -0.4])), np.array([0.02, 0.0, 0.05]))
+    carrier = Carrier("board", "tool", anchor, np.full(6, 10.0))
+    sight = Sight("board", 0, 0, one.sights[0].chain, points)
+    return Rig((camera,), (carrier,), (sight,), JOINTS, one.doubt)
+
+
 def camera_pose() -> np.ndarray:
     """The base in the camera (4,4): 1.8 m away, the camera upright and level."""
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
@@ -68,7 +82,7 @@ def truth(one: Rig, offsets: dict[str, float] | None = None, seed: int = 0) -> n
     if std[0] > 1.0:
         anchor = camera_pose()
         theta[:6] = np.concatenate([anchor[:3, 3], [0.0, 0.0, 0.0]])
-    theta[one.of_carrier(0)] = [0.02, -0.03, 0.02]
+    theta[one.of_carrier(0)][:3] = [0.02, -0.03, 0.02]
     theta[one.of_joints] = [(offsets or {}).get(name, 0.0) for name in one.joints]
     return theta
 

@@ -12,7 +12,7 @@ from bodylog.kinematics.rig import Camera, Carrier, Rig, Sight
 from bodylog.kinematics.rotations import exponential, transform
 from bodylog.kinematics.starts import hand_eye, planar, resection, starts
 from tests.kinematics import robots
-from tests.kinematics.robots import ARM, JOINTS
+from tests.kinematics.robots import ARM, JOINTS, board
 
 DEGREE = np.radians(1.0)
 SEEDS = range(12)
@@ -122,7 +122,7 @@ def _eye_in_hand(q):
 
 
 def test_a_board_on_the_hand_is_found_from_nothing_but_its_corners():
-    rig = _board()
+    rig = board()
     theta = rig.prior[0].copy()
     theta[rig.of_joints] = np.array([0.0, 1.0, -1.5, 0.0]) * DEGREE
     q = robots.angles(25)
@@ -140,17 +140,6 @@ def test_a_board_on_the_hand_is_found_from_nothing_but_its_corners():
     for name, true in (("lift", 1.0), ("elbow", -1.5)):
         assert offsets[name].identifiable and offsets[name].std < 0.3 * DEGREE
         assert abs(offsets[name].value - true * DEGREE) < 3 * offsets[name].std
-
-
-def _board():
-    rig = robots.rig(known=False)
-    grid = np.stack(np.meshgrid(np.arange(4), np.arange(3)), axis=-1).reshape(-1, 2) * 0.05
-    points = np.column_stack([grid, np.zeros(12)])
-    camera = replace(rig.cameras[0], anchor=robots.camera_pose())
-    anchor = transform(exponential(np.array([0.2, 0.3, -0.4])), np.array([0.02, 0.0, 0.05]))
-    board = Carrier("board", "tool", anchor, np.full(6, 10.0))
-    sight = Sight("board", 0, 0, rig.sights[0].chain, points)
-    return Rig((camera,), (board,), (sight,), JOINTS, rig.doubt)
 
 
 def test_starts_are_exact_where_nothing_is_noise():

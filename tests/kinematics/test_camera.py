@@ -6,7 +6,9 @@ from hypothesis import strategies as st
 
 from bodylog.kinematics import rotations
 from bodylog.kinematics.camera import lens, project
+from bodylog.kinematics.instant import instant
 from tests.kinematics import robots
+from tests.kinematics.robots import board
 
 STEP = 1e-6
 VECTORS = st.tuples(*[st.floats(-3.0, 3.0)] * 3).map(np.array)
@@ -54,6 +56,20 @@ def test_projection_is_a_pinholes_and_its_slopes_finite_differences():
         step = STEP * np.eye(6)[k]
         numeric = (project(points, numbers + step)[0] - project(points, numbers - step)[0]) / (2 * STEP)
         np.testing.assert_allclose(by_lens[..., k], numeric, atol=1e-4)
+
+
+def test_one_posture_is_as_many():
+    boarded = board()
+    for rig, point in ((robots.rig(), 0), (boarded, 5)):
+        theta = robots.truth(rig, {"lift": 0.1})
+        theta[3:6] += [0.1, -0.2, 0.3]
+        theta[rig.of_carrier(0)] += 0.05
+        at, q = instant(rig, theta, point), robots.angles(4)
+        seen = rig.see(rig.sights[0], theta, q)
+        for k in range(4):
+            many = (seen.image[k, point], seen.slope[k, point], seen.design[k, point])
+            for one, other in zip(at(q[k]), many, strict=True):
+                np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7)
 
 
 def test_a_rigs_slopes_are_finite_differences():
