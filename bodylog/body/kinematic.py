@@ -13,6 +13,7 @@ from ..kinematics.urdf import Robot, implausible
 from ..settings import Settings
 from ..threads import one_thread
 from ..types import Features, Finding
+from . import encoders
 from .gp import GP
 from .kinematic_gp import KinematicGP
 from .kinematic_scores import findings, gain, scores, zeros
@@ -86,7 +87,8 @@ def _track(name: str, part: Pairs) -> Track:
 def _still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
     """The median angle, rad, of joints that are heard and did not move."""
     found: dict[str, float] = {}
-    for series in (f.joints for f in features if f.joints is not None):
+    told = (encoders.referred(one, None).joints for one in features)
+    for series in (joints for joints in told if joints is not None):
         for name, column in zip(series.names, series.values.T, strict=True):
             if name not in names and np.isfinite(column).any():
                 found.setdefault(name, float(np.nanmedian(column)))

@@ -54,6 +54,9 @@ def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) 
     for sight in rig.sights:
         camera, marker = rig.cameras[sight.camera].link, rig.carriers[sight.carrier].link
         yield Finding("info", f"{sight.name.strip('/')}: camera on {camera}, marker on {marker}{sure}")
+    for name in links.lacking:
+        text = f"{name}: stands between camera and marker and is not in the log; it is taken to stand at zero"
+        yield Finding("warning", text)
     for name, nats in gains.items():
         yield Finding("info", f"{name}: {nats:.0f} nats likelier with the URDF")
     for one in found:

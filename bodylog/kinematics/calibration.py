@@ -44,12 +44,6 @@ class Calibrated:
     weights: tuple[Array, ...]
     evidence: float
 
-    def rms(self, data: Sequence[Sighted]) -> float:
-        """Root mean square residual (px, per axis) of sightings that count."""
-        left = zip(self.weights, residuals(self.rig, self.theta, data), strict=True)
-        total = sum(float(np.nansum(w[..., None] * np.square(r))) for w, r in left)
-        return float(np.sqrt(total / max(2.0 * sum(float(w.sum()) for w in self.weights), 1.0)))
-
 
 def residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
     """Measured minus expected (N,C,2) px of each sight; NaN where unseen."""

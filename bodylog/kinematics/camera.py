@@ -4,15 +4,12 @@ import numpy as np
 
 from ..types import Array
 
-LENS = ("focal length", "aspect ratio", "centre u", "centre v", "distortion k1", "distortion k2")
-"""What the six numbers of a lens are: ln f (px), ln of fv over fu, centre (px), k1, k2."""
-
 NEAREST = 0.02
 """m: depth is held above this, so that a search can pass a point that lies behind the camera."""
 
 
 def lens(focal: float, width: float, height: float) -> Array:
-    """The six numbers of a lens without distortion, focal length and image size in px."""
+    """Six numbers, ln f (px), ln of fv over fu, centre (px), k1, k2: of a lens without distortion; all given in px."""
     return np.array([np.log(focal), 0.0, width / 2.0, height / 2.0, 0.0, 0.0])
 
 

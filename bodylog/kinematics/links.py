@@ -56,10 +56,14 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The rig chosen, its calibration, and by how many nats it is likelier than the next that was tried (or None)."""
+    """The rig chosen, its calibration, and by how many nats it is likelier than the next that was tried (or None).
+
+    lacking: joints on the way that the log lacks, taken to stand at zero.
+    """
 
     calibrated: Calibrated
     margin: float | None
+    lacking: tuple[str, ...]
 
 
 def find(
@@ -89,7 +93,8 @@ def find(
         data = [one.data for one in tracks.values()]
         rig, first = starts(rig, data)
         best = calibrate(rig, data, first)
-    return Found(best, margin)
+    ways = [space.lacking(sight.chain.start, sight.chain.end) for sight in best.rig.sights]
+    return Found(best, margin, tuple(dict.fromkeys(name for way in ways for name in way)))
 
 
 def _likeliest(

@@ -6,11 +6,9 @@ from functools import cached_property
 import numpy as np
 
 from ..types import Array
-from .camera import LENS, project
+from .camera import project
 from .chain import Chain
 from .rotations import exponential, left_jacobian, skew, transform
-
-POSE = ("x", "y", "z", "turn about x", "turn about y", "turn about z")
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +74,6 @@ class Rig:
         mean += [np.zeros(len(one.doubt)) for one in self.carriers]
         std = [*(one.doubt for one in self.cameras), *(one.doubt for one in self.carriers)]
         return np.concatenate([*mean, np.zeros(len(self.joints))]), np.concatenate([*std, self.doubt])
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """What each of θ is, in words."""
-        cameras = [f"{c.name}'s {part}" for c in self.cameras for part in (*POSE, *LENS)]
-        carriers = [f"{c.name}'s {part}" for c in self.carriers for part in POSE[: len(c.doubt)]]
-        return (*cameras, *carriers, *(f"{name}'s zero" for name in self.joints))
 
     def of_camera(self, index: int) -> slice:
         """Where the 12 of a camera stand in θ."""

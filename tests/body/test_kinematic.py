@@ -152,6 +152,17 @@ def test_another_robots_urdf_is_named_and_not_used(plain, which):
     assert said.severity == "warning" and said.text.startswith("the URDF is not used: ")
 
 
+def test_a_joint_that_the_log_lacks_is_named(plain):
+    lifted = ARM.replace('<link name="base"/>', '<link name="base"/><link name="rail"/>').replace(
+        '<joint name="lift"',
+        '<joint name="lifter" type="prismatic"><parent link="rail"/><child link="turret"/></joint><joint name="lift"',
+    )
+    lifted = lifted.replace('<child link="turret"/>\n', '<child link="rail"/>\n')
+    found = learn([features()], Settings(), plain, given(lifted))
+    assert found.model is not plain.model
+    assert any(f.severity == "warning" and f.text.startswith("lifter: stands between") for f in found.findings)
+
+
 def test_a_urdf_without_a_joint_of_the_log_is_refused(plain):
     text = ARM
     for name in JOINTS:
