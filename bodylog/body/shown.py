@@ -8,6 +8,7 @@ from ..settings import Fit
 from ..types import Features, Finding
 from .coverage import influence
 from .evidence import ROTATION
+from .holdout import residuals
 from .pairs import Joint, Pairs, pairs
 from .select import farthest
 from .train import Samples, assemble, fitted
@@ -19,7 +20,7 @@ SAMPLES, FEWEST = 200, 8
 def shown(
     features: Sequence[Features], chosen: Sequence[Joint], fit: Fit
 ) -> tuple[list[Joint], list[Finding]]:
-    """The chosen joints without those found beside the first topic's that move no track by more than its noise.
+    """The chosen joints without those found beside the first topic's that move no track by more than the model misses.
 
     A gripper's fingers on a topic of their own are no part of where the arm is seen.
     """
@@ -38,9 +39,10 @@ def shown(
 
 
 def _moving(part: Pairs, chosen: Sequence[Joint], fit: Fit) -> set[str]:
-    """The joints whose own motion moves a track by more than its noise."""
+    """The joints whose own motion moves a track by more than the model misses of sightings left out one by one."""
     part = part.rows(farthest(part.x, SAMPLES))
     data = Samples(part.x, part.y, part.floor, part.variance)
-    gp = assemble(data, fitted(data, ROTATION, True, fit.seed), ("u", "v"), "px")
-    least = float(np.sqrt(np.mean(gp.noise + part.floor.mean(axis=0))))
+    kernels = fitted(data, ROTATION, True, fit.seed)
+    gp = assemble(data, kernels, ("u", "v"), "px")
+    least = float(np.sqrt(np.mean(residuals(data, kernels, np.arange(len(data.x)))[0] ** 2)))
     return {joint.name for joint, size in zip(chosen, influence(gp), strict=True) if size > least}

@@ -1,12 +1,19 @@
 """Joints found beside the first topic's are learned over only where a track shows their motion."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from bodylog import body
+from bodylog.body.pairs import joints, moves
+from bodylog.body.shown import shown
+from bodylog.logs import recording
 from bodylog.settings import Body, Settings
 from bodylog.types import Features, Series
+
+WORLDS = Path(__file__).parents[2].parent / "shared" / "logs" / "worlds"
 
 
 def _beside(features: Features, finger: np.ndarray, name: str) -> Features:
@@ -42,3 +49,16 @@ def test_a_joint_of_a_further_topic_that_is_seen_is_learned_over(explored):
     without = replace(alone, joints=replace(old, values=old.values[:, kept], names=tuple(old.names[k] for k in kept)))
     both = _beside(without, old.values[:, 2], "elbow")
     assert set(body.learn([both], Settings(), {}).model.joints) == {"pan", "lift", "elbow"}
+
+
+def test_a_gripper_beside_a_track_of_hardly_any_noise_is_left_out():
+    """A process fits the fingers' motion to what little it misses, which is more than a tag's noise."""
+    if not WORLDS.is_dir():
+        pytest.skip(f"{WORLDS} is not here")
+    read, truth = recording.read(WORLDS / "tag_explore", Settings()), np.load(WORLDS / "tag_explore.truth.npz")
+    t = truth["t_frame"] + (float(truth["start"]) if truth["t_frame"][0] < 1e8 else 0.0) / 1e9 - read.start_ns / 1e9
+    places = np.where(truth["seen"][:, None] > 0.5, truth["uv"], np.nan)
+    track = Series(t, places, ("u", "v"), "px", np.rint(t * 1e9).astype(np.int64), np.full(places.shape, 0.01))
+    found = Features(read.joints, {"effector": track}, None, (), (), {}, beside=read.beside)
+    kept, said = shown([found], [j for j in joints([found], None) if moves(j)], Settings().fit)
+    assert len(kept) == 6 and {f.text.split(":")[0] for f in said} == {"left_finger_joint", "right_finger_joint"}
