@@ -20,6 +20,7 @@ MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")
 _MOST_BYTES = 1 << 25
 _MOST_JOINTS = 10_000
+_DEEPEST = 100
 
 
 @dataclass(frozen=True)
@@ -107,11 +108,21 @@ def element(said: str, source: str) -> "Element":
     def refuse(*_: object) -> None:
         raise FormatError(f"{source}: holds a <!DOCTYPE>, which no URDF needs; remove it")
 
-    builder, parser = TreeBuilder(), expat.ParserCreate()
-    parser.StartElementHandler, parser.EndElementHandler = builder.start, builder.end
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        open_.append(tag)
+        if len(open_) > _DEEPEST:
+            raise FormatError(f"{source}: elements stand {_DEEPEST} deep in one another; give a URDF file")
+        builder.start(tag, attributes)
+
+    def end(tag: str) -> None:
+        open_.pop()
+        builder.end(tag)
+
+    builder, parser, open_ = TreeBuilder(), expat.ParserCreate("utf-8"), list[str]()
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
-        parser.Parse(said.encode(), True)
+        parser.Parse(said.encode("utf-8", "replace"), True)
     except expat.ExpatError as problem:
         raise FormatError(f"{source}: not XML ({problem}); give a URDF file") from problem
     return builder.close()

@@ -33,6 +33,8 @@ LIES = {
     "xacro": ARM.replace('name="arm">', 'name="arm" xmlns:xacro="x"><xacro:macro/>'),
     "DOCTYPE": '<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><robot>&b;</robot>',
     "has no <link>": "<robot/>",
+    "100 deep": "<robot>" + "<a>" * 100_000 + "</a>" * 100_000 + "</robot>",
+    "not XML (": ARM.replace("arm", "\udc80\x00"),
 }
 
 
