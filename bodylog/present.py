@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import FormatError, LogError
+from .errors import EvidenceError, FormatError, LogError
 from .files import is_archive, made
 from .outputs import Output
 from .pipeline import Progress, Result, doctor, folders, ingest, observe, topic_of
@@ -199,6 +199,8 @@ def features(log: Path, out: Path | None, settings: Settings, effector: tuple[fl
     read = recording.read(log, settings, settings.input.strict)
     with about(log):
         found = survey(read, settings.colours.hand, effector)
+        if not found.candidates:
+            raise EvidenceError(f"no tag and no colour in {found.count} images; mount a printed tag: docs/recording.md")
     rows = [_offered(one, one is found.arm) for one in found.candidates]
     if out is not None:
         marks = [

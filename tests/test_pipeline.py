@@ -63,7 +63,7 @@ def test_encoders_that_read_no_angles_are_scored_by_none():
 
 def test_a_log_without_joints_is_named_when_a_body_shall_be_learned(tmp_path, monkeypatch, arm) -> None:
     read, features = pipeline.observe(arm / "touch.mcap", Settings())
-    monkeypatch.setattr(pipeline, "observe", lambda *_: (read, replace(features, joints=None)))
+    monkeypatch.setattr(pipeline, "observe", lambda *_, **__: (read, replace(features, joints=None)))
     with pytest.raises(LogError, match=r"touch\.mcap: no joint readings to learn from"):
         pipeline.fit([arm / "touch.mcap"], tmp_path / "body.npz", Settings())
     assert not list(tmp_path.iterdir())

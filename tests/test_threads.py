@@ -16,7 +16,7 @@ from bodylog.estimation import METHODS, estimate
 from bodylog.perception import colour
 from bodylog.settings import Estimation, Settings
 from bodylog.threads import later, one_thread
-from bodylog.types import Features, Frame
+from bodylog.types import Features, Frame, Series
 
 
 def _threads() -> list[int]:
@@ -74,7 +74,9 @@ def _running(run, monkeypatch) -> set[int]:
 
 
 def test_bodies_are_learned_and_logs_estimated_on_one_thread(two, monkeypatch) -> None:
-    assert _running(lambda: learn([], Settings(), {}), monkeypatch) == {1}
+    track = Series(np.zeros(0), np.zeros((0, 2)), ("u", "v"), "px", np.zeros(0, np.int64))
+    seen = Features(None, {"effector": track}, None, (), (), {})
+    assert _running(lambda: learn([seen], Settings(), {}), monkeypatch) == {1}
     nothing, nobody = Features(None, {}, None, (), (), {}), SimpleNamespace(joints=(), senses={}, provenance={})
     assert _running(lambda: estimate(nothing, nobody, Estimation()), monkeypatch) == {1}
     assert set(_threads()) == {2}

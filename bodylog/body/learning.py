@@ -126,8 +126,8 @@ def _senses(
 def _nothing_seen(features: Sequence[Features]) -> str:
     """That there is no track at all, and which joints moved."""
     names = restless(features)
-    moved = f"{len(names)} joints moved ({', '.join(names)})" if names else "no joint moved"
-    return f"no track to learn from, though {moved}; type: bodylog info LOG, and name a marker in [features]"
+    moved = f"though {len(names)} joints moved ({', '.join(names)})" if names else "and no joint moved"
+    return f"no track to learn from, {moved}; type: bodylog info LOG, and name a marker in [features]"
 
 
 def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:

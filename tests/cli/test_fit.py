@@ -128,7 +128,7 @@ def _cut(arrays):
 
 DAMAGED = {
     "version": (_header(version=9), "field version: found 9, possible: 1"),
-    "not finite": (_poisoned, "field effector/weights: found nan, possible: finite"),
+    "not finite": (_poisoned, "field effector/weights: found nan, possible: numbers from "),
     "shape": (_cut, "field effector/weights: found shape (2, 5), possible: (2, "),
     "a joint more": (_header(joints=[*JOINTS, "wrist_1_joint"]), "field noise.encoder: "),
 }

@@ -10,6 +10,7 @@ from concurrent.futures import CancelledError
 import pytest
 from mcap.writer import CompressionType
 
+from bodylog import temporary
 from bodylog.errors import LogError
 from bodylog.files import sha256
 from bodylog.logs import annotate, copying
@@ -157,12 +158,13 @@ def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
     assert (tmp_path / "out.mcap").read_bytes() == b"of an earlier run"
 
 
-@pytest.mark.parametrize("number", [os.getpid(), 1], ids=["ours", "another"])
-def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, number):
+@pytest.mark.parametrize(("kernel", "age"), [(temporary.machine(), 0.0), ("0" * 8, 2 * temporary.FOREIGN_S)])
+def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, kernel, age):
     annotate.annotate(log, outgoing(), {}, tmp_path / "plain.mcap")
-    stale = tmp_path / f".out.mcap.{number}.bodylog.part"
+    stale = tmp_path / f".{kernel}-{'a' * 16}{temporary.PART}"
     stale.write_bytes(bytes(2 * log.stat().st_size))
     stale.chmod(0o400)
+    os.utime(stale, (time.time() - age,) * 2)
     annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes() and not stale.exists()
 
