@@ -11,7 +11,7 @@ from . import filtering, kalman, poses, predictive_coding, senses, smoother
 from .alone import joints_body, readings, unlearned_body
 from .dating import as_stamped, dated, unsure
 from .doubts import doubts
-from .finite import finite
+from .finite import finite, solvable
 
 __all__ = ["METHODS", "check", "estimate", "joints_body", "readings", "unlearned_body"]
 
@@ -40,7 +40,8 @@ def estimate(
         return replace(found, findings=(*found.findings, *doubts(found, settings)))
     with one_thread():
         timely = dated(features, body, delay)
-        found = finite(METHODS[settings.method](timely.features, body, settings))
+        with solvable(settings.method):
+            found = finite(METHODS[settings.method](timely.features, body, settings))
     if timely.delays:
         found = unsure(as_stamped(found, features, timely.features), timely)
         told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..types import Array
 from .senses import Encoders, Sighting
+from .timeline import spans
 
 MOST, FEWEST = 600, 20
 """Means at most, evenly spread, and at least."""
@@ -133,16 +134,16 @@ def _sound(seen: Sighting) -> tuple[Array, Array, Array]:
 
 def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
     """Mean times (B,), angles (B,M) and number (B,M) of readings in spans `width` s long, in which all joints spoke."""
-    begins = np.arange(encoders.t[0], encoders.t[-1], width)
+    begins = spans(encoders.t, width)
     begins = begins[:: max(1, -(-len(begins) // most))]
     low, high = np.searchsorted(encoders.t, begins), np.searchsorted(encoders.t, begins + width)
-    spans = np.stack([low, high], axis=1)[high > low].ravel()
+    parted = np.stack([low, high], axis=1)[high > low].ravel()
     # a last row, for spans that end with the log
     since = np.append(encoders.t - encoders.t[0], 0.0)[:, None]
     values = np.append(encoders.values, np.full((1, encoders.values.shape[1]), np.nan), axis=0)
     heard = np.isfinite(values)
     parts = (heard.astype(float), np.where(heard, values, 0.0), heard * since)
-    count, total, time = (np.add.reduceat(part, spans, axis=0)[::2] for part in parts)
+    count, total, time = (np.add.reduceat(part, parted, axis=0)[::2] for part in parts)
     full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
     count, total, time = count[full], total[full], time[full] / count[full]
     together = np.ptp(time, axis=1) < ASIDE

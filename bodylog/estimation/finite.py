@@ -1,6 +1,7 @@
 """The last check of every estimate: a number that is none is an error that names joint, sense and time."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
@@ -18,6 +19,18 @@ def finite(found: Estimate) -> Estimate:
                 f"the readings may contradict each other or the body; type --method kalman, or --without a sense"
             )
     return found
+
+
+@contextmanager
+def solvable(method: str) -> Iterator[None]:
+    """EvidenceError where numbers break down before there is an estimate."""
+    try:
+        yield
+    except np.linalg.LinAlgError as problem:
+        raise EvidenceError(
+            f"no estimate by {method}: {problem}; the readings may contradict each other or the body; "
+            "type --method kalman, or --without a sense"
+        ) from None
 
 
 def _suspects(found: Estimate) -> Iterator[tuple[str, Array, Array]]:

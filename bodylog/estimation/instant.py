@@ -126,6 +126,8 @@ def _encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tu
             ph += p[:, 2 * m + j]
             nu -= float(z[2 * m + j])
         s = float(ph[j] + (ph[2 * m + j] if motion.offsets else 0.0) + var[j])
+        if not s > 0.0:
+            raise np.linalg.LinAlgError(f"the variance {s:.3g} rad² is foretold of encoder {j + 1}")
         gain = ph / s
         z += gain * nu
         p -= gain[:, None] * ph

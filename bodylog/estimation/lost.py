@@ -21,6 +21,8 @@ SURE = 0.5
 """Share of that which must not be left for a reading to bear a belief out rather than to make it."""
 SILENCE = 0.5
 """s: after a longer one an encoder is to bear out the belief before this may contradict it."""
+VAGUE = 100.0
+"""rad: a belief less sure of an angle holds nothing of it; its variance would soon swallow a reading's by rounding."""
 APART = 3.0
 """Standard deviations by which a posture disagrees with what was seen."""
 
@@ -68,13 +70,19 @@ class Watch:
         loose = (self.adrift(t) if seen else self.loose) & ~borne
         return Watch(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen, loose)
 
-    def judge(self, t: float, z: Array, p: Array, said: Array, var: Array) -> tuple[Array | None, Array]:
+    def judge(
+        self, t: float, z: Array, p: Array, said: Array, var: Array, seen: bool
+    ) -> tuple[Array | None, Array]:  # fmt: skip
         """Joints (M,) bool that the belief z (K,), p (K,K) lost by t (s), or None; those whose encoders bear it out.
 
-        These read `said` (M,), NaN where silent, with variances var. Where some are mute, the belief is lost if what
+        These read `said` (M,), NaN where silent, with variances var; `seen`: there is a picture. A joint is lost that
+        has become vague by the time something is heard of it. Where some are mute, the belief is lost, too, if what
         all say is likelier by one that knows nothing of these joints, and pictures agree with that.
         """
         heard, mute, m = np.isfinite(said), self.mute(t), len(said)
+        vague = (np.diagonal(p)[:m] > VAGUE**2) & (heard | seen)
+        if vague.any():
+            return vague, heard & ~mute
         # a belief that knows nothing is made by a reading, not borne out
         tested = heard & mute & (np.diagonal(p)[:m] < (SURE * START_STD) ** 2)
         if not tested.any():
@@ -82,7 +90,7 @@ class Watch:
         rows = np.eye(m, len(z)) + np.eye(m, len(z), 2 * m)
         h, nu, noise = rows[heard], (said - rows @ z)[heard], np.diag(var[heard])
         x, cov = z.copy(), p.copy()
-        forget(x, cov, mute, said)
+        forget(x, cov, mute, said, 0.0)
         anew = h @ cov @ h.T + noise
         if _nats(np.zeros_like(nu), anew) >= _nats(nu, h @ p @ h.T + noise):
             return None, heard & ~mute | tested
@@ -102,10 +110,10 @@ def named(names: tuple[str, ...], t: Array, anew: Array) -> Iterator[Finding]:
         yield Finding("warning", f"{text} are wrong")
 
 
-def forget(z: Array, p: Array, joints: Array, said: Array) -> None:
+def forget(z: Array, p: Array, joints: Array, said: Array, dt: Array | float) -> None:
     """Of `joints` (M,…) let z (K,…) and p (K,K,…), in place, know what they did before any reading but the one `said`.
 
-    That is where they begin; those of which nothing is said, NaN, stay where they were.
+    That is where they begin; those of which nothing is said, NaN, stay where they were a step dt (…) s before.
     """
     m = len(joints)
     gone = np.zeros(z.shape, bool)
@@ -113,6 +121,7 @@ def forget(z: Array, p: Array, joints: Array, said: Array) -> None:
     p *= ~(gone[:, None] | gone[None])
     np.einsum("kk...->k...", p)[:] += START_STD**2 * gone
     offset = z[2 * m :] if len(z) > 2 * m else 0.0
+    z[:m] -= joints * (dt * z[m : 2 * m])
     z[:m] = np.where(joints & np.isfinite(said), said - offset, z[:m])
     z[m : 2 * m] *= ~joints
 

@@ -76,7 +76,7 @@ def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Ar
     told = readings.pooled
     unseen = np.empty((length, 0, 2, m * c)), np.empty((length, 0, 2, 1, m * c)), np.empty((length, 0, 2, m * c))
     alone = Leaps(
-        readings.dt, apart(readings.encoders), apart(readings.encoder_var), *unseen,
+        np.tile(readings.dt, m), apart(readings.encoders), apart(readings.encoder_var), *unseen,
         Pooled(
             apart(told.y), apart(told.var), apart(told.lean), apart(told.move), apart(told.shift), apart(told.noise),
             np.zeros((length, m * c)),

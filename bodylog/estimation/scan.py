@@ -123,7 +123,7 @@ def scan(
         else:
             propagate(readings.dt[i], None if readings.more is None else readings.more[i])
         if i in anew:
-            forget(z, p, anew[i], readings.encoders[i])
+            forget(z, p, anew[i], readings.encoders[i], readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]

@@ -13,6 +13,7 @@ from .frozen import repeats
 from .grain import grain, resolved
 from .jumping import LEAST
 from .senses import Encoders, Sighting
+from .timeline import spans
 
 GAIN = 20.0
 """Nats by which a joint's moving must explain what is seen better than rest, and than any other joint's."""
@@ -31,7 +32,7 @@ def stalled(encoders: Encoders, sightings: Sequence[Sighting]) -> Iterator[tuple
         return
     for joint, column in enumerate(encoders.values.T):
         for begin, end in repeats(encoders.t, column):
-            windows = np.arange(encoders.t[begin], encoders.t[end - 1], SPAN)
+            windows = spans(encoders.t[begin : end - 1], SPAN)
             if any(_moved(encoders, joint, s, w, min(w + SPAN, encoders.t[end - 1])) for w in windows for s in seen):
                 yield joint, begin + 1, end
 

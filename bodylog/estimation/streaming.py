@@ -144,9 +144,9 @@ class _Filter:
         said = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
         loose = before.watch.loose
         z, p = self.motion.move(before.z, before.p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
-        lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var)
+        lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var, bool(at.places))
         if lost is not None:
-            forget(z, p, lost, said)
+            forget(z, p, lost, said, dt)
         here = {
             name: before.watch.remembered(name, self._sight(name, at.t, *place))
             for name, place in at.places.items()

@@ -13,6 +13,7 @@ from .alike import counts
 from .conditioning import raised
 from .laplace import Problem, Solution
 from .outset import OFFSET_STD
+from .timeline import spans
 
 CLIP = 4.0
 """Standard deviations: no innovation counts for more, lest single blunders accuse an encoder."""
@@ -166,8 +167,7 @@ def _spread(solved: Solution) -> Array:
 
 def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
     """As `promise`: an offset filtered by itself over spans of what scores (E,M) with weights (E,M) say of it."""
-    starts = np.unique(np.searchsorted(t, np.arange(t[0], t[-1] + SPAN, SPAN)))
-    starts = starts[starts < len(t)]
+    starts = np.unique(np.searchsorted(t, spans(t, SPAN)))
     steps = np.diff(t[starts], append=t[-1])
     score, weight = np.add.reduceat(score, starts), np.add.reduceat(weight, starts)
     offsets, var = np.zeros((2, len(steps) + 1, score.shape[1]))

@@ -11,6 +11,9 @@ from .senses import Evidence
 FASTEST = 100.0
 """Hz: encoders faster than this are all heard, but the belief is written on a grid of this rate."""
 
+INSTANTS, EACH = 300_000, 10.0
+"""A grid of more instants than this, and of more for each stamp, spans silence: time and memory for nothing."""
+
 SAME = 1e-6
 """s: an output time closer than this to a stamp is that stamp."""
 
@@ -48,7 +51,19 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
     if rate is None and (len(t) < 2 or np.median(np.diff(t)) > 0.99 / FASTEST):
         return t
     rate = rate or FASTEST
+    _check_grid(rate, t)
     return snapped(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate, t)
+
+
+def _check_grid(rate: float, t: Array) -> None:
+    """UsageError for a grid of `rate` (Hz) that is far longer than the stamps t (N,) s would need."""
+    count = (t[-1] - t[0]) * rate
+    if count > max(INSTANTS, EACH * len(t)):
+        at = int(np.diff(t).argmax()) if len(t) > 1 else 0
+        raise UsageError(
+            f"rate: {rate:g} Hz found, {count:.3g} instants for {len(t)} stamps, none of these between {t[at]:.3f} and "
+            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate {max(INSTANTS / (t[-1] - t[0]), 1e-9):.1g} or less"
+        )
 
 
 def union(*clocks: Array) -> Array:
@@ -56,6 +71,14 @@ def union(*clocks: Array) -> Array:
     # merges what is in order already, which np.unique sorts anew
     t = np.sort(np.concatenate(clocks), kind="stable")
     return t[np.append(True, t[1:] != t[:-1])] if len(t) else t
+
+
+def spans(t: Array, width: float) -> Array:
+    """Starts (B,) s of spans `width` s long, counted from the first of t (N,) s, which ascend, that hold one of these.
+
+    Silence takes none, however long it is.
+    """
+    return np.asarray(t[:1] + width * np.unique(np.floor((t - t[:1]) / width)))
 
 
 def snapped(grid: Array, t: Array) -> Array:

@@ -1,5 +1,7 @@
 """The filter one instant after the other, for logs whose encoders do not say where the arm is: slower, but sure."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,21 +138,32 @@ def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walk
             begin_z[:, k // fold.length], begin_p[..., k // fold.length] = z, p
         more[k, watch.loose] = LASTING
         z, p = motion.move(z, p, dt, more[k])
-        joints, borne = watch.judge(line[k], z, p, own[k], var[k])
+        joints, borne = watch.judge(line[k], z, p, own[k], var[k], k in sights)
         if joints is not None:
-            forget(z, p, joints, own[k])
+            forget(z, p, joints, own[k], dt)
             lost[line[k]] = joints
         here = {track: watch.remembered(track, sight) for track, sight in sights.get(k, ())}
         if here and watch.adrift(line[k]).any():
             said, said_var, reminded = watch.reminded(line[k], usual, encoders[k], var[k])
-            found = hear(motion.recalling(reminded), z, p, said, said_var, list(here.values()), adrift=True)
+            with _at(line[k]):
+                found = hear(motion.recalling(reminded), z, p, said, said_var, list(here.values()), adrift=True)
             adrift.append(Adrift(k, said, said_var, tuple(here), found))
         else:
-            found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting)
+            with _at(line[k]):
+                found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting)
         z, p, points[k] = found.z, found.p, found.point
         watch = watch.after(line[k], borne, here, found.memories)
     anew = (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
     return Walked(points, begin_z, begin_p, anew, watch, more, tuple(adrift))
+
+
+@contextmanager
+def _at(t: float) -> Iterator[None]:
+    """Numbers that break down do so at t (s)."""
+    try:
+        yield
+    except np.linalg.LinAlgError as problem:
+        raise np.linalg.LinAlgError(f"at {t:.3f} s {problem}") from None
 
 
 def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple[int, Sight]]]:

@@ -186,6 +186,8 @@ class _Table:
         found = []
         for part, log_ns in self._parts(ROOT + "touch"):
             for stamp, lasting, cells, peak, source in zip(*part, log_ns, strict=True):
+                if not len(cells):
+                    raise self._unfit(ROOT + "touch", "a touch of no cell")
                 onset = (int(stamp) - self.start_ns) / 1e9
                 offset = (int(stamp) + int(lasting) - self.start_ns) / 1e9
                 numbers = tuple(sorted(int(cell) for cell in cells))

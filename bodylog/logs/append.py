@@ -14,6 +14,8 @@ from .records import (
     CHUNK,
     CHUNK_INDEX,
     DATA_END,
+    HEAD,
+    HEADER,
     MESSAGE,
     MESSAGE_INDEX,
     METADATA,
@@ -21,6 +23,7 @@ from .records import (
     SCHEMA,
     STATISTICS,
     Record,
+    parse,
 )
 from .toplevel import Head, TopLevel
 from .write import Contents
@@ -67,7 +70,7 @@ def keepable(path: Path) -> Base:
     """All of a chunked MCAP with a sound summary but what an earlier run appended.
 
     FormatError says why the file must be rewritten instead: not chunked, no summary, one that its data contradict, or
-    /bodylog/ messages between others.
+    /bodylog/ messages between others; or a name is no UTF-8, which other readers refuse.
     """
     with TopLevel(path) as file:
         return _keepable(file, ROOT)
@@ -84,6 +87,8 @@ def _keepable(file: TopLevel, root: str | None) -> Base:
     summary: dict[int, list[tuple[Record, bytes]]] = {}
     for record, raw in records:
         summary.setdefault(record.opcode, []).append((record, raw))
+    if root is not None and any(map(no_utf8, _named(file, start, [one for one, _ in records]))):
+        raise FormatError("a name in it is no UTF-8")
     file.expect(_heads(summary))
     parts = _parts(file.heads(start), summary)
     ours = _ours(summary, root)
@@ -91,6 +96,25 @@ def _keepable(file: TopLevel, root: str | None) -> Base:
     cut = _cut(parts, ours, foreign)
     contents = _contents(summary, [p for p in parts if p.start < cut], ours)
     return Base(cut, _crc(file, cut, parts[-1].start), contents)
+
+
+def no_utf8(record: Record) -> bool:
+    """Whether a text of a record has the character that stands for bytes that are no UTF-8."""
+    values = [(*v, *v.values()) if isinstance(v, dict) else (v,) for v in record.fields.values()]
+    return any(isinstance(text, str) and "\ufffd" in text for texts in values for text in texts)
+
+
+def _named(file: TopLevel, end: int, summary: list[Record]) -> Iterator[Record]:
+    """The records of a file that hold names: its header, what its summary repeats, and metadata but ours."""
+    first = next(file.heads(end), None)
+    if first is not None and first.opcode == HEADER:
+        yield file.fields(first)
+    yield from summary
+    for record in summary:
+        said = record.fields
+        if record.opcode == METADATA_INDEX and said["name"] != NAME:
+            raw = memoryview(file.read(said["offset"], said["length"]))
+            yield parse(METADATA, raw[HEAD.size :], said["offset"])
 
 
 def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:

@@ -1,8 +1,11 @@
 """JPEG, PNG and WebP -> BGR, checked before memory is taken; what their libraries would say of damage stays unsaid."""
 
 import math
+import os
 import struct
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from threading import Lock
 from zlib import crc32
 
 import numpy as np
@@ -13,6 +16,8 @@ from ..types import Array
 
 _PNG, _NEEDED = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"IDAT")
 _EOI, _TAIL = b"\xff\xd9", 64
+_STDERR = Lock()
+"""Held while standard error is another file."""
 
 
 def unpacked(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
@@ -60,12 +65,29 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+        with _unheard() if data[:2] == b"\xff\xd8" else nullcontext():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes: {error.err}") from None
     if image is None:
         raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes cannot be decoded")
     return np.asarray(image)
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Without what libjpeg remarks of a damaged picture, which OpenCV has it write on standard error itself."""
+    with _STDERR, ExitStack() as after:
+        try:
+            kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+        except OSError:  # there is no standard error
+            yield
+            return
+        after.callback(os.close, kept)
+        after.callback(os.close, nowhere)
+        after.callback(os.dup2, kept, 2)
+        os.dup2(nowhere, 2)
+        yield
 
 
 def _check_png(data: memoryview, form: str) -> None:

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from isal.isal_zlib import crc32
 
 from ..types import Array
 from .records import (
+    ATTACHMENT,
     ATTACHMENT_INDEX,
     CHANNEL,
     CHUNK,
@@ -100,6 +102,14 @@ def metadata(name: str, pairs: Mapping[str, str]) -> bytes:
 def metadata_index(offset: int, length: int, name: str) -> bytes:
     """Where a metadata record lies."""
     return record(METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
+
+
+def attachment(said: Mapping[str, Any]) -> bytes:
+    """A file with the fields `said` of another log's attachment, and a CRC-32 of its own."""
+    data = bytes(said["data"])
+    body = struct.pack("<QQ", said["log_time"], said["create_time"]) + string(said["name"])
+    body += string(said["media_type"]) + struct.pack("<Q", len(data)) + data
+    return record(ATTACHMENT, body, struct.pack("<I", crc32(body)))
 
 
 def attachment_index(offset: int, length: int, said: Mapping[str, Any]) -> bytes:

@@ -11,11 +11,11 @@ import numpy as np
 from ..errors import FormatError
 from ..settings import LIMITS, Input
 from ..types import Array, Batch, Finding, Topic
-from .append import NAME, ROOT, is_mcap
+from .append import NAME, ROOT, is_mcap, no_utf8
 from .cdr import Payloads, merge
 from .chunks import heads_at
 from .containers import open_log
-from .mcap_write import MESSAGE_HEAD, Messages, gather
+from .mcap_write import MESSAGE_HEAD, Messages, attachment, gather, metadata
 from .records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
 from .ros1 import Converter, converter, known_definition
 from .toplevel import sound_heads
@@ -243,7 +243,9 @@ def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Fin
 
 
 def _keep_extra(record: Record, raw: bytes, writer: Writer, ours: bool) -> None:
+    """Attachment or metadata as it was; one with a text that is no UTF-8 is written with what can be read of it."""
     if record.opcode == ATTACHMENT:
-        writer.keep_attachment(raw, record.fields)
+        writer.keep_attachment(attachment(record.fields) if no_utf8(record) else raw, record.fields)
     elif ours or record.fields["name"] != NAME:
-        writer.keep_metadata(record.fields["name"], raw)
+        name, pairs = record.fields["name"], record.fields["metadata"]
+        writer.keep_metadata(name, metadata(name, pairs) if no_utf8(record) else raw)

@@ -29,8 +29,9 @@ class _Press:
 
 def touches(skin: Series, settings: Skin) -> Felt:
     """Touches in order of onset, health and findings; None where no cell can feel (all dead or stuck, no sample)."""
-    level = np.nan_to_num(np.asarray(skin.values, dtype=np.float32))
     readable = np.isfinite(skin.values)
+    # zero first: a signalling NaN would be remarked on as it is cast
+    level = np.where(readable, skin.values, 0.0).astype(np.float32)
     health = _health(skin.t, readable)
     if not level.size:
         return None, health, (Finding("warning", "skin: no readings; touch cannot be used"),)

@@ -4,49 +4,74 @@ import argparse
 import json
 import time
 from collections import Counter
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from .cases import Base, Problem, file_case, prepare, settings_case
 from .worker import Run, plain
 
 
-def meet(
-    base: Base, place: Path, files: range, settings: range, verbose: bool = False
-) -> tuple[list[Problem], dict[str, object]]:
-    """Every case of these seeds: what did not hold, and figures."""
-    problems: list[Problem] = []
-    codes: Counter[str] = Counter()
-    times: Counter[str] = Counter()  # type: ignore[type-arg]
+@dataclass
+class Tally:
+    """Figures of the cases met so far."""
+
+    cases: Counter[str] = field(default_factory=Counter)
+    codes: Counter[str] = field(default_factory=Counter)
+    times: dict[str, float] = field(default_factory=dict)
     slowest: Run | None = None
     largest: Run | None = None
-    begun = time.monotonic()
-    for case, seeds in ((file_case, files), (settings_case, settings)):
+    problems: list[Problem] = field(default_factory=list)
+    begun: float = field(default_factory=time.monotonic)
+
+    def add(self, what: str, runs: list[Run], wrong: list[Problem]) -> None:
+        """Count one case, of `what` (files or settings)."""
+        self.cases[what] += 1
+        self.problems += wrong
+        for one in runs:
+            name = one.command[0]
+            self.codes[f"{name} {one.code}"] += 1
+            self.times[name] = self.times.get(name, 0.0) + one.seconds
+            self.slowest = max(self.slowest or one, one, key=lambda run: run.seconds)
+            self.largest = max(self.largest or one, one, key=lambda run: run.memory)
+
+    def figures(self) -> dict[str, object]:
+        """The figures as JSON holds them."""
+        slowest, largest = self.slowest, self.largest
+        return {
+            **self.cases,
+            "problems": len(self.problems),
+            "commands": sum(self.codes.values()),
+            "codes": dict(sorted(self.codes.items())),
+            "seconds by command": {name: round(self.times[name], 1) for name in sorted(self.times)},
+            "worst seconds": slowest and [round(slowest.seconds, 2), *slowest.command[:2]],
+            "worst MB": largest and [largest.memory >> 20, *largest.command[:2]],
+            "seconds": round(time.monotonic() - self.begun, 1),
+        }
+
+
+def meet(
+    base: Base, place: Path, files: range, settings: range, progress: Path | None = None
+) -> tuple[list[Problem], dict[str, object]]:
+    """Every case of these seeds: what did not hold, and figures; `progress` takes both after each case."""
+    tally = Tally()
+    for what, case, seeds in (("files", file_case, files), ("settings", settings_case, settings)):
         for seed in seeds:
             kind, runs, wrong = case(base, place, seed)
-            problems += wrong
-            for one in runs:
-                times[one.command[0]] += one.seconds
-            for one in runs:
-                codes[f"{one.command[0]} {one.code}"] += 1
-                slowest = one if slowest is None or one.seconds > slowest.seconds else slowest
-                largest = one if largest is None or one.memory > largest.memory else largest
-            for problem in wrong if verbose else ():
-                print(
-                    f"{kind} {seed}: {' '.join(problem.run.command)}: {problem.what}\n{problem.run.err[-1200:]}",
-                    flush=True,
-                )
-    assert slowest and largest
-    figures = {
-        "files": len(files),
-        "settings": len(settings),
-        "commands": sum(codes.values()),
-        "codes": dict(sorted(codes.items())),
-        "seconds by command": {name: round(seconds, 1) for name, seconds in times.most_common()},
-        "worst seconds": [round(slowest.seconds, 2), *slowest.command[:2]],
-        "worst MB": [largest.memory >> 20, *largest.command[:2]],
-        "seconds": round(time.monotonic() - begun, 1),
-    }
-    return problems, figures
+            tally.add(what, runs, wrong)
+            if progress is not None:
+                _write(progress, kind, seed, tally, wrong)
+    return tally.problems, tally.figures()
+
+
+def _write(progress: Path, kind: str, seed: int, tally: Tally, wrong: list[Problem]) -> None:
+    """What is known so far, so that a run that is stopped leaves it."""
+    (progress / "figures.json").write_text(json.dumps({"last seed": seed, **tally.figures()}, indent=1))
+    for problem in wrong:
+        print(f"{kind} {seed}: {' '.join(problem.run.command)}: {problem.what}", flush=True)
+        print(problem.run.err[-1200:], flush=True)
+    if wrong:
+        found = [{"seed": p.seed, "kind": p.kind, "what": p.what} | plain(p.run) for p in tally.problems]
+        (progress / "problems.json").write_text(json.dumps(found, indent=1))
 
 
 def main() -> None:
@@ -59,12 +84,8 @@ def main() -> None:
     typed = parser.parse_args()
     base = prepare(typed.out / "base")
     first = typed.seed * 1_000_000
-    problems, figures = meet(
-        base, typed.out, range(first, first + typed.files), range(first, first + typed.settings), True
-    )
-    (typed.out / "problems.json").write_text(
-        json.dumps([{"seed": p.seed, "kind": p.kind, "what": p.what} | plain(p.run) for p in problems], indent=1)
-    )
+    files, settings = (range(first, first + count) for count in (typed.files, typed.settings))
+    problems, figures = meet(base, typed.out, files, settings, typed.out)
     print(json.dumps(figures, indent=1))
     print(f"{len(problems)} problems")
 

@@ -260,10 +260,18 @@ def _same(file: Path, some: list[Channel]) -> str | None:
     for read in (_by_mcap, _by_rosbags):
         with suppress(Exception):  # a library that does not read the file says nothing of it
             other = read(file)
-            if other is not None and other != found:
+            if other is not None and (theirs := _normal(other)) != (ours := _normal(found)):
                 counts = f"{sum(other.values())} messages, {sum(found.values())} ours"
-                return f"{counts}; {list((other - found) or (found - other))[:1]}"
+                return f"{counts}; {list((theirs - ours) or (ours - theirs))[:1]}"
     return None
+
+
+def _normal(found: Counter[tuple[str, bytes]]) -> Counter[tuple[str, bytes]]:
+    """The same with topics named as rosbags does: without slashes that are doubled or end a name."""
+    named: Counter[tuple[str, bytes]] = Counter()
+    for (topic, data), count in found.items():
+        named[re.sub("/+", "/", topic).rstrip("/") or "/", data] += count
+    return named
 
 
 def _by_mcap(file: Path) -> Counter[tuple[str, bytes]] | None:
