@@ -108,13 +108,28 @@ class _Said:
     findings: tuple[Finding, ...]
 
 
+def _health(found: Health) -> Health:
+    """The same; ValueError for counts that no log can have, TypeError for what is no number."""
+    counts = (found.seen, found.used, *found.rejected.values())
+    if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap >= 0.0:
+        raise ValueError("how much was used is no count of messages")
+    return found
+
+
+def _finding(found: Finding) -> Finding:
+    """The same; ValueError for one that is no text."""
+    if not isinstance(found.severity, str) or not isinstance(found.text, str):
+        raise ValueError("a finding that is no text")
+    return found
+
+
 def _said(path: Path, metadata: Mapping[str, str]) -> _Said:
     try:
         return _Said(
             metadata.get("method", ""),
-            {sense: Health(**health) for sense, health in read_json(metadata.get("used", "{}")).items()},
+            {sense: _health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
             dict(read_json(metadata.get("resolved", "{}"))),
-            tuple(Finding(**finding) for finding in read_json(metadata.get("findings", "[]"))),
+            tuple(_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
         )
     except (ValueError, TypeError, AttributeError) as problem:
         raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {_again(path)}") from None

@@ -65,7 +65,7 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
-        with _unheard() if data[:2] == b"\xff\xd8" else nullcontext():
+        with _unheard() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes: {error.err}") from None

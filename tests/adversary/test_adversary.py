@@ -1,5 +1,7 @@
 """Sound containers with hostile content, and hostile settings: read, or refused in one line; nothing half-written."""
 
+import json
+
 import pytest
 
 from . import cases, worker
@@ -23,6 +25,29 @@ def test_hostile_files_and_settings_are_read_or_refused_in_one_line(base, tmp_pa
     problems, figures = meet(base, tmp_path, range(12), range(4))
     assert not problems, _said(problems)
     assert figures["commands"] > 50
+
+
+@pytest.mark.parametrize(
+    "seed",
+    [
+        43000074,  # half a century without a word: a variance that rounding swallowed
+        61000064,  # names that are no UTF-8, kept in the output
+        61000157,  # OpenCV's remark on a picture that it reads
+        62001059,  # and on one that it does not
+        61000427,  # topics named with two slashes
+        62000789,  # a signalling NaN of the skin
+        62002319,  # a touch of no cell
+        71000041,  # a count of messages of 401 digits
+    ],
+)
+def test_files_that_once_ended_badly(base, tmp_path, seed):
+    assert not (problems := cases.file_case(base, tmp_path, seed)[2]), _said(problems)
+
+
+def test_a_run_that_is_stopped_leaves_its_figures(base, tmp_path):
+    meet(base, tmp_path, range(2), range(0), tmp_path)
+    left = json.loads((tmp_path / "figures.json").read_text())
+    assert left["files"] == 2 and left["last seed"] == 1 and left["worst MB"][0] > 0
 
 
 @pytest.mark.soak

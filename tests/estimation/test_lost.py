@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bodylog.errors import UsageError
 from bodylog.estimation import estimate, filtering, laplace, smoother
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Explored
@@ -175,3 +176,34 @@ def test_a_pixel_factor_below_one_leaves_variances_positive(world):
     drawn = world(9, duration=11.0, encoder_std=0.006)
     rmse, _, faults, _ = judged(muted(drawn.features, 6.0, 7.0, ("pan", "lift")), drawn, 7.0)
     assert rmse < 0.006 and not faults
+
+
+def paused(features, since, gap):
+    """The same log, all that comes after `since` (s) a `gap` (s) later."""
+    def later(series):
+        return replace(series, t=series.t + gap * (series.t > since))
+
+    return replace(
+        features, joints=later(features.joints),
+        tracks={name: later(track) for name, track in features.tracks.items()},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("gap", [3600.0, 1e7, 1.7e9])
+@pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
+def test_nothing_crosses_a_pause_however_long(world, method, gap):
+    drawn = world(3, duration=8.0)
+    t = drawn.features.joints.t
+    found = estimate(paused(drawn.features, 4.0, gap), drawn.body, Estimation(method=method))
+    whole = estimate(drawn.features, drawn.body, Estimation(method=method))
+    after = t > 4.5
+    assert np.isfinite(found.cov).all() and (np.einsum("nii->ni", found.cov) > 0.0).all()
+    truth = np.stack([np.interp(t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
+    rms, usual = (np.sqrt(np.square(one.joints.values - truth)[after].mean()) for one in (found, whole))
+    assert rms < 1.2 * usual
+
+
+def test_a_grid_that_spans_only_silence_is_refused(world):
+    drawn = world(3, duration=8.0)
+    with pytest.raises(UsageError, match=r"rate: 50 Hz found, 5e\+08 instants for .* stamps, none .*; type --rate"):
+        estimate(paused(drawn.features, 4.0, 1e7), drawn.body, Estimation(rate=50.0))
