@@ -111,7 +111,7 @@ class _Said:
 def _health(found: Health) -> Health:
     """The same; ValueError for counts that no log can have, TypeError for what is no number."""
     counts = (found.seen, found.used, *found.rejected.values())
-    if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap >= 0.0:
+    if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
         raise ValueError("how much was used is no count of messages")
     return found
 
