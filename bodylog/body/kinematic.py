@@ -26,6 +26,8 @@ from .select import farthest
 UNFIT = 0.1
 """Share of a track's motion that kinematics of the right robot does not leave: a real NAO's leaves 0.03."""
 _LEAST_NOISE = 1e-6
+_CORNERS = 4
+"""Of one thing, the most tracks that are calibrated each by itself: a tag's corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,8 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     ModelError where no joint that moved is in the URDF.
     """
     names, robot = found.model.joints, given.robot
+    if wide := sorted({name for f in features for name, (tracks, _) in f.boards.items() if len(tracks) > _CORNERS}):
+        return _unused(found, f"{wide[0]} is a board, whose corners are not calibrated together", "follow one tag of it")
     missing = [name for name in names if name not in robot.by_name]
     if len(missing) == len(names):
         have = ", ".join(list(robot.by_name)[:12])
@@ -95,8 +99,8 @@ def _still(features: Sequence[Features], names: Sequence[str]) -> dict[str, floa
     return found
 
 
-def _unused(found: Learned, why: str) -> Learned:
-    text = f"the URDF is not used: {why}; give this robot's own with --urdf, or type --no-urdf"
+def _unused(found: Learned, why: str, advice: str = "give this robot's own with --urdf") -> Learned:
+    text = f"the URDF is not used: {why}; {advice}, or type --no-urdf"
     return replace(found, findings=(*found.findings, Finding("warning", text)))
 
 

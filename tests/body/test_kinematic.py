@@ -251,3 +251,10 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, bodylog, caps
             assert abs(score.value) < 2 * std
     assert bodylog("offsets", tmp_path / "plain.npz") == 65
     assert "type: bodylog fit LOG --urdf" in capsys.readouterr().err
+
+
+def test_a_board_of_corners_is_learned_without_the_urdf_and_named(plain):
+    board = replace(features(), boards={"effector": (tuple(f"effector.{k}" for k in range(5)), np.zeros((5, 3)))})
+    found = learn([board], Settings(), plain, given())
+    assert found.model is plain.model
+    assert "effector is a board, whose corners are not calibrated together" in found.findings[-1].text
