@@ -46,8 +46,10 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     ModelError where no joint that moved is in the URDF.
     """
     names, robot = found.model.joints, given.robot
-    if wide := sorted({name for f in features for name, (tracks, _) in f.boards.items() if len(tracks) > _CORNERS}):
-        return _unused(found, f"{wide[0]} is a board, whose corners are not calibrated together", "follow one tag of it")
+    boards = sorted({name for f in features for name, (tracks, _) in f.boards.items() if len(tracks) > _CORNERS})
+    if boards:
+        why = f"{boards[0]} is a board, whose corners are not calibrated together"
+        return _unused(found, why, "follow one tag of it")
     missing = [name for name in names if name not in robot.by_name]
     if len(missing) == len(names):
         have = ", ".join(list(robot.by_name)[:12])
