@@ -48,8 +48,8 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     names, robot = found.model.joints, given.robot
     boards = sorted({name for f in features for name, (tracks, _) in f.boards.items() if len(tracks) > _CORNERS})
     if boards:
-        why = f"{boards[0]} is a board, whose corners are not calibrated together"
-        return _unused(found, why, "follow one tag of it")
+        apart = f"{boards[0]} is a board, whose corners are not calibrated together"
+        return _unused(found, apart, "follow one tag of it")
     missing = [name for name in names if name not in robot.by_name]
     if len(missing) == len(names):
         have = ", ".join(list(robot.by_name)[:12])

@@ -54,8 +54,9 @@ def serialise(count: int, fields: Sequence[Field]) -> Payloads:
         layout.add(kind, value)
     rows = np.zeros(count, layout.dtype())
     rows["encapsulation"] = _ENCAPSULATION
-    for name, value in layout.values.items():
-        rows[name] = value
+    with np.errstate(invalid="ignore"):  # a signalling NaN stays a NaN when it becomes a float32
+        for name, value in layout.values.items():
+            rows[name] = value
     size = rows.dtype.itemsize
     return Payloads(rows.view(np.uint8).reshape(-1), np.arange(count) * size, np.full(count, size))
 

@@ -64,3 +64,9 @@ def test_groups_are_merged_in_the_order_of_the_messages():
 def test_times_split_into_seconds_and_nanoseconds(ns):
     payload = cdr.serialise(1, cdr.time(np.array([ns]))).data[4:].tobytes()
     assert int.from_bytes(payload[:4], "little") * 10**9 + int.from_bytes(payload[4:], "little") == ns
+
+
+def test_a_signalling_nan_is_written_as_a_nan_without_a_warning():
+    signalling = np.array([0x7FF0000000000001], np.uint64).view(np.float64)
+    made = cdr.serialise(1, [("float32", signalling)])
+    assert np.isnan(made.data[-4:].view(np.float32)[0])
