@@ -67,3 +67,9 @@ def test_all_has_every_extra_but_the_tests():
 def test_every_bound_is_a_lowest_version():
     words = [*PROJECT["dependencies"], *(word for extra in set(EXTRAS) - {"all"} for word in EXTRAS[extra])]
     assert not [word for word in words if not re.fullmatch(r"[\w.\[\]-]+>=[\d.]+", word)]
+
+
+def test_every_package_is_in_the_wheel():
+    listed = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
+    there = {path.parent.relative_to(ROOT) for path in (ROOT / "bodylog").rglob("__init__.py")}
+    assert listed == {".".join(path.parts) for path in there} | {"bodylog_cli"}

@@ -1,5 +1,6 @@
 """Any recorded log as one tidy MCAP: roles named alike, every message dated by the clock chosen for its stream."""
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -44,7 +45,8 @@ def ingest(
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
             add(writer, heard, {JOINTS: INDEPENDENT} if recording.poses else {})
-            seen, early = _pictures(path, recording, window, writer)
+            unread: dict[str, list[str]] = {}
+            seen, early = _pictures(pictures(path, recording, unread), recording.start_ns, window, writer)
             count = sum(len(o.log_ns) for o in heard) + seen
             if not count:
                 lacking = f"no joints, skin, truth or pictures {_within(start, end)}"
@@ -53,7 +55,14 @@ def ingest(
             writer.finish()
         verify(beside, count, out)
     early += sum(int((series.t < begun).sum()) for series in signals(recording).values())
-    return (*recording.findings, *_unwritten(path, early if start is None else 0))
+    return (*recording.findings, *_left_out(path, unread), *_unwritten(path, early if start is None else 0))
+
+
+def _left_out(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
+    """Images that contradict their definition, by topic."""
+    for topic, reasons in unread.items():
+        what = f"{len(reasons)} images cannot be read and are left out"
+        yield Finding("lost", f"{path}: {topic}: {what}, the first for this: {reasons[0].removeprefix(f'{topic}: ')}")
 
 
 def _unwritten(path: Path, early: int) -> tuple[Finding, ...]:
@@ -91,12 +100,12 @@ def cut(series: Series, start_ns: int, window: Window) -> Series:
     return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=std)
 
 
-def _pictures(path: Path, recording: Recording, window: Window, writer: Writer) -> tuple[int, int]:
+def _pictures(found: Iterable[Picture], start_ns: int, window: Window, writer: Writer) -> tuple[int, int]:
     """Write the pictures within `window`, about a chunk at a time; returns how many, and how many came before it."""
     pending: list[Picture] = []
     channels: dict[Kind, int] = {}
     size = count = early = 0
-    for picture in pictures(path, recording):
+    for picture in found:
         if not window[0] <= picture.t <= window[1]:
             early += picture.t < window[0]
             continue
@@ -106,10 +115,10 @@ def _pictures(path: Path, recording: Recording, window: Window, writer: Writer) 
         pending.append(picture)
         size += len(picture.payload)
         if size >= CHUNK_BYTES:
-            writer.write(_messages(pending, channels, count, recording.start_ns))
+            writer.write(_messages(pending, channels, count, start_ns))
             count, size, pending = count + len(pending), 0, []
     if pending:
-        writer.write(_messages(pending, channels, count, recording.start_ns))
+        writer.write(_messages(pending, channels, count, start_ns))
     return count + len(pending), early
 
 

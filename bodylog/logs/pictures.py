@@ -46,10 +46,11 @@ _Convert = Callable[[bytes, int], bytes]
 """A payload and its stamp (ns) -> CDR."""
 
 
-def pictures(path: Path, recording: Recording) -> Iterator[Picture]:
+def pictures(path: Path, recording: Recording, unread: dict[str, list[str]]) -> Iterator[Picture]:
     """All pictures the recording accepts, camera by camera, in the order of its file; those of a video are made anew.
 
-    The first camera's topic is /camera/image, another's /NAME/image, or as compressed. LogError where that is the same.
+    `unread` {topic: reasons} takes why messages that contradict their definition are left out. The first camera's
+    topic is /camera/image, another's /NAME/image, or as compressed. LogError where that is the same.
     """
     films = {"": recording.frames} if recording.frames is not None else {}
     for name, frames in (films | dict(recording.views)).items():
@@ -59,11 +60,13 @@ def pictures(path: Path, recording: Recording) -> Iterator[Picture]:
             raise LogError(f"{path}: two cameras would be written as {RAW}; name {said} first in [topics] camera")
         said = recording.roles.get(f"camera/{name}".strip("/"), "")
         topics = {t.id: t for t in recording.topics if said == t.name or said.startswith(f"{t.name}.")}
-        found = _passed(path, recording, frames, topics) if topics else _encoded(recording, frames)
+        found = _passed(path, recording, frames, topics, unread) if topics else _encoded(recording, frames)
         yield from (picture._replace(kind=picture.kind.below(under)) for picture in found)
 
 
-def _passed(path: Path, recording: Recording, frames: Frames, topics: Mapping[int, Topic]) -> Iterator[Picture]:
+def _passed(
+    path: Path, recording: Recording, frames: Frames, topics: Mapping[int, Topic], unread: dict[str, list[str]]
+) -> Iterator[Picture]:
     accepted: dict[int, deque[float]] = {}
     for frame in frames():
         accepted.setdefault(frame.source_ns, deque()).append(frame.t)
@@ -74,7 +77,12 @@ def _passed(path: Path, recording: Recording, frames: Frames, topics: Mapping[in
             for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
                 if times := accepted.get(log_ns):
                     t = times.popleft()
-                    yield Picture(kind, t, convert(bytes(payload), _stamp(t, recording)))
+                    try:
+                        converted = convert(bytes(payload), _stamp(t, recording))
+                    except FormatError as problem:
+                        unread.setdefault(topics[batch.topic_id].name, []).append(str(problem))
+                        continue
+                    yield Picture(kind, t, converted)
 
 
 def _stamp(t: float, recording: Recording) -> int:

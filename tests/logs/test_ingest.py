@@ -121,8 +121,8 @@ def test_a_video_beside_the_log_becomes_jpegs(tmp_path, arm):
 TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
 
 
-def json_log(path, kind, message):
-    """Five JSON pictures, a second apart."""
+def json_log(path, kind, message, odd=None):
+    """Five JSON pictures, a second apart; of the third, fields as in `odd`."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start("", "someone else's recorder")
@@ -131,6 +131,7 @@ def json_log(path, kind, message):
         channel = writer.register_channel("/cam", "json", schema)
         for i in range(5):
             said = {"timestamp": {"sec": 1_700_000_000 + i, "nsec": 5}, "frame_id": "eye", **message}
+            said |= (odd or {}) if i == 2 else {}
             writer.add_message(channel, START + i, json.dumps(said).encode(), START + i)
         writer.finish()
     return path
@@ -149,6 +150,16 @@ def test_compressed_json_pictures_become_ros_messages(tmp_path):
     assert [m.header.stamp.sec for _, m in found] == [1_700_000_000 + i for i in range(5)]
     kept = {(topic, m.header.frame_id, m.format, m.data.tobytes()) for topic, m in found}
     assert kept == {("/camera/image/compressed", "eye", "jpeg", jpeg)}
+
+
+def test_one_malformed_image_is_left_out_and_counted(tmp_path):
+    jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
+    message = {"format": "jpeg", "data": base64.b64encode(jpeg).decode()}
+    log = json_log(tmp_path / "in.mcap", "foxglove.CompressedImage", message, {"data": "not base64!"})
+    lost = [f.text for f in ingest(log, tmp_path / "out.mcap", Settings()) if f.severity == "lost"]
+    assert len(lost) == 1 and f"{log}: /cam: 1 images cannot be read and are left out, the first for this: " in lost[0]
+    with AnyReader([tmp_path / "out.mcap"]) as reader:
+        assert reader.message_count == 4
 
 
 def test_raw_json_pictures_become_ros_messages(tmp_path):
