@@ -191,6 +191,7 @@ def _gated_encoders(y: Array, var: Array, recalled: Array | None, belief: Array)
     if len(belief) > 2 * m:
         total += diagonal[2 * m :] + 2.0 * np.einsum("iic->ic", belief[:m, 2 * m : -1])
         nu -= belief[2 * m :, -1]
+    np.maximum(total, var, out=total)  # rounding takes a variance below 0 after a reading far surer than the belief
     d = nu / np.sqrt(total)
     if recalled is not None:
         d[recalled] = np.nan
