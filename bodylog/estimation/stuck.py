@@ -57,17 +57,34 @@ def _repeats(t: Array, places: Array) -> Sequence[tuple[int, int]]:
 
 def _moved(sighting: "Sighting", encoders: "Encoders", begin: float, end: float) -> float:
     """How far (px) by the encoders what is seen moved between two parts of a stretch; 0 where not certainly."""
-    heard = np.isfinite(encoders.values).all(axis=1) & (encoders.t >= begin) & (encoders.t <= end)
-    x = encoders.values[heard]
-    if len(x) < 2 * PARTS:
+    inside = (encoders.t >= begin) & (encoders.t <= end)
+    averaged = _averaged(encoders.t[inside], encoders.values[inside], np.linspace(begin, end, PARTS + 1))
+    if averaged is None:
         return 0.0
-    means = np.stack([part.mean(axis=0) for part in np.array_split(x, PARTS)])
-    scatter = 1.4826 * np.median(np.abs(np.diff(x, axis=0)), axis=0) / np.sqrt(2.0)
-    noise = np.square(sighting.model.predict(means)[1] * scatter).sum(axis=(1, 2)).max() * 2.0 * PARTS / len(x)
+    means, std = averaged
+    noise = 2.0 * np.square(sighting.model.predict(means)[1] * std).sum(axis=(1, 2)).max()
     # one encoder against the pictures may lie itself
     without = [np.where(alone, means[0], means) for alone in np.eye(means.shape[1]) > 0]
     apart = min(_spread(sighting.model.predict(some)[0]) for some in without)
     return apart if apart > max(SIGMAS * float(np.sqrt(noise)), LEAST) else 0.0
+
+
+def _averaged(t: Array, values: Array, edges: Array) -> tuple[Array, Array] | None:
+    """Means (P,M) of each encoder's readings (N,M) between P+1 edges, s, and the std (M,) of one; None where too few.
+
+    Encoders of several topics speak at times of their own: where one is silent its value is NaN.
+    """
+    part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
+    means, std = np.empty((len(edges) - 1, values.shape[1])), np.empty(values.shape[1])
+    for j, column in enumerate(values.T):
+        there = np.isfinite(column)
+        counts = np.bincount(part[there], minlength=len(means))
+        if counts.min() < 2:
+            return None
+        means[:, j] = np.bincount(part[there], column[there], len(means)) / counts
+        scatter = 1.4826 * np.median(np.abs(np.diff(column[there]))) / np.sqrt(2.0)
+        std[j] = scatter / np.sqrt(counts.min())
+    return means, std
 
 
 def _spread(places: Array) -> float:

@@ -52,3 +52,12 @@ def test_one_encoder_that_drifts_on_an_arm_at_rest_is_not_the_cameras_fault(worl
     values = joints.values + np.outer(np.clip((joints.t - 5.0) * 0.03, 0.0, None), np.arange(3) == 0)
     found = estimate(replace(features, joints=replace(joints, values=values)), drawn.body, Estimation())
     assert [(fault.sense, fault.name) for fault in found.faults] == [("encoders", joints.names[0])]
+
+
+def test_a_camera_that_stands_still_is_named_by_encoders_on_topics_of_their_own(world):
+    drawn = world(0, duration=12.0, camera_hz=20.0)
+    features = freeze(drawn, 6.0)
+    values = features.joints.values.copy()
+    values[::2, 0], values[1::2, 1:] = np.nan, np.nan
+    found = estimate(replace(features, joints=replace(features.joints, values=values)), drawn.body, Estimation())
+    assert [(fault.sense, fault.name, fault.kind) for fault in found.faults] == [("vision", "effector", "frozen")]
