@@ -50,8 +50,8 @@ def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str])
         places = [some.fields.index(name) for name in fields]
         for part in some.parts:
             found = part.values[some.fields.index(stamp)] if stamp in some.fields else None
-            one = isinstance(found, np.ndarray) and found.dtype == np.int64 and found.ndim == 1
-            stamps = found if one else None
+            times = found if isinstance(found, np.ndarray) and found.dtype == np.int64 else None
+            stamps = times if times is not None and times.ndim == 1 else None
             yield part.rows + first, stamps, tuple(part.values[p] for p in places)
         first += len(some.log_ns)
 
