@@ -89,10 +89,11 @@ def repeated(frames: Sequence[int], common: Sequence[float], told: float) -> tup
 
     frames: how many each was seen in · told: directions of joints that their rows tell apart, in which the error lies:
     rows that are taken to err each by itself say as many times what they know as there are more of them.
+    Rows that tell no direction apart (told 0) count once.
     """
     rows = 2.0 * sum(count for count, share in zip(frames, common, strict=True) if share > 0)
     return tuple(
-        1.0 + share * (max(rows / (told * max(count, 1)), 1.0) - 1.0) if share > 0 else 1.0
+        1.0 + share * (max(rows / (told * max(count, 1)), 1.0) - 1.0) if share > 0 and told else 1.0
         for count, share in zip(frames, common, strict=True)
     )
 

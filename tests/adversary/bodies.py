@@ -6,6 +6,7 @@ import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -87,7 +88,7 @@ def _change(draw: Draw, value: Any) -> None:
 def _array(draw: Draw, data: bytes) -> bytes:
     try:
         array = np.load(io.BytesIO(data))
-    except (ValueError, OverflowError):  # spoilt already
+    except (ValueError, OverflowError, TokenError):  # spoilt already
         return data
     kind = draw.random.randint(0, 4)
     if kind == 0:
