@@ -50,7 +50,7 @@ def _header(draw: Draw, data: bytes) -> bytes:
     text = str(np.load(io.BytesIO(data)))
     try:
         header = json.loads(text)
-    except RecursionError:  # spoilt already
+    except (RecursionError, json.JSONDecodeError):  # spoilt already
         return data
     for _ in range(draw.random.randint(1, 3)):
         _change(draw, header)
