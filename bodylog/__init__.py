@@ -7,8 +7,8 @@ if TYPE_CHECKING:
     from .body.model import load as load_body
     from .config import load as load_settings
     from .errors import BodylogError
-    from .estimation.streaming import Belief
-    from .live import Estimator
+    from .estimation.live.estimator import Belief
+    from .online import Estimator
     from .pipeline import Result, estimate, evaluate, extract, fit, ingest, observe, record
     from .settings import Settings
 
@@ -19,9 +19,9 @@ __all__ = [
 ]  # fmt: skip
 
 _HOMES = {
-    "Belief": ("estimation.streaming", "Belief"),
+    "Belief": ("estimation.live.estimator", "Belief"),
     "BodylogError": ("errors", "BodylogError"),
-    "Estimator": ("live", "Estimator"),
+    "Estimator": ("online", "Estimator"),
     "Settings": ("settings", "Settings"),
     "load_body": ("body.model", "load"),
     "load_settings": ("config", "load"),

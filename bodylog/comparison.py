@@ -39,7 +39,7 @@ def compare(
     where no sense says anything.
     """
     from .body import model
-    from .estimation import choices
+    from .estimation.methods import choices
 
     learned = model.load(body)
     settings = of_body(learned, settings)
@@ -70,7 +70,8 @@ def _asked(
     settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]
 ) -> Iterator[Settings]:
     """Every method with every subset of the senses that it can do with, as settings."""
-    from .estimation import METHODS, choices
+    from .estimation import METHODS
+    from .estimation.methods import choices
 
     for method in METHODS:
         for senses in subsets:

@@ -11,8 +11,8 @@ from .types import Array, BodyModel, Features, Finding, ForwardModel
 if TYPE_CHECKING:
     from .body.kinematic import Robotics
     from .body.learning import Learned
-    from .estimation.delay import Delay
-    from .estimation.unlearned import Prior
+    from .estimation.timing.gp_likelihood import Prior
+    from .estimation.timing.regression import Delay
 
 TURNS = 5
 """Bodies learned at most, each from pictures dated by what the last one told."""
@@ -46,10 +46,10 @@ def learned(
     The body keeps the delays of the logs that are surest of theirs. UsageError for a name that is no camera's.
     """
     from . import body
-    from .estimation import dating
+    from .estimation.timing import correction
 
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
-        timely = [dating.earlier(found, delays) for found, delays in zip(features, late, strict=True)]
+        timely = [correction.earlier(found, delays) for found, delays in zip(features, late, strict=True)]
         told = {**provenance, **({"delay": dict(own)} if own else {})}
         found = body.learn(timely, settings, told, known, robot is not None)
         sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
@@ -58,8 +58,8 @@ def learned(
     if all(found.poses for found in features):
         found = body.learn(features, settings, provenance, known, robot is not None)
         return body.with_kinematics(features, settings, found, robot, known)
-    fixed = dating.named(settings.time.delay, dating.cameras([name for f in features for name in f.tracks]))
-    own = {} if known is None else {k: v for k, v in dating.as_learned(known).items() if k not in fixed}
+    fixed = correction.named(settings.time.delay, correction.cameras([name for f in features for name in f.tracks]))
+    own = {} if known is None else {k: v for k, v in correction.as_learned(known).items() if k not in fixed}
     begun, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
     turn = turned([{**own, **fixed} for _ in features], {**own, **given})
     for _ in range(TURNS - 1):
@@ -70,18 +70,18 @@ def learned(
         if _missed(after, surest) > least * _missed(turn, surest):
             break
         turn, begun = after, begun | set(surest)
-    timely = [dating.earlier(found, delays) for found, delays in zip(features, turn.late, strict=True)]
+    timely = [correction.earlier(found, delays) for found, delays in zip(features, turn.late, strict=True)]
     found = body.with_kinematics(timely, settings, turn.found, robot, known)
     return replace(found, findings=(*_said(turn, fixed, begun), *found.findings))
 
 
 def _said(turn: _Turn, fixed: Delays, begun: set[str]) -> Iterator[Finding]:
     """What was taken off each log's pictures, where any was, and what the log has against what is `fixed`."""
-    from .estimation import dating
+    from .estimation.timing import correction
 
     for k, (delays, rest) in enumerate(zip(turn.late, turn.rests, strict=True)):
         sure = {name: rest[name].std_error for name in begun if name in rest}
-        for said in dating.told(delays, sure, rest, fixed):
+        for said in correction.told(delays, sure, rest, fixed):
             yield replace(said, text=f"log {k + 1}: {said.text}") if len(turn.late) > 1 else said
 
 
@@ -96,7 +96,7 @@ def _stepped(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequence[Delays], 
 
 def _missed(turn: _Turn, cameras: Iterable[str]) -> float:
     """Root mean square (px) of what the body misses on withheld places of some cameras' tracks, all together."""
-    from .estimation.dating import camera
+    from .estimation.timing.correction import camera
 
     kinds = (score.name.partition(".") for score in turn.found.scores)
     seen = [kind == "held_out" and track and camera(track) in cameras for kind, _, track in kinds]
@@ -106,13 +106,15 @@ def _missed(turn: _Turn, cameras: Iterable[str]) -> float:
 def _late(timely: Features, model: BodyModel, known: BodyModel | None) -> dict[str, "Delay"]:
     """How late each camera still is by a body learned with it."""
     from .body import encoders
-    from .estimation import dating, unlearned
+    from .estimation.timing import correction, gp_likelihood
 
     tracks = {name: sense for name, sense in model.senses.items() if name != "encoders"}
-    told, seen = dating.heard(encoders.referred(timely, known), replace(model, senses=tracks))
+    told, seen = correction.heard(encoders.referred(timely, known), replace(model, senses=tracks))
     if told is None:
         return {}
-    found = {name: unlearned.measured(told, some, [_prior(one.model) for one in some]) for name, some in seen.items()}
+    found = {
+        name: gp_likelihood.measured(told, some, [_prior(one.model) for one in some]) for name, some in seen.items()
+    }
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
@@ -135,21 +137,21 @@ def _prior(model: ForwardModel) -> "Prior":
 
 def _surest(rests: Sequence[Mapping[str, "Delay"]], fixed: Delays, begun: set[str]) -> dict[str, int]:
     """Each camera that some log tells to be late, if but little once that has `begun`, with the log surest of it."""
-    from .estimation import dating
+    from .estimation.timing import correction
 
     found = {}
     for name in sorted({name for rest in rests for name in rest} - set(fixed)):
-        least = 0.0 if name in begun else dating.LEAST
-        if telling := [k for k, rest in enumerate(rests) if name in rest and dating.telling(rest[name], least)]:
+        least = 0.0 if name in begun else correction.LEAST
+        if telling := [k for k, rest in enumerate(rests) if name in rest and correction.telling(rest[name], least)]:
             found[name] = min(telling, key=lambda k: rests[k][name].std_error)
     return found
 
 
 def _own(rest: "Delay | None", surest: "Delay") -> float:
     """A log's own step (s); that of the surest where the log does not tell and may be as late."""
-    from .estimation import dating
+    from .estimation.timing import correction
 
-    if rest is not None and dating.telling(rest):
+    if rest is not None and correction.telling(rest):
         return rest.seconds
     if rest is None or abs(rest.seconds - surest.seconds) < ALIKE * (rest.std_error + surest.std_error):
         return surest.seconds

@@ -157,13 +157,13 @@ def _tested(
 ) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
     """A body's scores on logs it did not learn from, dated as it knows its cameras, and what was found in them."""
     from .body import tested
-    from .estimation import dating
+    from .estimation.timing import correction
 
     observed = [(log, *observe(log, settings, progress)) for log in logs]
     remarks = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
     for log, read, found in observed:
         remarks += same_camera(log, learned.provenance.get("cameras", ()), read, found)
-    timely = [dating.earlier(found, dating.as_learned(learned)) for _, _, found in observed]
+    timely = [correction.earlier(found, correction.as_learned(learned)) for _, _, found in observed]
     with about(logs[0], remarks, len(logs) - 1):
         scores, more = tested.score(learned, timely)
     return scores, (*remarks, *more)

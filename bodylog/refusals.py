@@ -85,7 +85,7 @@ def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Fe
 
 def same_size(log: Path, learned: BodyModel, features: Features, settings: Settings) -> None:
     """ModelError when pictures that are to be heard are not as wide as those the body was learned from."""
-    from .estimation.senses import chosen
+    from .estimation.measurements.gather import chosen
 
     size, width = features.picture_size, learned.provenance.get("image_width")
     visual = [name for name in features.tracks if name in learned.senses and "/" not in name]

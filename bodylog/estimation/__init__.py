@@ -7,11 +7,13 @@ from ..errors import UsageError
 from ..settings import Estimation
 from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
-from . import filtering, kalman, poses, predictive_coding, senses, smoother
-from .alone import joints_body, readings, unlearned_body
-from .dating import as_stamped, dated, unsure
-from .doubts import doubts
-from .finite import finite, solvable
+from .faults.consistency import doubts
+from .measurements import gather
+from .measurements.joints_alone import joints_body, readings, unlearned_body
+from .methods import filtering, kalman, predictive_coding, smoother
+from .methods.finite import finite, solvable
+from .poses.estimate import estimate as still_poses
+from .timing.correction import as_stamped, dated, unsure
 
 __all__ = ["METHODS", "check", "estimate", "joints_body", "readings", "unlearned_body"]
 
@@ -36,7 +38,7 @@ def estimate(
     check(body, settings)
     if features.poses:
         with one_thread():
-            found = poses.estimate(features, body, settings)
+            found = still_poses(features, body, settings)
         return replace(found, findings=(*found.findings, *doubts(found, settings)))
     with one_thread():
         timely = dated(features, body, delay)
@@ -57,4 +59,4 @@ def check(body: BodyModel, settings: Estimation) -> None:
         raise UsageError("touch: 'literal' is the paper's form, for predictive-coding alone; type --touch likelihood")
     if settings.preset == "paper" and settings.method not in PRINTED:
         raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {' or --method '.join(PRINTED)}")
-    senses.chosen((), body, settings)
+    gather.chosen((), body, settings)

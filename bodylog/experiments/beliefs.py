@@ -58,8 +58,8 @@ def printed(
 
     `implicit` puts the prediction errors at their equilibrium instead of integrating them.
     """
-    from ..estimation import predictive_coding as algorithm
-    from ..estimation.plan import plan_for
+    from ..estimation.methods import predictive_coding as algorithm
+    from ..estimation.methods.grid import plan_for
 
     settings = Estimation(method="predictive-coding", preset="paper", touch="literal", senses=senses, start=start)
     plan, _, _ = plan_for(heard.features, body, settings)

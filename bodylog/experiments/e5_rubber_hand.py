@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..estimation.touch import LEAST
+from ..estimation.measurements.touch import LEAST
 from ..types import Array, BodyModel
 from .beliefs import Belief, noisier, ours, printed, shaped, typed
 from .lab import Heard, Lab

@@ -89,8 +89,8 @@ def _body(n: int, m: int, rng: np.random.Generator) -> "GP":
 
 
 def _stepping(senses: int, joints: int, rng: np.random.Generator) -> Callable[[], object]:
-    from ..estimation.plan import Plan, Sense
-    from ..estimation.predictive_coding import explicitly
+    from ..estimation.methods.grid import Plan, Sense
+    from ..estimation.methods.predictive_coding import explicitly
 
     model, t = _body(46, joints, rng), 0.05 * np.arange(STEPS)
     seen = np.zeros((STEPS, 2))

@@ -53,8 +53,8 @@ def grown(heard: Heard, as_printed: bool) -> float:
 
 def _stable_steps(heard: Heard, body: BodyModel) -> dict[str, float]:
     """Largest stable Euler step (s) with the printed variances, tracks in pixels or in image widths."""
-    from ..estimation import predictive_coding as algorithm
-    from ..estimation.plan import plan_for
+    from ..estimation.methods import predictive_coding as algorithm
+    from ..estimation.methods.grid import plan_for
 
     settings = Estimation(method="predictive-coding", preset="paper", senses=("encoders", "vision"))
     plan, _, _ = plan_for(heard.features, body, settings)

@@ -12,7 +12,7 @@ import numpy as np
 
 from bodylog import body
 from bodylog.estimation import estimate
-from bodylog.estimation.streaming import Estimator
+from bodylog.estimation.live.estimator import Estimator
 from bodylog.settings import Estimation, Settings
 from bodylog.types import BodyModel, Features, Series
 from tests.benchmarks.timing import side_by_side

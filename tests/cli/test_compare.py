@@ -7,7 +7,8 @@ import numpy as np
 
 from bodylog import comparison
 from bodylog.body import model
-from bodylog.estimation import METHODS, choices
+from bodylog.estimation import METHODS
+from bodylog.estimation.methods import choices
 from bodylog.settings import Estimation, Settings
 
 from .spoilt import spoil

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import alike, estimate
+from bodylog.estimation import estimate
+from bodylog.estimation.noise import correlated_noise as alike
 from bodylog.settings import Estimation
 from bodylog.types import Series
 from tests.estimation.conftest import Arm

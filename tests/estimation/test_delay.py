@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation.dating import GAIN, late
+from bodylog.estimation.timing.correction import GAIN, late
 
 
 def delayed(features, seconds):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.dead import silent
-from bodylog.estimation.frozen import frozen
-from bodylog.estimation.jumping import jumps, turned
+from bodylog.estimation.faults.dead import silent
+from bodylog.estimation.faults.frozen import frozen
+from bodylog.estimation.faults.jumping import jumps, turned
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Linear
 from tests.estimation.resting import Drawn, drawn, judged

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.grain import dithered, grain, repeated
+from bodylog.estimation.noise.quantisation import dithered, grain, repeated
 from bodylog.settings import Estimation
 
 

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import trapezoid
 
-from bodylog.estimation import estimate, least, tuning
+from bodylog.estimation import estimate
+from bodylog.estimation.noise import evidence_search
+from bodylog.estimation.noise import smoother_process as least
 from bodylog.settings import Estimation
 from tests.estimation import conftest
 
@@ -62,7 +64,7 @@ def test_a_smoother_errs_less_than_by_greatest_evidence_and_says_how_much(world,
         monkeypatch.setattr(conftest, "motion", white)
     drawn = [world(seed, duration=30.0) for seed in range(4)]
     found = np.array([errors(one) for one in drawn])
-    monkeypatch.setattr(tuning, "least", lambda part, told: (part.precision.process, 1.0))
+    monkeypatch.setattr(evidence_search, "least", lambda part, told: (part.precision.process, 1.0))
     likeliest = np.array([errors(one) for one in drawn])
     assert np.mean(found[:, 0] / likeliest[:, 0]) < gain
     assert 0.8 < np.mean(found[:, 1]) < 1.2

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.estimation import estimate, filtering, laplace, smoother
+from bodylog.estimation import estimate
+from bodylog.estimation.inference import gauss_newton
+from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Explored
 from tests.seeds import seeds
@@ -81,7 +83,7 @@ def test_error_bars_hold_in_silences_on_average(world, silence):
     assert np.sqrt(np.mean(rmse**2)) < 0.05 * silence and 0.2 < np.median(nees) < 1.2 and np.mean(within) > 0.9
 
 
-@pytest.mark.parametrize("solve", [laplace.solve, smoother.solve])
+@pytest.mark.parametrize("solve", [gauss_newton.solve, smoother.solve])
 def test_no_word_crosses_where_all_is_forgotten(world, linear_model, solve):
     drawn = world(0, duration=9.0, model=linear_model)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]

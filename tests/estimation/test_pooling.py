@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import brief as briefs
-from bodylog.estimation import estimate, pooling
-from bodylog.estimation.folds import Fold
-from bodylog.estimation.scan import Dynamics, Leaps, Readings, scan
+from bodylog.estimation import estimate
+from bodylog.estimation.inference import brief as briefs
+from bodylog.estimation.inference import pooling
+from bodylog.estimation.inference.folds import Fold
+from bodylog.estimation.inference.scan import Dynamics, Leaps, Readings, scan
 from bodylog.settings import Estimation
 from tests.seeds import seeds
 

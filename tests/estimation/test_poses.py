@@ -8,8 +8,8 @@ import pytest
 from bodylog import body
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate
-from bodylog.estimation.still import descended, gathered
-from bodylog.estimation.still_noise import _evidence, _Rows
+from bodylog.estimation.poses.encoders import _evidence, _Rows
+from bodylog.estimation.poses.solve import descended, gathered
 from bodylog.settings import Body, Estimation, Settings
 from bodylog.types import BodyModel, Features, Series
 
@@ -121,7 +121,7 @@ def test_the_order_of_poses_is_no_matter(learned):
 
 def test_a_pose_is_found_from_beside_it(learned):
     features, _ = _poses(23, noise=0.01)
-    from bodylog.estimation.senses import gather
+    from bodylog.estimation.measurements.gather import gather
 
     evidence = gather(features, learned, Estimation())
     poses = gathered(evidence.encoders, evidence.sightings, learned)

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate, grain, motion, tuning
-from bodylog.estimation.senses import Encoders
+from bodylog.estimation import estimate
+from bodylog.estimation.measurements.records import Encoders
+from bodylog.estimation.noise import encoder_noise, evidence_search, quantisation
 from bodylog.settings import Estimation
 from tests.estimation import conftest
 
@@ -26,7 +27,7 @@ def white(seed, noise, process, t):
 
 def likeliest(t, y):
     """Noise and process of one joint."""
-    noise, process = motion.likeliest([(t, y)])
+    noise, process = encoder_noise.likeliest([(t, y)])
     return noise[0], process[0]
 
 
@@ -64,7 +65,7 @@ def test_joints_learned_side_by_side_are_as_learned_alone():
     rng = np.random.default_rng(0)
     t = np.cumsum(0.02 + rng.uniform(-0.004, 0.004, 1000))
     pieces = [(t[:900], white(0, 1e-4, 0.05, t[:900])), (t[::2], white(1, 4e-4, 0.1, t[::2]))]
-    together = np.transpose(motion.likeliest(pieces))
+    together = np.transpose(encoder_noise.likeliest(pieces))
     np.testing.assert_allclose(together, [likeliest(*piece) for piece in pieces], rtol=1e-9)
 
 
@@ -72,9 +73,9 @@ def test_a_constant_or_silent_joint_keeps_what_the_body_says_of_one_reading():
     t = np.arange(0.0, 4.0, 0.02)
     values = np.stack([np.zeros_like(t), np.full_like(t, np.nan)], axis=1)
     given = np.array([1e-4, 1e-4]), np.array([0.2, 0.3])
-    encoder, process = motion.learn(Encoders(t, values, t.astype(np.int64)), *given)
+    encoder, process = encoder_noise.learn(Encoders(t, values, t.astype(np.int64)), *given)
     # that all repeat one value is one error of it, not many
-    np.testing.assert_allclose(encoder, given[0] * [t[-1] / grain.ONE, 1.0])
+    np.testing.assert_allclose(encoder, given[0] * [t[-1] / quantisation.ONE, 1.0])
     np.testing.assert_array_equal(process, given[1])
 
 
@@ -104,7 +105,7 @@ def test_the_bodys_own_and_the_papers_variances(world):
 def test_a_joint_that_pictures_do_not_tell_moves_as_its_encoder_has_it_and_the_others_as_all_senses_have_it(
     world, monkeypatch
 ):
-    monkeypatch.setattr(tuning, "least", lambda part, told: (part.precision.process, 1.0))
+    monkeypatch.setattr(evidence_search, "least", lambda part, told: (part.precision.process, 1.0))
     blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
     for seed in range(3):
         drawn = world(seed, model=blind, pixel_std=0.1)
@@ -121,7 +122,7 @@ def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, se
     drawn = world(seed, duration=30.0, encoder_hz=100.0, camera_hz=20.0, pixel_std=0.6)
     settings = Estimation(method="smoother", bias="off")
     nearly = estimate(drawn.features, drawn.body, settings).settings
-    monkeypatch.setattr(tuning, "NEARLY", 1e-6)
+    monkeypatch.setattr(evidence_search, "NEARLY", 1e-6)
     still = estimate(drawn.features, drawn.body, settings).settings
     # of variances that a log of this length tells to a tenth
     np.testing.assert_allclose(nearly["process"], still["process"], rtol=0.02)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.estimation import estimate, predictive_coding
-from bodylog.estimation.literal import Literal
+from bodylog.estimation import estimate
+from bodylog.estimation.methods import predictive_coding
+from bodylog.estimation.methods.paper_touch import Literal
 from bodylog.evaluation.scores import scores
 from bodylog.settings import Estimation
 from bodylog.types import TouchConstants

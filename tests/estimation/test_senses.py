@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.errors import EvidenceError, LogError, ModelError, UsageError
 from bodylog.estimation import METHODS, estimate
-from bodylog.estimation.senses import gather
+from bodylog.estimation.measurements.gather import gather
 from bodylog.settings import Estimation
 
 

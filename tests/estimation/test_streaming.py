@@ -13,8 +13,9 @@ import pytest
 
 from bodylog import body as learning
 from bodylog.errors import LogError, ModelError, UsageError
-from bodylog.estimation import estimate, touch
-from bodylog.estimation.streaming import Belief, Estimator
+from bodylog.estimation import estimate
+from bodylog.estimation.live.estimator import Belief, Estimator
+from bodylog.estimation.measurements import touch
 from bodylog.settings import Estimation, Settings
 from bodylog.types import BodyModel, Estimate, Features, Series
 from tests.estimation.conftest import Explored

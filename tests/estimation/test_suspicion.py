@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.estimation import bias, estimate, filtering
-from bodylog.estimation.laplace import solve
-from bodylog.estimation.suspicion import promise
+from bodylog.estimation import estimate
+from bodylog.estimation.faults import encoder_offset
+from bodylog.estimation.faults.offset_score import promise
+from bodylog.estimation.inference.gauss_newton import solve
+from bodylog.estimation.methods import filtering
 from bodylog.settings import Estimation, Settings
 
-WALK = bias.WALKS[0]
+WALK = encoder_offset.WALKS[0]
 
 
 def lying(drawn, size, joint="pan", since=8.0):
@@ -32,9 +34,9 @@ def test_it_is_what_the_filter_with_an_offset_wins(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
     cost = partial(filtering.cost, warm=found)
-    wins = [cost(problem) - cost(bias.with_drift(problem, WALK * row)) for row in np.eye(3)]
+    wins = [cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)]
     np.testing.assert_allclose(promise(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
-    assert (max(wins) > bias.GAIN) is (size > 0)
+    assert (max(wins) > encoder_offset.GAIN) is (size > 0)
 
 
 def test_nothing_is_promised_where_nothing_is_looked_at(world):
@@ -55,14 +57,14 @@ def _never(*_, **__):
 
 
 def test_a_sound_log_is_not_weighed(world, monkeypatch):
-    monkeypatch.setattr(bias, "choose", _never)
+    monkeypatch.setattr(encoder_offset, "choose", _never)
     for seed in range(3):
         drawn = world(seed, duration=12.0, hidden=(6.0, 8.0), blunder=0.02)
         assert not estimate(drawn.features, drawn.body, Estimation()).faults
 
 
 def test_that_the_way_forth_of_a_smoother_lags_is_no_offset(world, learned, monkeypatch):
-    monkeypatch.setattr(bias, "choose", _never)
+    monkeypatch.setattr(encoder_offset, "choose", _never)
     for seed in (7, 8):
         drawn = world(seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
         assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
@@ -70,7 +72,7 @@ def test_that_the_way_forth_of_a_smoother_lags_is_no_offset(world, learned, monk
 
 def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, monkeypatch):
     promised = []
-    monkeypatch.setattr(bias, "promise", lambda *given: promised.append(promise(*given)) or promised[-1])
+    monkeypatch.setattr(encoder_offset, "promise", lambda *given: promised.append(promise(*given)) or promised[-1])
     for seed in (2, 3):
         drawn = world(seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         estimate(drawn.features, learned, Estimation(method="smoother"))
@@ -83,7 +85,7 @@ def test_a_learned_bodys_own_error_accuses_no_encoder(world, learned):
     for seed in range(2, 5):
         drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         gain, _, _ = promise(*solved(drawn.features, learned), WALK)
-        assert (gain < bias.GAIN).all()
+        assert (gain < encoder_offset.GAIN).all()
 
 
 @pytest.mark.parametrize("joint", ["lift", "elbow"])

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.estimation import estimate, touch
+from bodylog.estimation import estimate
+from bodylog.estimation.measurements import touch
 from bodylog.settings import Estimation
 
 BLIND = Estimation(senses=("encoders", "touch"), precision="model", bias="on")

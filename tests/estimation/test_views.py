@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation import estimate, laplace, walk
-from bodylog.estimation.filtering import pose
-from bodylog.estimation.senses import Sighting
-from bodylog.estimation.views import LONG, views
+from bodylog.estimation import estimate
+from bodylog.estimation.inference import gauss_newton, walk
+from bodylog.estimation.measurements.records import Sighting
+from bodylog.estimation.methods.filtering import pose
+from bodylog.estimation.noise.visibility import LONG, views
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Arm
 
@@ -53,6 +54,6 @@ def test_one_instant_after_the_other_moves_as_the_sweeps_do(world, seed):
     problem, _, _ = pose(drawn.features, drawn.body, Estimation(method="laplace"))
     precision = replace(problem.precision, fewer={(): problem.precision.process * np.array([1.0, 9.0, 4.0])})
     problem = replace(problem, precision=precision)
-    swept, walked = laplace.solve(problem), walk.walk(problem)
+    swept, walked = gauss_newton.solve(problem), walk.walk(problem)
     np.testing.assert_allclose(swept.fold.unfold(swept.trace.z), walked.fold.unfold(walked.trace.z), atol=1e-7)
     np.testing.assert_allclose(swept.fold.unfold(swept.trace.p), walked.fold.unfold(walked.trace.p), atol=1e-8)

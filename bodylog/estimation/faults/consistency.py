@@ -1,0 +1,44 @@
+"""What the log itself says against an estimate, without any truth: readings far from where they were expected."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...settings import Estimation
+from ...types import Estimate, Finding
+
+FAR, SHARE, FEWEST = 3.0, 0.05, 20
+"""Standard deviations that few readings are off, the share of readings above which it is said, of how many at least."""
+STATIC = ("kalman", "predictive-coding")
+NOISY = 0.1
+"""rad: an encoder that scatters more is hardly one."""
+
+
+def doubts(found: Estimate, settings: Estimation) -> Iterator[Finding]:
+    """A warning for each sense whose readings were not foretold as well as the error bars say, or scatter widely."""
+    learned = found.settings.get("encoder", found.settings.get("sigma_encoders"))
+    for name, variance in zip(found.joints.names, learned if isinstance(learned, list) else (), strict=False):
+        if settings.precision == "auto" and settings.preset != "paper" and variance > NOISY**2:
+            text = f"encoders: what {name} reads scatters by {variance**0.5:.2g} rad; do two publish on its topic?"
+            yield Finding("warning", text)
+    for sense, errors in found.errors.items():
+        off = np.abs(errors.values[np.isfinite(errors.values)]) > FAR
+        if len(off) >= FEWEST and off.mean() > SHARE:
+            yield Finding(
+                "warning",
+                f"{sense}: {off.mean():.0%} of its readings are more than {FAR:g} standard deviations from what was "
+                f"expected (0.3 % where error bars are true): {_advice(found, settings, sense)}",
+            )
+
+
+def _advice(found: Estimate, settings: Estimation, sense: str) -> str:
+    """What this may come of, and what to type."""
+    if found.method in STATIC:
+        return f"{found.method} holds the arm still and takes out no encoder that lies; type --method laplace"
+    if settings.precision != "auto":
+        return f"noise here is not what --precision {settings.precision} says; type --precision auto"
+    if settings.bias == "off":
+        return "an encoder may be off; type --bias auto"
+    if sense == "encoders":
+        return "they or the pictures are wrong for a while; see when with bodylog report, or type --without vision"
+    return f"outliers, or the camera is not where the body was learned; see with bodylog report, or --without {sense}"

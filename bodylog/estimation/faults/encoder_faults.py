@@ -1,0 +1,64 @@
+"""Encoders that lie outright: frozen, dead or jumping ones, found in their own readings, named and set right.
+
+Each kind is told in a file of its own. What readings alone do not prove is left to the other senses (`bias`).
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...types import Array, Fault, Finding
+from ..measurements.records import Encoders, Sighting
+from .dead import fallen, silent
+from .frozen import frozen
+from .jumping import jumps, turned
+from .stalled import stalled
+
+
+def screen(
+    encoders: Encoders, names: tuple[str, ...], sightings: Sequence[Sighting] = (), angles: bool = True
+) -> tuple[Encoders, tuple[Fault, ...]]:
+    """The encoders with frozen or dead stretches silenced and jumps taken back, and the faults (size 0 but for jumps).
+
+    An encoder that repeats exactly zero is dead, and not even its first zero is sound. `sightings` tell which of those
+    that repeat moved meanwhile. What are no `angles` has no whole turns.
+    """
+    values, found = encoders.values.copy(), list[Fault]()
+    for joint, begin, end in stalled(encoders, sightings):
+        kind, begin = _kind(values[:, joint], begin)
+        values[begin:end, joint] = np.nan
+        found.append(Fault("encoders", names[joint], kind, float(encoders.t[begin]), 0.0, "rad"))
+    for joint, name in enumerate(names):
+        column = values[:, joint]
+        column[:] = turned(column) if angles else column
+        for kind, begin, end in _still(encoders.t, column):
+            found.append(Fault("encoders", name, kind, float(encoders.t[begin]), 0.0, "rad"))
+            column[begin:end] = np.nan
+        if (since := silent(encoders.t, column)) is not None and not any(f.name == name for f in found):
+            found.append(Fault("encoders", name, "dead", since, 0.0, "rad"))
+        for at, size in jumps(encoders.t, column):
+            found.append(Fault("encoders", name, "jumping", float(encoders.t[at]), size, "rad"))
+            column[at:] -= size
+    return replace(encoders, values=values), tuple(sorted(found, key=lambda fault: fault.since))
+
+
+def _still(t: Array, y: Array) -> list[tuple[str, int, int]]:
+    """Kind and stretch [begin, end) of readings y (N,) at t (N,) that are none, in order."""
+    found = {end: (*_kind(y, begin), end) for begin, end in frozen(t, y)}
+    found |= {end: ("dead", begin, end) for begin, end in fallen(t, y)}
+    return sorted(found.values(), key=lambda run: run[1])
+
+
+def _kind(y: Array, begin: int) -> tuple[str, int]:
+    """What an encoder that stands still from the second of equal readings y (N,) on is, and from when on."""
+    return ("dead", begin - 1) if y[begin] == 0.0 else ("frozen", begin)
+
+
+def turns(encoders: Encoders, names: tuple[str, ...]) -> Iterator[Finding]:
+    """A remark for each encoder that counts within one turn: its angle goes on beyond."""
+    for name, column in zip(names, encoders.values.T, strict=True):
+        apart = np.abs(turned(column) - column) > 1.0
+        if apart.any():
+            at = float(encoders.t[int(apart.argmax())])
+            yield Finding("info", f"encoders: {name} wraps by a whole turn at {at:.3f} s; its angle goes on")

@@ -1,0 +1,165 @@
+"""Encoder offsets: whether the log asks for one, whose it is, and since when it drifts."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...types import Array, Fault
+from ..inference.gauss_newton import Problem, Solution
+from ..measurements.records import Encoders
+from ..noise.quantisation import grain
+from .offset_score import promise
+
+WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
+"""rad²/s: how fast an offset may wander, the first tried first; the last is a joint homed differently, and stays."""
+GAIN = 20.0
+"""Nats of evidence that one more offset must win."""
+MOST = 2000
+"""Instants by which a fault's size is told, at most."""
+EITHER = " or "
+"""Between the names of joints of which one lies, it cannot be told which."""
+SIGMAS, LEAST = 4.0, 0.01
+"""An offset is a fault when it is this many of its standard deviations, and this many rad, from where it began."""
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """A problem, its nats, and of each joint with an offset (by number) those whose offset does nearly as well."""
+
+    problem: Problem
+    nats: float
+    rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+
+    def of(self, problem: Problem) -> "Chosen":
+        """The same of another problem."""
+        return replace(self, problem=problem)
+
+
+def suspects(problem: Problem, solved: Solution) -> Array:
+    """Encoders (M,) bool whose lie would, to first order, explain GAIN nats of the log: a sound one costs no more."""
+    gain, offset, var = promise(problem, solved, WALKS[0])
+    certain = _certain(offset, var, least(problem.evidence.encoders))
+    return np.asarray((gain > GAIN) & certain.any(axis=0) & (_given(problem) == 0))
+
+
+def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
+    """The problem with an offset for each encoder whose lie explains GAIN nats of the log; `cost` in nats.
+
+    suspected (M,) bool: the encoders asked first, at least one.
+    """
+    first = cost(problem)
+    found = _added(Chosen(problem, nats(solved) if np.isinf(first) else first), suspected, cost)
+    if found.problem is problem:
+        return found
+    # pictures taken for blurred on the lie's account are as sharp as perception says
+    precision = found.problem.precision
+    sharp = replace(found.problem, precision=replace(precision, scale=dict.fromkeys(precision.scale, 1.0)))
+    return found if sharp.precision.scale == precision.scale or cost(sharp) >= found.nats else found.of(sharp)
+
+
+def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
+    """The same with one offset after the other while each wins GAIN nats, and how fast it wanders as the log has it."""
+    while suspected.any():
+        drift = _given(found.problem)
+        asked = np.flatnonzero(suspected)
+        own = [np.arange(len(drift)) == j for j in asked]
+        costs = np.array([cost(with_drift(found.problem, np.where(one, WALKS[0], drift))) for one in own])
+        best = int(costs.argmin())
+        if costs[best] > found.nats - GAIN:
+            return found
+        near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + GAIN]
+        ways = [_wandering(found.problem, j, float(costs[asked == j][0]), cost) for j in near]
+        # before a further offset is asked for: one that wanders too freely leaves others to be found
+        least = min(nats for nats, _ in ways)
+        # of those that cannot be told apart the one that wanders least: others follow what the body model errs
+        alike = [
+            (_given(way)[j], nats, j, way) for j, (nats, way) in zip(near, ways, strict=True) if nats < least + GAIN
+        ]
+        _, nats, joint, chosen = min(alike, key=lambda one: one[:3])
+        found = Chosen(chosen, nats, {**found.rivals, joint: tuple(sorted(j for *_, j, _ in alike if j != joint))})
+        # with one lie out of the way, any other may show
+        suspected = _given(found.problem) == 0
+    return found
+
+
+def _wandering(problem: Problem, joint: int, least: float, cost: Callable[[Problem], float]) -> tuple[float, Problem]:
+    """Nats, and the problem, with an offset of a joint that wanders as the log has it; by the first walk `least`."""
+    own = np.arange(len(problem.start)) == joint
+    ways = [with_drift(problem, np.where(own, walk, _given(problem))) for walk in WALKS]
+    costs = [least, *(cost(way) for way in ways[1:])]
+    return min(zip(costs, ways, strict=True), key=lambda pair: pair[0])
+
+
+def _given(problem: Problem) -> Array:
+    """Walks (M,) rad²/s of the offsets allowed so far."""
+    return np.zeros(len(problem.start)) if problem.precision.drift is None else np.asarray(problem.precision.drift)
+
+
+def nats(solution: Solution) -> float:
+    """Free energy of a whole filtered log."""
+    return float(solution.fold.unfold(solution.trace.nats).sum())
+
+
+def with_drift(problem: Problem, drift: Array) -> Problem:
+    """The problem with offsets that wander as `drift` (M,) rad²/s says; 0 for none."""
+    return replace(problem, precision=replace(problem.precision, drift=drift))
+
+
+def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> Array | None:
+    """Walks (M,) rad²/s given before any evidence: to all when `on`, under `auto` to encoders that jumped."""
+    jumped = {fault.name for fault in known if fault.kind == "jumping"}
+    if setting == "on" or (setting == "auto" and jumped):
+        return np.array([WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names])
+    return None
+
+
+def least(encoders: Encoders | None) -> Array | float:
+    """Offsets (M,) rad that may be faults at least: a sound encoder is off by half the step it counts in.
+
+    One that never moved is taken to count in the steps of the others.
+    """
+    if encoders is None:
+        return LEAST
+    said = [column[np.isfinite(column)] for column in encoders.values.T]
+    steps = [grain(y) for y in said]
+    shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, said, strict=True)]
+    return np.maximum(LEAST, shown)
+
+
+def _certain(offset: Array, var: Array, least: Array | float) -> Array:
+    """Where offsets (N,M), of variances (N,M), are faults, which are no smaller than `least` (M,) rad."""
+    return np.asarray(np.abs(offset) > np.maximum(least, SIGMAS * np.sqrt(var)))
+
+
+def faults(
+    problem: Problem, names: tuple[str, ...], offset: Array, var: Array, known: tuple[Fault, ...]
+) -> tuple[Fault, ...]:
+    """Drifting encoders from offsets and their variances (N,M): since when they are certainly off, and by how much.
+
+    Where another joint's offset does nearly as well both are named, with no size.
+    """
+    t, walks = problem.timeline.t, _given(problem)
+    found, certain = [], _certain(offset, var, least(problem.evidence.encoders))
+    for joint, name in enumerate(names):
+        if any(fault.name == name for fault in known):
+            continue
+        off = certain[:, joint]
+        lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
+        if lasting.any():
+            rivals = problem.rivals.get(joint, ())
+            size = np.nan if rivals else _size(t, offset[:, joint], var[:, joint], float(walks[joint]))
+            either = EITHER.join([name, *(names[k] for k in rivals)])
+            found.append(Fault("encoders", either, "drifting", float(t[lasting.argmax()]), size, "rad"))
+    return tuple(found)
+
+
+def _size(t: Array, offset: Array, var: Array, walk: float) -> float:
+    """The largest offset (rad) by the whole log, of filtered ones (N,) with variances at t (N,) s."""
+    some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST)).astype(int))
+    grown = walk * np.diff(t[some])
+    back = var[some][:-1] / np.maximum(var[some][:-1] + grown, np.finfo(float).tiny)
+    whole = offset[some].tolist()
+    for k in range(len(whole) - 2, -1, -1):
+        whole[k] += back[k] * (whole[k + 1] - whole[k])
+    return float(max(whole, key=abs))

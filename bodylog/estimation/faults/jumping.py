@@ -1,0 +1,73 @@
+"""Encoders that jump, by their own readings alone: their level shifts as no joint moves."""
+
+import numpy as np
+
+from ...types import Array
+
+JUMP, LEAST = 12.0, 0.01
+"""Standard deviations of the readings' scatter, and rad, by which the level must shift from one reading to the next."""
+LEVEL = 5
+"""Readings on each side of a jump that say how far it went."""
+PAUSE = 3.0
+"""Median steps in time: what an encoder reads after a longer silence may be where the joint has moved meanwhile."""
+FASTEST = 1000.0
+"""rad/s²: no joint comes from one level to another between two readings with more, a third of it at a metre being what
+the fastest parallel robots pull (15 g at 0.5 m); below, it may have moved there."""
+HELD, OFTEN = 0.1, 3
+"""s for which a driver may hold a reading before the next, at most, and how many longer steps show that it does."""
+TURN, BESIDE = 2.0 * np.pi, 0.5
+"""rad: a shift within BESIDE of a whole turn is how a joint that turns on is counted, and no fault."""
+
+
+def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
+    """Where the level of y (N,) rad at t (N,) s shifts for good (first index after), and by how much (rad)."""
+    known = np.flatnonzero(np.isfinite(y))
+    v, found = y[known], []
+    if len(v) < 4 * LEVEL:
+        return []
+    steps, waits = np.diff(v), np.diff(t[known])
+    bound = max(JUMP * _scatter(steps), LEAST)
+    usual = float(np.median(waits))
+    # from rest to rest in a time h takes 4 s/h²
+    bound = max(bound, FASTEST * max(usual, _held(steps, t[known])) ** 2 / 4.0)
+    for k in np.flatnonzero((np.abs(steps) > bound) & (waits < PAUSE * usual)):
+        before, after = v[max(0, k + 1 - LEVEL) : k + 1], v[k + 1 : k + 1 + LEVEL]
+        if len(before) < LEVEL or len(after) < LEVEL:
+            continue
+        size = _level(after[::-1]) - _level(before)
+        apart = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
+        if abs(size) > bound and apart < abs(size) / 2:
+            found.append((int(known[k + 1]), size))
+    return found
+
+
+def turned(y: Array) -> Array:
+    """Readings y (N,) rad, NaN where silent, without whole turns by which they step from one to the next."""
+    known = np.isfinite(y)
+    steps = np.diff(y[known], prepend=y[known][:1])
+    whole = np.abs(np.abs(steps) - TURN) < BESIDE
+    found = y.copy()
+    found[known] -= np.cumsum(np.where(whole, np.sign(steps) * TURN, 0.0))
+    return found
+
+
+def _held(steps: Array, t: Array) -> float:
+    """For how long (s) the driver holds a reading, by steps (N-1,) rad between readings at t (N,) s; or 0."""
+    sizes = np.abs(steps)
+    moved = np.flatnonzero(sizes > 1.5 * sizes[sizes > 0.0].min(initial=np.inf))
+    if 2 * np.count_nonzero(steps) > len(steps) or len(moved) <= OFTEN:
+        return 0.0
+    return min(float(np.quantile(np.diff(t[moved]), 0.1)), HELD)
+
+
+def _scatter(steps: Array) -> float:
+    """Robust standard deviation of steps (N,) rad; where most are none, as a coarse encoder's, the others' size."""
+    if scatter := 1.4826 * float(np.median(np.abs(steps - np.median(steps)))):
+        return scatter
+    moved = np.abs(steps[steps != 0.0])
+    return float(np.median(moved)) if len(moved) else 0.0
+
+
+def _level(v: Array) -> float:
+    """Level of a short piece at its last reading, by a straight line."""
+    return float(np.polyfit(np.arange(1 - len(v), 1), v, 1)[1])

@@ -1,0 +1,61 @@
+"""Joints, and stretches of a log, that no encoder speaks of: what pictures alone tell of them is said to be little."""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...types import Array, Finding
+
+if TYPE_CHECKING:
+    from ..measurements.records import Encoders, Sighting
+
+LONG, NAMED = 1.0, 3
+"""s: encoders that say nothing for longer are silent; and how many silences are named."""
+
+
+def silent(names: tuple[str, ...], encoders: "Encoders | None") -> list[str]:
+    """Joints no encoder speaks of."""
+    return [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
+
+
+def silences(
+    names: tuple[str, ...], encoders: "Encoders | None", heard: Sequence["Sighting"]
+) -> Iterator[Finding]:
+    """Warnings where pictures give fewer numbers than there are joints no encoder speaks of, ever or for long."""
+    mute = silent(names, encoders)
+    seen = sum(sighting.values.shape[1] for sighting in heard if sighting.name != "touch")
+    if 0 < seen < len(mute):
+        yield Finding(
+            "warning",
+            f"vision: {seen} numbers a picture for {len(mute)} joints without an encoder ({', '.join(mute)}): "
+            "many postures look alike, angles may be off by far more than their error bars; add encoders or a camera",
+        )
+    if encoders is None or mute or not seen:
+        return
+    frames = np.sort(np.concatenate([sighting.t for sighting in heard if sighting.name != "touch"]))
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for name, column in zip(names, encoders.values.T, strict=True):
+        groups.setdefault(tuple(_silent_from(frames, encoders.t[np.isfinite(column)])), []).append(name)
+    for when, joints in groups.items():
+        if when and (len(joints) > seen or len(joints) == len(names)):
+            more = f" and {len(when) - NAMED} times more" if len(when) > NAMED else ""
+            loose = f": {seen} numbers a picture do not hold {len(joints)} joints, error bars may be too small there"
+            text = f"encoders: {', '.join(joints)} silent from {', from '.join(when[:NAMED])}{more}"
+            yield Finding("warning", f"{text}, while pictures go on{loose * (len(joints) > seen)}")
+
+
+def _silent_from(frames: Array, known: Array) -> Iterator[str]:
+    """When an encoder heard at known (N,) s was silent for long though there were frames (F,) s."""
+    for k in np.flatnonzero(np.diff(known) > LONG):
+        if _between(frames, known[k], known[k + 1]):
+            yield f"{known[k]:.3f} to {known[k + 1]:.3f} s"
+    if frames[-1] - known[-1] > LONG:
+        yield f"{known[-1]:.3f} s on"
+    if known[0] - frames[0] > LONG:
+        yield f"the first picture to {known[0]:.3f} s"
+
+
+def _between(frames: Array, begin: float, end: float) -> bool:
+    """Whether any of the frames (F,) s lies between two times."""
+    return bool(np.searchsorted(frames, begin) < np.searchsorted(frames, end))

@@ -1,0 +1,185 @@
+"""What an offset of each encoder would explain, to first order at the belief at hand: cheap enough to ask of every log.
+
+A belief that knows of no offset b has innovations ν + Ψ b (Friedland 1969, "Treatment of bias in recursive
+filtering"), where Ψ follows from the filter's own covariances. So ν is a regression on b.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+from ..inference.conditioning import raised
+from ..inference.gauss_newton import Problem, Solution
+from ..inference.outset import OFFSET_STD
+from ..measurements.timeline import spans
+from ..noise.correlated_noise import counts
+
+CLIP = 4.0
+"""Standard deviations: no innovation counts for more, lest single blunders accuse an encoder."""
+FAR = 0.3
+"""rad: angles closer than this share so much of a model's error that it passes for a lie, which lasts as well."""
+SPAN = 0.5
+"""s over which an offset is taken for constant."""
+PASSES, STILL = 8, 0.05
+"""Passes over all stretches at most, and how little a stretch's start may still move, per unit of offset."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """One track's F sightings: at which events (F,), J (D,M,F), S⁻¹ (D,D,F) of the innovation, S⁻¹ν (D,F) clipped,
+    information (M,M,F) as gated.
+    """
+
+    events: Array
+    jac: Array
+    inverse: Array
+    pull: Array
+    stiff: Array
+
+
+def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
+    """Nats (M,) that an offset of each encoder, wandering by `walk` rad²/s, would win; 0 where nothing is looked at.
+
+    With what that offset would be over spans of the log (S,M) rad, and its variance (S,M).
+    """
+    tracks = [_frames(problem, solved, k) for k in range(len(problem.evidence.sightings))]
+    visual = [track for track, s in zip(tracks, problem.evidence.sightings, strict=True) if s.name != "touch"]
+    if not visual:
+        return np.zeros(len(problem.start)), *np.zeros((2, 1, len(problem.start)))
+    shift = _shift(solved, tracks)
+    score, weight = _by_encoders(solved, shift)
+    for track in visual:
+        psi = -np.einsum("dmf,mkf->dkf", track.jac, _at(solved, shift, track.events))
+        score[track.events] += np.einsum("dkf,df->fk", psi, track.pull)
+        weight[track.events] += np.einsum("dkf,dkf->fk", psi, np.einsum("def,ekf->dkf", track.inverse, psi))
+    often = 1.0 if problem.precision.likeliest is None else _scatter(solved)
+    return _won(problem.timeline.t, score / often, weight / often, walk)
+
+
+def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
+    """What the sightings of one track said to the belief."""
+    readings, trace = solved.readings, solved.trace
+    seen: Array = np.all(np.isfinite(problem.evidence.sightings[track].values), axis=1)
+    events = problem.timeline.sightings[track][seen]
+    x, cov = _at(solved, trace.prior, events), _at(solved, trace.prior_cov, events)
+    y, jac, var = (_at(solved, part[:, track], events) for part in (readings.y, readings.jac, readings.var))
+    nu, s = y - (jac * x).sum(axis=1), np.einsum("dmf,emf->def", np.einsum("dmf,mkf->dkf", jac, cov), jac)
+    own = np.einsum("ddf->df", s)
+    own += var
+    d2 = np.einsum("df,df->f", nu, np.einsum("def,ef->df", _inverse(s), nu))
+    noise = raised(var, own, d2)
+    own += _common(solved, track, seen)
+    inverse = _inverse(s)
+    pull = np.einsum("def,ef->df", inverse, nu)
+    reach = np.sqrt(np.maximum(np.einsum("df,df->f", nu, pull) / len(nu), 1e-9))
+    told = np.einsum("dmf,dkf->mkf", jac, jac / noise[:, None])
+    return _Frames(events, jac, inverse, pull * np.minimum(1.0, CLIP / reach), told)
+
+
+def _at(solved: Solution, a: Array, events: Array) -> Array:
+    """Folded a (L,…,C) at the given events: (…,F)."""
+    return np.ascontiguousarray(np.moveaxis(solved.fold.pick(a, events), 0, -1))
+
+
+def _inverse(s: Array) -> Array:
+    """Of symmetric s (2,2,F)."""
+    (a, b), (_, c) = s
+    return np.asarray(np.stack([c, -b, -b, a]).reshape(s.shape) / (a * c - b * b))
+
+
+def _common(solved: Solution, track: int, seen: Array) -> Array:
+    """What the model's error adds to variances (D,F), so that frames of like postures say of a lie no more than one."""
+    points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
+    alike = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / FAR))
+    return np.asarray((model * (2.0 * alike - 2.0)[:, None]).T)
+
+
+def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
+    """How far (L,M,M,C) the belief before each instant is from the truth, per unit of each encoder's offset."""
+    readings, trace, fold = solved.readings, solved.trace, solved.fold
+    gated = raised(readings.encoder_var, _spread(solved), trace.encoder_d**2)
+    told = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
+    stiff = np.zeros(trace.prior_cov.shape)
+    np.einsum("liic->lic", stiff)[:] = told
+    for track in tracks:
+        fold.put(stiff, track.events, fold.pick(stiff, track.events) + np.moveaxis(track.stiff, -1, 0))
+    # what merely reminds of habits has no offset
+    lied = np.where(np.isfinite(trace.encoder_d), told, 0.0)
+    shift, begin = np.empty_like(stiff), _follows(lied)
+    for _ in range(PASSES):
+        end = _follow(shift, begin.copy(), readings.dt, stiff, lied, trace.p)
+        moved, begin[..., 1:] = np.abs(end[..., :-1] - begin[..., 1:]).max(initial=0.0), end[..., :-1]
+        if moved < STILL:
+            break
+    return shift
+
+
+def _follows(lied: Array) -> Array:
+    """A first guess (2M,M,C) of the shift where stretches start: by all the offset, of encoders that speak."""
+    _, m, c = lied.shape
+    begin = np.zeros((2 * m, m, c))
+    begin[np.arange(m), np.arange(m), 1:] = np.any(lied > 0, axis=(0, 2), keepdims=True)[0]
+    return begin
+
+
+def _follow(
+    shift: Array, moved: Array, dt: Array, stiff: Array, lied: Array, p: Array
+) -> Array:  # fmt: skip
+    """Carry `moved` (2M,M,C), angles and rates per unit of offset, through all stretches and into `shift`; the end."""
+    m = lied.shape[1]
+    own = np.arange(m)
+    for i, step in enumerate(dt):
+        moved[:m] += step * moved[m:]
+        shift[i] = moved[:m]
+        force = np.einsum("ijc,jkc->ikc", stiff[i], shift[i])
+        force[own, own] -= lied[i]
+        # x⁺ − x⁻ = P⁺ Hᵀ R⁻¹ ν
+        moved -= np.einsum("aic,ikc->akc", p[i, : 2 * m, :m], force)
+    return moved
+
+
+def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
+    """Ψᵀ S⁻¹ ν (E,M) and the diagonal of Ψᵀ S⁻¹ Ψ (E,M) of all that encoders said."""
+    d, m = solved.trace.encoder_d, shift.shape[1]
+    heard, std = np.isfinite(d), np.sqrt(_spread(solved))
+    psi = (np.eye(m)[..., None] - shift) * np.where(heard, 1.0 / std, 0.0)[:, :, None]
+    said = np.where(heard, np.clip(d, -CLIP, CLIP), 0.0)
+    score, weight = (psi * said[:, :, None]).sum(axis=1), (psi * psi).sum(axis=1)
+    return solved.fold.unfold(score), solved.fold.unfold(weight)
+
+
+def _scatter(solved: Solution) -> Array:
+    """How many times their variance each encoder's innovations scatter (M,), 1 at least.
+
+    A smoother's way forth lags behind the arm, which passes for an offset unless what is said counts so much less.
+    """
+    d = np.nan_to_num(solved.trace.encoder_d)
+    heard = np.isfinite(solved.trace.encoder_d).sum(axis=(0, 2))
+    squares = np.square(np.clip(d, -CLIP, CLIP)).sum(axis=(0, 2))
+    return np.asarray(np.maximum(squares / np.maximum(heard, 1), 1.0))
+
+
+def _spread(solved: Solution) -> Array:
+    """Variance (L,M,C) of each encoder's innovation."""
+    return np.asarray(np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var)
+
+
+def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
+    """As `promise`: an offset filtered by itself over spans of what scores (E,M) with weights (E,M) say of it."""
+    starts = np.unique(np.searchsorted(t, spans(t, SPAN)))
+    steps = np.diff(t[starts], append=t[-1])
+    score, weight = np.add.reduceat(score, starts), np.add.reduceat(weight, starts)
+    offsets, var = np.zeros((2, len(steps) + 1, score.shape[1]))
+    var[0] = OFFSET_STD**2
+    for j, (f, w) in enumerate(zip(score.T.tolist(), weight.T.tolist(), strict=True)):
+        b, p = 0.0, OFFSET_STD**2
+        for k, (pull, stiff, step) in enumerate(zip(f, w, steps.tolist(), strict=True), 1):
+            p += walk * step
+            p /= 1.0 + stiff * p
+            b += p * (pull - stiff * b)
+            offsets[k, j], var[k, j] = b, p
+    before, grown = offsets[:-1], var[:-1] + walk * steps[:, None]
+    more, share = score - weight * before, 1.0 + weight * grown
+    nats = before * (score - 0.5 * weight * before) + 0.5 * (more * more * grown / share - np.log(share))
+    return nats.sum(axis=0), offsets[1:], var[1:]

@@ -1,0 +1,42 @@
+"""Whether encoders speak of the angles the body was learned at, and in its unit."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...errors import ModelError
+from ...types import Array, BodyModel, Finding
+
+BESIDE = 0.5
+"""rad, or share of what was explored, by which readings may lie beyond it."""
+TURN = 2.0 * np.pi
+
+
+def checked(readings: Array, body: BodyModel) -> Iterator[Finding]:
+    """A warning for each joint whose readings (N,M) rad are mostly beyond what was explored; ModelError for degrees."""
+    known = [getattr(model, "samples", np.empty((0, len(body.joints)))) for model in body.senses.values()]
+    if "encoders" in body.senses or not len(explored := np.concatenate([np.empty((0, len(body.joints))), *known])):
+        return
+    ranges = list(zip(body.joints, readings.T, explored.min(axis=0), explored.max(axis=0), strict=True))
+    beyond = [one for one in ranges if not _within(*one[1:])]
+    wide = any(np.ptp(np.nanpercentile(told, [5, 95])) > max(TURN, high - low) for _, told, low, high in beyond)
+    if wide and all(_within(np.deg2rad(told), low, high) for _, told, low, high in ranges):
+        said = "; ".join(_said(*one) for one in beyond)
+        raise ModelError(f'joints: {said}: these are degrees; type [body] unit = "deg" in robot.toml')
+    for name, told, low, high in beyond:
+        turns = round(float(np.nanmedian(told) - (low + high) / 2.0) / TURN)
+        off = turns and _within(told - turns * TURN, low, high)
+        why = f"{turns:+d} whole turns off, home it anew" if off else "beyond that"
+        text = f"joints: {_said(name, told, low, high)}: {why}, or fit a body from a log that explores it"
+        yield Finding("warning", f"{text}; pictures tell little there")
+
+
+def _within(told: Array, low: float, high: float) -> bool:
+    """Whether half of what is told (N,) is about what was explored; so it is where nothing is told."""
+    told, beside = told[np.isfinite(told)], max(BESIDE, BESIDE * (high - low))
+    return not len(told) or bool(np.mean((told >= low - beside) & (told <= high + beside)) >= 0.5)
+
+
+def _said(name: str, told: Array, low: float, high: float) -> str:
+    least, most = np.nanpercentile(told, [5, 95])
+    return f"{name} reads {least:.4g} to {most:.4g} rad, the body was learned from {low:.4g} to {high:.4g}"

@@ -1,0 +1,146 @@
+"""The way back over a filtered log, in Bryson and Frazier's form: the filter's gains, but no inverse."""
+
+import numpy as np
+
+from ...types import Array
+from .conditioning import MANY
+from .scan import EVEN, Leaps, Pooled, Readings, Trace
+
+
+def means(trace: Trace, after: Array) -> Array:
+    """Smoothed state (L,K,C) from the adjoints `after` (L,K,C) each instant."""
+    return np.asarray(trace.z - np.einsum("iklc,ilc->ikc", trace.p, after))
+
+
+def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array]:
+    """Adjoints (L,K,C) after each instant and (K,C) before all, from that at the `end` (K,C)."""
+    assert trace.back is not None
+    gains, weights, nus = trace.back
+    adjoint, after, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
+    jac = readings.jac.reshape(len(after), -1, m, end.shape[1])
+    push, heard = nus * weights, _heard(trace, m, m + jac.shape[1])
+    for i in range(len(after) - 1, -1, -1):
+        after[i] = adjoint
+        for row in heard[i]:
+            pull = np.einsum("kc,kc->c", gains[i, row], adjoint) + push[i, row]
+            if row < m:
+                adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
+            else:
+                adjoint[:m] -= jac[i, row - m] * pull
+        if readings.anew is not None:
+            adjoint *= _kept(readings.anew[i], len(adjoint))
+        if isinstance(readings, Leaps):
+            assert trace.left is not None
+            _unleap(readings.pooled, i, adjoint, trace.left[i])
+        else:
+            adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
+    return after, adjoint
+
+
+def _kept(anew: Array, states: int) -> Array:
+    """States (K,C) bool that go on past an instant by which joints `anew` (M,C) were forgotten: no word crosses it."""
+    keep, m = np.ones((states, anew.shape[1]), bool), len(anew)
+    keep[:m] = keep[m : 2 * m] = ~anew
+    return keep
+
+
+def _unleap(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
+    """Carry the adjoint λ (K,C) back over what was pooled before instant i; `left` is the belief before it moved.
+
+    Each reading y of the smoothed state z − P λ there takes Hᵀ R⁻¹ (y − H (z − P λ)) from it.
+    """
+    lean, parts = pooled.lean[i], adjoint.reshape(pooled.shift[i].shape)
+    parts[:] = np.einsum("abjc,ajc->bjc", pooled.move[i], parts)
+    smooth = (left[:, -1] - np.einsum("klc,lc->kc", left[:, :-1], adjoint)).reshape(parts.shape)
+    lack = pooled.y[i] - smooth[:2]
+    lack[0] -= lean * smooth[1]
+    if len(parts) > 2:
+        lack[0] -= smooth[2]
+    lack /= pooled.var[i]
+    parts[::2] -= lack[0]
+    parts[1] -= lean * lack[0] + lack[1]
+
+
+def covariances(readings: Readings, trace: Trace) -> Array:
+    """Smoothed covariances (L,M,M,C) of the angles.
+
+    What the future knows at a stretch's end, Λ, is W + Ψ Λ Ψᵀ at an instant before, where Ψ is what becomes of the
+    adjoints at the end. Without Λ the angles' covariance is cov there, with it less by R Λ Rᵀ, R = P Ψ.
+    """
+    (k, _, c), m = trace.p[0].shape, readings.encoders.shape[1]
+    known, heard = np.zeros((k, 2 * k, c)), _heard(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
+    np.einsum("kkc->kc", known[:, k:])[:] = 1.0
+    cov, reach = np.empty_like(trace.prior_cov), np.empty((len(trace.p), m, k, c))
+    for i in range(len(cov) - 1, -1, -1):
+        p, dt = trace.p[i], readings.dt[i]
+        half = np.einsum("jkc,klc->jlc", p[:m], known)
+        np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half[:, :k], p[:, :m]), out=cov[i])
+        reach[i] = half[:, k:]
+        _unhear(readings, trace, i, heard[i], known)
+        if readings.anew is not None:
+            keep = _kept(readings.anew[i], k)
+            known *= keep[:, None]
+            known[:, :k] *= keep
+        known[m : 2 * m] += dt * known[:m]
+        known[:, m : 2 * m] += dt * known[:, :m]
+        if i % EVEN == 0:
+            known[:, :k] = 0.5 * (known[:, :k] + known[:, :k].transpose(1, 0, 2))
+    ends = _ends(known)
+    for less, r in zip(cov, reach, strict=True):
+        less -= np.einsum("jlc,mlc->jmc", np.einsum("jkc,klc->jlc", r, ends), r)
+    return cov
+
+
+def _ends(at_start: Array) -> Array:
+    """What the future knows (K,K,C) at stretches' ends, by W and Ψ (K,2K,C) over each: nothing at the last one's."""
+    k, _, c = at_start.shape
+    before, ends = np.moveaxis(at_start, -1, 0), np.zeros((c, k, k))
+    for j in range(c - 1, 0, -1):
+        own, across = before[j, :, :k], before[j, :, k:]
+        ends[j - 1] = own + across @ ends[j] @ across.T
+    return np.ascontiguousarray(np.moveaxis(ends, 0, -1))
+
+
+def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array) -> None:
+    """Carry W and Ψ (K,2K,C) back over the rows heard at instant i, last heard first."""
+    assert trace.back is not None
+    gains, weights, _ = (part[i] for part in trace.back)
+    k, m = len(information), readings.encoders.shape[1]
+    tracks = [row for row in rows if row >= m]
+    for row in rows[: len(rows) - len(tracks)]:
+        b, curve = _said(information, gains[row], weights[row])
+        information[row :: 2 * m] -= b
+        information[:, row : k : 2 * m] -= b[:k, None]
+        information[row :: 2 * m, row : k : 2 * m] += curve
+    seen = np.flatnonzero(weights[m:].any(axis=0)) if tracks else np.empty(0, int)
+    few = len(seen) < MANY * information.shape[2]
+    some, jac = (part.take(seen, axis=-1) if few else part for part in (information, readings.jac[i]))
+    for row in tracks:
+        gain, weight = (part[row].take(seen, axis=-1) if few else part[row] for part in (gains, weights))
+        h, (b, curve) = jac.reshape(-1, m, jac.shape[-1])[row - m], _said(some, gain, weight)
+        some[:m] -= h[:, None] * b[None]
+        some[:, :m] -= b[:k, None] * h[None]
+        some[:m, :m] += (h * curve)[:, None] * h[None]
+    if few:
+        information[..., seen] = some
+
+
+def _said(information: Array, gain: Array, weight: Array) -> tuple[Array, Array]:
+    """The gain times every column (…,C), and what that and the weight make of the reading's own information (C,)."""
+    b = np.einsum("klc,kc->lc", information, gain)
+    return b, np.einsum("kc,kc->c", gain, b[: len(gain)]) + weight
+
+
+def _heard(trace: Trace, m: int, rows: int) -> list[list[int]]:
+    """Rows that some stretch hears, by instant, last heard first: m encoders are heard after the tracks."""
+    assert trace.back is not None
+    heard: Array = np.any(trace.back[1], axis=2)
+    order = [*range(m - 1, -1, -1), *range(rows - 1, m - 1, -1)]
+    return [[row for row in order if said[row]] for said in heard]
+
+
+def before(at_start: Array) -> Array:
+    """Ends (…,C) for the next round: each stretch ends where its successor began; nothing comes after the last."""
+    ends = np.zeros_like(at_start)
+    ends[..., :-1] = at_start[..., 1:]
+    return ends

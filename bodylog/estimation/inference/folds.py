@@ -1,0 +1,54 @@
+"""A long log folded into stretches that are filtered side by side: (E,…) in time order <-> (L,…,C)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+
+SHORTEST = 32
+"""Instants of a stretch at least: it must have forgotten where it began by the time it hands over."""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """`count` stretches C of `length` instants L each."""
+
+    events: int
+    length: int
+    count: int
+
+    def fold(self, a: Array, fill: float | Array) -> Array:
+        """(E,…) -> (L,…,C), with `fill` after the last event."""
+        padded = np.empty((self.length * self.count, *a.shape[1:]))
+        padded[: self.events], padded[self.events :] = a, fill
+        return np.ascontiguousarray(np.moveaxis(padded.reshape(self.count, self.length, *a.shape[1:]), 0, -1))
+
+    def unfold(self, a: Array) -> Array:
+        """(L,…,C) -> (E,…)."""
+        return np.moveaxis(a, -1, 0).reshape(-1, *a.shape[1:-1])[: self.events]
+
+    def pick(self, a: Array, events: Array) -> Array:
+        """Rows (F,…) of the folded a (L,…,C) at the given events."""
+        rows: Array = a[events % self.length, ..., events // self.length]
+        return rows
+
+    def put(self, a: Array, events: Array, rows: Array) -> None:
+        """Write rows (F,…) into the folded a (L,…,C) at the given events."""
+        a[events % self.length, ..., events // self.length] = rows
+
+    def sees(self, events: Array) -> Array:
+        """Which stretches (C,) have one of the events among their instants."""
+        seen = np.zeros(self.count, bool)
+        seen[events // self.length] = True
+        return seen
+
+    def lasts(self) -> Array:
+        """Last event (C−1,) before each stretch but the first starts."""
+        return np.arange(1, self.count) * self.length - 1
+
+
+def fold_for(events: int) -> Fold:
+    """More stretches than instants in each, four times at the most, so that numpy calls do not dominate."""
+    length = max(SHORTEST, int(np.ceil(np.sqrt(events) / 2)))
+    return Fold(events, length, -(-events // length))

@@ -1,0 +1,175 @@
+"""The generalised free-energy filter: belief over angles and rates, Gauss–Newton to convergence at every instant.
+
+Under the Laplace approximation that is an iterated extended Kalman filter. All frames are linearised at once, all
+stretches of the log are filtered side by side from the ends of their predecessors, and this is repeated until neither
+the points of linearisation nor the starts move: the fixed point is the sequential filter's own.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.records import Evidence
+from ..measurements.timeline import Timeline
+from ..noise.correlated_noise import PAST
+from ..noise.noise_model import Precision
+from ..noise.posture_prior import Habit
+from ..noise.visibility import views
+from .brief import Brief, full, in_brief
+from .conditioning import GATE
+from .folds import Fold, fold_for
+from .outset import handed_over, outset, starts
+from .scan import Dynamics, Readings, Trace, rescan
+from .tangents import RESTING, Tangents
+
+SWEEPS = 40
+PATIENCE = 8
+"""Sweeps without a new least move after which rest is given up."""
+STUCK = 1e-3
+"""Standard deviations: smaller moves are left to die out."""
+SETTLED = 1e-8
+"""Standard deviations: how little a stretch's start may still move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """One log to be filtered: evidence, its instants, where the belief starts, the precisions.
+
+    path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say · habit: where
+    joints without an encoder are wont to be · anew: times (R,) s by which nothing is known any more of
+    joints (R,M) bool · stepwise: pictures alone lead it for long, where sweeps may rest in another posture ·
+    rivals: joints by number whose offsets explain nearly as much as that of another.
+    """
+
+    evidence: Evidence
+    timeline: Timeline
+    start: Array
+    precision: Precision
+    path: tuple[Array, Array] | None = None
+    habit: Habit | None = None
+    anew: tuple[Array, Array] | None = None
+    stepwise: bool = False
+    rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+
+    def anew_at(self, t: Array) -> tuple[Array, Array]:
+        """Which of instants t (E,) s begin anew, and what joints (R,M) bool of them."""
+        if self.anew is None:
+            return np.empty(0, int), np.empty((0, len(self.start)), bool)
+        times, joints = self.anew
+        here = np.isin(times, t)
+        return np.searchsorted(t, times[here]), joints[here]
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """How the state moves."""
+        recalled = None if self.habit is None else self.habit.joints
+        return Dynamics(self.precision.process, self.precision.drift, recalled)
+
+    @property
+    def more(self) -> Array | None:
+        """How many times the process variance (E,M) moves joints where fewer tracks are in view; None if nowhere."""
+        fewer, usual = self.precision.fewer, self.precision.process
+        if not fewer:
+            return None
+        found, which = views(self.evidence.sightings, self.timeline.t)
+        return np.stack([fewer.get(view, usual) / usual for view in found])[which]
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A filtered log: fold, its readings as last linearised, where that was, trace; and how it was told in brief."""
+
+    fold: Fold
+    readings: Readings
+    tangents: Tangents
+    trace: Trace
+    brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
+
+    def gated(self) -> Array:
+        """Instants (E,) with an encoder reading beyond the gate."""
+        return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))
+
+
+def solve(
+    problem: Problem, warm: Solution | None = None, at: str = "posterior", rest: float = SETTLED
+) -> Solution:
+    """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean.
+
+    First in brief; then in full, which moves nothing but where the gate closes on readings that were pooled. `warm`
+    is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
+    """
+    brief, first = briefly(problem, warm, at, rest)
+    fold = fold_for(len(problem.timeline.t))
+    z, p = starts(problem, fold, first, np.searchsorted(brief.events, fold.lasts()))
+    # what rests in brief is not to move in full for the last of its moves
+    first.tangents.resting *= 2.0
+    whole = swept(problem, fold, full(problem, fold), first.tangents, z, p, at, 2.0 * rest)
+    return replace(whole, brief=(brief, first))
+
+
+def briefly(problem: Problem, warm: Solution | None, at: str, rest: float) -> tuple[Brief, Solution]:
+    """The log in brief and its solution: the whole log's, if the gate closes on no reading that is pooled."""
+    brief, tangents, z, p = begun(problem, warm)
+    tangents.resting, tangents.share = RESTING * rest / SETTLED, PAST
+    return brief, swept(brief.problem, brief.fold, brief.readings, tangents, z, p, at, rest)
+
+
+def begun(problem: Problem, warm: Solution | None) -> tuple[Brief, Tangents, Array, Array]:
+    """The log in brief, tangents and starts to begin with: by the encoders alone, or where `warm` ended."""
+    if warm is None:
+        brief = in_brief(problem)
+        return brief, *outset(brief.problem, brief.fold, brief.readings)
+    short = warm.brief is not None and warm.brief[1].fold is warm.fold
+    brief = warm.brief[0].of(problem) if warm.brief and short else in_brief(problem, warm.gated())
+    known, lasts = warm, brief.events[brief.fold.lasts()]
+    if warm.brief is not None:
+        known, lasts = warm.brief[1], np.searchsorted(warm.brief[0].events, lasts, "right") - 1
+    return brief, warm.tangents.again(), *starts(brief.problem, brief.fold, known, lasts)
+
+
+def swept(
+    problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, at: str, rest: float
+) -> Solution:
+    """Sweeps from starts z (K,C), p (K,K,C) until all rests."""
+    tangents.write(problem, fold, readings)
+    trace, moving, move, progress = None, np.ones(fold.count, bool), np.inf, Progress()
+    for _ in range(SWEEPS):
+        moving |= tangents.draw(problem, fold, readings)
+        if trace is not None and not moving.any():
+            return Solution(fold, readings, tangents, trace)
+        trace = rescan(readings, problem.dynamics, z, p, moving, trace)
+        tangents.follow(problem, fold, trace.prior if at == "prior" else trace.z)
+        next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
+        moves = far(z, p, next_z, next_p)
+        # a start that rests stays as it was scanned, so that small moves add up until they count
+        moving, move = moves >= rest, float(moves.max())
+        progress.note(move)
+        z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
+    raise Restless(f"laplace: no rest after {SWEEPS} sweeps, last move {move:.2g}")
+
+
+class Restless(Exception):
+    """Sweeps over the log did not come to rest: the caller goes through it one instant after the other."""
+
+
+class Progress:
+    """Whether sweeps still come closer to rest; Restless once they have not for PATIENCE sweeps."""
+
+    def __init__(self) -> None:
+        """Nothing moved yet."""
+        self._least, self._stuck = np.inf, 0
+
+    def note(self, move: float) -> None:
+        """One more sweep, and how far starts moved in it, in standard deviations."""
+        self._stuck = self._stuck + 1 if move > 0.9 * self._least and move > STUCK else 0
+        self._least = min(self._least, move)
+        if self._stuck > PATIENCE:
+            raise Restless(f"no rest: {PATIENCE} sweeps have not come closer than {self._least:.2g}")
+
+
+def far(z: Array, p: Array, next_z: Array, next_p: Array) -> Array:
+    """How far each start (C,) moved, in standard deviations."""
+    std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
+    return np.asarray(np.maximum(np.abs((next_z - z) / std).max(axis=0), np.abs(before / std - 1.0).max(axis=0)))

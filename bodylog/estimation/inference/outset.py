@@ -1,0 +1,106 @@
+"""Where a folded log's stretches start and its frames are linearised first: by the encoders alone, or as before."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...types import Array
+from .folds import Fold
+from .reacquisition import START_STD
+from .scan import Dynamics, Leaps, Pooled, scan
+from .tangents import Tangents
+
+if TYPE_CHECKING:
+    from .gauss_newton import Problem, Solution
+
+OFFSET_STD = 0.01
+"""rad: how far an encoder that is allowed an offset may be off before the first reading."""
+
+
+def prior(problem: "Problem") -> tuple[Array, Array]:
+    """State z (K,) and covariance p (K,K) before anything is heard."""
+    m, drift = len(problem.start), problem.precision.drift
+    z = np.concatenate([problem.start, np.zeros(problem.dynamics.size - m)])
+    var = np.full(len(z), START_STD**2)
+    if drift is not None:
+        var[2 * m :] = np.where(drift > 0, OFFSET_STD**2, 0.0)
+    return z, np.diag(var)
+
+
+def priors(problem: "Problem", fold: Fold) -> tuple[Array, Array]:
+    """The prior (K,C), (K,K,C) for every stretch."""
+    z, p = prior(problem)
+    return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
+
+
+def starts(problem: "Problem", fold: Fold, known: "Solution", events: Array) -> tuple[Array, Array]:
+    """Each stretch's start z (K,C), p (K,K,C) as a solution has it at its `events` (C−1,); new offsets as at first."""
+    z, p = priors(problem, fold)
+    k = min(len(z), known.trace.z.shape[1])
+    z[:k, 1:] = known.fold.pick(known.trace.z, events)[:, :k].T
+    p[:k, :k, 1:] = np.moveaxis(known.fold.pick(known.trace.p, events)[:, :k, :k], 0, -1)
+    return z, p
+
+
+def handed_over(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, Array]:
+    """Starts for the next sweep: each stretch begins where its predecessor ended."""
+    z, p = z.copy(), p.copy()
+    z[:, 1:], p[:, :, 1:] = z_end[:, :-1], p_end[:, :, :-1]
+    return z, p
+
+
+def outset(problem: "Problem", fold: Fold, readings: Leaps) -> tuple[Tangents, Array, Array]:
+    """Tangents at the path, or where encoders alone have the joints, and each stretch's start z (K,C), p (K,K,C)."""
+    (z, p), t = priors(problem, fold), problem.timeline.t
+    path, sightings = problem.path or _said(problem), problem.evidence.sightings
+    z[: len(problem.start), 1:] = _between(path, problem.start, t[fold.lasts()]).T
+    points = tuple(_between(path, problem.start, sighting.t) for sighting in sightings)
+    if problem.path is None and problem.evidence.encoders is not None:
+        path_z, z, p = _reckon(readings, problem.dynamics, z, p)
+        points = tuple(fold.pick(path_z, events)[:, : len(problem.start)] for events in problem.timeline.sightings)
+    return Tangents(sightings, points), z, p
+
+
+def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Array, Array, Array]:
+    """States (L,K,C) by the encoders alone from guesses z (K,C), p (K,K,C), and where these have stretches start.
+
+    Without pictures joints know nothing of each other: each joint of a stretch is scanned as a stretch of its own.
+    """
+    length, m, c = readings.encoders.shape
+    s = len(z) // m
+
+    def apart(a: Array) -> Array:
+        """(L,…,M,C) -> (L,…,1,M·C)."""
+        return a.reshape(*a.shape[:-2], 1, m * c)
+
+    told = readings.pooled
+    unseen = np.empty((length, 0, 2, m * c)), np.empty((length, 0, 2, 1, m * c)), np.empty((length, 0, 2, m * c))
+    alone = Leaps(
+        np.tile(readings.dt, m), apart(readings.encoders), apart(readings.encoder_var), *unseen,
+        Pooled(
+            apart(told.y), apart(told.var), apart(told.lean), apart(told.move), apart(told.shift), apart(told.noise),
+            np.zeros((length, m * c)),
+        ),
+        anew=None if readings.anew is None else apart(readings.anew),
+    )  # fmt: skip
+    own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
+    trace = scan(alone, Dynamics(np.ones(1), None if s == 2 else np.zeros(1)), z.reshape(s, m * c), own)
+    whole = np.zeros((s, m, s, m, c))
+    np.einsum("ajbjc->abjc", whole)[:] = trace.p[-1].reshape(s, s, m, c)
+    z, p = handed_over(z, p, trace.z[-1].reshape(z.shape), whole.reshape(p.shape))
+    return trace.z.reshape(length, *z.shape), z, p
+
+
+def _said(problem: "Problem") -> tuple[Array, Array]:
+    encoders = problem.evidence.encoders
+    return (np.empty(0), np.empty((0, len(problem.start)))) if encoders is None else (encoders.t, encoders.values)
+
+
+def _between(path: tuple[Array, Array], start: Array, at: Array) -> Array:
+    """Angles (N,M) at the times `at`, between those of the path (t, angles) that are known, else the start's."""
+    x = np.repeat(start[None], len(at), axis=0)
+    for j, column in enumerate(path[1].T):
+        known = np.isfinite(column)
+        if known.any():
+            x[:, j] = np.interp(at, path[0][known], column[known])
+    return x

@@ -1,0 +1,220 @@
+"""The Gaussian filter kernel: many stretches of one log side by side, one instant of each per numpy call.
+
+State z (K,C) = joint angles, rates and, where drift is given, encoder offsets; the last axis C is the stretch.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ...types import Array
+from .conditioning import MANY, Back, Said, leap, update
+from .reacquisition import forget
+
+R = TypeVar("R", "Readings", "Trace", "Pooled")
+
+EVEN = 16
+"""Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """White acceleration (M,) rad²/s³ of the rates · random walk (M,) rad²/s of encoder offsets or None; or (M,C).
+
+    recalled (M,) bool: joints whose readings are no encoder's but where the arm is wont to be; they are not counted.
+    """
+
+    process: Array
+    drift: Array | None = None
+    recalled: Array | None = None
+
+    @property
+    def size(self) -> int:
+        """Length K of the state."""
+        return len(self.process) * (2 if self.drift is None else 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Pooled:
+    """What encoders said since the last instant, folded (L,…,C), per joint with its S = K/M states.
+
+    Two readings of the state then, y, var (L,2,M,C), infinite for none: of angle + lean (L,M,C) · rate (+ offset), and
+    of the rate. Given them it moves by move (L,S,S,M,C), shift (L,S,M,C) with noise (L,S,S,M,C); nats (L,C) remain.
+    """
+
+    y: Array
+    var: Array
+    lean: Array
+    move: Array
+    shift: Array
+    noise: Array
+    nats: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """What is heard, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · lines (T tracks of D rows).
+
+    A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
+    anew (L,M,C) bool: joints of which nothing is known any more by then; None where there are none.
+    more (L,M,C): how many times the process variance moves joints before an instant; None where that is the usual one.
+    """
+
+    dt: Array
+    encoders: Array
+    encoder_var: Array
+    y: Array
+    jac: Array
+    var: Array
+    anew: Array | None = field(default=None, kw_only=True)
+    more: Array | None = field(default=None, kw_only=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Leaps(Readings):
+    """Readings at few instants, with what was heard before each since the last, which stands in for dt."""
+
+    pooled: Pooled
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Per instant: prior mean and covariance of x, posterior state z and covariance p, nats; and for going back:
+
+    gains, weights and innovations of rows · left (L,K,K+1,C): covariance and mean given what was pooled, before moving.
+    """
+
+    prior: Array
+    prior_cov: Array
+    z: Array
+    p: Array
+    nats: Array
+    encoder_d: Array
+    back: tuple[Array, Array, Array] | None
+    left: Array | None
+
+
+def scan(
+    readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False, into: Trace | None = None,
+    every: int = 1,
+) -> Trace:  # fmt: skip
+    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps what the smoother goes back by.
+
+    `into` is a trace of the same shape to overwrite: fresh memory costs as much as the arithmetic. Of others than
+    `every` so many stretches only nats are kept.
+    """
+    belief = np.empty((len(z), len(z) + 1, z.shape[1]))
+    belief[:, :-1], belief[:, -1] = p, z
+    p, z = belief[:, :-1], belief[:, -1]
+    length, m, c = readings.encoders.shape
+    trace, kept, errors = into or _empty(readings, len(z), remember, every), slice(None, None, every), np.empty((m, c))
+    propagate = propagator(belief, dynamics)
+    said = Said.of(readings.encoders, readings.encoder_var), Said.of(readings.y, readings.var)
+    visible: Array = np.any(said[1].heard, axis=(1, 2))
+    seen = [np.flatnonzero(row) for row in visible]
+    back = Back(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
+    anew = {} if readings.anew is None else {i: joints for i, joints in enumerate(readings.anew) if joints.any()}
+    leaps = Back(None, *np.empty((2, length, 2 * m if isinstance(readings, Leaps) else 0, c)))
+    for i in range(length):
+        if isinstance(readings, Leaps):
+            leap(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
+        else:
+            propagate(readings.dt[i], None if readings.more is None else readings.more[i])
+        if i in anew:
+            forget(z, p, anew[i], readings.encoders[i], readings.dt[i])
+        if i % EVEN == 0:
+            p[:] = 0.5 * (p + p.transpose(1, 0, 2))
+        trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
+        update(readings, said, i, seen[i], dynamics.recalled, belief, errors, back.at(i))
+        trace.z[i], trace.p[i], trace.encoder_d[i] = z[:, kept], p[..., kept], errors[:, kept]
+    own = np.ones(m, bool) if dynamics.recalled is None else ~dynamics.recalled
+    trace.nats[:] = _nats(back, own)
+    if isinstance(readings, Leaps):
+        trace.nats[:] += _nats(leaps, np.tile(own, 2)) + readings.pooled.nats
+    return trace
+
+
+def _nats(back: Back, own: Array) -> Array:
+    """Free energy (L,C) of innovations, 0 where nothing was heard; the first rows count where they are `own` word."""
+    weights, nus = back.weights, back.nus
+    if not own.all():
+        weights = weights.copy()
+        weights[:, : len(own)] *= own[:, None]
+    spread = 2.0 * np.pi / np.where(weights > 0, weights, 2.0 * np.pi)
+    return np.asarray(0.5 * (nus * nus * weights + np.log(spread)).sum(axis=1))
+
+
+def rescan(
+    readings: Readings, dynamics: Dynamics, z: Array, p: Array, moving: Array, trace: Trace | None,
+    remember: bool = False,
+) -> Trace:  # fmt: skip
+    """`scan`, but only of the stretches `moving` (C,); the others stay as they are in `trace`, which is overwritten."""
+    if trace is None or moving.mean() > MANY:
+        return scan(readings, dynamics, z, p, remember, into=trace)
+    if not moving.any():
+        return trace
+    part = scan(columns(readings, moving), dynamics, z[:, moving], p[:, :, moving], remember)
+    for one in fields(part):
+        if one.name != "back" and (some := getattr(part, one.name)) is not None:
+            getattr(trace, one.name)[..., moving] = some
+    for whole, some in zip(trace.back or (), part.back or (), strict=True):
+        whole[..., moving] = some
+    return trace
+
+
+def columns(record: R, some: Array) -> R:
+    """The record (Readings or Trace) of the stretches `some` (C,) alone."""
+
+    def cut(part: Any) -> Any:
+        if isinstance(part, Pooled):
+            return columns(part, some)
+        # not part[..., some], which lies in memory the other way round
+        whole = isinstance(part, np.ndarray)
+        return part if part is None else part.compress(some, axis=-1) if whole else tuple(map(cut, part))
+
+    return type(record)(**{one.name: cut(getattr(record, one.name)) for one in fields(record)})
+
+
+def _rows(readings: Readings) -> int:
+    """Rows heard at each instant: M encoders, the tracks' rows."""
+    return int(readings.encoders.shape[1] + readings.y.shape[1] * readings.y.shape[2])
+
+
+def _empty(readings: Readings, k: int, remember: bool, every: int) -> Trace:
+    length, m, c = readings.encoders.shape
+    rows, nats, c = _rows(readings), np.empty((length, c)), len(range(0, c, every))
+    back = (np.zeros((length, rows, k, c)), np.zeros((length, rows, c)), np.zeros((length, rows, c)))
+    left = np.empty((length, k, k + 1, c)) if remember and isinstance(readings, Leaps) else None
+    return Trace(
+        np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
+        nats, np.empty((length, m, c)), back if remember else None, left,
+    )  # fmt: skip
+
+
+def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array, Array | None], None]:
+    """A function of dt (C,) that moves the belief in place: constant velocity, exact discretisation.
+
+    And of how many times (M,C) its process variance the dynamics have.
+    """
+    m = len(dynamics.process)
+    q = dynamics.process.reshape(m, -1)
+    walk = None if dynamics.drift is None else dynamics.drift.reshape(m, -1)
+    p = belief[:, :-1]
+    diagonal = np.einsum("iic->ic", p)
+    cross, mirror = np.einsum("iic->ic", p[:m, m : 2 * m]), np.einsum("iic->ic", p[m : 2 * m, :m])
+
+    def propagate(dt: Array, more: Array | None) -> None:
+        belief[:m] += dt * belief[m : 2 * m]
+        belief[:, :m] += dt * belief[:, m : 2 * m]
+        qdt = q * dt if more is None else q * more * dt
+        half = 0.5 * dt * qdt
+        diagonal[:m] += (2.0 / 3.0) * dt * half
+        diagonal[m : 2 * m] += qdt
+        np.add(cross, half, out=cross)
+        np.add(mirror, half, out=mirror)
+        if walk is not None:
+            diagonal[2 * m :] += walk * dt
+
+    return propagate

@@ -1,0 +1,180 @@
+"""The filter one instant after the other, for logs whose encoders do not say where the arm is: slower, but sure."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from ..noise.correlated_noise import PAST, WHOLE, Likeness, Memory, Sight, reach
+from ..noise.posture_prior import LASTING, wont
+from .brief import encoder_rows, full
+from .folds import Fold, fold_for
+from .gauss_newton import Problem, Solution
+from .instant import RESTING, Moment, Motion, hear
+from .outset import prior, priors
+from .reacquisition import SILENCE, Watch, forget
+from .scan import Readings, scan
+from .tangents import Tangents
+
+ROUGHLY = 1e-3
+"""rad: near enough for a path that is only to be linearised along first."""
+FIRST = 4
+"""Readings of an encoder by which the belief it began is borne out, or begun anew where one of them is mistaken."""
+
+
+@dataclass(frozen=True, eq=False)
+class Adrift:
+    """What was heard `at` an instant of joints adrift: encoders said (M,) rad and var with reminders, which
+    tracks, and what came of it.
+    """
+
+    at: int
+    said: Array
+    var: Array
+    tracks: tuple[int, ...]
+    told: Moment
+
+
+@dataclass(frozen=True, eq=False)
+class Walked:
+    """The filter gone through: points (E,M) rad of linearisation, where a fold's stretches start, z (K,C), p (K,K,C).
+
+    anew: when (R,) s it lost which joints (R,M), or None · watch: what it heard last · more (E,M): how many times the
+    process variance moved joints · adrift: where pictures hardly held them.
+    """
+
+    points: Array
+    z: Array
+    p: Array
+    anew: tuple[Array, Array] | None
+    watch: Watch
+    more: Array
+    adrift: tuple[Adrift, ...]
+
+
+def led(problem: Problem) -> Problem:
+    """The problem with where it begins anew, and a path to linearise along first where encoders do not say that."""
+    line = problem.timeline.t
+    few, often = _few(problem)
+    doubted = bool((often & (first := _stepped(problem, PAST, RESTING, _only(few))).watch.mute(line[0])).any())
+    if not doubted and not _quiet(problem, line[-1:]):
+        return replace(problem, anew=first.anew)
+    whole = _stepped(problem, PAST, ROUGHLY, _only(len(line)))
+    stepwise = doubted or _quiet(problem, line[:0]) or len(whole.adrift) > 0
+    return replace(problem, path=(line, whole.points), anew=whole.anew, stepwise=stepwise)
+
+
+def walk(problem: Problem, remember: bool = False) -> Solution:
+    """The filter's solution; `remember` keeps gains, and counts frames, for the smoother, all in one single stretch."""
+    share, events = WHOLE if remember else PAST, len(problem.timeline.t)
+    fold = _only(events) if remember else fold_for(events)
+    found = _stepped(problem, share, RESTING, fold)
+    tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
+    tangents.share, readings = share, full(replace(problem, anew=found.anew), fold)
+    tangents.draw(problem, fold, readings)
+    if not found.adrift:
+        return Solution(fold, readings, tangents, scan(readings, problem.dynamics, found.z, found.p, remember))
+    readings = replace(readings, more=fold.fold(found.more, 1.0))
+    _write(found.adrift, fold, readings)
+    trace = scan(readings, problem.dynamics, found.z, found.p, remember)
+    at = np.array([one.at for one in found.adrift])
+    # reminders are no readings: they have no error and cost nothing
+    fold.put(trace.nats, at, np.array([one.told.nats for one in found.adrift]))
+    fold.put(trace.encoder_d, at, np.stack([one.told.encoder_d for one in found.adrift]))
+    return Solution(fold, readings, tangents, trace)
+
+
+def _write(adrift: tuple[Adrift, ...], fold: Fold, readings: Readings) -> None:
+    """What was heard of joints adrift, as it was, into the readings."""
+    for one in adrift:
+        at, lines = np.array([one.at]), one.told.lines
+        assert lines is not None
+        fold.put(readings.encoders, at, one.said[None])
+        fold.put(readings.encoder_var, at, one.var[None])
+        for track, *rows in zip(one.tracks, lines.y, lines.jac, lines.var, strict=True):
+            for folded, row in zip((readings.y, readings.jac, readings.var), rows, strict=True):
+                fold.put(folded[:, track], at, row[None])
+
+
+def _only(events: int) -> Fold:
+    """One single stretch."""
+    return Fold(events, events, 1)
+
+
+def _quiet(problem: Problem, end: Array) -> bool:
+    """Whether an encoder is silent for long, up to the `end` (0 or 1,) s of the log if that is to count."""
+    encoders, line = problem.evidence.encoders, problem.timeline.t
+    if encoders is None:
+        return len(end) > 0
+    known = [np.concatenate([line[:1], encoders.t[np.isfinite(column)], end]) for column in encoders.values.T]
+    return max(float(np.diff(times).max(initial=0.0)) for times in known) > SILENCE
+
+
+def _few(problem: Problem) -> tuple[int, Array]:
+    """Instants until each encoder has spoken FIRST times, if soon; and which (M,) have more than once."""
+    encoders, line = problem.evidence.encoders, problem.timeline
+    soon = 0 if encoders is None else int(np.searchsorted(encoders.t, line.t[0] + SILENCE, "right"))
+    if encoders is None or not soon:
+        return 1, np.zeros(len(problem.start), bool)
+    spoken = np.cumsum(np.isfinite(encoders.values[:soon]), axis=0)
+    rows = int((spoken < np.minimum(FIRST, spoken[-1:])).any(axis=1).sum())
+    return int(line.encoders[rows]) + 1, np.asarray(spoken[-1] > 1)
+
+
+def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walked:
+    """The filter up to the fold's last instant, each linearised anew until that moves less than `resting` rad."""
+    line, motion, m = problem.timeline.t[: fold.events], Motion(problem.dynamics), len(problem.start)
+    encoders, var = encoder_rows(problem, len(line))
+    own = encoders if motion.recalled is None else np.where(motion.recalled, np.nan, encoders)
+    points, lost, watch = np.empty((len(line), m)), dict[float, Array](), Watch.begun(m)
+    sights, adrift, more = _sights(problem, share, len(line)), list[Adrift](), np.ones((len(line), m))
+    more[:] = 1.0 if problem.more is None else problem.more[: len(line)]
+    usual = wont({s.name: s.model for s in problem.evidence.sightings}, problem.precision.process, problem.start)
+    (z, p), (begin_z, begin_p) = prior(problem), priors(problem, fold)
+    for k, dt in enumerate(np.diff(line, prepend=line[0])):
+        if k and k % fold.length == 0:
+            begin_z[:, k // fold.length], begin_p[..., k // fold.length] = z, p
+        more[k, watch.loose] = LASTING
+        z, p = motion.move(z, p, dt, more[k])
+        joints, borne = watch.judge(line[k], z, p, own[k], var[k], k in sights)
+        if joints is not None:
+            forget(z, p, joints, own[k], dt)
+            lost[line[k]] = joints
+        here = {track: watch.remembered(track, sight) for track, sight in sights.get(k, ())}
+        if here and watch.adrift(line[k]).any():
+            said, said_var, reminded = watch.reminded(line[k], usual, encoders[k], var[k])
+            with _at(line[k]):
+                found = hear(motion.recalling(reminded), z, p, said, said_var, list(here.values()), adrift=True)
+            adrift.append(Adrift(k, said, said_var, tuple(here), found))
+        else:
+            with _at(line[k]):
+                found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting)
+        z, p, points[k] = found.z, found.p, found.point
+        watch = watch.after(line[k], borne, here, found.memories)
+    anew = (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
+    return Walked(points, begin_z, begin_p, anew, watch, more, tuple(adrift))
+
+
+@contextmanager
+def _at(t: float) -> Iterator[None]:
+    """Numbers that break down do so at t (s)."""
+    try:
+        yield
+    except np.linalg.LinAlgError as problem:
+        raise np.linalg.LinAlgError(f"at {t:.3f} s {problem}") from None
+
+
+def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple[int, Sight]]]:
+    """What is seen of which track, by instant, `before` some one."""
+    found: dict[int, list[tuple[int, Sight]]] = {}
+    precision, line = problem.precision, problem.timeline
+    for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
+        scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
+        like = Likeness(precision.process, reach(sighting.model), near, share)
+        for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
+            value, var, k = sighting.values[row], scale * sighting.var[row], int(events[row])
+            sight = Sight(sighting.model, float(sighting.t[row]), value, var, like, Memory())
+            found.setdefault(k, []).append((track, sight))
+    return found

@@ -1,0 +1,181 @@
+"""The filter beside a live robot: one step per instant, the same belief as the batch filter's."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...errors import LogError, UsageError
+from ...settings import Estimation
+from ...types import Array, BodyModel, ForwardModel, Health
+from ..faults.encoder_offset import WALKS
+from ..inference.instant import Motion, hear
+from ..inference.outset import OFFSET_STD
+from ..inference.reacquisition import START_STD, Watch, forget
+from ..inference.scan import Dynamics
+from ..noise.correlated_noise import PAST, Likeness, Memory, Sight, reach
+from ..noise.noise_model import carried
+from ..noise.posture_prior import LASTING, Habit, usual, wont
+from .inputs import Angles, Incoming, Place, Tell, Told, finite
+from .replay_buffer import Instant, Recent, State
+
+GIVEN = Estimation(precision="model", bias="off")
+"""What a filter can do that does not know the future."""
+LAG = 0.5
+"""s: how late a reading may come."""
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """At t (s): angles x (M,) rad · rates (M,) rad/s · cov (M,M) rad² of the angles · encoders' bias (M,) rad or None.
+
+    free_energy (nats) of what was told, given what was known · errors {sense: (D,) standard deviations} of that instant
+    · lost: joints (M,) bool of which nothing was known any more before what was told, or None.
+    """
+
+    t: float
+    x: Array
+    rate: Array
+    cov: Array
+    free_energy: float
+    errors: Mapping[str, Array]
+    bias: Array | None = None
+    lost: Array | None = None
+
+
+class Estimator:
+    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
+
+    def __init__(
+        self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, tell: Tell = np.asarray,
+        learned: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        """A filter for `body` with the senses, start and bias of `settings`; what comes up to `lag` s late is heard.
+
+        `tell` makes angles of what encoders read · `learned`: the settings of an estimate, whose variances are used.
+        UsageError for settings that need the whole log, and for variances that are not this body's.
+        """
+        settings = settings or GIVEN
+        _needs_no_log(settings, body)
+        if not lag >= 0:
+            raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
+        self._body, self._settings, self._lag = body, settings, lag
+        self._precision = carried(body, learned)
+        self._incoming = Incoming(body, settings, tell)
+        self._first = np.full(len(body.joints), np.nan)
+        self._recent: Recent | None = None
+        self._waiting: list[tuple[float, Told]] = []
+
+    @property
+    def used(self) -> Mapping[str, Health]:
+        """What became of what was told, by sense."""
+        return self._incoming.used
+
+    def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> Belief:
+        """The belief after all that is told until t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
+
+        None, or NaN, is what was not heard. What is told may come out of order by up to `lag` s; the belief is about
+        the latest instant. UsageError or ModelError for what is not the body's. LogError until all joints were told:
+        what was told until then is heard then.
+        """
+        t, told = finite(t), self._incoming.read(joints, places)
+        if self._recent is not None:
+            return self._hear(self._recent, t, told)
+        self._waiting.append((t, told))
+        while self._waiting[0][0] < t - self._lag:
+            self._incoming.accept(*self._waiting.pop(0), late=True)
+        self._recent = self._begin(told.angles)
+        beliefs = [self._hear(self._recent, *one) for one in self._waiting]
+        self._waiting.clear()
+        return replace(beliefs[-1], free_energy=sum(belief.free_energy for belief in beliefs))
+
+    def _hear(self, recent: Recent, t: float, told: Told) -> Belief:
+        late = recent.late(t)
+        heard = self._incoming.accept(t, told, late)
+        if late:
+            return self._belief(recent.last, 0.0, {})
+        then, now, nats = recent.add(t, heard)
+        names = {*heard.places, *(("encoders",) if heard.angles is not None else ())}
+        told_of = {name: error for name, error in then.errors.items() if name in names}
+        return self._belief(now, nats, told_of, then.lost)
+
+    def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
+        m = len(self._body.joints)
+        bias = now.z[2 * m :] if len(now.z) > 2 * m else None
+        cov = self._precision.of(now.p[:m, :m])
+        return Belief(now.t, now.z[:m], now.z[m : 2 * m], cov, nats, errors, bias, lost)
+
+    def _begin(self, angles: Array | None) -> Recent:
+        """No instant yet, and what is known before the first."""
+        names, given, precision = self._body.joints, self._settings.start, self._precision
+        self._first = self._first if angles is None else np.where(np.isfinite(self._first), self._first, angles)
+        x = self._first if given is None else np.array(given, float)
+        if not np.isfinite(x).all():
+            unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
+            raise LogError(f"joints: no reading tells where {unknown} starts; tell all joints first, or give `start`")
+        drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
+        habit = usual(self._incoming.silent, self._incoming.wanted, precision.process, x)
+        dynamics = Dynamics(precision.process, drift, None if habit is None else habit.joints)
+        models, near = self._incoming.models, precision.near
+        like = {n: Likeness(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
+        adrift = wont(self._incoming.wanted, precision.process, x)
+        one = _Filter(Motion(dynamics), habit, adrift, precision.encoder, precision.scale, like, models)
+        z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
+        std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
+        return Recent(State(-np.inf, z, np.diag(std**2), Watch.begun(len(x))), self._lag, one.hear)
+
+
+@dataclass(frozen=True, eq=False)
+class _Filter:
+    """From one instant to the next."""
+
+    motion: Motion
+    habit: Habit | None
+    wont: Habit | None
+    encoder_var: Array
+    scale: Mapping[str, float]
+    like: Mapping[str, Likeness]
+    models: Mapping[str, ForwardModel]
+
+    def hear(self, before: State, at: Instant) -> State:
+        """The state after an instant, from the one before it."""
+        dt = at.t - before.t if np.isfinite(before.t) else 0.0
+        said = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
+        loose = before.watch.loose
+        z, p = self.motion.move(before.z, before.p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
+        lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var, bool(at.places))
+        if lost is not None:
+            forget(z, p, lost, said, dt)
+        here = {
+            name: before.watch.remembered(name, self._sight(name, at.t, *place))
+            for name, place in at.places.items()
+        }
+        angles, var, motion = *self._encoders(said, dt), self.motion
+        if adrift := bool(here and before.watch.adrift(at.t).any()):
+            angles, var, reminded = before.watch.reminded(at.t, self.wont, angles, var)
+            motion = motion.recalling(reminded)
+        found = hear(motion, z, p, angles, var, list(here.values()), adrift=adrift)
+        errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
+        watch = before.watch.after(at.t, borne, here, found.memories)
+        return State(at.t, found.z, found.p, watch, found.nats, errors, lost)
+
+    def _sight(self, name: str, t: float, place: Array, var: Array) -> Sight:
+        return Sight(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], Memory())
+
+    def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
+        """Angles and variances (M,) rad², with a reminder of where joints without an encoder are wont to be."""
+        if self.habit is None or dt == 0.0:
+            return x, self.encoder_var
+        own = self.habit.joints
+        return np.where(own, self.habit.mean, x), np.where(own, self.habit.density / dt, self.encoder_var)
+
+
+def _needs_no_log(settings: Estimation, body: BodyModel) -> None:
+    """UsageError for settings that ask for what only a whole log can tell."""
+    possible = {"method": ("laplace",), "precision": ("model",), "bias": ("off", "on")}
+    for name, values in possible.items():
+        if (found := getattr(settings, name)) not in values:
+            raise UsageError(f"{name}: {found!r} needs the whole log; beside a robot {' or '.join(values)} is possible")
+    if settings.start is not None and len(settings.start) != len(body.joints):
+        raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(body.joints)} joints")

@@ -1,0 +1,126 @@
+"""What a live filter is told: angles by joint, places by track; checked, counted, and what of it is to be heard."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite
+
+import numpy as np
+
+from ...errors import ModelError, UsageError
+from ...settings import Estimation
+from ...types import Array, BodyModel, ForwardModel, Health
+from ..measurements.gather import chosen, pixel_variance
+
+Angles = Sequence[float] | Array | Mapping[str, float]
+"""rad, in the body's order, or by joint; NaN, or a joint left out, was not read."""
+Place = Sequence[float] | Array
+"""(u, v) or (u, v, std_u, std_v) px; NaN was not seen."""
+
+Tell = Callable[[Array], Array]
+"""The angles (M,) rad that readings (M,) tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """Angles (M,) rad, NaN where there is none, or None · places {track: (u, v) px and its variance (2,) px²}."""
+
+    angles: Array | None
+    places: Mapping[str, tuple[Array, Array]]
+
+
+class Incoming:
+    """The senses of a body, those of them that are to be heard, and what became of each one's messages."""
+
+    def __init__(self, body: BodyModel, settings: Estimation, tell: Tell) -> None:
+        """UsageError for senses in the settings that the body has not."""
+        visual = {name: model for name, model in body.senses.items() if name != "encoders"}
+        touch = {"touch": visual["effector"]} if "effector" in visual else {}
+        wanted = chosen(visual, body, settings)
+        self.models: dict[str, ForwardModel] = {**visual, **touch}
+        self.wanted = {name: model for name, model in self.models.items() if name in wanted}
+        self.silent = np.array([name not in wanted for name in body.joints])
+        self._joints, self._noise, self._tell = body.joints, body.noise.senses, tell
+        self._newest_angles = np.full(len(body.joints), -np.inf)
+        self._newest: dict[str, float] = {}
+        self._counts: dict[str, dict[str, int]] = {}
+
+    def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Told:
+        """What is told as arrays; UsageError or ModelError when it cannot be that of this body."""
+        angles = None if joints is None else self._angles(joints)
+        return Told(angles, {name: self._place(name, told) for name, told in places.items() if told is not None})
+
+    def _angles(self, told: Angles) -> Array:
+        names = self._joints
+        if isinstance(told, Mapping):
+            if not any(name in told for name in names):
+                raise ModelError(f"joints: the body knows {', '.join(names)}, but told is {', '.join(told) or 'none'}")
+            told = [told.get(name, np.nan) for name in names]
+        x = self._tell(_numbers("joints", told, (len(names),), f"one angle in rad for each of {', '.join(names)}"))
+        return np.where(np.isfinite(x), x, np.nan)
+
+    def _place(self, name: str, told: Place) -> tuple[Array, Array]:
+        if name not in self.models:
+            raise UsageError(f"{name}: the body has no such sense; it has {', '.join(self.models) or 'joints alone'}")
+        sizes, possible = ((4,), "") if name == "touch" else ((2, 4), "(u, v) or ")
+        found = _numbers(name, told, sizes, f"{possible}(u, v, std_u, std_v) in px")
+        place, std = found[:2], found[2:] if len(found) == 4 else None
+        if name == "touch" and std is not None:
+            return place, np.square(std)
+        fallback = np.array(self._noise.get(name, (1.0, 1.0)), float)
+        return place, pixel_variance(std, self.models[name], fallback)
+
+    def accept(self, t: float, told: Told, late: bool) -> Told:
+        """Of what is told of the time t (s) that which is to be heard; the rest is counted by its reason."""
+        places = {
+            name: (value, var)
+            for name, (value, var) in told.places.items()
+            if self._accepted(name, t, late, bool(np.isfinite(value).all()))
+        }
+        return Told(None if told.angles is None else self._accepted_angles(t, told.angles, late), places)
+
+    def _accepted(self, name: str, t: float, late: bool, seen: bool) -> bool:
+        after = t > self._newest.get(name, -np.inf)
+        rejected = {"too late": late, "time runs backwards": not after, "out of view": not seen}
+        if after and not late:
+            self._newest[name] = t
+        return self._count(name, {**rejected, "not asked for": name not in self.wanted})
+
+    def _accepted_angles(self, t: float, x: Array, late: bool) -> Array:
+        known, fresh = np.isfinite(x), t > self._newest_angles
+        heard = known & fresh & ~self.silent
+        if not late:
+            self._newest_angles[known & fresh] = t
+        rejected = {"too late": late, "not a number": not known.any(), "time runs backwards": not (known & fresh).any()}
+        accepted = self._count("encoders", {**rejected, "not asked for": not heard.any()})
+        return np.where(heard & accepted, x, np.nan)
+
+    def _count(self, sense: str, rejected: Mapping[str, bool]) -> bool:
+        counts = self._counts.setdefault(sense, {})
+        reason = next((reason for reason, holds in rejected.items() if holds), "")
+        counts[reason] = counts.get(reason, 0) + 1
+        return not reason
+
+    @property
+    def used(self) -> dict[str, Health]:
+        """What became of each sense's messages."""
+        return {
+            sense: Health(sum(counts.values()), counts.get("", 0), {why: n for why, n in counts.items() if why})
+            for sense, counts in self._counts.items()
+        }
+
+
+def finite(t: float) -> float:
+    """A time (s); UsageError when it is none."""
+    if not isinstance(t, int | float | np.number) or not isfinite(t):
+        raise UsageError(f"t: {t!r} found, a finite time in s is possible")
+    return float(t)
+
+
+def _numbers(what: str, told: Sequence[float] | Array, sizes: tuple[int, ...], possible: str) -> Array:
+    try:
+        found = np.asarray(told, float)
+    except (TypeError, ValueError):
+        found = np.empty((0, 0))
+    if found.ndim != 1 or len(found) not in sizes:
+        raise UsageError(f"{what}: {' '.join(str(told).split())[:80]} found, possible: {possible}")
+    return found

@@ -1,0 +1,197 @@
+"""What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...errors import EvidenceError, LogError, ModelError, UsageError
+from ...settings import Estimation
+from ...types import Array, BodyModel, Features, Finding, ForwardModel, Health, Series
+from ..faults.frozen_camera import unfrozen
+from ..faults.observability import silences, silent
+from ..faults.out_of_range import checked
+from . import touch
+from .records import Encoders, Evidence, Sighting
+
+
+def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidence:
+    """The evidence the settings ask for; a named sense without observations raises EvidenceError."""
+    visual = {name: track for name, track in features.tracks.items() if name in body.senses}
+    wanted = chosen(visual, body, settings)
+    encoders, used = _encoders(features.joints, body.joints, wanted)
+    first = _first(features.joints, body.joints)
+    joints = features.joints
+    # silenced encoders, too, say where the belief starts
+    findings = () if joints is None else tuple(checked(joints.values[:, columns(joints, body.joints)], body))
+    seen = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
+    sightings, faults = unfrozen(seen, None if "encoders" in body.senses else encoders, used)
+    if "touch" in wanted and "effector" in body.senses:
+        # descent integrates a pull over time; a filter would take the frames of one touch for independent
+        sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
+    findings += _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
+    # touches out of time are a result, not a lack: they are heard, for what little they weigh
+    heard = tuple(s for s in sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
+    if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
+        raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
+    return Evidence(encoders, heard, first, used, (*findings, *silences(body.joints, encoders, heard)), faults)
+
+
+def chosen(visual: Iterable[str], body: BodyModel, settings: Estimation) -> set[str]:
+    """Joints, tracks out of `visual` and touch that the settings let be heard; UsageError for a name that is none."""
+    groups = {"encoders": list(body.joints), "vision": list(visual), "touch": ["touch"]}
+    singles = {*body.joints, *body.senses}
+    for name in (*(settings.senses or ()), *settings.without):
+        if name not in groups and name not in singles:
+            raise UsageError(f"senses: {name!r} is none of {', '.join([*groups, *sorted(singles)])}")
+
+    def spread(names: Iterable[str]) -> set[str]:
+        return {single for name in names for single in groups.get(name, [name])}
+
+    return spread(groups if settings.senses is None else settings.senses) - spread(settings.without)
+
+
+def _encoders(
+    joints: Series | None, names: tuple[str, ...], wanted: set[str]
+) -> tuple[Encoders | None, dict[str, Health]]:
+    if joints is None:
+        return None, {"encoders": Health(0, 0)}
+    values = joints.values[:, columns(joints, names)].astype(float)
+    # a row of another topic's joints alone is no reading of these
+    ours = np.isfinite(values).any(axis=1) | ~np.isfinite(joints.values).any(axis=1)
+    joints, values = _rows(joints, ours), values[ours]
+    silent = [index for index, name in enumerate(names) if name not in wanted]
+    rising = ascending(joints.t)
+    broken = ~np.isfinite(values).any(axis=1)
+    values[:, silent] = np.nan
+    values[~np.isfinite(values)] = np.nan
+    keep = rising & ~broken
+    reasons = {"time runs backwards": int((~rising).sum()), "not a number": int((rising & broken).sum())}
+    for index in (index for index, name in enumerate(names) if name in wanted):
+        reasons[f"without {names[index]}"] = int(np.isnan(values[keep, index]).sum())
+    use = int(np.isfinite(values[keep]).any(axis=1).sum())
+    used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, _gap(joints.t[keep]))}
+    return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
+
+
+def _rows(series: Series, chosen: Array) -> Series:
+    """Some rows of a signal."""
+    return replace(series, t=series.t[chosen], values=series.values[chosen], source_ns=series.source_ns[chosen])
+
+
+def columns(joints: Series, names: tuple[str, ...]) -> list[int]:
+    """Where the joints of these names stand in a series; ModelError where one is missing."""
+    missing = [name for name in names if name not in joints.names]
+    if missing:
+        raise ModelError(
+            f"joints: the body model knows {', '.join(names)}, but the log has {', '.join(joints.names)}: "
+            f"{', '.join(missing)} missing; fit a body from a log of this robot"
+        )
+    return [joints.names.index(name) for name in names]
+
+
+def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
+    """First finite reading (M,) of each joint, used or not: where the belief starts."""
+    first = np.full(len(names), np.nan)
+    if joints is not None:
+        for index, column in enumerate(joints.values[:, columns(joints, names)].T):
+            finite = column[np.isfinite(column)]
+            first[index] = finite[0] if len(finite) else np.nan
+    return first
+
+
+def ascending(t: Array) -> Array:
+    """True where a time is later than all before it."""
+    t = np.where(np.isfinite(t), t, -np.inf)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]]) if len(t) else t
+    return t > before
+
+
+def _gap(t: Array) -> float:
+    return float(np.diff(t).max()) if len(t) > 1 else 0.0
+
+
+def _sighting(name: str, track: Series, body: BodyModel, used: dict[str, Health]) -> Sighting:
+    rising = ascending(track.t)
+    seen: Array = np.all(np.isfinite(track.values), axis=1)
+    use = int((rising & seen).sum())
+    reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
+    gap = _gap(track.t[rising & seen])
+    used[name] = Health(len(track.t), use, {k: v for k, v in reasons.items() if v}, gap)
+    model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
+    var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
+    values = np.where(seen[:, None], track.values, np.nan)
+    shared = _common(model, noise)
+    return Sighting(name, model, track.t[rising], values[rising], var[rising], track.source_ns[rising], shared)
+
+
+def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
+    """Variance px² by the word of std (…,D) and what learning found beyond it, or `fallback` (D,) without a word."""
+    if std is None:
+        return fallback
+    beyond = getattr(model, "noise", 0.0)
+    return np.where(np.isfinite(std) & (std > 0), np.square(std) + beyond, fallback)
+
+
+def _common(model: ForwardModel, noise: Array) -> float:
+    """Share of a model's variance that encoders' errors brought in, of its samples' noise; pixels have `noise` (D,)."""
+    spread = float(np.mean(getattr(model, "spread", 0.0)))
+    pixels = float(np.mean(noise - getattr(model, "noise", 0.0)))
+    return max(1.0 - pixels / spread, 0.0) if spread > 0.0 else 0.0
+
+
+def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: bool) -> Sighting:
+    t, values, var, source_ns, count = touch.sightings(features, body, whole)
+    seen = 0 if features.touches is None else len(features.touches)
+    paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= touch.COUNTS for pair in features.synchrony)
+    reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
+    left = {reason: number for reason, number in reasons.items() if number}
+    used["touch"] = Health(seen, count, left)
+    rising = ascending(t)
+    return Sighting("touch", body.senses["effector"], t[rising], values[rising], var[rising], source_ns[rising])
+
+
+def _check(
+    used: Mapping[str, Health], named: tuple[str, ...], features: Features, silent: Sequence[str], wanted: set[str]
+) -> tuple[Finding, ...]:
+    """EvidenceError for a named sense, or joint, that is empty; a finding for a guessed one."""
+    visual = {name for name in used if name not in ("encoders", "touch")}
+    late = "touch" in used and "not synchronous" in used["touch"].rejected
+    for name in named:
+        joint = features.joints is not None and name in features.joints.names
+        members = visual if name == "vision" else {"encoders"} if joint and name not in silent else {name}
+        heard = any(used[member].used for member in members if member in used)
+        if not heard and not (name == "touch" and late):
+            raise EvidenceError(
+                f"{name}: asked for, but it gave no observation ({_counts(used)}; tracks: "
+                f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
+            )
+    empty = [name for name, health in used.items() if health.seen and not health.used and name not in named]
+    if not wanted.intersection(features.joints.names if features.joints is not None else ()):
+        empty = [name for name in empty if name != "encoders"]
+    said = {name: "out of time with what is seen" if name == "touch" and late else "left out" for name in empty}
+    return tuple(Finding("warning", f"{name}: nothing usable ({_words(used[name])}), {said[name]}") for name in empty)
+
+
+def _counts(used: Mapping[str, Health]) -> str:
+    return "; ".join(f"{name}: {_words(health)}" for name, health in used.items()) or "no sense known to the body"
+
+
+def _words(health: Health) -> str:
+    reasons = ", ".join(f"{count} {reason}" for reason, count in health.rejected.items())
+    return f"{health.used} of {health.seen} used" + (f", {reasons}" if reasons else "")
+
+
+def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> Array:
+    """Mean (M,) rad the belief starts from: as set, or the first readings."""
+    if settings.start is not None:
+        if len(settings.start) != len(names):
+            raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(names)} joints")
+        return np.array(settings.start, float)
+    if np.isnan(evidence.first).any():
+        unknown = ", ".join(name for name, angle in zip(names, evidence.first, strict=True) if np.isnan(angle))
+        raise LogError(
+            f"joints: no reading tells where {unknown} starts; type in robot.toml [estimate] start = "
+            f"[{', '.join(['0.0'] * len(names))}], the angles in rad of {', '.join(names)}"
+        )
+    return evidence.first

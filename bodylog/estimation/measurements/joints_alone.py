@@ -1,0 +1,72 @@
+"""Joints by their sensors alone, where no body was learned: how they are read, and what is odd about it."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ...errors import UsageError
+from ...types import BodyModel, Finding, Noise, Series, TouchConstants
+from .gather import ascending
+
+STEP = 2.0 * np.pi / 4096.0
+"""rad: the step of a 12-bit encoder, which one that never moves is taken for."""
+PROCESS = 1.0
+"""rad²/s³ of joints that never move; that of others is learned."""
+PAUSE, LONG = 20.0, 0.5
+"""Median steps in time, and s, beyond which a pause between readings is named."""
+OFTEN = 0.5
+"""Share of readings that repeat the one before, from which on it is said."""
+NAMED = 3
+"""Joints or times that one remark names."""
+
+
+def joints_body(joints: Series, wanted: tuple[str, ...] | None) -> BodyModel:
+    """A body of joints that speak, or of those wanted, without a model of any sense; UsageError for an unknown one."""
+    heard = [name for name, y in zip(joints.names, joints.values.T, strict=True) if np.isfinite(y).any()]
+    if unknown := [name for name in wanted or () if name not in heard]:
+        raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(heard)}; type: bodylog info LOG")
+    names = tuple(wanted or heard)
+    noise = Noise((STEP**2 / 12.0,) * len(names), {}, (PROCESS,) * len(names))
+    return BodyModel(names, {}, noise, TouchConstants(1.0, 0.005, 1.0, 50.0), {})
+
+
+def unlearned_body(cameras: Sequence[str]) -> Iterator[Finding]:
+    """That there is no body, and which cameras are not used for it."""
+    unused = f"; {', '.join(cameras)} not looked at: type --body body.npz, which fit writes" if cameras else ""
+    text = f"no --body: the joints' own sensors alone, which show no lasting offset{unused}"
+    yield Finding("warning" if cameras else "info", text)
+
+
+def readings(joints: Series) -> Iterator[Finding]:
+    """What joints' stamps and readings show of themselves: steps back, repeats, pauses, joints that say nothing."""
+    yield from _stamps(joints)
+    share = {n: float(np.mean(np.diff(y) == 0.0)) for n, y in zip(joints.names, joints.values.T, strict=True)}
+    if often := {name: part for name, part in share.items() if part > OFTEN}:
+        most = sorted(often, key=lambda name: -often[name])
+        some = ", ".join(f"{name} {often[name]:.0%}" for name in most[:NAMED])
+        more = f" and {len(most) - NAMED} more" if len(most) > NAMED else ""
+        yield Finding("info", f"joints: readings that repeat the one before: {some}{more}, as at rest or in steps")
+    mute = [name for name, y in zip(joints.names, joints.values.T, strict=True) if not np.isfinite(y).any()]
+    if mute:
+        yield Finding("warning", f"joints: {', '.join(mute)}: no reading is a number")
+
+
+def _stamps(joints: Series) -> Iterator[Finding]:
+    t = joints.t
+    if len(t) < 2:
+        return
+    steps, rising = np.diff(t), ascending(t)
+    if same := int((steps == 0.0).sum()):
+        at = float(t[1:][steps == 0.0][0])
+        yield Finding("warning", f"joints: {same} of {len(t)} stamps repeat the one before, first at {at:.3f} s")
+    if back := int((steps < 0.0).sum()):
+        at = float(t[1:][steps < 0.0][0])
+        left = f"{int((~rising).sum())} readings left out"
+        yield Finding("warning", f"joints: stamps run backwards {back} times, first at {at:.3f} s; {left}")
+    usual = float(np.median(np.diff(t[rising]))) if rising.sum() > 1 else 0.0
+    pauses = np.diff(t[rising]) > max(PAUSE * usual, LONG)
+    if pauses.any():
+        begins, lasting = t[rising][:-1][pauses], np.diff(t[rising])[pauses]
+        some = ", ".join(f"{b:.3f} s for {d:.2f} s" for b, d in zip(begins[:NAMED], lasting[:NAMED], strict=True))
+        more = f" and {int(pauses.sum()) - NAMED} times more" if pauses.sum() > NAMED else ""
+        yield Finding("warning", f"joints: no reading from {some}{more}")

@@ -1,0 +1,50 @@
+"""The records of what each sense measured, shared by whatever gathers, screens and uses it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ...types import Array, Fault, Finding, ForwardModel, Health
+
+
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """Encoder rows: t (N,) s strictly rising · values (N,M) rad, NaN where silent · source_ns (N,).
+
+    relative: each reading's variance (N,M) over its encoder's, None where they are all alike.
+    """
+
+    t: Array
+    values: Array
+    source_ns: Array
+    relative: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """Places seen of something the body predicts: t (N,) s · values, var (N,D) unit, unit² · source_ns · its model.
+
+    common: share of the model's variance that comes of exploring encoders' errors, which all tracks' models learn.
+    """
+
+    name: str
+    model: ForwardModel
+    t: Array
+    values: Array
+    var: Array
+    source_ns: Array
+    common: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """Everything heard: `encoders` also when unused (then all NaN), for their clock; `first` (M,) rad, NaN if none.
+
+    faults: tracks that lied, which are not heard where they did.
+    """
+
+    encoders: Encoders | None
+    sightings: tuple[Sighting, ...]
+    first: Array
+    used: Mapping[str, Health]
+    findings: tuple[Finding, ...]
+    faults: tuple[Fault, ...] = ()

@@ -1,0 +1,99 @@
+"""All times of a log in one order: what is heard at each instant, and when the belief is asked for."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import EvidenceError, UsageError
+from ...types import Array
+from .records import Evidence
+
+FASTEST = 100.0
+"""Hz: encoders faster than this are all heard, but the belief is written on a grid of this rate."""
+
+INSTANTS, EACH = 300_000, 10.0
+"""A grid of more instants than this, and of more for each stamp, spans silence: time and memory for nothing."""
+
+SAME = 1e-6
+"""s: an output time closer than this to a stamp is that stamp."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Instants t (E,) s · events of encoder rows (N,), of sightings' rows (F,), of outputs (O,) · source_ns (O,)."""
+
+    t: Array
+    encoders: Array
+    sightings: tuple[Array, ...]
+    outputs: Array
+    source_ns: Array
+
+
+def timeline(evidence: Evidence, rate: float | None) -> Timeline:
+    """Union of all stamps and output times; equal times become one instant, so simultaneous senses have no order."""
+    clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
+    wanted = output_times(evidence, rate)
+    t = union(clock, *(s.t for s in evidence.sightings), wanted)
+    encoders = np.searchsorted(t, clock)
+    sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
+    outputs = np.searchsorted(t, wanted)
+    return Timeline(t, encoders, sightings, outputs, _heard(evidence, t, encoders, sightings)[outputs])
+
+
+def output_times(evidence: Evidence, rate: float | None) -> Array:
+    """Times (O,) s: encoder stamps (frames without encoders) up to 100 Hz, else a 100 Hz grid; `rate` overrides."""
+    if rate is not None and not rate > 0:
+        raise UsageError(f"rate: {rate} found, a frequency above 0 Hz is possible; type --rate 100")
+    clocks = [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
+    t = union(*clocks)
+    if len(t) == 0:
+        raise EvidenceError("joints: no sound time stamp to estimate at")
+    if rate is None and (len(t) < 2 or np.median(np.diff(t)) > 0.99 / FASTEST):
+        return t
+    rate = rate or FASTEST
+    _check_grid(rate, t)
+    return snapped(t[0] + np.arange(int((t[-1] - t[0]) * rate + 1e-6) + 1) / rate, t)
+
+
+def _check_grid(rate: float, t: Array) -> None:
+    """UsageError for a grid of `rate` (Hz) that is far longer than the stamps t (N,) s would need."""
+    count = (t[-1] - t[0]) * rate
+    if count > max(INSTANTS, EACH * len(t)):
+        at = int(np.diff(t).argmax()) if len(t) > 1 else 0
+        raise UsageError(
+            f"rate: {rate:g} Hz found, {count:.3g} instants for {len(t)} stamps, none of these between {t[at]:.3f} and "
+            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate {max(INSTANTS / (t[-1] - t[0]), 1e-9):.1g} or less"
+        )
+
+
+def union(*clocks: Array) -> Array:
+    """All times (E,) of clocks that each ascend, once."""
+    # merges what is in order already, which np.unique sorts anew
+    t = np.sort(np.concatenate(clocks), kind="stable")
+    return t[np.append(True, t[1:] != t[:-1])] if len(t) else t
+
+
+def spans(t: Array, width: float) -> Array:
+    """Starts (B,) s of spans `width` s long, counted from the first of t (N,) s, which ascend, that hold one of these.
+
+    Silence takes none, however long it is.
+    """
+    return np.asarray(t[:1] + width * np.unique(np.floor((t - t[:1]) / width)))
+
+
+def snapped(grid: Array, t: Array) -> Array:
+    """Grid times (O,) s moved onto a stamp of t that is the same but for rounding: its reading is heard by then."""
+    right = np.minimum(np.searchsorted(t, grid), len(t) - 1)
+    near = np.where(np.abs(t[right] - grid) <= np.abs(t[np.maximum(right - 1, 0)] - grid), right, right - 1)
+    return np.where(np.abs(t[near] - grid) < SAME, t[near], grid)
+
+
+def _heard(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:
+    """Log time (E,) of the last message heard by each instant."""
+    latest = np.full(len(t), np.iinfo(np.int64).min)
+    if evidence.encoders is not None:
+        latest[encoders] = evidence.encoders.source_ns
+    for sighting, events in zip(evidence.sightings, sightings, strict=True):
+        latest[events] = np.maximum(latest[events], sighting.source_ns)
+    latest = np.maximum.accumulate(latest)
+    return np.where(latest == np.iinfo(np.int64).min, latest.max(), latest)

@@ -1,0 +1,58 @@
+"""Touch as a sighting: while the skin is stroked in time with what is seen, the hand is at the effector."""
+
+import numpy as np
+
+from ...types import Array, BodyModel, Features
+
+LEAST = 1e-9
+"""A touch of smaller weight says nothing at all."""
+COUNTS = 1e-3
+"""A touch of smaller weight, under a thousandth of a synchronous one, is heard but not counted as used."""
+
+
+def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Array, Array, Array, Array, int]:
+    """Where touch says the effector is: t (K,) s · values (K,2) px · variance (K,2) px² · source_ns (K,); touches used.
+
+    ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or, of a cell whose place
+    beside the effector the body knows, about that place. A hand strokes along the limb, so the frames of one touch err
+    together: `whole` makes all of them count as one sighting.
+    """
+    nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64), 0
+    hand = features.hand
+    if hand is None or not features.touches:
+        return nothing
+    seen, strongest = np.isfinite(hand.values).all(axis=1), weights(features, hand.t)
+    parts, taken, count = [], np.zeros(len(hand.t), bool), 0
+    for pair in features.synchrony:
+        touch = features.touches[pair.touch]
+        during = seen & ~taken & (hand.t >= touch.onset) & (hand.t <= touch.offset) & (strongest == pair.weight)
+        taken |= during
+        if pair.weight > LEAST and during.any():
+            u, v, var = _place(body, touch.strongest)
+            var = var / pair.weight * (during.sum() if whole else 1)
+            count += pair.weight > COUNTS
+            parts.append((hand.t[during], hand.values[during] - (u, v), var, hand.source_ns[during]))
+    if not parts:
+        return nothing
+    parts.sort(key=lambda part: float(part[0][0]))
+    t, values, variances, source_ns = zip(*parts, strict=True)
+    spread = np.concatenate([np.full_like(places, one) for places, one in zip(values, variances, strict=True)])
+    return np.concatenate(t), np.concatenate(values), spread, np.concatenate(source_ns), count
+
+
+def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
+    """Where a cell is seen beside the effector (u, v) px, and the variance px² about there."""
+    if cell not in body.cells:
+        return 0.0, 0.0, 1.0 / (2.0 * body.touch.b1)
+    u, v, spread = body.cells[cell]
+    return u, v, spread**2
+
+
+def weights(features: Features, t: Array) -> Array:
+    """Synchrony weight (K,) of the touch under way at each time, 0 where there is none."""
+    weight = np.zeros(len(t))
+    for pair in features.synchrony:
+        touch = (features.touches or ())[pair.touch]
+        during = (t >= touch.onset) & (t <= touch.offset)
+        weight[during] = np.maximum(weight[during], pair.weight)
+    return weight

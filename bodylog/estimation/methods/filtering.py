@@ -1,0 +1,165 @@
+"""The filters as methods: pose the log as a problem, solve it, ask whether an encoder lies, write the beliefs down."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from ...settings import Estimation
+from ...types import BodyModel, Estimate, Fault, Features, Finding
+from ..faults import encoder_offset
+from ..faults.encoder_faults import screen, turns
+from ..inference.gauss_newton import Problem, Restless, Solution, solve
+from ..inference.reacquisition import named
+from ..inference.walk import led, walk
+from ..measurements.gather import gather, start
+from ..measurements.timeline import timeline
+from ..noise import encoder_noise
+from ..noise.evidence_search import ROUGHLY, tune
+from ..noise.noise_model import resolve, warned, weighed
+from ..noise.posture_prior import habit
+from . import results
+from .results import Beliefs
+
+S = TypeVar("S", bound=Solution)
+
+
+def laplace(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """Filtered belief: at each output time, all that was heard until then."""
+    return _filtered(features, body, settings, "laplace", "posterior")
+
+
+def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """The plain extended Kalman filter: the same, but frames are linearised once, at the prior mean."""
+    return _filtered(features, body, settings, "ekf", "prior")
+
+
+def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
+    problem, warm, faults = pose(features, body, settings)
+    stepwise = at == "posterior" and problem.stepwise
+    solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
+    problem, solution = settled(problem, warm, settings, solver, walk)
+    trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
+    precision = problem.precision
+    beliefs = Beliefs(
+        unfold(trace.z), precision.of(unfold(trace.p[:, :m, :m])), unfold(trace.nats), unfold(trace.prior),
+        unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
+        (*faults, *drifts(problem, body.joints, solution, faults)), tuple(lost(problem, body.joints, solution)),
+    )  # fmt: skip
+    return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
+
+
+def pose(
+    features: Features, body: BodyModel, settings: Estimation
+) -> tuple[Problem, Solution | None, tuple[Fault, ...]]:
+    """The log as a problem with its precisions, a solution to begin from, and the encoders that lie outright."""
+    evidence = warned(gather(features, body, settings), body, settings)
+    faults: tuple[Fault, ...] = ()
+    if evidence.encoders is not None:
+        angles = "encoders" not in body.senses
+        said = turns(evidence.encoders, body.joints) if angles else ()
+        sound, faults = screen(evidence.encoders, body.joints, evidence.sightings if angles else (), angles)
+        evidence = replace(evidence, encoders=sound, findings=(*evidence.findings, *said))
+    first = start(evidence, settings, body.joints)
+    precision = resolve(evidence, body, settings)
+    evidence = weighed(evidence, precision, settings)
+    usual = habit(evidence, precision.process, first)
+    problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
+    allowed = encoder_offset.allowed(settings.bias, body.joints, faults)
+    problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
+    return *tuned(led(problem), settings), faults
+
+
+def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
+    """The problem with motion and pixel noise as the log's evidence has them, where the settings ask for that."""
+    if settings.precision != "auto":
+        return problem, None
+    try:
+        found, warm = tune(problem, whole=settings.method == "smoother")
+    except Restless:
+        return problem, None
+    return replace(problem, precision=found), warm
+
+
+def settled(
+    problem: Problem, warm: Solution | None, settings: Estimation,
+    solver: Callable[[Problem, Solution | None], S], patient: Callable[[Problem], S],
+) -> tuple[Problem, S]:  # fmt: skip
+    """The problem solved; with offsets where the settings allow them and the evidence asks for them.
+
+    `patient`, slower but sure, takes over where the solver's sweeps do not come to rest.
+    """
+
+    def sure(posed: Problem, begin: Solution | None) -> S:
+        try:
+            return solver(posed, begin)
+        except Restless:
+            return patient(posed)
+
+    solved = sure(problem, warm)
+    if settings.bias != "auto" or problem.evidence.encoders is None:
+        return problem, solved
+    chosen = offset(problem, solved)
+    if chosen is None:
+        return problem, solved
+    chosen, begin = retuned(chosen, settings)
+    return chosen, sure(chosen, begin)
+
+
+def offset(problem: Problem, solved: Solution) -> Problem | None:
+    """The problem with offsets, None where the log asks for none.
+
+    A smoother's process variance lets its way forth lag, which looks like offsets: the likeliest has to see them, too.
+    """
+    suspected, likeliest = encoder_offset.suspects(problem, solved), problem.precision.likeliest
+    if suspected.any() and likeliest is not None:
+        problem = replace(problem, precision=replace(problem.precision, process=likeliest, fewer={}))
+        try:
+            solved = walk(problem) if problem.stepwise else solve(problem, solved, rest=ROUGHLY)
+        except Restless:
+            solved = walk(problem)
+        suspected = encoder_offset.suspects(problem, solved)
+    if not suspected.any():
+        return None
+    chosen = encoder_offset.choose(problem, solved, suspected, partial(cost, warm=solved))
+    if chosen.problem is problem:
+        return None
+    names = {joint: rivals for joint, rivals in chosen.rivals.items() if rivals}
+    return replace(chosen.problem, rivals=names)
+
+
+def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
+    """The problem tuned anew, from the encoders' word on: what was laid to motion was an offset."""
+    encoders, precision = problem.evidence.encoders, problem.precision
+    if settings.precision != "auto" or encoders is None:
+        return problem, None
+    _, evident = encoder_noise.learn(encoders, precision.encoder, precision.process)
+    return tuned(replace(problem, precision=precision.held(evident, encoders)), settings)
+
+
+def cost(problem: Problem, warm: Solution | None = None) -> float:
+    """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite where sweeps do not rest."""
+    try:
+        return encoder_offset.nats(solve(problem, warm, rest=ROUGHLY))
+    except Restless:
+        return np.inf
+
+
+def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
+    """Where the belief began anew, as a warning."""
+    anew = solved.readings.anew
+    return iter(()) if anew is None else named(names, problem.timeline.t, solved.fold.unfold(anew))
+
+
+def drifts(
+    problem: Problem, names: tuple[str, ...], solved: Solution, known: tuple[Fault, ...]
+) -> tuple[Fault, ...]:
+    """Encoders that drift, by the filtered offsets, apart from those known to lie otherwise."""
+    if problem.precision.drift is None:
+        return ()
+    m, unfold = len(names), solved.fold.unfold
+    var = unfold(np.einsum("likc,ik->lic", solved.trace.p[:, 2 * m :, 2 * m :], np.eye(m)))
+    offsets = unfold(solved.trace.z[:, 2 * m :])
+    return encoder_offset.faults(problem, names, offsets, var, known)

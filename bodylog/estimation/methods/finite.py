@@ -1,0 +1,49 @@
+"""The last check of every estimate: a number that is none is an error that names joint, sense and time."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from ...errors import EvidenceError
+from ...types import Array, Estimate
+
+
+def finite(found: Estimate) -> Estimate:
+    """The same estimate; EvidenceError where any of its numbers is not finite, or a variance is below 0."""
+    for what, t, bad in _suspects(found):
+        if bad.any():
+            at = int(bad.argmax())
+            raise EvidenceError(
+                f"{what} at {float(t[at]):.3f} s is not a number by {found.method} ({int(bad.sum())} of {len(bad)}): "
+                f"the readings may contradict each other or the body; type --method kalman, or --without a sense"
+            )
+    return found
+
+
+@contextmanager
+def solvable(method: str) -> Iterator[None]:
+    """EvidenceError where numbers break down before there is an estimate."""
+    try:
+        yield
+    except np.linalg.LinAlgError as problem:
+        raise EvidenceError(
+            f"no estimate by {method}: {problem}; the readings may contradict each other or the body; "
+            "type --method kalman, or --without a sense"
+        ) from None
+
+
+def _suspects(found: Estimate) -> Iterator[tuple[str, Array, Array]]:
+    """What there is of numbers, its times (N,) s, and where (N,) it is none."""
+    t, var = found.joints.t, np.einsum("nii->ni", found.cov)
+    for j, name in enumerate(found.joints.names):
+        yield f"the angle of {name}", t, ~np.isfinite(found.joints.values[:, j])
+        yield f"the rate of {name}", t, ~np.isfinite(found.rate.values[:, j])
+        yield f"the variance of {name}", t, ~(np.isfinite(found.cov[:, j]).all(axis=1) & (var[:, j] >= 0.0))
+        if found.bias is not None:
+            yield f"the encoder offset of {name}", t, ~np.isfinite(found.bias.values[:, j])
+    yield "the free energy", t, ~np.isfinite(found.free_energy)
+    for name, track in found.predicted.items():
+        yield f"the place predicted of {name}", track.t, np.asarray(~np.isfinite(track.values).all(axis=1))
+        cov = found.predicted_cov[name]
+        yield f"the covariance predicted of {name}", track.t, np.asarray(~np.isfinite(cov).all(axis=(1, 2)))

@@ -1,0 +1,140 @@
+"""What predictive coding integrates: each sense on one grid of times, with its variance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...settings import Estimation
+from ...types import Array, BodyModel, Features, ForwardModel
+from ..measurements.gather import gather, start
+from ..measurements.records import Evidence
+from ..measurements.timeline import Timeline, timeline
+from ..noise.noise_model import resolve, warned
+from .paper_touch import Literal, literal
+
+RATE = 20.0
+"""Hz: the paper's Δt of 0.05 s."""
+PAPER = (1.0, 1.0, 5.0)
+"""The paper's σ_x, σ_p (rad²) and σ_v (pixels divided by the image width, squared)."""
+GAINS = np.linspace(0.05, 0.95, 19)
+"""Shares of a reading that a static belief may take over."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sense:
+    """One sense on the grid: s (N,D), NaN where absent · model (None: the angles themselves) · σ (N,D) · unit of s.
+
+    `printed`: the model's own variance is dropped, as the paper drops it.
+    """
+
+    name: str
+    s: Array
+    model: ForwardModel | None
+    sigma: Array
+    unit: float = 1.0
+    printed: bool = False
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """g (D,), J (D,M) and the model's own variance (D,) at x (M,), in the sense's unit."""
+        if self.model is None:
+            return x, np.eye(len(x)), np.zeros(len(x))
+        mean, jac, var = self.model.predict(x[None])
+        return mean[0] / self.unit, jac[0] / self.unit, var[0] * (not self.printed) / self.unit**2
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,)."""
+
+    senses: tuple[Sense, ...]
+    touch: Literal | None
+    t: Array
+    dt: float
+    sigma_x: Array
+    start: Array
+
+
+def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple[Plan, Evidence, Timeline]:
+    """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
+    printed = settings.preset == "paper" or settings.touch == "literal"
+    evidence = gather(features, body, settings)
+    rate = settings.rate or RATE
+    line = timeline(evidence, rate)
+    t, dt, m = line.t[line.outputs], 1.0 / rate, len(body.joints)
+    paper = settings.preset == "paper" or settings.precision == "fixed"
+    precision = None if paper else resolve(evidence, body, settings)
+    evidence = evidence if paper else warned(evidence, body, settings)
+    noise = None if precision is None else precision.encoder
+    senses = [] if evidence.encoders is None else [_encoders(evidence, body, t, noise)]
+    width = image_width(features, body)
+    for sighting in evidence.sightings:
+        if sighting.name == "touch" and printed:
+            continue
+        s, rows = on_grid(sighting.t, sighting.values, t)
+        unit = width if paper else 1.0
+        scale = 1.0 if precision is None else precision.scale.get(sighting.name, 1.0)
+        own = scale * sighting.var[rows] / unit**2
+        sigma = np.full(s.shape, PAPER[2]) if paper and sighting.name != "touch" else own
+        senses.append(Sense(sighting.name, s / unit, sighting.model, sigma, unit, paper))
+    touch = literal(features, body, t, dt) if printed and any(s.name == "touch" for s in evidence.sightings) else None
+    sigma_x = np.full(m, PAPER[0]) if precision is None else _wander(senses[:1], precision.encoder)
+    return Plan(tuple(senses), touch, t, dt, sigma_x, start(evidence, settings, body.joints)), evidence, line
+
+
+def calmest(plan: Plan) -> Array:
+    """The least σ_x (M,) that any finer grid would find; the paper's is the same on all."""
+    learned = plan.senses and plan.senses[0].name == "encoders" and (plan.sigma_x != PAPER[0]).any()
+    least = plan.senses[0].sigma.min(axis=0) * GAINS[0] / (1.0 - GAINS[0]) if learned else plan.sigma_x
+    return np.asarray(np.minimum(plan.sigma_x, least))
+
+
+def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array | None) -> Sense:
+    assert evidence.encoders is not None
+    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
+    sigma = np.full(s.shape, PAPER[1]) if variance is None else np.broadcast_to(variance, s.shape)
+    return Sense("encoders", s, body.senses.get("encoders"), sigma, printed=variance is None)
+
+
+def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
+    """Values (N,D) at the grid times, each row of (t, values) heard once, at the nearest; and the rows' indices (N,).
+
+    A row is moved to its grid time along the line to its neighbour; NaN where no row is nearest.
+    """
+    rows = nearest(t, grid)
+    mine = nearest(grid, t)[rows] == np.arange(len(grid))
+    late = grid >= t[rows]
+    other = np.clip(rows + np.where(late, 1, -1), 0, len(t) - 1)
+    apart = np.where(other == rows, 1.0, t[other] - t[rows])
+    moved = values[rows] + ((grid - t[rows]) / apart)[:, None] * (values[other] - values[rows])
+    moved = np.where(np.isfinite(moved), moved, values[rows])
+    return np.where(mine[:, None], moved, np.nan), rows
+
+
+def nearest(t: Array, at: Array) -> Array:
+    """Index (N,) of the time in ascending t nearest to each of `at`."""
+    right = np.clip(np.searchsorted(t, at), 1, max(len(t) - 1, 1))
+    left = right - 1
+    closer = np.abs(at - t[left]) <= np.abs(t[np.minimum(right, len(t) - 1)] - at)
+    return np.where(closer, left, np.minimum(right, len(t) - 1))
+
+
+def image_width(features: Features, body: BodyModel) -> float:
+    """Pixels that count as 1: the image's width if the body remembers it, else the largest coordinate seen."""
+    if "image_width" in body.provenance:
+        return float(body.provenance["image_width"])
+    seen = [np.nanmax(np.abs(s.values)) for s in features.tracks.values() if np.isfinite(s.values).any()]
+    return float(max(seen, default=1.0))
+
+
+def _wander(encoders: list[Sense], noise: Array) -> Array:
+    """σ_x (M,): what a static belief must allow for motion, so that it foretells the next encoder reading best."""
+    if not encoders or encoders[0].name != "encoders":
+        return noise
+    gains, s = GAINS[:, None], encoders[0].s
+    x, squares = np.where(np.isfinite(s[0]), s[0], 0.0) + 0.0 * gains, np.zeros((len(gains), s.shape[1]))
+    for row in s[1:]:
+        nu = np.where(np.isfinite(row), row - x, 0.0)
+        squares += nu * nu
+        x = x + gains * nu
+    best = gains[squares.argmin(axis=0), 0]
+    return np.asarray(noise * best / (1.0 - best))

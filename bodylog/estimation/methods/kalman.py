@@ -1,0 +1,71 @@
+"""The paper's baseline: a Kalman filter on the encoders alone, with a static model and fixed variances."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...errors import UsageError
+from ...settings import Estimation
+from ...types import Array, BodyModel, Estimate, Features
+from ..faults.encoder_faults import screen
+from ..measurements.gather import gather, start
+from ..measurements.timeline import timeline
+from . import results
+from .choices import unheeded
+from .grid import RATE, on_grid
+from .results import Beliefs
+
+PROCESS, NOISE = 0.001, 1.0
+"""rad² per step and rad², as printed."""
+
+
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """The belief on the paper's grid of 20 Hz, or `rate`; EvidenceError without encoders."""
+    evidence = gather(features, body, replace(settings, senses=_encoders(body, settings)))
+    assert evidence.encoders is not None
+    line = timeline(evidence, settings.rate or RATE)
+    t = line.t[line.outputs]
+    s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
+    x, var, before, before_var, nats = static(s, start(evidence, settings, body.joints))
+    held = np.maximum(np.searchsorted(t, line.t, "right") - 1, 0)
+    errors = np.full((len(line.t), s.shape[1]), np.nan)
+    errors[line.outputs] = (s - before) / np.sqrt(before_var + NOISE)
+    rate = np.diff(x, axis=0, prepend=x[:1]) * (settings.rate or RATE)
+    every = np.zeros(len(line.t))
+    every[line.outputs] = nats
+    cov, before_cov = (v[held][:, :, None] * np.eye(s.shape[1]) for v in (var, before_var))
+    used = {"process": PROCESS, "encoder": NOISE}
+    z = np.concatenate([x, rate], axis=1)[held]
+    # lies are named, but heard as printed
+    _, lies = screen(evidence.encoders, body.joints)
+    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used, lies, unheeded(settings))
+    return results.estimate("kalman", body, evidence, line, beliefs)
+
+
+def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:
+    """The senses that may be asked for: encoders, by joint or all."""
+    other = [name for name in settings.senses or () if name not in ("encoders", *body.joints)]
+    if other:
+        raise UsageError(
+            f"method: kalman hears encoders alone, but {', '.join(other)} is asked for; type --with encoders, "
+            "or --method laplace"
+        )
+    return settings.senses or ("encoders",)
+
+
+def static(s: Array, x: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Belief and variance (N,M) after, then before each row of s (N,M), NaN where silent, and nats (N,)."""
+    var, n = np.full(len(x), NOISE), len(s)
+    after, after_var, before, before_var = np.empty((4, n, len(x)))
+    heard = np.isfinite(s)
+    for k in range(n):
+        var = var + PROCESS
+        before[k], before_var[k] = x, var
+        gain = heard[k] * var / (var + NOISE)
+        x = x + gain * np.where(heard[k], s[k] - x, 0.0)
+        var = (1.0 - gain) * var
+        after[k], after_var[k] = x, var
+    total = before_var + NOISE
+    nu = np.where(heard, s - before, 0.0)
+    nats = np.where(heard, 0.5 * (np.log(2 * np.pi * total) + nu**2 / total), 0.0).sum(axis=1)
+    return after, after_var, before, before_var, nats

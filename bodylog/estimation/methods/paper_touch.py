@@ -1,0 +1,42 @@
+"""Touch as printed in the paper: g_t = f_s f_t enters the prediction errors itself, not its logarithm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array, BodyModel, Features, ForwardModel, TouchConstants
+from ..measurements.touch import weights
+
+VARIANCE = 1.0
+"""σ_t, of which the paper says nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Literal:
+    """On a grid: active (N,) · hand (N,2) px · f_t (N,) temporal coherence; with the model and constants it needs."""
+
+    model: ForwardModel
+    constants: TouchConstants
+    active: Array
+    hand: Array
+    temporal: Array
+
+    def pull(self, k: int, x: Array) -> tuple[float, Array]:
+        """Prediction error e_t = (s_t − g_t)/σ_t, s_t being g_t's best value, and ∂g_t/∂x (M,) at step k."""
+        mean, jac, _ = self.model.predict(x[None])
+        apart = mean[0] - self.hand[k]
+        best = self.constants.a1 * self.temporal[k]
+        g = best * np.exp(-self.constants.b1 * float(apart @ apart))
+        # ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J
+        return float(best - g) / VARIANCE, -2.0 * self.constants.b1 * g * (apart @ jac[0])
+
+
+def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal | None:
+    """Touch on the grid t (N,) s; None without a hand or an effector to compare it with."""
+    hand, model = features.hand, body.senses.get("effector")
+    if hand is None or model is None or len(hand.t) == 0:
+        return None
+    rows = np.maximum(np.searchsorted(hand.t, t + 1e-9, "right") - 1, 0)
+    seen = np.isfinite(hand.values[rows]).all(axis=1) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
+    temporal = body.touch.a2 * weights(features, t)
+    return Literal(model, body.touch, seen & (temporal > 0), hand.values[rows], temporal)

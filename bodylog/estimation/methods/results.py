@@ -1,0 +1,70 @@
+"""From beliefs at instants to an Estimate: errors and predictions per sense, free energy per output, names, clocks."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ...types import Array, BodyModel, Estimate, Fault, Finding, Series
+from ..measurements.records import Evidence, Sighting
+from ..measurements.timeline import Timeline
+
+
+@dataclass(frozen=True, eq=False)
+class Beliefs:
+    """At every instant: z (E,K) · cov (E,M,M) · nats (E,); before hearing it: x (E,M), cov, encoder errors (E,M)."""
+
+    z: Array
+    cov: Array
+    nats: Array
+    before: Array
+    before_cov: Array
+    encoder_errors: Array
+    scale: Mapping[str, float]
+    settings: Mapping[str, Any]
+    faults: tuple[Fault, ...] = ()
+    findings: tuple[Finding, ...] = field(default_factory=tuple)
+
+
+def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
+    """The public record of one method's beliefs."""
+    m, at = len(body.joints), line.outputs
+    t, z = line.t[at], beliefs.z[at]
+
+    def series(values: Array, unit: str) -> Series:
+        return Series(t, values, body.joints, unit, line.source_ns)
+
+    sights = {s.name: sight(s, events, beliefs) for s, events in zip(evidence.sightings, line.sightings, strict=True)}
+    errors = {name: error for name, (error, _, _) in sights.items()}
+    if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
+        rows = beliefs.encoder_errors[line.encoders]
+        errors["encoders"] = Series(evidence.encoders.t, rows, body.joints, "std", evidence.encoders.source_ns)
+    return Estimate(
+        method, series(z[:, :m], "rad"), series(z[:, m : 2 * m], "rad/s"), beliefs.cov[at], errors,
+        per_output(beliefs.nats, at), evidence.used,
+        {name: predicted for name, (_, predicted, _) in sights.items() if name != "touch"},
+        {name: cov for name, (_, _, cov) in sights.items() if name != "touch"},
+        beliefs.settings, series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
+        (*evidence.faults, *beliefs.faults), (*evidence.findings, *beliefs.findings),
+    )  # fmt: skip
+
+
+def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, Series, Array]:
+    """Standardised errors where seen; the place predicted before the frame; its covariance (F,D,D) with noise."""
+    mean, jac, var = sighting.model.predict(beliefs.before[events])
+    cov = jac @ beliefs.before_cov[events] @ jac.swapaxes(1, 2)
+    noise = var + beliefs.scale.get(sighting.name, 1.0) * sighting.var
+    np.einsum("fdd->fd", cov)[:] += noise
+    std = np.sqrt(np.einsum("fdd->fd", cov))
+    names = sighting.model.outputs
+    seen = np.isfinite(sighting.values).all(axis=1)
+    error = ((sighting.values - mean) / std)[seen]
+    errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])
+    return errors, Series(sighting.t, mean, names, "px", sighting.source_ns, std), cov
+
+
+def per_output(nats: Array, outputs: Array) -> Array:
+    """Free energy (O,) nats of all that was heard since the previous output."""
+    total = np.cumsum(nats)[outputs]
+    return np.diff(total, prepend=0.0)

@@ -1,0 +1,134 @@
+"""The full-interval posterior: Gauss–Newton over the whole log, each round one filter forth and one adjoint back.
+
+Linearising all frames at the smoothed angles until they rest gives the maximum a posteriori path. The way back is the
+Bryson–Frazier form, which needs the filter's gains but no inverse.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...settings import Estimation
+from ...types import Array, BodyModel, Estimate, Features
+from ..inference import adjoint
+from ..inference.brief import full
+from ..inference.folds import Fold, fold_for
+from ..inference.gauss_newton import SWEEPS, Problem, Progress, Restless, Solution, begun, far
+from ..inference.outset import handed_over, starts
+from ..inference.scan import Readings, Trace, rescan
+from ..inference.tangents import Tangents
+from ..inference.walk import walk
+from ..noise.correlated_noise import WHOLE
+from . import results
+from .filtering import drifts, lost, pose, settled
+from .results import Beliefs
+
+FORTH = 1
+"""Sweeps that only go forth, until the stretches start nearly where they should."""
+
+
+TURNS = 2
+"""Ways back at most for one way forth, of which they cost a quarter."""
+STILL = 1e-7
+"""rad: a frame whose point on the path moves less keeps its tangent."""
+LASTING = 1e-6
+"""Standard deviations: how little a stretch's start and end may still move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path(Solution):
+    """The last way forth, with the smoothed state z (L,K,C) and what the future says, `after` (L,K,C) each instant."""
+
+    z: Array
+    after: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth(Path):
+    """A smoothed log, with cov (L,M,M,C) of the angles."""
+
+    cov: Array
+
+
+def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+    """Smoothed belief: at each output time, all that the whole log says about it."""
+    problem, warm, faults = pose(features, body, settings)
+    solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
+    problem, smooth = settled(problem, warm, settings, solver, once)
+    unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
+    z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov))
+    beliefs = Beliefs(
+        z, cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d), precision.scale,
+        precision.plain(), (*faults, *drifts(problem, body.joints, smooth, faults)),
+        tuple(lost(problem, body.joints, smooth)),
+    )  # fmt: skip
+    return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
+
+
+def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
+    """The maximum a posteriori path, first in brief, then in full; Restless when the rounds do not settle."""
+    brief, tangents, z, p = begun(problem, warm)
+    tangents.resting, tangents.share = STILL, WHOLE
+    forth = FORTH if warm is None else 0
+    first = _rounds(brief.problem, brief.fold, brief.readings, tangents, z, p, np.zeros_like(z), LASTING, forth)
+    fold = fold_for(len(problem.timeline.t))
+    lasts = np.searchsorted(brief.events, fold.lasts())
+    z, p = starts(problem, fold, first, lasts)
+    ends = np.zeros_like(z)
+    ends[:, :-1] = brief.fold.pick(first.after, lasts).T
+    # what brief stretches leave of moves is no news to the full ones
+    path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
+    return Smooth(
+        fold, path.readings, tangents, path.trace, path.z, path.after, adjoint.covariances(path.readings, path.trace),
+        brief=(brief, first),
+    )  # fmt: skip
+
+
+def _rounds(
+    problem: Problem, fold: Fold, readings: Readings, tangents: Tangents, z: Array, p: Array, ends: Array,
+    lasting: float, forth: int = 0,
+) -> Path:  # fmt: skip
+    """Rounds from starts z (K,C), p (K,K,C) and ends (K,C) until all rests; `forth` sweeps only go forth."""
+    tangents.write(problem, fold, readings)
+    trace, back, progress, moving, rest = None, None, Progress(), np.ones(fold.count, bool), np.inf
+    for sweep in range(SWEEPS):
+        moving |= tangents.draw(problem, fold, readings)
+        if trace is not None and back is not None and rest < lasting and not moving.any():
+            return Path(fold, readings, tangents, trace, *back)
+        trace = rescan(readings, problem.dynamics, z, p, moving, trace, remember=True)
+        next_z, next_p = handed_over(z, p, trace.z[-1], trace.p[-1])
+        moves = far(z, p, next_z, next_p)
+        moving, rest = moves >= lasting, float(moves.max())
+        progress.note(rest)
+        z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
+        if sweep >= forth:
+            back, ends, pulled = _back(readings, trace, ends, p, rest)
+            rest = max(rest, pulled)
+        tangents.follow(problem, fold, trace.z if back is None else back[0])
+    raise Restless(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
+
+
+def _back(
+    readings: Readings, trace: Trace, ends: Array, p: Array, rest: float
+) -> tuple[tuple[Array, Array], Array, float]:
+    """Smoothed state and adjoints (L,K,C), ends (K,C), gone back again while they move more than starts; the move."""
+    for _ in range(TURNS):
+        after, at_start = adjoint.adjoints(readings, trace, ends)
+        pulled, ends = _pulled(adjoint.before(at_start) - ends, p), adjoint.before(at_start)
+        if pulled <= max(rest, LASTING):
+            break
+    return (adjoint.means(trace, after), after), ends, pulled
+
+
+def once(problem: Problem) -> Smooth:
+    """The path smoothed one time along the filter's own tangents: what is left where rounds do not come to rest."""
+    solution, k = walk(problem, remember=True), problem.dynamics.size
+    after, _ = adjoint.adjoints(solution.readings, solution.trace, np.zeros((k, 1)))
+    smooth = adjoint.means(solution.trace, after)
+    cov = adjoint.covariances(solution.readings, solution.trace)
+    return Smooth(solution.fold, solution.readings, solution.tangents, solution.trace, smooth, after, cov)
+
+
+def _pulled(adjoint_moved: Array, p: Array) -> float:
+    """The most the future's word (K,C) moved any stretch's end, in standard deviations; p (K,K,C) sets the scale."""
+    return float(np.abs(adjoint_moved * np.sqrt(np.maximum(np.einsum("iic->ic", p), 0.0))).max())

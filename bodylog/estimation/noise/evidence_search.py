@@ -1,0 +1,200 @@
+"""Evidence of the whole filter, vision included, for many precisions at once: how the arm moves and pixels err."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...types import Array
+from ..inference.brief import Brief, tile
+from ..inference.gauss_newton import Problem, Solution, briefly
+from ..inference.outset import handed_over, priors
+from ..inference.scan import scan
+from ..measurements.records import Encoders, Evidence, Sighting
+from ..measurements.timeline import timeline
+from .encoder_noise import floor, followable
+from .noise_model import Precision
+from .smoother_process import least
+from .visibility import View, views, visual
+
+MOST = 1000
+"""Pictures of a track used at most, from the middle of the log."""
+FEWEST = 10
+"""Sightings without which vision says nothing about its own noise."""
+ROUGHLY = 1e-2
+"""Standard deviations: how still a solution must be for its evidence to be compared."""
+NEARLY = 0.25
+"""Standard deviations: how still stretches' starts must be for candidates to be compared from where these end."""
+TRUST = 0.5
+"""Standard deviation, in natural logarithms, of perception's own word on its pixel variances."""
+BELOW = 16.0
+"""How many times smaller than is let pass process variances are asked for, as a still arm has none at all."""
+ROUNDS = (1.2, 0.7, 0.35)
+"""Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
+
+
+def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
+    """Process variances and pixel factors by (the middle of) the log, for a belief by the whole of it or by the past.
+
+    With the last solution to begin from, if it was of the whole log.
+    """
+    part = middle(replace(problem, precision=replace(problem.precision, fewer={})))
+    names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
+    if not names:
+        return problem.precision, None
+    m, told = len(part.start), briefly(part, None, "posterior", NEARLY)
+    for half in ROUNDS:
+        logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
+        candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
+        nats, told = costs(part, told, np.exp(candidates), names)
+        nats += _prior(candidates, m)
+        part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
+    warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
+    fewer = {view: _moving(problem, *_told(part, view), whole).process for view in _less(problem)}
+    likeliest = _moving(problem, part, told, False).process if whole else None
+    return replace(_moving(problem, part, told, whole), fewer=fewer, likeliest=likeliest), warm
+
+
+def _less(problem: Problem) -> list[View]:
+    """What is in view at times, where that is not all and encoders go on saying where the arm is."""
+    usual = tuple(s.name for s in visual(problem.evidence.sightings))
+    return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
+
+
+def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole: bool) -> Precision:
+    """The part's precisions for a belief by the whole log or by the past, with what of its covariance to state."""
+    encoders, floor = problem.evidence.encoders, _floor(part)
+    if whole:
+        held = replace(part.precision, process=np.maximum(part.precision.process, floor))
+        process, stated = least(replace(part, precision=held), told)
+        return replace(part.precision, process=_led(part, np.maximum(process, floor)), stated=stated)
+    evident, white = _own(problem, part, told[1])
+    if encoders is None:
+        return replace(part.precision, process=evident)
+    return part.precision.held(evident, encoders, white)
+
+
+def _led(part: Problem, process: Array) -> Array:
+    """Process variances (M,) of a smoother whose way forth stays within the gate."""
+    encoders = part.evidence.encoders
+    return process if encoders is None else followable(encoders, part.precision.encoder, process)
+
+
+def _told(part: Problem, view: View) -> tuple[Problem, tuple[Brief, Solution]]:
+    """The part as if only these of its tracks had been in view, and as it is told then."""
+    sightings = tuple(s for s in part.evidence.sightings if s.name in view)
+    evidence = replace(part.evidence, sightings=sightings)
+    less = replace(part, evidence=evidence, timeline=timeline(evidence, None))
+    return less, briefly(less, None, "posterior", NEARLY)
+
+
+def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array]:
+    """Process variances (M,) of a filter, which fits no motion at all time scales, and encoders' share (M,) of its own.
+
+    A joint has that of its encoder as far as this still tells it. Variance by all senses over the one by the encoder
+    alone says what pictures leave unknown. With one camera that is a direction in which joints err together, and
+    independent ones amount to its process variance along it only with as many times theirs as there are joints that
+    take part.
+    """
+    encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
+    share, white = np.full(m, 0.5), np.zeros(m)
+    if encoders is not None and len(encoders.t) > 1:
+        density = precision.encoder * float(np.median(np.diff(encoders.t)))
+        together = np.sqrt(first.fold.unfold(np.einsum("liic->lic", first.trace.p[:, :m, :m]))).mean(axis=0)
+        # steady state under white acceleration: √2 R^¾ q^¼ for noise of density R
+        unknown, white = (
+            np.minimum(together**2 / (np.sqrt(2.0) * density**0.75 * process**0.25), 1.0)
+            for process in (precision.process, part.precision.process)
+        )
+        taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
+        # for as long as an encoder is silent it has no share
+        share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
+    alone = precision.process if precision.evident is None else precision.evident
+    return np.asarray(share * alone + (1.0 - share) * part.precision.process), white
+
+
+def _prior(candidates: Array, m: int) -> Array:
+    """Nats (G,) against pixel factors far from what perception claims."""
+    return np.asarray(0.5 * np.square(candidates[:, m:] / TRUST).sum(axis=1))
+
+
+def _seen(sighting: Sighting) -> int:
+    return int(np.isfinite(sighting.values).all(axis=1).sum())
+
+
+def _with(part: Problem, values: Array, names: list[str]) -> Precision:
+    m, precision = len(part.start), part.precision
+    # frames that err alike foretell each other well: that is no reason to think perception better than it says
+    found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
+    scale = {**precision.scale, **found}
+    return replace(precision, process=np.maximum(values[:m], _floor(part) / BELOW), scale=scale)
+
+
+def _floor(part: Problem) -> Array:
+    """Process variances (M,) at least."""
+    encoders = part.evidence.encoders
+    return np.zeros(len(part.start)) if encoders is None else floor(encoders, part.precision.encoder)
+
+
+def _step(nats: Array, half: float) -> Array:
+    """To the bottom of the parabola through (−half, 0, half) along each axis, at most 2 half."""
+    count = (len(nats) - 1) // 2
+    up, down = nats[1 : 1 + count], nats[1 + count :]
+    bend = up - 2.0 * nats[0] + down
+    downhill = np.where(up < down, 2.0 * half, -2.0 * half)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        newton = 0.5 * half * (down - up) / bend
+    return np.where(bend > 0, np.clip(newton, -2.0 * half, 2.0 * half), downhill)
+
+
+def costs(
+    part: Problem, told: tuple[Brief, Solution], candidates: Array, names: list[str]
+) -> tuple[Array, tuple[Brief, Solution]]:
+    """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
+
+    Filtered from where stretches ended as `told`; and the log as told by the first candidate, which the problem has.
+    """
+    (brief, first), g, m = told, len(candidates), len(part.start)
+    few, readings, fold = replace(part, timeline=brief.problem.timeline), brief.readings, brief.fold
+    first.tangents.draw(few, fold, readings)
+    z, p = handed_over(*priors(few, fold), first.trace.z[-1], first.trace.p[-1])
+    var = np.repeat(readings.var[..., None], g, axis=-1)
+    for index, (sighting, events) in enumerate(zip(part.evidence.sightings, few.timeline.sightings, strict=True)):
+        if sighting.name in names:
+            pixels = np.zeros_like(readings.var[:, index])
+            fold.put(pixels, events, sighting.var)
+            more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
+            # a lasting error counts for less than itself where a filter extrapolates
+            var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
+    tiled = tile(brief, var, candidates[:, :m].T)
+    dynamics = replace(few.dynamics, process=np.tile(candidates[:, :m].T, fold.count))
+    trace = scan(tiled, dynamics, np.repeat(z, g, axis=-1), np.repeat(p, g, axis=-1), every=g)
+    own = replace(trace, nats=trace.nats[:, ::g])
+    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (brief, replace(first, trace=own))
+
+
+def middle(problem: Problem) -> Problem:
+    """The problem cut to at most MOST pictures of any track, around the middle of the log."""
+    evidence, found = problem.evidence, problem.evidence.encoders
+    t = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
+    if len(t) <= MOST:
+        return problem
+    begin = (len(t) - MOST) // 2
+    low, high = t[begin], t[begin + MOST - 1]
+    sightings = tuple(_cut_sighting(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings)
+    if found is None:
+        cut = Evidence(None, sightings, problem.start, evidence.used, ())
+        return replace(problem, evidence=cut, timeline=timeline(cut, None))
+    rows = (found.t >= low) & (found.t <= high)
+    relative = None if found.relative is None else found.relative[rows]
+    encoders = Encoders(found.t[rows], found.values[rows], found.source_ns[rows], relative)
+    known = [column[np.isfinite(column)] for column in encoders.values.T]
+    start = np.array([c[0] if len(c) else s for c, s in zip(known, problem.start, strict=True)])
+    cut = Evidence(encoders, sightings, start, evidence.used, ())
+    return replace(problem, evidence=cut, timeline=timeline(cut, None), start=start)
+
+
+def _cut_sighting(sighting: Sighting, rows: Array) -> Sighting:
+    return replace(
+        sighting, t=sighting.t[rows], values=sighting.values[rows], var=sighting.var[rows],
+        source_ns=sighting.source_ns[rows],
+    )  # fmt: skip

@@ -1,0 +1,117 @@
+"""Process variances of a smoother: those of least squared error, and not of greatest evidence.
+
+Evidence weighs all of a motion up to the frequency where smoothing cuts off. Arms move slower than that and smoothly,
+which it lays to a large q, and more noise passes than must. What motion adds to the error near the cut-off shows in
+how far the path moves with q. Of a steady variance V noise makes 3/4, which grows as q^¼. Of angles whose spectrum
+falls as ω^−p motion leaves what falls as q^(−(p − 1)/4): their sum is least where this is one (p − 1)th of the noise's.
+p is 4 under white acceleration, 6 under white jerk and 8 where jerk jumps, as in reaches of least jerk (Flash & Hogan
+1985); it shows in how fast the moves fall with q. Beyond 6 the error hardly falls, and q stays what it is at 6.
+What is stated of V is what noise makes and what motion adds, as far as the path still moves there.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...types import Array
+from ..inference import adjoint
+from ..inference.brief import Brief, tile
+from ..inference.gauss_newton import Problem, Solution
+from ..inference.outset import handed_over, priors
+from ..inference.scan import scan
+from .correlated_noise import WHOLE
+from .visibility import LONG
+
+STEP = 4.0
+FACTORS = STEP ** np.arange(-3.0, 3.0)
+"""Times the process variances of greatest evidence that are tried."""
+POWERS = np.arange(4.0, 9.0)
+"""p: beyond, what is left comes of few slow swings rather than of what is about the cut-off."""
+MOST = np.array([2.434, 2.674, 2.934, 2.934, 2.934])
+"""For each p, mean squared move of the path by one STEP, over what noise makes of it, where the error is least.
+
+With H(q) = 1/(1 + u⁴/q) and motion a u^−p these are ∫ (H(2) − H(½))² (1 + a u^−p) du and ∫ (H(2) − H(½))² du.
+"""
+LEFT = np.array([2.388, 1.535, 1.062, 0.771, 0.579])
+"""For each p, what motion adds to the error, over how far it moves the path by one STEP about there.
+
+That is ∫ (1 − H)² u^−p du over ∫ (H(2) − H(½))² u^−p du, whatever the motion's strength.
+"""
+NOISE, SWAY = 0.75, 0.073
+"""Shares of V that noise makes of the error, ∫ H² du, and of the path's mean squared move by one STEP."""
+TURNS = 2
+"""Times stretches hand over their ends."""
+
+
+def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
+    """Process variances (M,) of least error, the problem's times one factor, and the share of V that this error is.
+
+    `told` is the solution of its filter.
+    """
+    heard = _heard(part, told[0].problem.timeline.t)
+    moved = np.square(np.diff(_paths(part, told, FACTORS)[0][:, heard], axis=0)).mean(axis=1)
+    # noise's share of it grows as q^¼
+    noise = moved[-1] * (FACTORS[:-1] / FACTORS[-2])[:, None] ** 0.25
+    ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
+    power = _power(ratios)
+    over = np.log(ratios / np.interp(power, POWERS, MOST))
+    last = int(np.flatnonzero(over > 0.0).max(initial=-1))
+    factor = FACTORS[0] if last < 0 else FACTORS[last] * STEP ** (0.5 + over[last] / (over[last] - over[last + 1]))
+    return np.asarray(part.precision.process * factor), _stated(part, told, float(factor), power)
+
+
+def _heard(part: Problem, t: Array) -> Array:
+    """Which of the times t (E,) s are in no long silence of an encoder, where a path moves with q as nowhere else."""
+    encoders = part.evidence.encoders
+    known = np.empty(0) if encoders is None else encoders.t[np.isfinite(encoders.values).all(axis=1)]
+    if len(known) < 2:
+        return np.ones(len(t), bool)
+    steps = np.diff(known)
+    quick = np.concatenate([[True], steps <= LONG * np.median(steps), [True]])
+    return quick[np.searchsorted(known, t)]
+
+
+def _stated(part: Problem, told: tuple[Brief, Solution], factor: float, power: float) -> float:
+    """The share of V that the error is at a factor: noise's, and motion's by how far the path moves there."""
+    paths, var = _paths(part, told, factor * STEP ** np.array([-0.5, 0.5]))
+    heard = _heard(part, told[0].problem.timeline.t)
+    moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1]))[heard].mean())
+    return float(np.clip(NOISE + np.interp(power, POWERS, LEFT) * (moved - SWAY), NOISE, 1.0))
+
+
+def _power(ratios: Array) -> float:
+    """p, by how fast moves over those of noise, 1 + b q^(−p/4), fall before they come near it; ratios (5,)."""
+    last = max(int(np.flatnonzero(ratios > MOST[0]).max(initial=0)), 1)
+    before, after = ratios[last - 1 : last + 1] - 1.0
+    if after <= 0.0 or before <= after:
+        return float(POWERS[-1])
+    return float(np.clip(4.0 * np.log(before / after) / np.log(STEP), POWERS[0], POWERS[-1]))
+
+
+def _paths(part: Problem, told: tuple[Brief, Solution], factors: Array) -> tuple[Array, Array]:
+    """Smoothed angles (G,E,M) of the log in brief for each of the factors, along the tangents of `told`; and V there.
+
+    A steady smoother has a quarter of its filter's variance.
+    """
+    (brief, first), g, m = told, len(factors), len(part.start)
+    few, fold = replace(part, timeline=brief.problem.timeline), brief.fold
+    first.tangents.draw(few, fold, brief.readings)
+    processes = part.precision.process[:, None] * factors
+    precisions = [replace(part.precision, process=process, stated=NOISE) for process in processes.T]
+    var = [first.tangents.weighed(replace(few, precision=p), fold, brief.readings, WHOLE) for p in precisions]
+    tiled = tile(brief, np.stack(var, axis=-1), processes)
+    dynamics = replace(few.dynamics, process=np.tile(processes, fold.count))
+    z, p = (np.repeat(a, g, axis=-1) for a in handed_over(*priors(few, fold), first.trace.z[-1], first.trace.p[-1]))
+    trace = None
+    for _ in range(TURNS):
+        trace = scan(tiled, dynamics, z, p, remember=True, into=trace)
+        z[:, g:], p[:, :, g:] = trace.z[-1][:, :-g], trace.p[-1][:, :, :-g]
+    assert trace is not None
+    ends = np.zeros_like(z)
+    for _ in range(TURNS):
+        after, start = adjoint.adjoints(tiled, trace, ends)
+        ends[:, :-g] = start[:, g:]
+    x, var = adjoint.means(trace, after)[:, :m], 0.25 * np.einsum("liic->lic", trace.p[:, :m, :m])
+    tiles = np.stack([x, var]).reshape(2, fold.length, m, fold.count, g)
+    paths, variances = (np.stack([fold.unfold(part[..., k]) for k in range(g)]) for part in tiles)
+    return paths, variances

@@ -1,0 +1,56 @@
+"""Motion that a filter has to follow: a joint that rests for long and then moves is no blunder of its encoder.
+
+Evidence has one acceleration density for rest and motion. Where rest prevails, the density may be so small that the
+filter lags behind a motion until the gate holds every further reading for an outlier.
+"""
+
+import numpy as np
+
+from ...types import Array
+from ..inference.conditioning import GATE
+
+WITHIN = 0.8
+"""Share of the gate that a lasting acceleration may move innovations by; the rest is the readings' own noise."""
+RAISED = 2.0
+"""Factor by which a density is raised at a time."""
+LATE = 1.5
+"""Median steps in time: readings farther apart show no acceleration."""
+MEMORY = 1.5
+"""Width, in 1/√β readings, of the three means whose second difference tells an acceleration: their noise moves
+innovations by a standard deviation at most."""
+
+
+def followed(t: Array, y: Array, alone: Array, noise: float, process: float) -> float:
+    """The density (rad²/s³), at least `process`, that keeps innovations of readings y (N,) at t (N,) s in the gate.
+
+    alone (N-2,) bool: second differences that are no motion · noise: variance (rad²) of one reading.
+    """
+    steps = np.diff(t)
+    step = float(np.median(steps)) if len(t) > 2 else 0.0
+    if step <= 0.0:
+        return process
+    late = steps > LATE * step
+    # readings without their jumps and what they moved in pauses, summed
+    bends = np.where(alone | late[1:] | late[:-1], 0.0, np.diff(y, 2))
+    summed = np.cumsum(np.cumsum(np.cumsum(bends)))
+    summed = np.concatenate([np.zeros(4), summed])
+    while (lag := _lag(summed, step, noise, process)) > WITHIN * GATE:
+        process *= max(RAISED, np.sqrt(lag / (WITHIN * GATE)))
+    return process
+
+
+def _lag(summed: Array, step: float, noise: float, process: float) -> float:
+    """Largest innovation, in standard deviations, that accelerations lasting as long as the filter's memory leave.
+
+    summed (N,) rad: cumulated readings. A filter of steady gains α, β has innovations of a Δt²/β under an
+    acceleration a, and of variance noise/(1 − α) otherwise (Kalata 1984, "The tracking index").
+    """
+    index = np.sqrt(process * step**3 / noise)
+    rest = (4.0 + index - np.sqrt(8.0 * index + index * index)) / 4.0
+    beta = 2.0 * (1.0 + rest * rest) - 4.0 * rest
+    width = max(1, round(MEMORY / np.sqrt(beta)))
+    means = (summed[width:] - summed[:-width]) / width
+    if len(means) <= 2 * width:
+        return 0.0
+    bends = means[2 * width :] - 2.0 * means[width:-width] + means[: -2 * width]
+    return float(np.abs(bends).max() / width**2 / beta / np.sqrt(noise) * rest)

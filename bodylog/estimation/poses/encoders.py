@@ -1,0 +1,189 @@
+"""What still poses tell of their encoders: each one's noise, and whether one is off in all poses alike.
+
+Linearised at the angles found, what places say beyond the encoders, ν = y − g(x̂) − J (z − x̂), is normal about −J b with
+covariance C = J Σ Jᵀ + R: Σ the encoders' variances, b their offsets. Both are what makes all ν likeliest.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array, Fault, Finding
+from .solve import Poses, Solved, solved
+
+WIDE = 0.05
+"""rad: how noisy encoders are held to be while it is not known how noisy they are."""
+TURNS = 3
+HOPE = -3.0
+"""Nats: an offset that promises less with the noise as it is, which may have grown for it, is not tried."""
+WIDTH = 2.0
+"""Of the logarithm of an encoder's standard deviation: how far from the body's it may well be."""
+PRIOR = 0.3
+"""rad: how large an offset may well be."""
+GAIN = 20.0
+"""Nats of evidence that an offset must win; what `bias` asks of a drift."""
+APART = 5.0
+"""Nats by which an encoder's offset must explain more than any other's to be laid to it."""
+SIGMAS, LEAST = 4.0, 0.01
+"""An offset is a fault when it is this many of its standard deviations and this many rad."""
+FEWEST = 3
+"""Poses with encoders and places, at least, to learn the encoders' noise from."""
+_LOWEST = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Encoding:
+    """variance (M,) rad² · offset (M,) rad and its variance (M,) rad², 0 where none was asked for · free (M,) bool."""
+
+    variance: Array
+    offset: Array
+    offset_var: Array
+    free: Array
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """ν (P,K), Jacobian (P,K,M), variance R (P,K), infinite where nothing was seen, all at the poses that have both."""
+
+    nu: Array
+    jac: Array
+    var: Array
+
+
+def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bias: str) -> Encoding:
+    """Variances from `known` (M,) rad² where `noise`; offsets as `bias` (auto, on, off) lets them be asked for."""
+    m = len(known)
+    found = Encoding(known, np.zeros(m), np.zeros(m), np.full(m, bias == "on"))
+    whole = np.flatnonzero(np.isfinite(poses.z).all(axis=1) & np.isfinite(poses.y).any(axis=1))
+    if len(whole) < FEWEST or not (noise or bias != "off"):
+        return replace(found, free=np.zeros(m, bool))
+    at: Array | None = None
+    begin = [np.log(known), np.full(m, 2.0 * np.log(WIDE))]
+    for turn in range(TURNS):
+        wide = np.maximum(found.variance, WIDE**2) if turn == 0 else found.variance
+        at = solved(poses, wide, found.offset, at).x
+        rows = _rows(poses, solved(poses, wide, found.offset, at), whole)
+        found = _chosen(rows, known, names, noise, bias, begin)
+        begin = [np.log(found.variance)]
+    return found
+
+
+def _rows(poses: Poses, at: Solved, whole: Array) -> _Rows:
+    """What places say beyond the encoders at the poses `whole` (P',), outliers' variances raised."""
+    seen = np.isfinite(poses.y)
+    var = np.where(seen, at.var / np.maximum(at.weight, 1e-12), np.inf)
+    nu = at.r - np.einsum("pkm,pm->pk", at.jac, np.nan_to_num(poses.z) - at.x)
+    return _Rows(np.where(seen, nu, 0.0)[whole], at.jac[whole], var[whole])
+
+
+def _chosen(
+    rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]
+) -> Encoding:
+    """Noise and offsets of greatest evidence; with `auto` one offset after the other while each wins GAIN nats.
+
+    The search for the noise begins at each of `begin`. Tried are the offsets that promise something where noise stays.
+    """
+    free, findings = np.full(len(known), bias == "on"), list[Finding]()
+    value, log_var = _best(rows, known, free, noise, begin)
+    while bias == "auto" and not free.all():
+        likely = [j for j in np.flatnonzero(~free) if _promise(rows, log_var, free, int(j)) > HOPE]
+        also = [*begin, log_var]
+        trials = {j: _best(rows, known, free | (np.arange(len(known)) == j), noise, also) for j in likely}
+        order = sorted(trials, key=lambda j: -trials[j][0])
+        if not order or trials[order[0]][0] - value < GAIN:
+            break
+        if len(order) > 1 and trials[order[0]][0] - trials[order[1]][0] < APART:
+            alike = [names[j] for j in order if trials[order[0]][0] - trials[j][0] < APART]
+            text = f"encoders: an offset of {', '.join(alike)} explains these poses alike; another track tells which"
+            findings.append(Finding("warning", text))
+            break
+        free[order[0]] = True
+        value, log_var = trials[order[0]]
+    variance = np.exp(log_var)
+    offset, cov = _offsets(rows, variance, free)
+    return Encoding(variance, offset, np.diag(cov), free, tuple(findings))
+
+
+def _promise(rows: _Rows, log_var: Array, free: Array, joint: int) -> float:
+    """Nats of evidence that one more offset wins while the noise stays as it is."""
+    more = free | (np.arange(len(free)) == joint)
+    return _evidence(log_var, rows, more)[0] - _evidence(log_var, rows, free)[0]
+
+
+def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array]) -> tuple[float, Array]:
+    """The greatest evidence (nats) with offsets `free` (M,), and ln of the encoders' variances (M,) it is had with."""
+    from scipy.optimize import minimize
+
+    first = np.log(known)
+    if not noise:
+        return _evidence(first, rows, free)[0], first
+
+    def loss(log_var: Array) -> tuple[float, Array]:
+        value, slope = _evidence(log_var, rows, free)
+        away = (log_var - first) / (2.0 * WIDTH)
+        return -value + 0.5 * float(away @ away), -slope + away / (2.0 * WIDTH)
+
+    bounds = [(2.0 * np.log(_LOWEST), 2.0 * np.log(10.0))] * len(first)
+    found = [minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in begin]
+    best = min(found, key=lambda one: float(one.fun))
+    return -float(best.fun), np.asarray(best.x)
+
+
+def _evidence(log_var: Array, rows: _Rows, free: Array) -> tuple[float, Array]:
+    """ln density (nats) of all ν, offsets integrated out, and its gradient in ln of the encoders' variances (M,)."""
+    variance = np.exp(log_var)
+    inner = _inner(rows, variance)
+    a, w, constant = inner
+    score, info = w.sum(axis=0), a.sum(axis=0)
+    value = constant
+    slope = 0.5 * variance * (np.square(w) - np.einsum("pmm->pm", a)).sum(axis=0)
+    if not free.any():
+        return value, slope
+    offset, cov = _offsets(rows, variance, free, inner)
+    chosen = np.ix_(free, free)
+    count = int(free.sum())
+    value += 0.5 * float(score[free] @ cov[chosen] @ score[free])
+    value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + PRIOR**2 * info[chosen])[1])
+    # with offsets ν + J b takes ν's place; their spread adds to what C⁻¹ takes off
+    moved = w + np.einsum("pij,j->pi", a, offset)
+    spread = np.einsum("pij,jk,pik->pi", a, cov, a)
+    slope = 0.5 * variance * (np.square(moved) + spread - np.einsum("pmm->pm", a)).sum(axis=0)
+    return value, slope
+
+
+def _inner(rows: _Rows, variance: Array) -> tuple[Array, Array, float]:
+    """Jᵀ C⁻¹ J (P,M,M), Jᵀ C⁻¹ ν (P,M), and ln density (nats) of all ν without offsets, by Woodbury's identity."""
+    scaled = rows.jac / rows.var[..., None]
+    raw = np.einsum("pki,pkj->pij", scaled, rows.jac)
+    side = np.einsum("pki,pk->pi", scaled, rows.nu)
+    middle = np.linalg.inv(raw + np.diag(1.0 / variance))
+    a = raw - raw @ middle @ raw
+    w = side - np.einsum("pij,pjk,pk->pi", raw, middle, side)
+    seen = np.isfinite(rows.var)
+    square = (np.where(seen, rows.nu**2 / rows.var, 0.0)).sum() - np.einsum("pi,pij,pj->", side, middle, side)
+    logdet = np.log(2.0 * np.pi * rows.var[seen]).sum() - np.linalg.slogdet(middle)[1].sum()
+    logdet += len(rows.nu) * np.log(variance).sum()
+    return a, w, -0.5 * float(square + logdet)
+
+
+def _offsets(
+    rows: _Rows, variance: Array, free: Array, inner: tuple[Array, Array, float] | None = None
+) -> tuple[Array, Array]:
+    """Offsets (M,) rad and their covariance (M,M), 0 but for the free ones."""
+    a, w, _ = inner or _inner(rows, variance)
+    offset, cov = np.zeros(len(free)), np.zeros((len(free), len(free)))
+    if free.any():
+        chosen = np.ix_(free, free)
+        cov[chosen] = np.linalg.inv(a.sum(axis=0)[chosen] + np.eye(int(free.sum())) / PRIOR**2)
+        offset[free] = -cov[chosen] @ w.sum(axis=0)[free]
+    return offset, cov
+
+
+def faults(names: tuple[str, ...], found: Encoding, since: float) -> tuple[Fault, ...]:
+    """Encoders that are certainly off in all poses."""
+    std = np.sqrt(found.offset_var)
+    certain = found.free & (np.abs(found.offset) > np.maximum(LEAST, SIGMAS * std))
+    return tuple(
+        Fault("encoders", names[j], "offset", since, float(found.offset[j]), "rad") for j in np.flatnonzero(certain)
+    )

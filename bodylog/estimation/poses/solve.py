@@ -1,0 +1,211 @@
+"""Still poses: each pose's angles from its own encoders and places, without motion; robust Gauss–Newton, all at once.
+
+The minimised cost of a pose is ½ Σ ρ(d) over what is read, d in standard deviations: d² within GATE, 2 GATE² ln beyond,
+so that an outlier pulls the less the farther it is (the weight of a row is 1, then GATE²/d²).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array, BodyModel
+from ..inference.conditioning import GATE
+from ..measurements.records import Encoders, Sighting
+from ..measurements.timeline import union
+
+STEPS = 60
+RESTING = 1e-7
+"""Standard deviations: a smaller step ends the search for a pose."""
+LEAST_SPAN = 0.1
+"""rad: what is explored of a joint counts as at least so wide where it is what is known of it beforehand."""
+GUESSES, CANDIDATES = 4, 400
+"""Postures among those explored from which a pose without all encoders is sought, and how many are weighed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """P poses: t (P,) s · source_ns · encoders z (P,M) rad, NaN if silent · places y, var (P,K) of all tracks, px, px².
+
+    Beforehand an angle is held to be `centre` (M,) within `span` (M,) rad. rows {sighting: its columns of K}.
+    """
+
+    t: Array
+    source_ns: Array
+    z: Array
+    y: Array
+    var: Array
+    sightings: tuple[Sighting, ...]
+    rows: tuple[slice, ...]
+    centre: Array
+    span: Array
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (P,M) rad: places (P,K) · Jacobian (P,K,M) · variance (P,K), the model's and the sighting's."""
+        parts = [sighting.model.predict(x) for sighting in self.sightings]
+        if not parts:
+            return np.empty((len(x), 0)), np.empty((len(x), 0, x.shape[1])), np.empty((len(x), 0))
+        g, jac, var = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+        return g, jac, var
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """At each pose: x (P,M) rad · cov (P,M,M) · residuals (P,K), Jacobian (P,K,M), variance (P,K), weights 0..1 of the
+    places · what encoders say beyond x, e (P,M) rad, and their weights · cost (P,), nats: minus the logarithm of the
+    density of what was read.
+    """
+
+    x: Array
+    cov: Array
+    r: Array
+    jac: Array
+    var: Array
+    weight: Array
+    e: Array
+    encoder_weight: Array
+    cost: Array
+
+
+def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: BodyModel) -> Poses:
+    """What was read in every pose, by its time."""
+    clocks = [s.t for s in sightings] + ([] if encoders is None else [encoders.t])
+    t = union(*clocks)
+    m, sources = len(body.joints), np.zeros(len(t), np.int64)
+    z = np.full((len(t), m), np.nan)
+    width = [s.values.shape[1] for s in sightings]
+    ends = np.cumsum([0, *width]).tolist()
+    rows = tuple(map(slice, ends, ends[1:]))
+    y, var = np.full((len(t), ends[-1]), np.nan), np.ones((len(t), ends[-1]))
+    for sighting, columns in zip(sightings, rows, strict=True):
+        at = np.searchsorted(t, sighting.t)
+        y[at, columns], var[at, columns], sources[at] = sighting.values, sighting.var, sighting.source_ns
+    if encoders is not None:
+        at = np.searchsorted(t, encoders.t)
+        z[at], sources[at] = encoders.values, encoders.source_ns
+    explored = samples(body)
+    low, high = explored.min(axis=0), explored.max(axis=0)
+    span = np.maximum(high - low, LEAST_SPAN)
+    return Poses(t, sources, z, y, var, tuple(sightings), rows, (low + high) / 2.0, span)
+
+
+def samples(body: BodyModel) -> Array:
+    """The angles (S,M) rad that the body's tracks were learned at."""
+    known = [model.samples for model in body.senses.values() if hasattr(model, "samples")]
+    return np.concatenate(known) if known else np.zeros((1, len(body.joints)))
+
+
+def solved(poses: Poses, encoder: Array, offset: Array, start: Array | None = None) -> Solved:
+    """Every pose's likeliest angles with encoder variances (M,) rad² and offsets (M,) rad, from x (P,M) if given."""
+    if start is not None:
+        return descended(poses, encoder, offset, start)
+    z = poses.z - offset
+    first = np.where(np.isfinite(z), z, poses.centre)
+    best = descended(poses, encoder, offset, first)
+    loose = np.flatnonzero(~np.isfinite(z).all(axis=1) & np.isfinite(poses.y).any(axis=1))
+    if not len(loose):
+        return best
+    some = part(poses, loose)
+    for guess in guesses(some, encoder, offset):
+        tried = descended(some, encoder, offset, guess)
+        better = tried.cost < best.cost[loose] - 1e-9
+        best = merged(best, tried, loose[better], better)
+    return best
+
+
+def part(poses: Poses, chosen: Array) -> Poses:
+    """Some of the poses."""
+    columns = {name: getattr(poses, name)[chosen] for name in ("t", "source_ns", "z", "y", "var")}
+    return replace(poses, **columns)
+
+
+def merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
+    """The solution with the rows' replaced by those chosen (bool) of another."""
+    columns = {}
+    for name in Solved.__dataclass_fields__:
+        values = getattr(whole, name).copy()
+        values[rows] = getattr(some, name)[chosen]
+        columns[name] = values
+    return Solved(**columns)
+
+
+def guesses(poses: Poses, encoder: Array, offset: Array) -> Array:
+    """Explored postures (G,P,M) rad that come nearest to what was read in each pose."""
+    known = [s.model.samples for s in poses.sightings if hasattr(s.model, "samples")]
+    x = np.concatenate(known)
+    x = x[np.unique(np.linspace(0, len(x) - 1, min(len(x), CANDIDATES)).round().astype(int))]
+    g = poses.predict(x)[0]
+    far = np.zeros((len(poses.t), len(x)))
+    for k in range(g.shape[1]):
+        seen = np.isfinite(poses.y[:, k])
+        far[seen] += (poses.y[seen, k, None] - g[None, :, k]) ** 2 / np.maximum(np.var(g[:, k]), 1e-12)
+    z = poses.z - offset
+    apart = (z[:, None] - x[None]) ** 2 / poses.span**2
+    far += np.where(np.isfinite(apart), apart, 0.0).sum(axis=2)
+    nearest = np.argsort(far, axis=1, kind="stable")[:, :GUESSES].T
+    return np.where(np.isfinite(z), z, x[nearest])
+
+
+def descended(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
+    """Gauss–Newton, damped pose by pose where a step does not lower the cost at the variances where it began."""
+    now, damp = _at(poses, encoder, offset, x), np.full(len(x), 1e-6)
+    active = np.ones(len(x), bool)
+    for _ in range(STEPS):
+        step = _step(poses, encoder, offset, now, damp)
+        tried = _at(poses, encoder, offset, np.where(active[:, None], now.x + step, now.x))
+        before, after = (_misfit(poses, encoder, at, now.var) for at in (now, tried))
+        better = active & (after <= before + 1e-12)
+        size = np.abs(step) / np.sqrt(np.einsum("pmm->pm", now.cov))
+        resting = size.max(axis=1) < RESTING
+        damp = np.where(better, np.maximum(damp * 0.1, 1e-9), damp * 10.0)
+        now = merged(now, tried, np.flatnonzero(better), better)
+        active &= ~resting & (damp < 1e9)
+        if not active.any():
+            break
+    return now
+
+
+def _step(poses: Poses, encoder: Array, offset: Array, now: Solved, damp: Array) -> Array:
+    """The Gauss–Newton step (P,M), damped along the posterior's own axes (Levenberg–Marquardt)."""
+    heard = np.isfinite(poses.z)
+    pull = np.einsum("pkm,pk->pm", now.jac, now.weight * np.where(np.isfinite(poses.y), now.r, 0.0) / now.var)
+    pull += np.where(heard, now.encoder_weight * (poses.z - offset - now.x) / encoder, 0.0)
+    pull += (poses.centre - now.x) / poses.span**2
+    information = np.linalg.inv(now.cov)
+    information += damp[:, None, None] * np.eye(now.x.shape[1]) * np.einsum("pmm->pm", information)[:, None]
+    return np.asarray(np.linalg.solve(information, pull[..., None])[..., 0])
+
+
+def _at(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
+    """Residuals, weights, covariance and cost at x (P,M)."""
+    g, jac, model = poses.predict(x)
+    var, seen, heard = model + poses.var, np.isfinite(poses.y), np.isfinite(poses.z)
+    r, e = np.where(seen, poses.y - g, 0.0), np.where(heard, poses.z - offset - x, 0.0)
+    d, f = np.abs(r) / np.sqrt(var), np.abs(e) / np.sqrt(encoder)
+    weight, encoder_weight = weights(d) * seen, weights(f) * heard
+    information = np.einsum("pki,pk,pkj->pij", jac, weight / var, jac)
+    information += np.eye(x.shape[1]) * (encoder_weight / encoder + poses.span**-2.0)[:, None]
+    away = (x - poses.centre) / poses.span
+    cost = costs(d).sum(axis=1) + costs(f).sum(axis=1) + 0.5 * np.square(away).sum(axis=1)
+    cost += 0.5 * (np.log(2.0 * np.pi * var) * seen).sum(axis=1)
+    cost += 0.5 * (np.log(2.0 * np.pi * encoder) * heard).sum(axis=1)
+    cost += 0.5 * np.linalg.slogdet(information)[1] + np.log(poses.span).sum()
+    return Solved(x, np.linalg.inv(information), r, jac, var, weight, e, encoder_weight, cost)
+
+
+def _misfit(poses: Poses, encoder: Array, at: Solved, var: Array) -> Array:
+    """Half the robust squares (P,) of all that was read, with the places' variances (P,K)."""
+    away = (at.x - poses.centre) / poses.span
+    read = costs(np.abs(at.r) / np.sqrt(var)).sum(axis=1) + costs(np.abs(at.e) / np.sqrt(encoder)).sum(axis=1)
+    return np.asarray(read + 0.5 * np.square(away).sum(axis=1))
+
+
+def weights(d: Array) -> Array:
+    """How much a row counts that is d standard deviations off: 1 within the gate, GATE²/d² beyond."""
+    return np.asarray(np.minimum(1.0, np.square(GATE / np.maximum(d, 1e-12))))
+
+
+def costs(d: Array) -> Array:
+    """Half the robust square of d standard deviations, nats."""
+    beyond = np.maximum(d / GATE, 1.0)
+    return np.asarray(np.where(d <= GATE, 0.5 * d**2, GATE**2 * (0.5 + np.log(beyond))))

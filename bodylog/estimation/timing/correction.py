@@ -1,0 +1,207 @@
+"""Pictures dated as the encoders are: what a camera is late by is measured, said and taken off, or heard as given."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import isfinite
+
+import numpy as np
+
+from ...errors import ModelError, UsageError
+from ...types import Array, BodyModel, Estimate, Features, Finding, Series
+from ..faults.encoder_faults import screen
+from ..measurements.gather import ascending, columns, pixel_variance
+from ..measurements.records import Encoders, Sighting
+from .regression import FARTHEST, Delay, measured
+
+GAIN, FURTHER = 8.0, 3.0
+"""Nats of evidence that a delay must win, four standard errors where many parts of the log tell of it; a further
+camera's less, as cameras of one robot seldom are late alone."""
+LEAST = 1e-3
+"""s: a lesser delay is left alone; most cameras expose for longer."""
+SURE = 4.0
+"""Standard errors within which a camera that is not as late as when its body was learned may not be late at all."""
+ENOUGH = 60.0
+"""s of the log, from its middle, that are asked first."""
+JOINTS, FIRST = "joints", "camera"
+
+
+@dataclass(frozen=True, eq=False)
+class Dated:
+    """Features dated earlier by `delays` (s, by camera; those that are none left out), how sure those are that were
+    measured (s), and remarks."""
+
+    features: Features
+    delays: Mapping[str, float]
+    errors: Mapping[str, float]
+    findings: tuple[Finding, ...] = ()
+
+
+def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> Dated:
+    """Features with each camera's delay taken off: as `given` {camera: s}, none if "off", else as the log has it.
+
+    Where the log does not contradict, a camera is as late as when the body was learned. UsageError for a name that is
+    no camera's, ModelError for a body that holds no delays where it should.
+    """
+    names, learned = cameras([*features.tracks, *body.senses]), as_learned(body)
+    fixed = named(given, names)
+    delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in (JOINTS, *names)}, dict[str, float]()
+    rests = late(earlier(features, delays), body)
+    gain = FURTHER if any(telling(rest) for rest in rests.values()) else GAIN
+    for name, rest in rests.items():
+        if telling(rest, gain=gain) and name not in fixed:
+            own = delays[name] + rest.seconds
+            # a camera that is no longer late is better known by that than by the log
+            anew = not delays[name] or abs(own) > SURE * rest.std_error
+            delays[name], errors[name] = (own, rest.std_error) if anew else (0.0, 0.0)
+    errors = {name: error for name, error in errors.items() if error}
+    delays = {name: delay for name, delay in delays.items() if delay}
+    return Dated(earlier(features, delays), delays, errors, tuple(told(delays, errors, rests, fixed)))
+
+
+def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
+    """What is not to be measured (s), of the joints and cameras there are; UsageError for a name that is none."""
+    known = (JOINTS, *names)
+    if isinstance(given, str):
+        return {} if given == "auto" else dict.fromkeys(known, 0.0)
+    given = {name: late for name, late in given.items() if not name.startswith(f"{JOINTS}/")}  # one topic's, by logs/
+    if unknown := [name for name in given if name not in known]:
+        raise UsageError(f"delay: {unknown[0]!r} is none of {', '.join(known)}; type --delay {known[-1]}=0.05")
+    return dict(given)
+
+
+def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
+    """The cameras of tracks and senses, the first of which is called camera."""
+    return tuple(dict.fromkeys(camera(name) for name in tracks if name != "encoders"))
+
+
+def camera(track: str) -> str:
+    """The name of a track's camera."""
+    return track.rpartition("/")[0] or FIRST
+
+
+def telling(delay: Delay, least: float = LEAST, gain: float = GAIN) -> bool:
+    """Whether a delay wins more than `gain` nats, and is longer than `least` s."""
+    return delay.nats > gain and abs(delay.seconds) > least
+
+
+def earlier(features: Features, delays: Mapping[str, float]) -> Features:
+    """The features with each camera's tracks, and the joints, dated so much (s) earlier."""
+    tracks = {name: _earlier(track, delays.get(camera(name), 0.0)) for name, track in features.tracks.items()}
+    joints = None if features.joints is None else _earlier(features.joints, delays.get(JOINTS, 0.0))
+    return replace(features, tracks=tracks, joints=joints)
+
+
+def late(features: Features, body: BodyModel) -> dict[str, Delay]:
+    """How late each camera dates its pictures beside the encoders, where the log can tell."""
+    if features.joints is None or not len(features.joints.t):
+        return {}
+    begin, end = np.nanmin(features.joints.t), np.nanmax(features.joints.t)
+    spare = max(0.0, 0.5 * (end - begin - ENOUGH))
+    asked = {camera(name) for name in features.tracks if name in body.senses}
+    found = _late(features, body, begin + spare, end - spare)
+    return {**_late(features, body, begin, end), **found} if spare and asked - set(found) else found
+
+
+def _late(features: Features, body: BodyModel, begin: float, end: float) -> dict[str, Delay]:
+    """The same from what is dated from begin to end."""
+    encoders, seen = heard(features, body, begin, end)
+    found = {} if encoders is None else {name: measured(encoders, tracks) for name, tracks in seen.items()}
+    return {name: delay for name, delay in found.items() if delay is not None}
+
+
+def heard(
+    features: Features, body: BodyModel, begin: float = -np.inf, end: float = np.inf
+) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:
+    """Encoders, but those that lie, and each camera's tracks dated from begin to end; None where they are not all."""
+    joints, seen = features.joints, dict[str, list[Sighting]]()
+    if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
+        return None, {}
+    rows = _within(joints.t, begin, end)
+    values = joints.values[rows][:, columns(joints, body.joints)].astype(float)
+    values[~np.isfinite(values)] = np.nan
+    spoken = np.isfinite(values).any(axis=1)
+    for name, track in features.tracks.items():
+        if name in body.senses:
+            seen.setdefault(camera(name), []).append(_sighting(name, track, body, _within(track.t, begin, end)))
+    encoders = Encoders(joints.t[rows][spoken], values[spoken], joints.source_ns[rows][spoken])
+    return screen(encoders, body.joints)[0], seen
+
+
+def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
+    """An estimate from the `timely` features with what it says of pictures dated as these are stamped in `features`."""
+
+    def stamped(told: Mapping[str, Series]) -> dict[str, Series]:
+        tracks, stamps = timely.tracks, features.tracks
+        return {name: _stamped(series, tracks.get(name), stamps.get(name)) for name, series in told.items()}
+
+    return replace(found, errors=stamped(found.errors), predicted=stamped(found.predicted))
+
+
+def unsure(found: Estimate, timely: Dated) -> Estimate:
+    """An estimate whose error bars know how sure the delays are: so much later, or earlier, the arm is elsewhere.
+
+    Cameras are measured by the same encoders, so that one is off as another.
+    """
+    if not timely.errors:
+        return found
+    heard = {camera(name) for name in timely.features.tracks}
+    rate, var = found.rate.values, sum(error**2 for error in timely.errors.values()) / len(heard)
+    return replace(found, cov=found.cov + var * rate[:, :, None] * rate[:, None, :])
+
+
+def told(
+    delays: Mapping[str, float], errors: Mapping[str, float], rests: Mapping[str, Delay], fixed: Mapping[str, float]
+) -> Iterator[Finding]:
+    """What is to be said of delays taken off, a warning where they were measured, and of `fixed` ones that, by the
+    `rests`, the log contradicts."""
+    for name in (name for name in {**delays, **rests} if name != JOINTS):
+        delay, rest = delays.get(name, 0.0), rests.get(name)
+        if name in fixed and rest is not None and telling(rest):
+            late, given = delay + rest.seconds, f"--delay {name}={delay:g}" if delay else "none taken off"
+            better = f"{late:.4f}" if abs(late) > SURE * rest.std_error else "0"
+            advice = f"error bars are too small for that; type --delay {name}={better}"
+            yield Finding("warning", f"{name}: {_worded(late, rest.std_error)} ({given}): {advice}")
+        elif name in errors:
+            advice = f"type --delay {name}={delay:.4f} to say so, --delay off to leave it"
+            yield Finding("warning", f"{name}: {_worded(delay, errors[name])}, which is taken off; {advice}")
+        elif name not in fixed and delay:
+            yield Finding("info", f"{name}: {_worded(delay)}, as where the body was learned, which is taken off")
+
+
+def _worded(seconds: float, error: float | None = None) -> str:
+    about = "" if error is None else f" ± {error:.4f}"
+    return f"its pictures are dated {abs(seconds):.4f}{about} s {'late' if seconds > 0 else 'early'} by the encoders"
+
+
+def _earlier(series: Series, delay: float) -> Series:
+    return replace(series, t=series.t - delay) if delay else series
+
+
+def _stamped(series: Series, timely: Series | None, track: Series | None) -> Series:
+    """What is said at some of the times of `timely`, at those that `track` has in their place."""
+    if timely is None or track is None or timely is track:
+        return series
+    order = np.argsort(timely.t, kind="stable")
+    return replace(series, t=track.t[order[np.searchsorted(timely.t[order], series.t)]])
+
+
+def _within(t: Array, begin: float, end: float) -> Array:
+    """Rows dated from begin to end, each later than all before it."""
+    return np.flatnonzero(ascending(t) & (t >= begin) & (t <= end))
+
+
+def _sighting(name: str, track: Series, body: BodyModel, rows: Array) -> Sighting:
+    model, std = body.senses[name], None if track.std is None else track.std[rows]
+    var = pixel_variance(std, model, np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float))
+    values = track.values[rows]
+    return Sighting(name, model, track.t[rows], values, np.broadcast_to(var, values.shape), track.source_ns[rows])
+
+
+def as_learned(body: BodyModel) -> dict[str, float]:
+    """The delays (s) a body was learned with, by camera; ModelError where it says something else."""
+    found = body.provenance.get("delay", {})
+    if not isinstance(found, Mapping) or not all(
+        isinstance(delay, int | float) and isfinite(delay) and abs(delay) <= FARTHEST for delay in found.values()
+    ):
+        raise ModelError(f"provenance.delay: found {found!r}, possible: seconds by camera")
+    return {str(name): float(delay) for name, delay in found.items()}

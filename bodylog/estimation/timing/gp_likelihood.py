@@ -1,0 +1,58 @@
+"""How late a camera dated the pictures that a body is learned from, by what the body itself holds likely.
+
+The track, as a curve y, is at t + τ one draw of the body's Gaussian process at what encoders read about t: y + τ ẏ has
+its mean m and its covariance K with the noise, whence τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. What the learned
+mean leaves unexplained would say less: where paths hardly cross it takes a delay for the arm's shape.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.records import Encoders, Sighting
+from .regression import FARTHEST, ROUNDS, STEP, STILL, Delay
+from .track_curve import FEWEST, Curve, drawn, places
+
+MOST = 400
+"""Means of encoders at most, evenly spread: the cost goes with their third power."""
+BLUNDER = 6.0
+"""Median distances from what the learned mean has there beyond which a place is left out."""
+
+Prior = Callable[[Array], tuple[Array, Array]]
+"""Of angles (B,M), before anything was learned there: a track's mean (D,) px and covariance (D,B,B) px²."""
+
+
+def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]) -> Delay | None:
+    """The delay of the tracks of one camera; None where they are too short to tell."""
+    told = [
+        (curve, *prior(curve.x)) for track, prior in zip(seen, priors, strict=True)
+        if (curve := drawn(encoders, track, MOST // len(seen))) is not None
+    ]  # fmt: skip
+    late = 0.0
+    for _ in range(ROUNDS):
+        parts = [_told(curve, mean, cov, late) for curve, mean, cov in told]
+        # tracks beside the same encoders err with them
+        pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
+        if weight <= 0.0 or abs(late) > FARTHEST:
+            return None
+        error = weight**-0.5
+        late -= float(np.clip(pull / weight, -STEP, STEP))
+        if abs(pull / weight) < STILL * error:
+            return Delay(late, error, 0.5 * (late / error) ** 2)
+    return None
+
+
+def _told(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
+    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve that is so late (s); nothing where too little of it is left."""
+    place, speed, *_, sound = places(curve, late)
+    off = np.linalg.norm(place - curve.foretold, axis=1)
+    if sound.sum() < FEWEST:
+        return 0.0, 0.0
+    rows = np.flatnonzero(sound & (off <= BLUNDER * np.median(off[sound])))
+    pull, weight = 0.0, 0.0
+    for d, prior in enumerate(cov):
+        known = prior[np.ix_(rows, rows)] + np.diag(curve.noise[rows, d])
+        lean = np.linalg.solve(known, speed[rows, d])
+        pull, weight = pull + lean @ (place[rows, d] - mean[d]), weight + lean @ speed[rows, d]
+    return float(pull), float(weight)

@@ -1,0 +1,110 @@
+"""How late a camera dates its pictures, by the encoders beside it: both saw one motion.
+
+Encoder readings of one picture's time are averaged, mean x̄ at t, and foretell a place g(x̄). The track, as a curve y
+through what pictures showed, is there at t + τ: y(t + τ) = g(x̄) + J b(t) + e, whence τ by Gauss–Newton, beside offsets
+b of the encoders that bend every few seconds. Encoders' noise is another in each mean; what errs alike for longer
+shows in how far τ moves when a part of the log is left out, and τ is no surer than either says.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.records import Encoders, Sighting
+from .track_curve import FEWEST, MOST, Rows, compared, drawn
+
+PART, STEPS, PARTS = 0.5, 12.0, 40
+"""s and steps of the curves that a part lasts which is left out, at least, and how many there are at most."""
+STEP, FARTHEST = 0.15, 1.0
+"""s that a round may go, and all of them."""
+ROUNDS, STILL = 12, 0.05
+"""Rounds at most, and standard errors by which the last may still move."""
+TAME = 4.0
+"""Squared residuals, in their spread, that count half."""
+ONE = 0.6
+"""Share of what tells of the delay that must count, 0.72 where all errs normally, or no one delay explains the log."""
+
+
+@dataclass(frozen=True)
+class Delay:
+    """Seconds by which pictures are dated late, its standard error, and the evidence against none in nats."""
+
+    seconds: float
+    std_error: float
+    nats: float
+
+
+def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
+    """The delay of the tracks of one camera; None where nothing moves enough, or for too short, to tell."""
+    curves = [curve for track in seen if (curve := drawn(encoders, track, MOST // len(seen))) is not None]
+    late = 0.0
+    for _ in range(ROUNDS):
+        parts = [compared(curve, late) for curve in curves]
+        if sum(len(part.t) for part in parts) < FEWEST:
+            return None
+        rows = _together(parts)
+        step, weight, spread = _fitted(rows)
+        lean = np.linalg.solve(_sums(rows, weight)[0], np.eye(rows.slopes.shape[-1])[0])
+        # the inverse of what the track's speed says, its noise apart: where that is less than the noise, nothing moved
+        if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
+            return None
+        own = np.sqrt(spread * np.square(weight[:, None] * (rows.slopes @ lean)).sum())
+        late += float(np.clip(step, -STEP, STEP))
+        if abs(step) < STILL * own:
+            told = np.square(rows.slopes @ lean).sum(axis=1)
+            if weight @ told < ONE * told.sum():
+                return None
+            return _judged(late, own, rows, weight, lean, max(PART, STEPS * max(curve.step for curve in curves)))
+        if abs(late) > FARTHEST:
+            return None
+    return None
+
+
+def _judged(late: float, own: float, rows: Rows, weight: Array, lean: Array, part: float) -> Delay:
+    """The delay as sure as its own noise, and the log's parts (s), have it; these know it as well as they are many."""
+    count = int(np.clip(np.ptp(rows.t) / part, 2, PARTS))
+    edges = np.linspace(rows.t[0], rows.t[-1], count + 1)[1:-1]
+    bounds = np.unique(np.concatenate([[0], np.searchsorted(rows.t, edges), [len(rows.t)]]))
+    sums = [_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)]
+    normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
+    without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
+    apart = np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum())
+    said = np.add.reduceat(np.square(weight[:, None] * (rows.slopes @ lean)).sum(axis=1), bounds[:-1])
+    voices = said.sum() ** 2 / np.square(said).sum()
+    nats = min(0.5 * (late / own) ** 2, 0.5 * voices * np.log1p((late / apart) ** 2 / voices))
+    return Delay(late, float(max(own, apart)), float(nats))
+
+
+def _fitted(rows: Rows) -> tuple[float, Array, float]:
+    """The next step (s), how much each row counts (R,), and the residuals' variance: 1 where noise is as stated."""
+    weight, spread = np.ones(len(rows.t)), 1.0
+    for _ in range(ROUNDS):
+        beta = np.linalg.solve(*_sums(rows, weight))
+        squares = np.square(rows.misfit - rows.slopes @ beta).sum(axis=1)
+        spread = float(np.median(squares)) / (2.0 * np.log(2.0)) + np.finfo(float).tiny
+        before, weight = weight, 1.0 / (1.0 + squares / (TAME * spread))
+        if np.abs(weight - before).max() < 0.01:
+            break
+    return float(beta[0]), weight, spread
+
+
+def _sums(rows: Rows, weight: Array) -> tuple[Array, Array]:
+    """Normal matrix and right side of the weighted regression, without what noise in the track's speed adds."""
+    size = rows.slopes.shape[-1]
+    heavy = (rows.slopes * weight[:, None, None]).reshape(-1, size).T
+    normal, pull = heavy @ rows.slopes.reshape(-1, size), heavy @ rows.misfit.ravel()
+    normal[np.diag_indices(size)] += 1e-9 * np.trace(normal) / size + np.finfo(float).tiny
+    normal[0, 0] -= weight @ rows.own
+    pull[0] += weight @ rows.cross
+    return normal, pull
+
+
+def _together(parts: Sequence[Rows]) -> Rows:
+    """All curves' rows in order of time."""
+    if len(parts) == 1:
+        return parts[0]
+    rows = Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__annotations__))
+    return rows.some(np.argsort(rows.t, kind="stable"))

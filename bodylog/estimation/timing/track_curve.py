@@ -1,0 +1,173 @@
+"""A track as a curve through its pictures, beside what the means of encoders' readings foretell of it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.records import Encoders, Sighting
+from ..measurements.timeline import spans
+
+MOST, FEWEST = 600, 20
+"""Means at most, evenly spread, and at least."""
+BEND, BENDS = 8.0, 12
+"""s between bends of an encoder's offset, and how many at most."""
+BLUNDER = 10.0
+"""Median distances from where its neighbours have it beyond which a picture is left out."""
+BLUR, SLOW, GAP = 0.1, 0.08, 3.5
+"""Share of noise in the track's speed above which pictures are averaged in pairs, s apart at most; largest gap bridged,
+in median steps."""
+COARSE = 0.25
+"""s: pictures farther apart draw no curve."""
+ASIDE = 1e-3
+"""s: joints whose mean times differ by more did not speak together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Places (N,2) px at t (N,) s, a step apart, and what encoders' B means foretell beside them.
+
+    at (B,) s · angles x (B,M) · places foretold (B,2) · noise (B,2) px² of encoders and pictures ·
+    root (B,2,2) of the inverse of that and the model's variance · rooted J·offset (B,2,P) · blur (B,): a place's own
+    noise in units of all.
+    """
+
+    t: Array
+    places: Array
+    step: float
+    at: Array
+    x: Array
+    foretold: Array
+    noise: Array
+    root: Array
+    offsets: Array
+    blur: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Regression at R instants t: misfit (R,2) on slopes (R,2,1+P), and what noise adds to the first's sums (R,)."""
+
+    t: Array
+    misfit: Array
+    slopes: Array
+    cross: Array
+    own: Array
+
+    def some(self, rows: Array | slice) -> "Rows":
+        """Some of the instants."""
+        return Rows(self.t[rows], self.misfit[rows], self.slopes[rows], self.cross[rows], self.own[rows])
+
+
+def compared(curve: Curve, late: float) -> Rows:
+    """What a curve that is so late (s) leaves to explain."""
+    place, slope, value, speed, sound = places(curve, late)
+    blur = curve.blur
+    misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.foretold - place, slope))
+    slopes = np.concatenate([slope[..., None], curve.offsets], axis=-1)
+    cross, own = blur * (value * speed).sum(axis=1), blur * np.square(speed).sum(axis=1)
+    return Rows(curve.at, misfit, slopes, cross, own).some(sound)
+
+
+def places(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array]:
+    """Places (B,2) px and speeds (B,2) px/s of a curve that is so late (s), as `_cubic` has both, and where it has."""
+    at, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
+    near = curve.places[at[:, None] + np.arange(4)]
+    return np.einsum("bk,bkd->bd", value, near), np.einsum("bk,bkd->bd", speed, near), value, speed, sound
+
+
+def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]:
+    """The cubic through t (N,) at times (B,): its first of four neighbours, what each counts there (B,4), in speed
+    (B,4) per s, and where no two are farther apart than `gap`."""
+    i = np.clip(np.searchsorted(t, at, "right") - 1, 1, len(t) - 3)
+    h = t[i + 1] - t[i]
+    before, after, s = h / (t[i + 1] - t[i - 1]), h / (t[i + 2] - t[i]), (at - t[i]) / h
+
+    def four(here: Array, leave: Array, there: Array, arrive: Array) -> Array:
+        return np.stack([-leave * before, here - arrive * after, there + leave * before, arrive * after], axis=1)
+
+    value = four(1 + s * s * (2 * s - 3), s * (s - 1) ** 2, s * s * (3 - 2 * s), s * s * (s - 1))
+    speed = four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2)) / h[:, None]
+    close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) < gap
+    return i - 1, value, speed, close & (s >= 0) & (s <= 1)
+
+
+def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
+    """The curve of a track, beside `most` means of what encoders read; None where either has too little."""
+    t, places, var = _sound(seen)
+    if len(t) < FEWEST or len(encoders.t) < FEWEST or (step := float(np.median(np.diff(t)))) > COARSE:
+        return None
+    # a little more than a step, so that a reading or a picture does not always fall beside the same one
+    at, x, count = _means(encoders, max(step, 1.0001 * float(np.median(np.diff(encoders.t)))), most)
+    if len(at) < FEWEST:
+        return None
+    foretold, jac, model = seen.model.predict(x)
+    spread = np.einsum("bdm,bm,bem->bde", jac, _scatter(encoders.values) / count, jac)
+    np.einsum("bdd->bd", spread)[:] += var
+    noise = np.einsum("bdd->bd", spread).copy()
+    np.einsum("bdd->bd", spread)[:] += model
+    inverse = np.linalg.inv(spread)
+    root = np.linalg.cholesky(inverse).swapaxes(1, 2)
+    knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(np.clip(np.ptp(encoders.t) / BEND, 1, BENDS)))
+    bends = np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0]))
+    offsets = np.einsum("bde,bem,bk->bdmk", root, jac, bends).reshape(len(at), 2, -1)
+    # what is stated may hold a model's misfit, what scatters a jerk of the arm: a picture's own noise is below either
+    blur = np.einsum("bdd,d->b", inverse, np.minimum(var, _scatter(places)))
+    curve = Curve(t, places, step, at, x, foretold, noise, root, offsets, blur)
+    while curve.step < SLOW and len(curve.t) >= 2 * FEWEST and _blurred(curve):
+        curve = _paired(curve)
+    return curve if len(curve.t) >= FEWEST else None
+
+
+def _sound(seen: Sighting) -> tuple[Array, Array, Array]:
+    """Times (N,), places (N,2) and their typical variance (2,) without repeated pictures and single blunders."""
+    shown = np.flatnonzero(np.isfinite(seen.values).all(axis=1))
+    shown = shown[np.append(True, (np.diff(seen.values[shown], axis=0) != 0.0).any(axis=1))[: len(shown)]]
+    t, places = seen.t[shown], seen.values[shown]
+    if len(t) < FEWEST:
+        return t, places, np.ones(2)
+    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
+    off = np.abs(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).max(axis=1)
+    kept = np.concatenate([[True], off <= BLUNDER * np.median(off), [True]])
+    return t[kept], places[kept], np.median(seen.var[shown], axis=0)
+
+
+def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
+    """Mean times (B,), angles (B,M) and number (B,M) of readings in spans `width` s long, in which all joints spoke."""
+    begins = spans(encoders.t, width)
+    begins = begins[:: max(1, -(-len(begins) // most))]
+    low, high = np.searchsorted(encoders.t, begins), np.searchsorted(encoders.t, begins + width)
+    parted = np.stack([low, high], axis=1)[high > low].ravel()
+    # a last row, for spans that end with the log
+    since = np.append(encoders.t - encoders.t[0], 0.0)[:, None]
+    values = np.append(encoders.values, np.full((1, encoders.values.shape[1]), np.nan), axis=0)
+    heard = np.isfinite(values)
+    parts = (heard.astype(float), np.where(heard, values, 0.0), heard * since)
+    count, total, time = (np.add.reduceat(part, parted, axis=0)[::2] for part in parts)
+    full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
+    count, total, time = count[full], total[full], time[full] / count[full]
+    together = np.ptp(time, axis=1) < ASIDE
+    return encoders.t[0] + time[together].mean(axis=1), (total / count)[together], count[together]
+
+
+def _scatter(values: Array) -> Array:
+    """Variance (M,) of the noise of values (N,M) in the middle of the log, by how their third differences scatter."""
+    middle = max(0, (len(values) - 10 * MOST) // 2)
+    # readings of several topics stand in rows of their own, with NaN between them
+    columns = [column[np.isfinite(column)] for column in values[middle : middle + 10 * MOST].T]
+    jerks = [np.median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
+    return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)
+
+
+def _blurred(curve: Curve) -> bool:
+    """Whether noise makes up too much of the curve's speed."""
+    rows = compared(curve, 0.0)
+    return bool(rows.own.sum() > BLUR * np.square(rows.slopes[..., 0]).sum())
+
+
+def _paired(curve: Curve) -> Curve:
+    """The curve with pictures averaged in pairs."""
+    even = len(curve.t) // 2 * 2
+    near = np.diff(curve.t[:even])[::2] < 1.5 * curve.step
+    t, places = (0.5 * (part[:even:2] + part[1:even:2])[near] for part in (curve.t, curve.places))
+    return replace(curve, t=t, places=places, step=2.0 * curve.step, blur=curve.blur / 2.0)

@@ -1,0 +1,48 @@
+"""Beside a live robot: the filter for any learned body, also where encoders read a function of the angle."""
+
+from collections import ChainMap
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from .body import encoders
+from .estimation.live import estimator
+from .estimation.live.inputs import Angles, Place, finite
+from .estimation.timing import correction
+from .settings import Estimation
+from .types import BodyModel
+
+
+class Estimator(estimator.Estimator):
+    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
+
+    def __init__(
+        self, body: BodyModel, settings: Estimation | None = None, lag: float = estimator.LAG,
+        delay: Mapping[str, float] | None = None, learned: Mapping[str, Any] | None = None,
+    ) -> None:  # fmt: skip
+        """A filter for `body` with the senses, start and bias of `settings`; what comes up to `lag` s late is heard.
+
+        `delay`: how much later (s) than it was each camera dates what it shows, {name: s}; None: as where the body was
+        learned · `learned`: the settings of an estimate, whose variances are used. UsageError for settings that need
+        the whole log, for variances that are not this body's, and where a reading does not tell the angle.
+        """
+        tell = encoders.teller(body)  # refuses where a slope vanishes, by which plain divides
+        super().__init__(encoders.plain(body), settings, lag, tell, learned)
+        cameras = correction.cameras(body.senses)
+        self._delays = correction.as_learned(body) if delay is None else correction.named(delay, cameras)
+
+    def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> estimator.Belief:
+        """The belief after all that is dated t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
+
+        None, or NaN, is what was not heard. What is told may come out of order by up to `lag` s; the belief is about
+        the latest instant. UsageError or ModelError for what is not the body's, LogError until all joints were told.
+        """
+        t, late, own = finite(t), dict[float, dict[str, Place | None]](), self._delays.get(correction.JOINTS, 0.0)
+        if joints is not None or not places:
+            late[own] = {}
+        for name, place in places.items():
+            by = 0.0 if name == "touch" else self._delays.get(correction.camera(name), 0.0)
+            late.setdefault(by, {})[name] = place
+        said = [super(Estimator, self).step(t - by, joints if by == own else None, **late[by]) for by in late]
+        nats, errors = sum(belief.free_energy for belief in said), ChainMap(*(dict(belief.errors) for belief in said))
+        return said[0] if len(said) == 1 else replace(said[-1], free_energy=nats, errors=dict(errors))
