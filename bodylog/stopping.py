@@ -1,6 +1,7 @@
 """Told to end by a signal: unwind, and where that takes too long, in a library's C code say, end all the same."""
 
 import _thread
+import atexit
 import os
 import signal
 import sys
@@ -27,6 +28,7 @@ at_end: list[Callable[[], None]] = []
 _heeded: set[int] = set()
 _told: list[int] = []
 _speaking = _thread.allocate_lock()
+_cleaned: list[bool] = []
 
 
 def heed(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
@@ -40,6 +42,7 @@ def heed(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
         _thread.start_new_thread(_watch, (read, grace, quiet))
         sys.unraisablehook = _unraisable
+        atexit.register(_leave, quiet)
     for number in numbers:
         _heeded.add(number)
         signal.signal(number, _stop)
@@ -58,6 +61,17 @@ def clean(quiet: bool = False) -> None:
         how = "interrupted" if told() == signal.SIGINT else "stopped"
         with suppress(OSError):
             os.write(2, f"bodylog: {how}; nothing half-written was left\n".encode())
+    _cleaned.append(True)
+
+
+def _leave(quiet: bool) -> None:
+    """Clean where the interpreter ends without unwinding.
+
+    C code that prints an exception (PyErr_Print, called by NumPy's import_array while an extension is imported) ends
+    the process if that exception is a SystemExit, as Stopped is: no `finally` runs.
+    """
+    if told() and not _cleaned:
+        clean(quiet)
 
 
 def _stop(number: int, _: object) -> NoReturn:

@@ -35,10 +35,8 @@ def file(folder: Path) -> Iterator[Path]:
 def scratch(folder: Path | None = None) -> Iterator[Path]:
     """An empty folder, locked, in `folder` or where temporary files go; removed at the end with what is in it."""
     if folder is None:
-        from tempfile import gettempdir
-
-        folder = Path(gettempdir())
-        remove_stale(folder, f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users call their own folders so, too
+        folder = _scratches()
+        remove_killed()
         name: Callable[[str], str] = f"{SCRATCH}{{}}".format
     else:
         remove_stale(folder, f".*{PART}")
@@ -53,6 +51,13 @@ def remove_stale(folder: Path, pattern: str) -> None:
         with suppress(OSError), held(left) as ours:
             if ours and _ours(left):
                 _remove(left)
+
+
+def remove_killed(*folders: Path) -> None:
+    """Remove what processes that were killed left: half-written files in `folders`, and scratch folders."""
+    for folder in folders:
+        remove_stale(folder, f".*{PART}")
+    remove_stale(_scratches(), f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users call their own folders so, too
 
 
 @contextmanager
@@ -106,6 +111,13 @@ def _claimed(name: Callable[[str], Path], make: Callable[[Path], int | None]) ->
             with suppress(OSError):
                 _remove(path)
             _live.discard(path)
+
+
+def _scratches() -> Path:
+    """The folder of scratch folders."""
+    from tempfile import gettempdir
+
+    return Path(gettempdir())
 
 
 def _make_folder(path: Path) -> int | None:

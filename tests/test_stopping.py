@@ -43,6 +43,18 @@ with scratch(place) as folder, replacing(place / "out") as beside:
     endless = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT count(*) FROM n"
     sqlite3.connect(":memory:").execute(endless).fetchall()
 """
+PRINTED = f"""
+import ctypes
+from pathlib import Path
+from bodylog.files import replacing
+from bodylog.temporary import scratch
+place = Path(sys.argv[1])
+with scratch(place) as folder, replacing(place / "out") as beside:
+    (folder / "file").touch()
+    beside.write_bytes(b"half")
+    {ON}
+    ctypes.pythonapi.PyRun_SimpleString(b"import time\\nfor _ in range(2000): time.sleep(0.005)")
+"""
 DESTRUCTOR = f"""
 class Slow:
     def __del__(self):
@@ -70,7 +82,10 @@ def test_it_ends_the_process_with_128_and_its_number():
     assert _told(f"{ON}\n{WAIT}", signal.SIGTERM)[:2] == ([], 128 + signal.SIGTERM)
 
 
-@pytest.mark.parametrize("script", [SWALLOWED + WAIT, DESTRUCTOR, IN_C], ids=["swallowed", "destructor", "in C"])
+NOT_UNWOUND = {"swallowed": SWALLOWED + WAIT, "destructor": DESTRUCTOR, "in C": IN_C, "printed by C": PRINTED}
+
+
+@pytest.mark.parametrize("script", NOT_UNWOUND.values(), ids=NOT_UNWOUND)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_what_does_not_unwind_ends_all_the_same_in_one_line_and_leaves_nothing(tmp_path, script, number):
     said, code, seconds, errors = _told(script, number, typed=[tmp_path])

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .. import stores
 from ..errors import BodylogError
-from ..temporary import PART, remove_stale
+from ..temporary import remove_killed
 from ..workers import ready, stop, uninterrupted
 from . import work
 from .jobs import Job, Row
@@ -118,8 +118,8 @@ class Pool:
 
     def _stop(self) -> None:
         stop([*(process for process, _ in self._idle), *(process for process, _ in self._busy.values())])
-        for _, job in self._busy.values():
-            remove_stale(job.folder, f".*{PART}")
+        if self._busy:
+            remove_killed(*(job.folder for _, job in self._busy.values()))
 
 
 def _worker(pipe: Connection) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 from ..errors import UsageError
 from ..files import made
 from ..sim import how_to_install
+from ..temporary import remove_killed
 from ..workers import ended, ready, uninterrupted
 from . import page
 from .lab import EXPLORATION_S, Lab, kept
@@ -118,3 +119,4 @@ def _pooled(lab: Lab, tasks: list[Task], jobs: int) -> Iterator[Task]:
                 yield futures[future]
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+        remove_killed(lab.folder, *{trial_path(lab, *task).parent for task in tasks})

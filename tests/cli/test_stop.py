@@ -180,6 +180,23 @@ def test_a_reproduction_told_to_stop_does_not_wait_for_what_runs(tmp_path, numbe
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("trials/*.json"))
 
 
+def test_workers_that_are_killed_leave_nothing(tmp_path):
+    """For lack of memory, say: they cannot unwind."""
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    made = _command("reproduce", "E2", "--seeds", 2, "--jobs", 2, "-o", tmp_path / "out")
+    typed = ["env", f"TMPDIR={temporary}", *made]
+    with _begun(typed) as process:
+        while process.poll() is None and not list(tmp_path.rglob("work/trials/.*.part")):
+            time.sleep(0.001)
+        for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
+            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
+                os.kill(int(child), signal.SIGKILL)
+        process.communicate(timeout=60)
+    assert process.returncode == 1 and not list(tmp_path.rglob("*.part")) and not list(temporary.glob("bodylog-*"))
+
+
 FULL = {
     "estimate": ("reach.mcap", "--body", "body.npz", "-o", "out.mcap"),
     "extract": ("reach.mcap", "-o", "out.mcap"),
