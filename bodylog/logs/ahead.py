@@ -19,36 +19,36 @@ Unpacked = Array | FormatError | None
 
 
 def unpacked_parts(
-    data: memoryview, parts: Sequence[Chunk | Loose], ledger: Ledger
+    data: memoryview, parts: Sequence[Chunk | Loose], ledger: Ledger, alone: bool = False
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
-    """Each part with what it unpacks to, which is valid until the next is asked for."""
+    """Each part with what it unpacks to, valid until the next is asked for; `alone`: nothing between is wanted."""
     if len(parts) < 3 or _processors() < 2:
         buffer = Buffer(ledger.path, ledger.limits)
-        yield from ((part, _unpacked(data, part, buffer)) for part in parts)
+        yield from ((part, _unpacked(data, part, buffer, alone)) for part in parts)
         return
     with ThreadPoolExecutor(1) as pool:
-        yield from _overlapped(data, parts, pool, ledger)
+        yield from _overlapped(data, parts, pool, ledger, alone)
 
 
 def _overlapped(
-    data: memoryview, parts: Sequence[Chunk | Loose], pool: ThreadPoolExecutor, ledger: Ledger
+    data: memoryview, parts: Sequence[Chunk | Loose], pool: ThreadPoolExecutor, ledger: Ledger, alone: bool
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
     """Two buffers in turn; the first part comes alone, since who looks at a log's beginning wants no more."""
     here, there = Buffer(ledger.path, ledger.limits), Buffer(ledger.path, ledger.limits)
     waiting: Future[Unpacked] | None = None
     for number, part in enumerate(parts):
-        found = waiting.result() if waiting else _unpacked(data, part, here)
+        found = waiting.result() if waiting else _unpacked(data, part, here, alone)
         following = parts[number + 1] if 0 < number < len(parts) - 1 else None
         pays = isinstance(following, Chunk) and _SHORT <= following.length <= _LONG
-        waiting = pool.submit(_unpacked, data, following, there) if following and pays else None
+        waiting = pool.submit(_unpacked, data, following, there, alone) if following and pays else None
         yield part, found
         here, there = there, here
 
 
-def _unpacked(data: memoryview, part: Chunk | Loose, buffer: Buffer) -> Unpacked:
+def _unpacked(data: memoryview, part: Chunk | Loose, buffer: Buffer, alone: bool) -> Unpacked:
     if isinstance(part, Loose):
         return None
-    fetch(data, part.start, part.start + part.length)
+    fetch(data, part.start, part.start + part.length, alone)
     try:
         return unpack(data, part, buffer)
     except FormatError as problem:

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -22,13 +22,15 @@ MESSAGE_HEAD = np.dtype(
 
 _BLOCK = 4096
 _BLOCK_BYTES = 4 << 20
+_FEW = 16
+_SHORTEST = MESSAGE_HEAD.itemsize
+_HEAD = np.dtype([("opcode", "u1"), ("size", "<u8")])
 CHUNK_HEAD = struct.Struct("<QQQII")
 _U64 = struct.Struct("<Q")
 _INDEX_HEAD = struct.Struct("<BQHI")
 
 
-@dataclass(frozen=True, slots=True)
-class Chunk:
+class Chunk(NamedTuple):
     """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known.
 
     `listed`: a sound summary says so; else an index may be missing, and the chunk is opened whatever is asked for.
@@ -39,7 +41,7 @@ class Chunk:
     length: int
     start_ns: int
     end_ns: int
-    indexes: Mapping[int, int] = field(default_factory=dict)
+    indexes: Mapping[int, int] = MappingProxyType({})
     listed: bool = False
     stored: bool = False
     cut: bool = False
@@ -207,17 +209,50 @@ def _at(content: Array | memoryview, starts: list[int]) -> Messages:
 
 def loose_messages(data: memoryview, run: Loose) -> Iterator[Messages]:
     """The messages of a run, in blocks."""
-    starts, at, unpack = [], run.start, HEAD.unpack_from
+    at = run.start
     while at < run.end:
+        starts, after = following(data, at, run.end)
+        if len(starts):
+            yield Messages(starts, heads_at(data, starts))
+        else:
+            after = at + HEAD.size + HEAD.unpack_from(data, at)[1]
+        at = after
+
+
+def following(data: memoryview, at: int, end: int) -> tuple[Array, int]:
+    """Where Messages (n,) start that follow one another from byte `at` to `end`, a block at most; where they end."""
+    if end - at < _SHORTEST:
+        return np.empty(0, np.int64), at
+    opcode, length = HEAD.unpack_from(data, at)
+    step = HEAD.size + length
+    if opcode != MESSAGE or not _SHORTEST <= step <= end - at:
+        return np.empty(0, np.int64), at
+    # As a rule some are equally long: a guess that costs next to nothing where it fails, and saves the loop where not.
+    most = min(_BLOCK, (end - at) // step, max(1, _BLOCK_BYTES // step))
+    heads = np.ndarray((most,), _HEAD, data, at, (step,))
+    alike = (heads["opcode"] == MESSAGE) & (heads["size"] == length)
+    count = most if alike.all() else int(alike.argmin())
+    if count >= _FEW:
+        return at + step * np.arange(count), at + step * count
+    return _one_after_another(data, at, end)
+
+
+def _one_after_another(data: memoryview, at: int, end: int) -> tuple[Array, int]:
+    starts: list[int] = []
+    unpack, last, stop = HEAD.unpack_from, end - HEAD.size, at + _BLOCK_BYTES
+    for _ in range(_BLOCK):
+        if at > last or at > stop:
+            break
         opcode, length = unpack(data, at)
-        if opcode == MESSAGE:
-            starts.append(at)
-            if len(starts) == _BLOCK or at - starts[0] > _BLOCK_BYTES:
-                yield _at(data, starts)
-                starts = []
+        if opcode != MESSAGE:
+            break
+        starts.append(at)
         at += HEAD.size + length
-    if starts:
-        yield _at(data, starts)
+    if at > end:
+        at = starts.pop()
+    found = np.array(starts, np.int64)
+    short = np.flatnonzero(np.diff(found, append=at) < _SHORTEST)
+    return (found[: short[0]], int(found[short[0]])) if len(short) else (found, at)
 
 
 def every_record(data: memoryview) -> Iterator[Record]:

@@ -40,15 +40,16 @@ def uncut(data: memoryview, path: Path, problem: BaseException | None = None) ->
         raise LogError(f"{path}: {said}; give it once nobody writes to it any more") from problem
 
 
-def fetch(data: memoryview, start: int, end: int) -> None:
+def fetch(data: memoryview, start: int, end: int, alone: bool = False) -> None:
     """Have the file read ahead of where it is touched between two bytes: all of that is about to be, in order.
 
-    Read ahead so, a file is kept in large pieces, which are mapped at once; asked for by hand, page by page.
+    Read ahead so, a file is kept in large pieces, which are mapped at once; asked for by hand, page by page. What is
+    wanted `alone` is asked for by hand: to read ahead would bring some megabytes that lie behind it along.
     """
     bring(data, start, end)
     low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
-        data.obj.madvise(mmap.MADV_SEQUENTIAL, low, high - low)
+        data.obj.madvise(mmap.MADV_WILLNEED if alone else mmap.MADV_SEQUENTIAL, low, high - low)
 
 
 def bring(data: memoryview, start: int, end: int) -> None:

@@ -43,8 +43,9 @@ class Survey:
     def count(self, channels: Array, log_ns: Array) -> None:
         """Take in messages by their channel ids (n,) and log times (n,) ns."""
         if len(channels):
-            for channel, number in zip(*np.unique(channels, return_counts=True), strict=True):
-                self.counts[int(channel)] = self.counts.get(int(channel), 0) + int(number)
+            numbers = np.bincount(channels)
+            for channel in np.flatnonzero(numbers).tolist():
+                self.counts[channel] = self.counts.get(channel, 0) + int(numbers[channel])
             self.times += [int(log_ns.min()), int(log_ns.max())]
 
 
@@ -75,27 +76,31 @@ class McapLog:
         """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
         topic_of = self._topic_of.copy()
         if ids is not None:
-            topic_of[~np.isin(topic_of, list(ids))] = -1
+            known = np.zeros(len(self.topics) + 1, bool)  # the last is that of -1
+            known[[number for number in ids if 0 <= number < len(self.topics)]] = True
+            topic_of[~known[topic_of]] = -1
         found = self.messages(topic_of >= 0)
         batches = (batch for content, some in found for batch in _split(content, some, topic_of))
         yield from unpacked(batches, self.topics, self._ledger)
 
     def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, Messages]]:
         """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
-        done = 0
-        for some in runs([part for part in self.survey.parts if _holds(part, wanted)]):
-            found = together(self._data, some)
+        done, channels = 0, None if wanted is None else frozenset(np.flatnonzero(wanted).tolist())
+        parts = [part for part in self.survey.parts if _holds(part, channels)]
+        alone = 2 * len(parts) < len(self.survey.parts)
+        for some in runs(parts):
+            found = together(self._data, some, alone)
             if found is None:
-                yield from self._one_by_one(some)
+                yield from self._one_by_one(some, alone)
                 continue
             yield found
             forget(self._data, done, some[0].start)  # not this run, whose pictures may still be looked at
             done = some[0].start
         forget(self._data, done, len(self._data))
 
-    def _one_by_one(self, parts: Sequence[Chunk | Loose]) -> Iterator[tuple[Array, Messages]]:
+    def _one_by_one(self, parts: Sequence[Chunk | Loose], alone: bool) -> Iterator[tuple[Array, Messages]]:
         done = parts[0].start
-        for part, content in unpacked_parts(self._data, parts, self._ledger):
+        for part, content in unpacked_parts(self._data, parts, self._ledger, alone):
             if isinstance(part, Loose):
                 fetch(self._data, part.start, part.end)
                 whole = np.frombuffer(self._data, np.uint8)
@@ -138,11 +143,11 @@ class McapLog:
         uncut(data, self.path, problem)
 
 
-def _holds(part: Chunk | Loose, wanted: Array | None) -> bool:
+def _holds(part: Chunk | Loose, wanted: frozenset[int] | None) -> bool:
     """Whether there may be messages of the channels `wanted` in it."""
     if wanted is None or isinstance(part, Loose) or not part.listed or not part.indexes:
         return True
-    return bool(wanted[list(part.indexes)].any())
+    return not wanted.isdisjoint(part.indexes)
 
 
 def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import FormatError
 from ..types import Array
-from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, heads_of
+from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, following, heads_of
 from .compression import NAMES
 from .mapping import forget, void
 from .records import (
@@ -29,19 +29,36 @@ _IN_CHUNKED = (CHUNK, MESSAGE_INDEX, CHUNK_INDEX)
 _CHUNK_FIXED = 40
 _LONGEST_END = 64
 _LARGEST = 1 << 40
+_FEW = 16
 _SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
 
 Found = tuple[int, int, int]
 """A record: opcode, where it starts, length of its body."""
 
 
+Many = Callable[[Array, int], bool]
+"""Takes messages that follow one another, where they start (n,) and where they end, or declines."""
+
+
 def sound_records(
-    data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None]
-) -> Iterator[Found]:
-    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of."""
-    at, chunked = start, None
+    data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None],
+    many: Many = lambda _starts, _end: False,
+) -> Iterator[Found]:  # fmt: skip
+    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of.
+
+    Messages that `many` takes, many at a time, are not among them.
+    """
+    at, chunked, singly = start, None, start
     held: Found | None = None
     while at < end:
+        if at >= singly and data[at] == MESSAGE:
+            starts, singly = following(data, at, end)
+            if len(starts) > _FEW:
+                if held:
+                    yield held
+                    held = None
+                # The last one's length may be a lie, which what follows it shows.
+                at = int(starts[-1]) if many(starts[:-1], int(starts[-1])) else at
         opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
         if (opcode == MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
             if held:

@@ -1,12 +1,12 @@
 """Survey an MCAP whatever state it is in: by its summary, by its records, and past damage to the next sound record."""
 
 import struct
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import FormatError
+from ..types import Array
 from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages, unpack
 from .compression import STORED, Buffer
 from .ledger import Ledger
@@ -94,10 +94,17 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
             ledger.lost(at, None, None, None, why)
         run.chunk, run.loss, run.told = None, at, at + size == end
         if survey.parts and isinstance(survey.parts[-1], Chunk):
-            survey.parts[-1] = replace(survey.parts[-1], indexes={})
+            survey.parts[-1] = survey.parts[-1]._replace(indexes={})
         survey.parts += [cut] if cut else []
 
-    for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost):
+    def many(starts: Array, after: int) -> bool:
+        chunked = survey.parts and isinstance(survey.parts[-1], Chunk)
+        if unsummarised and (chunked or int(starts[0]) == len(MAGIC)):
+            return False
+        run.extend(starts, after)
+        return True
+
+    for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost, many):
         ended = opcode if opcode in (FOOTER, DATA_END) else ended
         if opcode == MESSAGE and unsummarised and (at == len(MAGIC) or not run.credible(at, length)):
             lost(at, HEAD.size + length)
@@ -136,6 +143,12 @@ class _Run:
         if len(self._found) == _BLOCK or end - self._found[0] > _BLOCK_BYTES:
             self._flush()
 
+    def extend(self, starts: Array, end: int) -> None:
+        """Count messages (n,) that follow one another up to byte `end`."""
+        self._flush()
+        self._end = end
+        self._count(starts)
+
     def close(self, following: int) -> None:
         """End the run, a part of the survey if there were messages in it; the next starts at byte `following`."""
         self._flush()
@@ -165,17 +178,20 @@ class _Run:
         """Take in a MessageIndex: it belongs to the chunk before, or counts the messages of a chunk that was lost."""
         if self.chunk is not None:
             (channel,) = _CHANNEL.unpack_from(self._data, at + HEAD.size)
-            self.chunk = replace(self.chunk, indexes={**self.chunk.indexes, channel: at})
+            self.chunk = self.chunk._replace(indexes={**self.chunk.indexes, channel: at})
             self._survey.parts[-1] = self.chunk
         elif self.loss is not None:
             self._ledger.add(self.loss, len(index_of(self._data, at)))
 
     def _flush(self) -> None:
-        heads = heads_at(self._data, np.array(self._found, np.int64))
-        self._survey.count(heads["channel"], heads["log"])
         if self._found:
-            forget(self._data, self._found[0], self._end)
+            self._count(np.array(self._found, np.int64))
         self._found = []
+
+    def _count(self, starts: Array) -> None:
+        heads = heads_at(self._data, starts)
+        self._survey.count(heads["channel"], heads["log"])
+        forget(self._data, int(starts[0]), self._end)
 
 
 def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:

@@ -30,15 +30,17 @@ def runs(parts: Sequence[Chunk | Loose]) -> Iterator[list[Chunk | Loose]]:
     return (list(some) for _, some in groupby(parts, key))
 
 
-def together(data: memoryview, parts: Sequence[Chunk | Loose]) -> tuple[Array, Messages] | None:
+def together(data: memoryview, parts: Sequence[Chunk | Loose], alone: bool) -> tuple[Array, Messages] | None:
     """The file (bytes,) uint8 and all messages in a run of stored chunks.
 
+    `alone`: what lies around it is not wanted.
     None when the run is of others, or when a CRC or an index in it is wrong: each is to be looked at by itself.
     """
     chunks = [part for part in parts if isinstance(part, Chunk) and part.stored and part.indexes]
     if len(chunks) < len(parts):
         return None
-    fetch(data, chunks[0].start, chunks[-1].start + chunks[-1].length)
+    for first, last in [(c, c) for c in chunks] if alone else [(chunks[0], chunks[-1])]:
+        fetch(data, first.start, last.start + last.length, alone)
     places = [place for chunk in chunks if (place := _sound(data, chunk))]
     whole = np.frombuffer(data, np.uint8)
     found = indexed(whole, places, data, chunks) if len(places) == len(chunks) else None

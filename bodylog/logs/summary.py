@@ -1,8 +1,8 @@
 """What an MCAP's summary section says, believed only where it agrees with itself and with the file."""
 
+import struct
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from isal.isal_zlib import crc32
 
@@ -10,11 +10,13 @@ from ..errors import FormatError
 from .chunks import Chunk
 from .compression import STORED
 from .ledger import Ledger
-from .mapping import bring
+from .mapping import bring, fetch
 from .mcap import Survey
 from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, parse, walk
 
 _FOOTER = HEAD.size + 20
+_INDEX_HEAD, _INDEX_TAIL, _OFFSET = struct.Struct("<QQQQI"), struct.Struct("<QI"), struct.Struct("<HQ")
+_INDEX_SIZES = 16
 
 
 class Summary(NamedTuple):
@@ -45,7 +47,7 @@ def section(data: memoryview) -> tuple[int, int] | None:
     start, crc = footer.fields["summary_start"], footer.fields["summary_crc"]
     if not len(MAGIC) <= start <= footer.start:
         raise FormatError(f"it is said to start at byte {start}, outside the file")
-    bring(data, start, len(data))
+    fetch(data, start, len(data), alone=True)
     found = crc32(data[start : footer.start + HEAD.size + 16])
     if crc and found != crc:
         raise FormatError(f"its CRC is {found:08x} where {crc:08x} is declared")
@@ -71,14 +73,14 @@ def summary_of(data: memoryview) -> Summary | None:
 
 def _summary(data: memoryview, start: int, end: int) -> Summary:
     records, chunks, indexed = [], [], 0
-    for record in records_of(data, start, end):
-        if record.opcode == CHUNK_INDEX:
-            chunk, size = _chunk(record.fields), record.fields["message_index_length"]
-            chunks.append((chunk, chunk.start + chunk.length + size))
+    for opcode, at, size in walk(data, start, end):
+        if opcode == CHUNK_INDEX:
+            chunk, after = _chunk(data, at, at + size)
+            chunks.append((chunk, chunk.start + chunk.length + after))
             # By arithmetic on their declared length: 15 bytes each and 16 per message.
-            indexed += (size - 15 * len(chunk.indexes)) // 16
-        else:
-            records.append(record)
+            indexed += (after - 15 * len(chunk.indexes)) // 16
+        elif opcode in FIELDS:
+            records.append(parse(opcode, data[at : at + size], at - HEAD.size))
     return Summary(start, records, sorted(chunks, key=lambda pair: pair[0].start), indexed)
 
 
@@ -95,16 +97,23 @@ def _fit(data: memoryview, summary: Summary) -> None:
             raise FormatError(f"there is no chunk of {chunk.length} bytes at byte {chunk.start}")
 
 
-def _chunk(said: dict[str, Any]) -> Chunk:
-    return Chunk(
-        said["chunk_start_offset"],
-        said["chunk_length"],
-        said["message_start_time"],
-        said["message_end_time"],
-        said["message_index_offsets"],
-        listed=True,
-        stored=said["compression"] in STORED,
-    )
+def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
+    """The chunk that the ChunkIndex between two bytes describes, and the length of its message indexes.
+
+    As `records.parse` would read it: a long log has so many that what each takes is what opening the log takes.
+    """
+    if (left := end - at - _INDEX_HEAD.size - _INDEX_TAIL.size) < 0:
+        raise FormatError(f"byte {at}: a chunk index of {end - at} bytes")
+    first, last, start, length, table = _INDEX_HEAD.unpack_from(data, at)
+    if table % _OFFSET.size or table > left:
+        raise FormatError(f"byte {at}: a chunk index whose table takes {table} bytes")
+    at += _INDEX_HEAD.size
+    after, letters = _INDEX_TAIL.unpack_from(data, at + table)
+    name = at + table + _INDEX_TAIL.size
+    if letters + _INDEX_SIZES > end - name:
+        raise FormatError(f"byte {at}: a chunk index with a name of {letters} bytes")
+    stored = str(data[name : name + letters], "utf-8", "replace") in STORED
+    return Chunk(start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored), after
 
 
 def believe_counts(summary: Summary, survey: Survey, ledger: Ledger) -> bool:
@@ -125,7 +134,7 @@ def believe_counts(summary: Summary, survey: Survey, ledger: Ledger) -> bool:
         indexed = summary.indexed + sum(survey.counts.values())
         if indexed != said["message_count"]:
             ledger.warn(f"the statistics count {said['message_count']} messages, the indexes {indexed}")
-            survey.parts = [replace(p, indexes={}) if isinstance(p, Chunk) else p for p in survey.parts]
+            survey.parts = [p._replace(indexes={}) if isinstance(p, Chunk) else p for p in survey.parts]
             return False
     survey.counts = dict(counts)
     survey.times = [said["message_start_time"], said["message_end_time"]] if said["message_count"] else []

@@ -1,0 +1,86 @@
+"""Messages outside chunks, found many at a time: the same as one by one, whatever their lengths and damage."""
+
+import random
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from bodylog.errors import BodylogError
+from bodylog.logs import resync
+from bodylog.logs.chunks import Loose, following, loose_messages
+from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.records import HEAD, MAGIC, MESSAGE, walk
+
+SEEDS = range(12)
+
+
+def unchunked(path: Path, seed: int, finish: bool = True) -> bytes:
+    """Runs of equal and of unequal messages on topics that begin at any time; what is written is given."""
+    draw = random.Random(seed)
+    with path.open("wb") as stream:
+        writer = Writer(stream, use_chunking=False)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema("std_msgs/msg/UInt8", "ros2msg", b"uint8 data")
+        channels = [writer.register_channel("/0", "cdr", schema)]
+        for number in range(draw.choice((3, 60, 600))):
+            if draw.random() < 0.02:
+                channels.append(writer.register_channel(f"/{len(channels)}", "cdr", schema))
+            size = 24 if number % 200 < 100 else draw.randrange(0, 90)
+            writer.add_message(draw.choice(channels), number * 1_000_000, bytes(size), number)
+        if finish:
+            writer.finish()
+        else:
+            stream.flush()
+    return path.read_bytes()
+
+
+def damaged(content: bytes, seed: int) -> bytes:
+    draw, out = random.Random(seed), bytearray(content)
+    for _ in range(draw.randrange(4)):
+        out[draw.randrange(len(MAGIC), len(out))] ^= 1 << draw.randrange(8)
+    return bytes(out[: draw.choice((len(out), len(out), draw.randrange(len(MAGIC), len(out))))])
+
+
+def everything(path: Path) -> object:
+    try:
+        with open_log(path) as log:
+            found = [
+                (batch.topic_id, log_ns, bytes(payload))
+                for batch in log.batches()
+                for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True)
+            ]
+            return sorted(found), repr(log.topics), log.start_ns, log.end_ns, repr(log.findings)
+    except BodylogError as problem:
+        return str(problem)
+
+
+@pytest.mark.parametrize("finish", [True, False])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_many_at_a_time_are_what_they_are_one_by_one(tmp_path, monkeypatch, seed, finish):
+    path = tmp_path / "x.mcap"
+    content = unchunked(path, seed, finish)
+    for spoilt in (content, *(damaged(content, 100 * seed + k) for k in range(8))):
+        path.write_bytes(spoilt)
+        many = everything(path)
+        with monkeypatch.context() as slowly:
+            slowly.setattr(resync, "_FEW", 1 << 60)
+            assert everything(path) == many
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_run_holds_the_messages_that_a_walk_meets(tmp_path, seed):
+    data = memoryview(unchunked(tmp_path / "x.mcap", seed))
+    end = len(data) - len(MAGIC)
+    expected = [at - HEAD.size for opcode, at, _ in walk(data, len(MAGIC), end) if opcode == MESSAGE]
+    found = [int(at) for some in loose_messages(data, Loose(len(MAGIC), end)) for at in some.starts]
+    assert found == expected
+
+
+def test_a_run_ends_before_a_message_that_is_cut_or_too_short_to_be_one():
+    whole = HEAD.pack(MESSAGE, 30) + bytes(30)
+    for count in (3, 40):
+        for tail in (whole[:-1], HEAD.pack(MESSAGE, 21) + bytes(21), HEAD.pack(MESSAGE, 1 << 63), b"\x05"):
+            data = memoryview(whole * count + tail)
+            starts, after = following(data, 0, len(data))
+            assert (starts.tolist(), after) == ([39 * k for k in range(count)], 39 * count)
