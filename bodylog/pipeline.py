@@ -210,7 +210,10 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     from .body import encoders
     from .evaluation.scores import READ
 
-    found = estimation.estimate(*encoders.understood(features, learned, settings.estimate), settings.time.delay)
+    estimation.check(learned, settings.estimate)
+    coding = estimation.METHODS[settings.estimate.method].encoder_model
+    understood = encoders.understood(features, learned, settings.estimate, coding)
+    found = estimation.estimate(*understood, settings.time.delay)
     if "encoders" not in learned.senses or features.joints is None:
         return found
     said = Finding("info", "encoders: read what the body has learned, no angles; encoder_rmse is left out")

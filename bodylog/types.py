@@ -303,13 +303,42 @@ class Fault:
     unit: str
 
 
+@dataclass(frozen=True)
+class Hypothesis:
+    """One explanation that was weighed: its name, what it is about, ln evidence gained over the simpler one (nats),
+    the threshold it had to win (nats), and whether it was chosen."""
+
+    name: str
+    about: str
+    nats: float
+    threshold: float
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What the method of an estimate can do; the defaults are those of a filter.
+
+    causal: it uses nothing from after the time of an estimate · moves: between measurements the belief moves on with
+    its rate · density: its free energy is the negative logarithm of a normalised density of all measurements ·
+    learns_noise: from the log · repairs: it takes out what faulty encoders measured · from_paper: the paper has it.
+    """
+
+    causal: bool = True
+    moves: bool = True
+    density: bool = True
+    learns_noise: bool = True
+    repairs: bool = True
+    from_paper: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """Where the body was: joints (N,M) rad, rate (N,M) rad/s, cov (N,M,M) rad², free energy (N,) nats.
 
     errors {sense: Series in standard deviations at the times it was heard} · used {sense: Health} ·
     predicted {track: Series px with std at the track's times} · predicted_cov {track: (K,2,2) px²} ·
-    bias (N,M) rad or None · faults · settings as resolved.
+    bias (N,M) rad or None · faults · settings as resolved · can: what the method can do.
     """
 
     method: str
@@ -325,6 +354,7 @@ class Estimate:
     bias: Series | None = None
     faults: tuple[Fault, ...] = ()
     findings: tuple[Finding, ...] = ()
+    can: Capabilities = Capabilities()
 
 
 @dataclass(frozen=True)

@@ -46,14 +46,13 @@ def referred(found: Features, known: BodyModel | None) -> Features:
 
 
 def understood(
-    found: Features, body: BodyModel, settings: Estimation
+    found: Features, body: BodyModel, settings: Estimation, coding: bool = False
 ) -> tuple[Features, BodyModel, Estimation]:
     """Features, body and settings such that a method understands what the body's encoders read.
 
-    Predictive coding descends through their model, from the angles that the first readings tell or as set. The other
-    methods get angles instead of readings. UsageError where over what was explored a reading does not tell the angle.
+    One that is `coding` descends through their model, from the angles that the first readings tell or as set. The
+    others get angles instead of readings. UsageError where over what was explored a reading does not tell the angle.
     """
-    coding = settings.method == "predictive-coding"
     if "encoders" not in body.senses or found.joints is None or (coding and settings.start):
         return found, body, settings
     angles = _angles(found.joints, body)

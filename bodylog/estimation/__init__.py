@@ -1,6 +1,6 @@
 """Estimation: from features and a learned body to a belief about the joint angles, one file per method."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 from ..errors import UsageError
@@ -10,22 +10,13 @@ from ..types import BodyModel, Estimate, Features
 from .faults.consistency import doubts
 from .measurements import gather
 from .measurements.joints_alone import joints_body, readings, unlearned_body
-from .methods import filtering, kalman, predictive_coding, smoother
+from .methods.choices import unheeded
 from .methods.finite import finite, solvable
+from .methods.table import METHODS
 from .poses.estimate import estimate as still_poses
 from .timing.correction import as_stamped, dated, unsure
 
 __all__ = ["METHODS", "check", "estimate", "joints_body", "readings", "unlearned_body"]
-
-METHODS: Mapping[str, Callable[[Features, BodyModel, Estimation], Estimate]] = {
-    "laplace": filtering.laplace,
-    "smoother": smoother.estimate,
-    "ekf": filtering.ekf,
-    "kalman": kalman.estimate,
-    "predictive-coding": predictive_coding.estimate,
-}
-PRINTED = ("predictive-coding", "kalman")
-"""Methods the paper has."""
 
 
 def estimate(
@@ -36,27 +27,32 @@ def estimate(
     ModelError, EvidenceError or UsageError when it cannot be had: there are no numbers in it that are none.
     """
     check(body, settings)
+    method = METHODS[settings.method]
     if features.poses:
         with one_thread():
-            found = still_poses(features, body, settings)
+            found = replace(still_poses(features, body, settings, method.can), can=method.can)
         return replace(found, findings=(*found.findings, *doubts(found, settings)))
     with one_thread():
         timely = dated(features, body, delay)
         with solvable(settings.method):
-            found = finite(METHODS[settings.method](timely.features, body, settings))
+            found = replace(finite(method.estimate(timely.features, body, settings)), can=method.can)
     if timely.delays:
         found = unsure(as_stamped(found, features, timely.features), timely)
         told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
         found = replace(found, settings={**found.settings, **told})
-    return replace(found, findings=(*timely.findings, *found.findings, *doubts(found, settings)))
+    remarks = (*timely.findings, *found.findings, *unheeded(settings), *doubts(found, settings))
+    return replace(found, findings=remarks)
 
 
 def check(body: BodyModel, settings: Estimation) -> None:
     """UsageError for a method, a form of touch, a preset or a sense that there is not, whatever the log may show."""
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is none of {', '.join(METHODS)}")
-    if settings.touch == "literal" and settings.method != "predictive-coding":
-        raise UsageError("touch: 'literal' is the paper's form, for predictive-coding alone; type --touch likelihood")
-    if settings.preset == "paper" and settings.method not in PRINTED:
-        raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {' or --method '.join(PRINTED)}")
+    method = METHODS[settings.method]
+    if settings.touch == "literal" and not method.literal_touch:
+        able = " or ".join(name for name, one in METHODS.items() if one.literal_touch)
+        raise UsageError(f"touch: 'literal' is the paper's form, for {able} alone; type --touch likelihood")
+    if settings.preset == "paper" and not method.can.from_paper:
+        able = " or --method ".join(name for name, one in METHODS.items() if one.can.from_paper)
+        raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {able}")
     gather.chosen((), body, settings)

@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 
 from ..types import Estimate, Fault, Score
-from .scores import EVIDENT
 
 OFFSET = ("drifting", "jumping")
 """Kinds of fault that are offsets of an encoder."""
@@ -23,7 +22,7 @@ def _faults(found: Estimate) -> Iterator[Score]:
     """Of each kind and joint or track the greatest size, 1 for faults without one, NaN where nothing can be said."""
     yield Score("faults", float(len(found.faults)), "1")
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
-    sought = found.method in EVIDENT and any(found.used[name].used for name in tracks)
+    sought = found.can.repairs and any(found.used[name].used for name in tracks)
     for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in found.faults for n in _names(f)))):
         for kind in KINDS:
             own = [fault for fault in found.faults if name in _names(fault) and kind in _kinds(fault)]

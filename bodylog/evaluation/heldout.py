@@ -9,8 +9,6 @@ from ..types import Array, BodyModel, Estimate, Features, Score, Series
 
 EVERY = 5
 """One picture in so many is withheld."""
-STATIC = ("kalman", "predictive-coding")
-"""Methods that hold the arm still until they hear of it again."""
 
 
 def withhold(features: Features) -> tuple[Features, Mapping[str, Series]]:
@@ -72,8 +70,8 @@ def _angles(estimate: Estimate, t: Array) -> tuple[Array, Array]:
     joints = estimate.joints
     after = np.minimum(np.searchsorted(joints.t, t), len(joints.t) - 1)
     last = np.maximum(np.searchsorted(joints.t, t, "right") - 1, 0)
-    if estimate.method == "smoother":
+    if not estimate.can.causal:
         x = np.stack([np.interp(t, joints.t, column) for column in joints.values.T], axis=1)
         return x, estimate.cov[np.where(t - joints.t[last] < joints.t[after] - t, last, after)]
-    since = np.maximum(t - joints.t[last], 0.0) * (estimate.method not in STATIC)
+    since = np.maximum(t - joints.t[last], 0.0) * estimate.can.moves
     return joints.values[last] + since[:, None] * estimate.rate.values[last], estimate.cov[last]

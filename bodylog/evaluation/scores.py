@@ -12,8 +12,6 @@ SAME = 1e-6
 
 READ = "encoders_read"
 """Setting of an estimate that says what its encoders read, where that is no angle: they are not held to true angles."""
-EVIDENT = ("laplace", "ekf", "smoother")
-"""Methods whose free energy is the negative logarithm of a normalised density of all that was heard."""
 
 
 def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
@@ -73,7 +71,7 @@ def own_scores(estimate: Estimate) -> list[Score]:
     the same readings.
     """
     found = [Score("free_energy", float(np.mean(estimate.free_energy)), "nats")] if len(estimate.free_energy) else []
-    if estimate.method in EVIDENT:
+    if estimate.can.density:
         found.append(Score("log_evidence", -float(np.sum(estimate.free_energy)), "nats"))
     found += track_scores(estimate)
     for sense, errors in sorted(estimate.errors.items()):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
-from ..types import Array, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
+from ..types import Array, Capabilities, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
 from ..values import read_json
 from .append import NAME, ROOT
 from .columns import columns_of
@@ -42,6 +42,7 @@ def describe(estimate: Estimate) -> dict[str, str]:
         "used": json.dumps(used, sort_keys=True, default=dict),
         "findings": json.dumps(findings, sort_keys=True),
         "resolved": json.dumps(dict(estimate.settings), sort_keys=True, default=float),
+        "can": json.dumps(asdict(estimate.can), sort_keys=True),
     }
 
 
@@ -81,6 +82,7 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
         bias=table.series(ROOT + "encoder_bias", "rad"),
         faults=table.faults(),
         findings=said.findings,
+        can=said.can,
     )
 
 
@@ -106,6 +108,7 @@ class _Said:
     used: Mapping[str, Health]
     settings: Mapping[str, Any]
     findings: tuple[Finding, ...]
+    can: Capabilities
 
 
 def _health(found: Health) -> Health:
@@ -123,6 +126,12 @@ def _finding(found: Finding) -> Finding:
     return found
 
 
+def _capabilities(found: Mapping[str, Any]) -> Capabilities:
+    if not all(isinstance(value, bool) for value in found.values()):
+        raise ValueError(f"can: {found!r}, where each capability is true or false")
+    return Capabilities(**found)
+
+
 def _said(path: Path, metadata: Mapping[str, str]) -> _Said:
     try:
         return _Said(
@@ -130,6 +139,7 @@ def _said(path: Path, metadata: Mapping[str, str]) -> _Said:
             {sense: _health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
             dict(read_json(metadata.get("resolved", "{}"))),
             tuple(_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
+            _capabilities(read_json(metadata.get("can", "{}"))),
         )
     except (ValueError, TypeError, AttributeError) as problem:
         raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {_again(path)}") from None

@@ -11,7 +11,7 @@ from bodylog.body.encoders import Polynomial, understood
 from bodylog.body.learning import Learned
 from bodylog.body.model import load, save
 from bodylog.errors import ConfigError, EvidenceError, UsageError
-from bodylog.estimation import estimate
+from bodylog.estimation import METHODS, estimate
 from bodylog.settings import Estimation, Settings
 from bodylog.types import Array, Features
 from tests.body.conftest import JOINTS, motion
@@ -75,7 +75,8 @@ def test_several_logs_teach_together(explored) -> None:
 def test_a_log_without_reference_is_estimated(explored, tmp_path, reading, method) -> None:
     save(learn([_read(explored, 0, reading)], Settings(), {}).model, tmp_path / "body.npz")
     features = replace(_read(explored, 0, reading, 0.01, 12.0), reference=None)
-    found = estimate(*understood(features, load(tmp_path / "body.npz"), Estimation(method=method)))
+    coding = METHODS[method].encoder_model
+    found = estimate(*understood(features, load(tmp_path / "body.npz"), Estimation(method=method), coding))
     error = found.joints.values - motion(found.joints.t, 0)
     late = found.joints.t > 2.0
     if method != "predictive-coding":  # whose static belief lags behind
@@ -92,11 +93,11 @@ def test_squares_about_zero_hide_the_sign_and_the_start_decides(explored) -> Non
     features = replace(still, joints=joints, tracks={})
     for method in ("laplace", "smoother", "predictive-coding"):
         with pytest.raises(UsageError, match="turns or flattens over the angles explored; type: --method predictive"):
-            understood(features, body, Estimation(method=method))
+            understood(features, body, Estimation(method=method), METHODS[method].encoder_model)
     for sign in (1.0, -1.0):
         start = (sign * 0.3, 0.3, 0.4)
         asked = Estimation(method="predictive-coding", senses=("encoders",), start=start)
-        found = estimate(*understood(features, body, asked))
+        found = estimate(*understood(features, body, asked, coding=True))
         assert np.abs(found.joints.values[-50:].mean(axis=0) - at * [sign, 1, 1]).max() < 0.02
         assert 0.5 < np.square(found.errors["encoders"].values[-300:]).mean() < 1.5
 

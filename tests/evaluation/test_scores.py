@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bodylog.estimation import METHODS
 from bodylog.evaluation.scores import scores
 from bodylog.remarks import untold
 from bodylog.types import Estimate, Health, Series
@@ -110,7 +111,7 @@ def test_without_truth_only_what_needs_none():
 def test_evidence_is_summed_for_methods_that_have_one():
     found, _ = made(np.zeros(2), 0.1)
     assert named(found, None)["log_evidence"].value == pytest.approx(-1.5 * 500)
-    assert "log_evidence" not in named(replace(found, method="predictive-coding"), None)
+    assert "log_evidence" not in named(replace(found, can=METHODS["predictive-coding"].can), None)
 
 
 def test_tracks_are_scored_in_pixels_where_they_were_seen():

@@ -9,7 +9,6 @@ from ...types import Estimate, Finding
 
 FAR, SHARE, FEWEST = 3.0, 0.05, 20
 """Standard deviations that few readings are off, the share of readings above which it is said, of how many at least."""
-STATIC = ("kalman", "predictive-coding")
 NOISY = 0.1
 """rad: an encoder that scatters more is hardly one."""
 
@@ -33,7 +32,7 @@ def doubts(found: Estimate, settings: Estimation) -> Iterator[Finding]:
 
 def _advice(found: Estimate, settings: Estimation, sense: str) -> str:
     """What this may come of, and what to type."""
-    if found.method in STATIC:
+    if not found.can.moves:
         return f"{found.method} holds the arm still and takes out no encoder that lies; type --method laplace"
     if settings.precision != "auto":
         return f"noise here is not what --precision {settings.precision} says; type --precision auto"

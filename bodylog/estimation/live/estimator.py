@@ -14,6 +14,7 @@ from ..inference.instant import Motion, hear
 from ..inference.outset import OFFSET_STD
 from ..inference.reacquisition import START_STD, Watch, forget
 from ..inference.scan import Dynamics
+from ..methods.table import METHODS
 from ..noise.correlated_noise import PAST, Likeness, Memory, Sight, reach
 from ..noise.noise_model import carried
 from ..noise.posture_prior import LASTING, Habit, usual, wont
@@ -173,7 +174,8 @@ class _Filter:
 
 def _needs_no_log(settings: Estimation, body: BodyModel) -> None:
     """UsageError for settings that ask for what only a whole log can tell."""
-    possible = {"method": ("laplace",), "precision": ("model",), "bias": ("off", "on")}
+    able = tuple(name for name, method in METHODS.items() if method.live)
+    possible = {"method": able, "precision": ("model",), "bias": ("off", "on")}
     for name, values in possible.items():
         if (found := getattr(settings, name)) not in values:
             raise UsageError(f"{name}: {found!r} needs the whole log; beside a robot {' or '.join(values)} is possible")

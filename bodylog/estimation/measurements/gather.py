@@ -15,8 +15,11 @@ from . import touch
 from .records import Encoders, Evidence, Sighting
 
 
-def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidence:
-    """The evidence the settings ask for; a named sense without observations raises EvidenceError."""
+def gather(features: Features, body: BodyModel, settings: Estimation, whole: bool = True) -> Evidence:
+    """The evidence the settings ask for; a named sense without observations raises EvidenceError.
+
+    whole: all frames of one touch count as one sighting.
+    """
     visual = {name: track for name, track in features.tracks.items() if name in body.senses}
     wanted = chosen(visual, body, settings)
     encoders, used = _encoders(features.joints, body.joints, wanted)
@@ -27,8 +30,7 @@ def gather(features: Features, body: BodyModel, settings: Estimation) -> Evidenc
     seen = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
     sightings, faults = unfrozen(seen, None if "encoders" in body.senses else encoders, used)
     if "touch" in wanted and "effector" in body.senses:
-        # descent integrates a pull over time; a filter would take the frames of one touch for independent
-        sightings.append(_touch(features, body, used, whole=settings.method != "predictive-coding"))
+        sightings.append(_touch(features, body, used, whole))
     findings += _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
     # touches out of time are a result, not a lack: they are heard, for what little they weigh
     heard = tuple(s for s in sightings if used[s.name].used or (s.name == "touch" and len(s.t)))

@@ -21,9 +21,11 @@ class Encoders:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """Places seen of something the body predicts: t (N,) s · values, var (N,D) unit, unit² · source_ns · its model.
+    """What one sense measured: t (N,) s · values, var (N,D) unit, unit² · source_ns · the model that predicts it.
 
-    common: share of the model's variance that comes of exploring encoders' errors, which all tracks' models learn.
+    D is any number of rows, the same for all of one sense. cov (N,D,D) unit²: where the rows of one measurement err
+    together, with `var` its diagonal; None where each errs by itself. common: share of the model's variance that comes
+    of exploring encoders' errors, which all tracks' models learn.
     """
 
     name: str
@@ -33,6 +35,7 @@ class Sighting:
     var: Array
     source_ns: Array
     common: float = 0.0
+    cov: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

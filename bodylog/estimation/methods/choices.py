@@ -7,9 +7,8 @@ import numpy as np
 from ...settings import Estimation
 from ...types import BodyModel, Features, Finding
 from ..measurements.gather import chosen
+from .table import METHODS
 
-ENCODERS_ONLY = ("kalman",)
-"""Methods whose model has no picture in it."""
 UNHEEDED = (("bias", "on"), ("precision", "model"))
 """Settings that say how lies and noise are told from the log, which the paper's methods do not ask."""
 
@@ -28,7 +27,7 @@ def subsets(features: Features, body: BodyModel, settings: Estimation) -> tuple[
 
 def usable(method: str, senses: tuple[str, ...]) -> bool:
     """Whether a method can use all these senses."""
-    return senses == ("encoders",) if method in ENCODERS_ONLY else True
+    return METHODS[method].senses.issuperset(senses)
 
 
 def _heard(features: Features, body: BodyModel, wanted: set[str]) -> dict[str, bool]:
@@ -44,7 +43,7 @@ def _heard(features: Features, body: BodyModel, wanted: set[str]) -> dict[str, b
 
 def unheeded(settings: Estimation) -> tuple[Finding, ...]:
     """Warnings for settings that were given, being no defaults, and that one of the paper's methods passes by."""
-    heeds = {"precision"} if settings.method == "predictive-coding" and settings.preset != "paper" else set[str]()
+    heeds = METHODS[settings.method].heeds if settings.preset != "paper" else frozenset[str]()
     by = f"{settings.method}{' with the preset paper' * (settings.preset == 'paper')}"
     return tuple(
         Finding("warning", f"{name}: {value!r} is not heeded by {by}; leave it out, or type --method laplace")

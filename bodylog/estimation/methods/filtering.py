@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...settings import Estimation
-from ...types import BodyModel, Estimate, Fault, Features, Finding
+from ...types import BodyModel, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.encoder_faults import screen, turns
 from ..inference.gauss_newton import Problem, Restless, Solution, solve
@@ -21,6 +21,7 @@ from ..noise.evidence_search import ROUGHLY, tune
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import habit
 from . import results
+from .contract import Method
 from .results import Beliefs
 
 S = TypeVar("S", bound=Solution)
@@ -34,6 +35,10 @@ def laplace(features: Features, body: BodyModel, settings: Estimation) -> Estima
 def ekf(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The plain extended Kalman filter: the same, but frames are linearised once, at the prior mean."""
     return _filtered(features, body, settings, "ekf", "prior")
+
+
+LAPLACE = Method(laplace, Capabilities(), live=True)
+EKF = Method(ekf, Capabilities())
 
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:

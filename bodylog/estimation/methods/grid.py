@@ -57,7 +57,8 @@ class Plan:
 def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple[Plan, Evidence, Timeline]:
     """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
     printed = settings.preset == "paper" or settings.touch == "literal"
-    evidence = gather(features, body, settings)
+    # descent integrates a pull over time: frames of one touch need not count as one
+    evidence = gather(features, body, settings, whole=False)
     rate = settings.rate or RATE
     line = timeline(evidence, rate)
     t, dt, m = line.t[line.outputs], 1.0 / rate, len(body.joints)

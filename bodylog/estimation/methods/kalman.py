@@ -6,12 +6,12 @@ import numpy as np
 
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Estimate, Features
+from ...types import Array, BodyModel, Capabilities, Estimate, Features
 from ..faults.encoder_faults import screen
 from ..measurements.gather import gather, start
 from ..measurements.timeline import timeline
 from . import results
-from .choices import unheeded
+from .contract import Method
 from .grid import RATE, on_grid
 from .results import Beliefs
 
@@ -38,8 +38,15 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     z = np.concatenate([x, rate], axis=1)[held]
     # lies are named, but heard as printed
     _, lies = screen(evidence.encoders, body.joints)
-    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used, lies, unheeded(settings))
+    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used, lies)
     return results.estimate("kalman", body, evidence, line, beliefs)
+
+
+METHOD = Method(
+    estimate,
+    Capabilities(moves=False, density=False, learns_noise=False, repairs=False, from_paper=True),
+    senses=frozenset({"encoders"}), heeds=frozenset(),
+)  # fmt: skip
 
 
 def _encoders(body: BodyModel, settings: Estimation) -> tuple[str, ...]:

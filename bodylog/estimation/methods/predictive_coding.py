@@ -10,12 +10,12 @@ import numpy as np
 
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Estimate, Features, Finding
+from ...types import Array, BodyModel, Capabilities, Estimate, Features, Finding
 from ..faults.encoder_faults import screen
 from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results
-from .choices import unheeded
+from .contract import Method
 from .grid import Plan, Sense, calmest, plan_for
 from .results import Beliefs
 
@@ -38,12 +38,18 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {FAR:g} rad)")
-    findings = (*findings, *_unheard(plan, evidence, body.joints), *unheeded(settings))
+    findings = (*findings, *_unheard(plan, evidence, body.joints))
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
     if evidence.encoders is not None and "encoders" not in body.senses:
         # lies are named, but heard as printed
         beliefs = replace(beliefs, faults=screen(evidence.encoders, body.joints)[1])
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
+
+
+METHOD = Method(
+    estimate, Capabilities(moves=False, density=False, repairs=False, from_paper=True),
+    heeds=frozenset({"precision"}), literal_touch=True, encoder_model=True,
+)  # fmt: skip
 
 
 def implicitly(plan: Plan) -> tuple[Array, Array, Array]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...settings import Estimation
-from ...types import Array, BodyModel, Estimate, Features
+from ...types import Array, BodyModel, Capabilities, Estimate, Features
 from ..inference import adjoint
 from ..inference.brief import full
 from ..inference.folds import Fold, fold_for
@@ -20,6 +20,7 @@ from ..inference.tangents import Tangents
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
 from . import results
+from .contract import Method
 from .filtering import drifts, lost, pose, settled
 from .results import Beliefs
 
@@ -63,6 +64,9 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         tuple(lost(problem, body.joints, smooth)),
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
+
+
+METHOD = Method(estimate, Capabilities(causal=False))
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:

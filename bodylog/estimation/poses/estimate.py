@@ -6,22 +6,19 @@ import numpy as np
 
 from ...errors import EvidenceError, ModelError, UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Estimate, Features, Finding, Series
+from ...types import Array, BodyModel, Capabilities, Estimate, Features, Finding, Series
 from ..measurements.gather import gather
 from ..measurements.records import Evidence, Sighting
 from .encoders import Encoding, faults, learned
 from .solve import Poses, Solved, gathered, solved
 
-PRINTED = ("predictive-coding", "kalman")
-"""Methods of the paper, whose state moves from one instant to the next."""
 
-
-def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
+def estimate(features: Features, body: BodyModel, settings: Estimation, can: Capabilities) -> Estimate:
     """Every pose's angles (P,M) rad and covariance from its own encoders and places.
 
     UsageError for a method that needs motion; EvidenceError where nothing was read.
     """
-    if settings.method in PRINTED:
+    if can.from_paper:
         possible = "laplace, smoother or ekf, which are the same for poses"
         raise UsageError(f"method: {settings.method!r} follows a motion, but poses are each by itself; type {possible}")
     evidence = gather(replace(features, touches=None), body, settings)
