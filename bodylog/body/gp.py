@@ -118,7 +118,9 @@ class GP:
         Near by a correlation bends by the variance of the error's slope over that of the error; where it was learned.
         """
         x = self.samples[:: max(1, len(self.samples) // _SOME)]
-        bend = self.slope_variance(x).mean(axis=(0, 1)) / np.maximum(self.predict(x)[2].mean(), np.finfo(float).tiny)
+        # below this share of its amplitude a variance is rounding
+        error = max(self.predict(x)[2].mean(), np.finfo(float).eps * self.amplitude.max())
+        bend = self.slope_variance(x).mean(axis=(0, 1)) / error
         return np.asarray(1.0 / np.sqrt(np.maximum(bend, np.finfo(float).tiny)))
 
     @cached_property

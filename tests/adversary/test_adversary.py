@@ -41,6 +41,7 @@ def test_hostile_files_and_settings_are_read_or_refused_in_one_line(base, tmp_pa
         94002125,  # a body whose tracks show no joint
         92000784,  # stamps that are lists in some messages
         92000236,  # a variance that rounding takes below 0
+        203000613,  # a model whose variance is 0 where its slope's is not
         71000041,  # a count of messages of 401 digits
     ],
 )
