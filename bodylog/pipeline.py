@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import __version__, sought
+from . import __version__, changed, sought
 from .files import sha256
 from .joints_only import joints_alone, without_body
 from .outputs import Output
@@ -199,7 +199,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """`infer`, its refusals told of the log, with what that lost."""
     with about(log, read.findings):
-        found = infer(features, learned, settings)
+        found = changed.compared(features, learned, infer(features, learned, settings), settings.estimate)
     insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
 

@@ -2,10 +2,8 @@
 
 from collections.abc import Sequence
 
+from .evaluation.figures import FIRST
 from .types import Estimate, Fault, Features, Finding, Series
-
-FIRST = 1.0
-"""s: an encoder that is certainly off so soon was so before."""
 
 
 def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
@@ -17,9 +15,12 @@ def _lie(fault: Fault) -> str:
     since = f"{fault.sense} {fault.name}: {fault.kind} since {fault.since:.3f} s"
     # a fault that is one of several joints' has no size
     known = fault.size == fault.size
-    size = f", {fault.size:.4g} {fault.unit}" if known else "; the log cannot tell which of them it is"
+    sure = "" if fault.std is None else f" ± {fault.std:.2g}"
+    size = f", {fault.size:.4g}{sure} {fault.unit}" if known else "; the log cannot tell which of them it is"
     first = "; from the first on: homed differently, or the camera has moved since the body was learned"
-    return since + size + first * (fault.kind == "drifting" and fault.since < FIRST)
+    body = "; beside where it was when the body was learned"
+    compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)
+    return since + size + first * (fault.kind == "drifting" and fault.since < FIRST) + body * compared
 
 
 def sightings(found: Features) -> tuple[Finding, ...]:

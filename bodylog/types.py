@@ -293,7 +293,7 @@ class BodyModel:
 
 @dataclass(frozen=True)
 class Fault:
-    """One sensor that lied: which joint or sense, what kind, since when (s), how much (`unit`)."""
+    """One sensor that lied: which joint or sense, what kind, since when (s), how much ± std (`unit`, None: unknown)."""
 
     sense: str
     name: str
@@ -301,6 +301,7 @@ class Fault:
     since: float
     size: float
     unit: str
+    std: float | None = None
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,14 @@ LAYERS = (
     {*RECORDS, *SHARED, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},
     STAGES,
-    {"online", "dates", "inventory", "joints_only", "robots", "zeros", "refusals", "remarks", "scoring", "sought"},
+    {
+        "changed", "online", "dates", "inventory", "joints_only", "robots", "zeros", "refusals", "remarks", "scoring",
+        "sought",
+    },
     {"pipeline"},
     {"present", "comparison"},
     {"batch", "experiments"},
-)
+)  # fmt: skip
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 
 

@@ -71,6 +71,14 @@ class KinematicGP(GP):
         """What kinematics and camera alone foretell (N,D) px at x (N,M) rad."""
         return np.asarray(self._seen(np.atleast_2d(x)).image[:, self.point])
 
+    def design(self, x: Array) -> Array:
+        """How θ moves what kinematics and camera foretell at x (N,M) rad: (N,D,P) px per unit of θ."""
+        return np.asarray(self._seen(np.atleast_2d(x)).design[:, self.point])
+
+    def unknowns(self, x: Array) -> Array:
+        """What one standard deviation of each direction of θ (N,D,p) still changes at x (N,M) rad, px."""
+        return self._unknown(x, self._seen(x))
+
     def covariance(self, x: Array) -> Array:
         """Between all pairs of x (N,M) rad: (1,N,N) px², the outputs' mean."""
         leaning = self._unknown(x, self._seen(x)) / np.sqrt(self.share)[:, None]

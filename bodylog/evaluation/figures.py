@@ -4,11 +4,13 @@ from collections.abc import Iterator, Sequence
 
 from ..types import Estimate, Fault, Score
 
-OFFSET = ("drifting", "jumping")
+OFFSET = ("drifting", "jumping", "offset")
 """Kinds of fault that are offsets of an encoder."""
 KINDS = ("encoder_offset", *OFFSET, "frozen", "dead")
-SOUGHT = ("encoder_offset", "drifting")
+SOUGHT = ("encoder_offset", "drifting", "offset")
 """Kinds that only images show, and only to methods that look for them: else there is no saying, NaN."""
+FIRST = 1.0
+"""s: an encoder that is certainly off so soon was so before."""
 EITHER = " or "
 """Between the names of joints of which one lies."""
 
@@ -24,7 +26,8 @@ def _faults(found: Estimate) -> Iterator[Score]:
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
     sought = found.can.repairs and any(found.used[name].used for name in tracks)
     for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in found.faults for n in _names(f)))):
-        for kind in KINDS:
+        others = (f.kind for f in found.faults if name in _names(f))
+        for kind in dict.fromkeys((*KINDS, *others)):
             own = [fault for fault in found.faults if name in _names(fault) and kind in _kinds(fault)]
             unit = own[0].unit if own else "rad" if name in found.joints.names else "px"
             open_ = not own and kind in SOUGHT and not sought

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
-from ..types import Array, Capabilities, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
+from ..types import (
+    Array, Capabilities, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Topic, Touch,
+)  # fmt: skip
 from ..values import read_json
 from .append import NAME, ROOT
 from .columns import columns_of
@@ -31,6 +33,12 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
     "sensor_msgs/msg/JointState": ("header.stamp", "name", "position", "velocity"),
 }
 """Type -> the fields of it that are read back."""
+
+
+def _fields(topic: Topic) -> tuple[str, ...]:
+    """The fields of a topic; faults had no standard deviation once."""
+    more = ("std",) if topic.type.endswith("/Fault") and b"float64 std" in topic.definition else ()
+    return (*_FIELDS[topic.type], *more)
 
 
 def describe(estimate: Estimate) -> dict[str, str]:
@@ -151,7 +159,7 @@ class _Table:
     def __init__(self, log: Log, start_ns: int, path: Path) -> None:
         topics = {t.id: t for t in log.topics if t.name.startswith(ROOT) and t.type in _FIELDS}
         try:
-            found = columns_of(log, {number: (topic, _FIELDS[topic.type]) for number, topic in topics.items()})
+            found = columns_of(log, {number: (topic, _fields(topic)) for number, topic in topics.items()})
         except (ConfigError, FormatError) as problem:
             raise FormatError(f"{path}: {problem}") from None
         self.columns = {topics[number].name: columns for number, columns in found.items()}
@@ -252,9 +260,11 @@ class _Table:
     def faults(self) -> tuple[Fault, ...]:
         """Faults in order of onset."""
         found = []
-        for (stamp, sense, name, kind, size, unit), _ in self._parts(ROOT + "faults"):
-            for since, amount in zip((stamp - self.start_ns) / 1e9, size, strict=True):
-                found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0]))
+        for (stamp, sense, name, kind, size, unit, *more), _ in self._parts(ROOT + "faults"):
+            spread = more[0] if more else np.full(len(size), np.nan)
+            for since, amount, std in zip((stamp - self.start_ns) / 1e9, size, spread.tolist(), strict=True):
+                known = None if std != std else std
+                found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], known))
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
 
     def _unfit(self, topic: str, found: str) -> LogError:

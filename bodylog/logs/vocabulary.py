@@ -30,8 +30,8 @@ _PARTS = {
     "bodylog_msgs/Scalar": "std_msgs/Header header\nfloat64 data\n",
     "bodylog_msgs/SkinArray": "# Proximity of each cell, 0..1.\nstd_msgs/Header header\nfloat32[] data\n",
     "bodylog_msgs/Fault": (
-        "# A sensor that lied since header.stamp: by `size` in `unit`.\n"
-        "std_msgs/Header header\nstring sense\nstring name\nstring kind\nfloat64 size\nstring unit\n"
+        "# A sensor that lied since header.stamp: by `size` +- `std` in `unit` (NaN: not known).\n"
+        "std_msgs/Header header\nstring sense\nstring name\nstring kind\nfloat64 size\nstring unit\nfloat64 std\n"
     ),
     "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a\n",
     "foxglove_msgs/Point2": "float64 x\nfloat64 y\n",

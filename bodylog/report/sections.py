@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from math import isfinite
 from typing import Any, NamedTuple
 
-from ..types import Estimate, Features, Health, Recording, Score, Synchrony, Touch
+from ..types import Estimate, Fault, Features, Health, Recording, Score, Synchrony, Touch
 from ..values import read_json
 from .traces import EVENTS, JOINTS, TRACKS
 
@@ -51,7 +51,7 @@ def score_table(scores: Sequence[Score]) -> str:
 def faults(estimate: Estimate) -> str:
     """Which sensor lied, how, since when and how much."""
     rows = [
-        (x.sense, x.name, x.kind, Moment(x.since, x.since), _quantity(Score(x.kind, x.size, x.unit)))
+        (x.sense, x.name, x.kind, Moment(x.since, x.since), _amount(x))
         for x in estimate.faults
     ]
     return _table("Which sensor lied", ("sense", "name", "kind", "since", "size"), rows)
@@ -134,6 +134,11 @@ def _cell(value: str | Moment) -> str:
 
 def _quantity(score: Score) -> str:
     return f"{score.value:.4g}" if score.unit in ("", "1") else f"{score.value:.4g} {score.unit}"
+
+
+def _amount(fault: Fault) -> str:
+    sure = "" if fault.std is None else f" ± {fault.std:.2g}"
+    return f"{fault.size:.4g}{sure} {fault.unit}".strip()
 
 
 def _when(start_ns: int) -> str:

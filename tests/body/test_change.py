@@ -1,0 +1,154 @@
+"""What changed since a body was learned: joints' zeros, camera and marker, by evidence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import body, changed
+from bodylog.body import change
+from bodylog.body.kinematic import Robotics, learn
+from bodylog.kinematics import urdf
+from bodylog.kinematics.links import CameraHint
+from bodylog.remarks import named
+from bodylog.settings import Estimation, Settings
+from bodylog.types import Fault, Features, Series
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM, JOINTS
+
+DEGREE = np.radians(1.0)
+CENTRE = np.array([0.0, -0.6, 0.9, 0.2])
+
+
+def run(seed=50, duration=10.0, encoder=0.01, offset=None, since=0.0, camera=None, bend=1.0) -> Features:
+    """A motion of the arm before the camera; `offset` is what its encoders read too little, rad, from `since` s on."""
+    rig, draw = robots.rig(known=False), np.random.default_rng(seed)
+    theta = robots.truth(rig)
+    theta[:6] += 0.0 if camera is None else camera
+    speed, phase = draw.uniform(0.4, 1.6, (4, 4)), draw.uniform(0, 2 * np.pi, (4, 4))
+    t, frames = np.arange(0, duration, 0.01), np.arange(0.02, duration - 0.05, 0.08)
+    q, seen = (CENTRE + 0.8 * np.sin(speed[..., None] * at + phase[..., None]).mean(axis=1).T for at in (t, frames))
+    read = q + draw.normal(0, encoder, q.shape)
+    for name, value in (offset or {}).items():
+        read[:, JOINTS.index(name)] -= value * (t >= since)
+    image = rig.see(rig.sights[0], theta, seen).image[:, 0]
+    image += bend * np.column_stack([np.sin(2 * seen[:, 1]), np.cos(1.5 * seen[:, 2] + seen[:, 0])])
+    image += draw.normal(0, 0.3, image.shape)
+    ns = [(at * 1e9).astype(np.int64) for at in (t, frames)]
+    track = Series(frames, image, ("u", "v"), "px", ns[1], np.full(image.shape, 0.1))
+    joints = Series(t, read, JOINTS, "rad", ns[0])
+    return Features(joints, {"effector": track}, None, (), (), {}, (), (640, 480))
+
+
+def explored(seed=3):
+    features, given = run(seed, 16.0, 0.003), Robotics(urdf.parse(ARM, "arm"), {"": CameraHint()}, 5 * DEGREE)
+    return learn([features], Settings(), body.learn([features], Settings(), {}), given).model
+
+
+@pytest.fixture(scope="module")
+def known():
+    return explored()
+
+
+def test_a_sound_run_has_no_change(known):
+    for seed in (50, 51):
+        assert change.changes(run(seed), known) == ()
+
+
+@pytest.mark.parametrize(("joint", "degrees"), [("pan", 1.0), ("lift", -2.0), ("elbow", 5.0)])
+def test_a_zero_that_moved_is_told_with_its_size(known, joint, degrees):
+    (one,) = change.changes(run(offset={joint: degrees * DEGREE}), known)
+    assert (one.kind, one.name, one.since, one.rivals) == ("joint", joint, None, ())
+    assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.GAIN
+
+
+def test_a_gear_that_slipped_is_told_with_its_time(known):
+    (one,) = change.changes(run(offset={"lift": 2 * DEGREE}, since=6.0), known)
+    assert one.name == "lift" and abs(one.since - 6.0) < 0.3 and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
+
+
+def test_two_joints_are_told_where_one_thing_might_stand_for_both(known):
+    found = change.changes(run(offset={"lift": 2 * DEGREE, "elbow": -3 * DEGREE}), known)
+    assert {one.name: round(float(np.degrees(one.value[0]))) for one in found} == {"lift": 2, "elbow": -3}
+
+
+def test_a_camera_that_was_pushed_is_no_joint(known):
+    (one,) = change.changes(run(camera=np.array([0.01, 0.0, 0.0, 0.0, 0.03, 0.01])), known)
+    assert (one.kind, one.name) == ("camera", "camera") and abs(one.value[4] - 0.03) < 3 * one.std[4]
+
+
+def test_sightings_of_something_else_do_not_count(known):
+    features = run(offset={"elbow": 2 * DEGREE})
+    track = features.tracks["effector"]
+    wrong = track.values.copy()
+    wrong[::15] += 80.0
+    (one,) = change.changes(replace(features, tracks={"effector": replace(track, values=wrong)}), known)
+    assert one.name == "elbow" and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
+
+
+def test_without_a_urdf_or_sightings_nothing_is_compared(known):
+    features = run(offset={"elbow": 2 * DEGREE})
+    plain = replace(known, senses={"effector": body.learn([run(3, 10.0)], Settings(), {}).model.senses["effector"]})
+    assert not change.comparable(plain) and change.changes(features, plain) == ()
+    assert change.changes(replace(features, tracks={}), known) == ()
+    few = replace(features, joints=replace(features.joints, names=("a", "b", "c", "d")))
+    assert change.changes(few, known) == ()
+
+
+def _estimate(features, known, **settings):
+    from bodylog import pipeline
+
+    chosen = Settings(estimate=Estimation(**settings))
+    found = pipeline.infer(features, known, chosen)
+    return found, changed.compared(features, known, found, chosen.estimate)
+
+
+def test_an_estimate_names_it_once_with_its_std(known):
+    found, told = _estimate(run(offset={"elbow": 3 * DEGREE}), known)
+    assert [fault.kind for fault in found.faults] == ["drifting"]
+    (fault,) = told.faults
+    assert (fault.sense, fault.name, fault.kind) == ("encoders", "elbow", "offset")
+    assert abs(fault.size + 3 * DEGREE) < 3 * fault.std
+    (text,) = named(told.faults)
+    assert f"± {fault.std:.2g} rad; beside where it was when the body was learned" in text.text
+    assert any(f.text.startswith("elbow: reads -") and "nats likelier" in f.text for f in told.findings)
+
+
+def test_a_slip_that_the_filter_names_is_left_to_it(known):
+    found, told = _estimate(run(offset={"lift": 3 * DEGREE}, since=6.0), known)
+    assert told.faults == found.faults and len(found.faults) == 1
+
+
+def test_who_asks_for_no_offset_is_told_of_none(known):
+    found, told = _estimate(run(offset={"elbow": 3 * DEGREE}), known, bias="off")
+    assert told is found and not told.faults
+
+
+def test_sizes_that_differ_are_both_said(known):
+    found, _ = _estimate(run(), known)
+    (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
+    other = replace(found, faults=(Fault("encoders", "elbow", "drifting", 0.1, 0.2, "rad"),))
+    faults, findings = changed.merged([one], other)
+    assert [fault.kind for fault in faults] == ["offset"]
+    assert any("by the filter its offset is 0.2 rad" in finding.text for finding in findings)
+
+
+def test_what_cannot_be_told_apart_is_named_together(known):
+    found, _ = _estimate(run(), known)
+    (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
+    (fault,), _ = changed.merged([replace(one, rivals=("camera",))], found)
+    assert fault.name == "elbow or camera" and fault.size != fault.size and fault.std is None
+
+
+@pytest.mark.soak
+def test_over_many_draws_no_sound_run_is_accused_and_sizes_are_as_sure_as_they_say():
+    draw, within, told, false = np.random.default_rng(7), 0, 0, 0
+    for seed in range(10):
+        one = explored(seed)
+        false += sum(bool(change.changes(run(1000 + 10 * seed + k), one)) for k in range(2))
+        for k in range(4):
+            joint, size = JOINTS[draw.integers(4)], draw.uniform(1, 5) * draw.choice([-1, 1]) * DEGREE
+            found = [c for c in change.changes(run(2000 + 10 * seed + k, offset={joint: size}), one) if c.name == joint]
+            told += len(found)
+            within += sum(abs(c.value[0] - size) < 2 * c.std[0] for c in found)
+    assert false == 0 and told >= 38 and within >= 0.9 * told
