@@ -34,10 +34,10 @@ def compared(features: Features, body: BodyModel, found: Estimate, settings: Est
 
 def _usable(features: Features, found: Estimate) -> Features:
     """Tracks that were used, dated as the estimate dates them, until an encoder began to lie otherwise."""
-    from .estimation import dating
+    from .estimation.timing import correction
 
     delays = found.settings.get("delay", {})
-    timely = dating.earlier(features, delays) if isinstance(delays, Mapping) else features
+    timely = correction.earlier(features, delays) if isinstance(delays, Mapping) else features
     later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _constant(fault)]
     end = min(later, default=float("inf"))
     tracks = {}

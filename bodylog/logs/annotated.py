@@ -10,7 +10,18 @@ import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
 from ..types import (
-    Array, Capabilities, Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Topic, Touch,
+    Array,
+    Capabilities,
+    Estimate,
+    Fault,
+    Features,
+    Finding,
+    Health,
+    Series,
+    Stroke,
+    Synchrony,
+    Topic,
+    Touch,
 )  # fmt: skip
 from ..values import read_json
 from .append import NAME, ROOT
