@@ -59,9 +59,9 @@ class Columns:
         if not arrays:
             return np.empty(0)
         order = np.argsort(np.concatenate([part.rows for part in self.parts]), kind="stable")
-        widths = {array.shape[1:] for array in arrays}
-        if len(widths) > 1:
-            arrays = [_padded(array, max(shape[0] for shape in widths)) for array in arrays]
+        if len({array.shape[1:] for array in arrays}) > 1:
+            arrays = [array if array.ndim == 2 else array[:, None] for array in arrays]
+            arrays = [_padded(array, max(other.shape[1] for other in arrays)) for array in arrays]
         return np.concatenate(arrays)[order]
 
 
@@ -217,7 +217,7 @@ class _Decoder:
     def columns(self) -> Columns:
         """All that was fed."""
         log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
-        parts = tuple(_part(pieces) for pieces in self.pieces.values())
+        parts = tuple(joined(pieces) for pieces in self.pieces.values())
         return Columns(self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected))
 
 
@@ -226,7 +226,8 @@ def _payload(batch: Batch, index: int) -> bytes:
     return batch.data[start : start + int(batch.length[index])].tobytes()
 
 
-def _part(pieces: list[tuple[Array, list[Any]]]) -> Part:
+def joined(pieces: list[tuple[Array, list[Any]]]) -> Part:
+    """Rows and values of equal shape as one part."""
     rows = np.concatenate([index for index, _ in pieces])
     columns = zip(*(values for _, values in pieces), strict=True)
     return Part(rows, tuple(some[0] if isinstance(some[0], tuple) else np.concatenate(some) for some in columns))

@@ -1,4 +1,4 @@
-"""JSON and protobuf payloads: decoded message by message into dictionaries, then read like any other columns."""
+"""JSON and protobuf payloads as columns: those laid out alike all at once, the others by way of dictionaries."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -9,8 +9,10 @@ import numpy as np
 from ..errors import FormatError
 from ..types import Array, Batch, Topic
 from ..values import nanoseconds, number, read_json, text
-from .columns import Columns, Part
-from .paths import Only, Step, is_index
+from .columns import Columns, Part, joined
+from .object_places import number_of, shaped
+from .objects_alike import JsonAlike, ProtobufAlike
+from .paths import Only, Step
 
 _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
@@ -36,18 +38,21 @@ def _json(name: str, payload: bytes) -> Mapping[str, Any]:
     return value
 
 
-def follow(value: Any, steps: tuple[Step, ...]) -> Iterator[Value]:
-    """The plain values the steps lead to, times as ns; KeyError when a field is missing."""
+def follow(value: Any, steps: tuple[Step, ...], plain: Callable[[Any], Iterator[Any]] | None = None) -> Iterator[Any]:
+    """The plain values the steps lead to, times as ns; KeyError when a field is missing.
+
+    `plain`: takes a value apart that the steps end at, in place of that.
+    """
     if not steps:
-        yield from _plain(value)
+        yield from (plain or _plain)(value)
     elif isinstance(steps[0], str):
-        yield from follow(_mapping(value)[steps[0]], steps[1:])
+        yield from follow(_mapping(value)[steps[0]], steps[1:], plain)
     elif isinstance(steps[0], Only):
         if _mapping(value).get(steps[0].field) == steps[0].value:
-            yield from follow(value, steps[1:])
+            yield from follow(value, steps[1:], plain)
     else:
         for index in steps[0].of(len(_array(value))):
-            yield from follow(value[index], steps[1:])
+            yield from follow(value[index], steps[1:], plain)
 
 
 def _mapping(value: Any) -> Mapping[str, Any]:
@@ -83,20 +88,31 @@ class ObjectDecoder:
     def __init__(self, topic: Topic, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...]) -> None:
         """Nothing fed yet; FormatError when the schema is broken."""
         self.fields, self.paths, self.read = fields, paths, reader(topic)
-        self.single = [all(isinstance(s, str) or is_index(s) for s in steps) for steps in paths]
+        self.single = [number_of(steps) for steps in paths]
         self.log_ns: list[Array] = []
         self.rows: dict[Any, list[tuple[int, list[tuple[Value, ...]]]]] = {}
-        self.seen = 0
+        self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
+        self.seen = self.fast = 0
         self.rejected: Counter[str] = Counter()
+        self.alike: JsonAlike | ProtobufAlike = (
+            JsonAlike(paths, self.single) if topic.encoding == "json" else ProtobufAlike(topic, paths, self.single)
+        )
 
     def feed(self, batch: Batch) -> None:
-        """Decode one more batch."""
+        """Decode one more batch: messages laid out alike at once, then those that are left."""
         self.log_ns.append(np.array(batch.log_ns, np.int64))
-        for start, length in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
-            self._one(batch.data[start : start + length].tobytes())
-            self.seen += 1
+        left = np.ones(len(batch.log_ns), bool)
+        for index, values in self.alike.take(batch):
+            shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in values)
+            self.pieces.setdefault(shape, []).append((self.seen + index, values))
+            left[index] = False
+            self.fast += len(index)
+        for row in np.flatnonzero(left).tolist():
+            start = int(batch.offset[row])
+            self._one(self.seen + row, batch.data[start : start + int(batch.length[row])].tobytes())
+        self.seen += len(left)
 
-    def _one(self, payload: bytes) -> None:
+    def _one(self, row: int, payload: bytes) -> None:
         try:
             message = self.read(payload)
             values = [tuple(follow(message, steps)) for steps in self.paths]
@@ -106,13 +122,15 @@ class ObjectDecoder:
             self.rejected["field missing"] += 1
         else:
             shape = tuple(v if any(isinstance(x, str | bytes) for x in v) else len(v) for v in values)
-            self.rows.setdefault(shape, []).append((self.seen, values))
+            self.rows.setdefault(shape, []).append((row, values))
 
     def columns(self) -> Columns:
         """All that was fed."""
         log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
         parts = tuple(self._part(shape, rows) for shape, rows in self.rows.items())
-        return Columns(self.fields, log_ns, parts, 0, sum(len(p.rows) for p in parts), dict(self.rejected))
+        slow = sum(len(part.rows) for part in parts)
+        parts += tuple(joined(pieces) for pieces in self.pieces.values())
+        return Columns(self.fields, log_ns, parts, self.fast, slow, dict(self.rejected))
 
     def _part(self, shape: Any, rows: list[tuple[int, list[tuple[Value, ...]]]]) -> Part:
         values: list[Array | tuple[str, ...]] = []
@@ -121,5 +139,5 @@ class ObjectDecoder:
                 values.append(tuple(str(x) for x in key))
                 continue
             array = np.array([v[k] for _, v in rows]).reshape(len(rows), key)
-            values.append(array[:, 0] if self.single[k] and key == 1 else array)
+            values.append(shaped(array, self.single[k]))
         return Part(np.array([row for row, _ in rows]), tuple(values))

@@ -1,5 +1,6 @@
 """Bytes of many messages at once: gathered as rows, compared, viewed as numbers."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,12 +30,15 @@ class Template:
     reference: Array
 
 
-def template(layout: Layout, payload: bytes) -> Template:
-    """The template of the message a layout was found in."""
+def template(layout: Layout, payload: bytes, high: Sequence[tuple[int, int]] = ()) -> Template:
+    """The template of the message a layout was found in; of the bytes in the ranges `high` the highest bit is fixed."""
     words = -(-layout.width // 8)
     mask, reference = np.zeros((2, 8 * words), np.uint8)
     for start, stop in layout.constants:
         mask[start:stop] = 0xFF
+        reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
+    for start, stop in high:
+        mask[start:stop] |= 0x80
         reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
     block = max(1, min(_BLOCK, _BYTES // max(1, layout.width)))
     return Template(layout, words, block, *(np.tile(row.view(np.uint64), block) for row in (mask, reference)))
