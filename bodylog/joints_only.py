@@ -1,10 +1,12 @@
 """A log without a body: what its joints' own sensors show, its images left alone."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
-from .errors import LogError
+from . import robots
+from .errors import FormatError, LogError
 from .settings import Settings
-from .types import BodyModel, Features, Recording
+from .types import BodyModel, Features, Finding, Recording, Series
 
 
 def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
@@ -16,8 +18,21 @@ def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
     if read.joints is None or not len(read.joints.t):
         raise LogError(f"{log}: no joint readings, and no --body to find them by images; type: bodylog info {log}")
     unseen = [path for role, path in read.roles.items() if role.partition("/")[0] == "camera"]
-    findings = (*estimation.unlearned_body(unseen), *estimation.readings(read.joints))
-    return read, Features(read.joints, {}, None, (), (), {}, findings)
+    odd = (*(() if read.poses else estimation.readings(read.joints)), *_outside(log, read.joints, settings))
+    findings = (*estimation.unlearned_body(unseen), *odd)
+    return read, Features(read.joints, {}, None, (), (), {}, findings, poses=read.poses)
+
+
+def _outside(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]:
+    """Which joints leave the limits of their URDF; the log's own, which nobody asked for, may be unreadable."""
+    from . import estimation
+
+    try:
+        yield from estimation.outside(joints, *robots.limits(log, settings))
+    except FormatError as problem:
+        if settings.kinematics.urdf is not None:
+            raise
+        yield Finding("info", f"joints' limits are not known: {problem}")
 
 
 def without_body(read: Recording, settings: Settings) -> BodyModel:

@@ -171,11 +171,11 @@ def _tested(
 
 def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
     """Replay a log against a learned body and write it back with the estimate in it; without one, its joints alone."""
-    from . import estimation
+    from . import estimation, robots
     from .body import model
     from .logs import annotate, annotated
 
-    distinct([log, *([] if body is None else [body])], [Output(out)], settings)
+    distinct([log, *(robots.named(settings) if body is None else [body])], [Output(out)], settings)
     known = None if body is None else model.load(body)
     if known is not None:
         settings = sought.of_body(known, settings)

@@ -12,7 +12,7 @@ from .types import Array, Features
 if TYPE_CHECKING:
     from .body.kinematic import Robotics
     from .kinematics.links import CameraHint
-    from .kinematics.urdf import Robot
+    from .kinematics.urdf import Limits, Robot
     from .logs.described import CameraInfo, Described
 
 
@@ -45,10 +45,41 @@ def robot(logs: Sequence[Path], features: Sequence[Features], settings: Settings
     if chosen.urdf != FROM_LOG:
         found = urdf.load(Path(chosen.urdf))
     elif texts:
-        found = urdf.parse(str(texts[0][1]), f"{texts[0][0]}: /robot_description")
+        found = _from_log(*texts[0])
     else:
-        raise LogError(f"{logs[0]}: no /robot_description in it; give the URDF's file: --urdf ROBOT.urdf")
+        raise LogError(_NO_URDF.format(logs[0]))
     return Robotics(found, _hints(found, told, features), radians(chosen.offset_prior))
+
+
+def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
+    """Joints' limits, of the URDF that is named or else the log's own, and where they are from; none where it has none.
+
+    FormatError where the URDF that is named cannot be read, LogError where the log's own is named and it has none.
+    """
+    from .kinematics import urdf
+    from .logs.described import described
+
+    chosen = settings.kinematics
+    if not chosen.use:
+        return {}, ""
+    if chosen.urdf not in (None, FROM_LOG):
+        found, source = urdf.load(Path(str(chosen.urdf))), str(chosen.urdf)
+    elif text := described(log, settings.input).urdf:
+        found, source = _from_log(log, text), "/robot_description"
+    elif chosen.urdf == FROM_LOG:
+        raise LogError(_NO_URDF.format(log))
+    else:
+        return {}, ""
+    return {joint.name: joint.limits for joint in found.joints if joint.limits is not None}, source
+
+
+_NO_URDF = "{}: no /robot_description in it; give the URDF's file: --urdf ROBOT.urdf"
+
+
+def _from_log(log: Path, text: str) -> "Robot":
+    from .kinematics import urdf
+
+    return urdf.parse(text, f"{log}: /robot_description")
 
 
 def _hints(robot: "Robot", told: "Sequence[Described]", features: Sequence[Features]) -> "dict[str, CameraHint]":

@@ -11,6 +11,7 @@ from . import options
 @click.command(epilog="Example: bodylog estimate run.bag --body body.npz -o run.mcap --method smoother")
 @options.log_argument
 @click.option("--body", type=options.PATH, help="What fit wrote; without it, joint sensors alone.")
+@click.option("--urdf", metavar="ROBOT.urdf|log", help="Without --body: joint limits; default: the log's URDF.")
 @options.out_option("The annotated MCAP to write.")
 @options.fail_option
 @options.estimation_options
@@ -21,6 +22,7 @@ from . import options
 def estimate(
     log: Path,
     body: Path | None,
+    urdf: str | None,
     out: Path,
     bounds: tuple[str, ...],
     fast: bool | None,
@@ -30,12 +32,16 @@ def estimate(
 ) -> int:
     """Replay a log: where the body was, how sure that is, and which sensor lied; written back as an annotated MCAP."""
     from bodylog import pipeline
+    from bodylog.errors import UsageError
     from bodylog.evaluation import bounds as rules
 
     from .output import progress, show
 
     wanted = [rules.parse(text) for text in bounds]
-    chosen = common.settings(colours={"fast": fast}, estimate=options.estimation(typed))
+    if urdf is not None and body is not None:
+        raise UsageError("--urdf: the body knows its robot; leave --urdf out, or type: bodylog fit LOG --urdf FILE")
+    kinematics = {"urdf": urdf}
+    chosen = common.settings(colours={"fast": fast}, kinematics=kinematics, estimate=options.estimation(typed))
     with progress("estimate") as tick:
         result = pipeline.estimate(log, body, out, chosen, tick)
     code = show(result, as_json)

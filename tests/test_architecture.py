@@ -15,10 +15,8 @@ LAYERS = (
     {*RECORDS, *SHARED, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},
     STAGES,
-    {
-        "changed", "online", "dates", "inventory", "joints_only", "robots", "zeros", "refusals", "remarks", "scoring",
-        "sought",
-    },
+    {"robots"},
+    {"changed", "online", "dates", "inventory", "joints_only", "zeros", "refusals", "remarks", "scoring", "sought"},
     {"pipeline"},
     {"present", "comparison"},
     {"batch", "experiments"},

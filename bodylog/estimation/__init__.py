@@ -9,6 +9,7 @@ from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
 from .faults.consistency import doubts
 from .measurements import gather
+from .measurements.joint_limits import outside
 from .measurements.joints_alone import joints_body, readings, unlearned_body
 from .methods.choices import unheeded
 from .methods.finite import finite, solvable
@@ -16,7 +17,7 @@ from .methods.table import METHODS
 from .poses.estimate import estimate as still_poses
 from .timing.correction import as_stamped, dated, unsure
 
-__all__ = ["METHODS", "check", "estimate", "joints_body", "readings", "unlearned_body"]
+__all__ = ["METHODS", "check", "estimate", "joints_body", "outside", "readings", "unlearned_body"]
 
 
 def estimate(

@@ -32,9 +32,22 @@ class Mimic:
     offset: float
 
 
+@dataclass(frozen=True)
+class Limits:
+    """Where a joint can be, rad or m by `unit`; `rounding`: half a unit of the last digit that the URDF gives."""
+
+    lower: float
+    upper: float
+    rounding: float
+    unit: str
+
+
 @dataclass(frozen=True, eq=False)
 class Joint:
-    """One joint: origin (4,4) of the child in the parent at zero, m · axis (3,), of length one, in the child."""
+    """One joint: origin (4,4) of the child in the parent at zero, m · axis (3,), of length one, in the child.
+
+    limits: None where it has none, or none that make sense.
+    """
 
     name: str
     kind: str
@@ -43,6 +56,7 @@ class Joint:
     origin: Array
     axis: Array
     mimic: Mimic | None = None
+    limits: Limits | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +151,8 @@ def _joint(element: "Element", source: str) -> Joint:
     origin = element.find("origin")
     xyz, rpy = (np.zeros(3) if origin is None else _numbers(origin, key, "0 0 0", where) for key in ("xyz", "rpy"))
     axis = _axis(element, kind, where)
-    return Joint(name, kind, parent, child, transform(from_rpy(rpy), xyz), axis, _mimic(element, where))
+    pose, limits = transform(from_rpy(rpy), xyz), _limits(element, kind)
+    return Joint(name, kind, parent, child, pose, axis, _mimic(element, where), limits)
 
 
 def _axis(element: "Element", kind: str, where: str) -> Array:
@@ -159,6 +174,24 @@ def _mimic(element: "Element", where: str) -> Mimic | None:
     return Mimic(found.get("joint", ""), float(factor), float(offset))
 
 
+def _limits(element: "Element", kind: str) -> Limits | None:
+    """A joint's limits; a URDF whose limits are no numbers, or leave no room, is good for all else."""
+    found = element.find("limit")
+    if found is None or kind not in LIMITED:
+        return None
+    texts = [found.get(key, "0") for key in ("lower", "upper")]
+    try:
+        lower, upper = map(float, texts)
+    except ValueError:
+        return None
+    if not -1e9 < lower < upper < 1e9:
+        return None
+    digits = min(max(len(text.partition(".")[2]), 1) for text in texts if float(text))
+    return Limits(lower, upper, 0.5 * 10.0**-digits, LIMITED[kind])
+
+
+LIMITED = {"revolute": "rad", "prismatic": "m"}
+"""Kinds of joints that have limits, and their unit."""
 _FOLLOWS = {"multiplier": "1", "offset": "0"}
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BodylogError
+from ..settings import LIMITS, Input
 from ..types import Array, Batch, Topic
 from .columns import Columns, decoder, is_ros1
 from .containers import Log, open_log
@@ -43,9 +44,9 @@ class Described:
     cameras: Mapping[str, CameraInfo]
 
 
-def described(path: Path) -> Described:
+def described(path: Path, limits: Input = LIMITS) -> Described:
     """What a log of any format says of its robot; nothing where it is a table, or says nothing."""
-    with open_log(path) as log:
+    with open_log(path, limits=limits) as log:
         topics = {topic.id: topic for topic in log.topics if _kind(topic) is not None}
         found = _first(log, topics)
     texts = [c.column("data") for id_, c in found.items() if _kind(topics[id_]) == "description"]

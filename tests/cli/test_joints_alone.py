@@ -1,12 +1,15 @@
 """Logs without a body, truth kept elsewhere, and bounds on faults: what people automate."""
 
 import json
+import re
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 
 from bodylog.logs import recording
+from bodylog.logs.annotated import read_estimate
+from bodylog.logs.described import described
 from bodylog.settings import Settings
 from tests.conftest import SHARED
 
@@ -79,3 +82,32 @@ def test_a_real_robots_joints_are_told_by_themselves(tmp_path, bodylog, capsys):
         pytest.skip(f"{log} is not at hand")
     assert bodylog("estimate", log, "-o", tmp_path / "a.mcap", "--fail-if", "faults>0") == 0
     assert "readings that repeat the one before: lwr_arm_4_joint 67%" in capsys.readouterr().err
+
+
+def test_joints_outside_of_a_urdfs_limits_are_named(tmp_path, robot, bodylog, capsys):
+    """The log's own URDF accuses nobody; one with closer limits does; a body knows its robot."""
+    text = described(robot / "reach.mcap").urdf
+    out, closer = tmp_path / "a.mcap", tmp_path / "closer.urdf"
+    elbow = re.compile(r'(name="elbow_joint".*?)<limit [^>]*>', re.DOTALL)
+    closer.write_text(elbow.sub(r'\1<limit lower="-9" upper="-8"/>', text))
+    assert closer.read_text() != text
+    typed = ("estimate", robot / "reach.mcap", "-o", out)
+    assert bodylog(*typed, "--urdf", "log") == 0 and bodylog(*typed) == 0
+    assert "outside of" not in capsys.readouterr().err
+    assert bodylog(*typed, "--urdf", closer) == 0
+    assert "elbow_joint: " in (said := capsys.readouterr().err) and f"outside of -9 to -8 rad ({closer})" in said
+    assert bodylog(*typed, "--urdf", closer, "--body", robot / "body.npz") == 2
+    assert bodylog("estimate", closer, "-o", closer, "--urdf", closer) == 2
+    closer.write_text("<robot/>")
+    assert bodylog(*typed, "--urdf", closer) == 65
+    assert "closer.urdf: has no <link>" in capsys.readouterr().err
+
+
+def test_still_poses_without_a_body_are_what_their_encoders_read(tmp_path, bodylog, capsys):
+    rng = np.random.default_rng(3)
+    rows = rng.uniform(-1.0, 1.0, (40, 2))
+    (tmp_path / "poses.csv").write_text("pan,lift\n" + "".join(f"{a},{b}\n" for a, b in rows))
+    assert bodylog("estimate", tmp_path / "poses.csv", "-o", tmp_path / "a.mcap") == 0
+    assert "warning: " not in capsys.readouterr().err
+    belief = read_estimate(tmp_path / "a.mcap", recording.read(tmp_path / "a.mcap", Settings()).start_ns)
+    assert np.abs(belief.joints.values - rows).max() < 1e-5

@@ -40,7 +40,8 @@ def unlearned_body(cameras: Sequence[str]) -> Iterator[Finding]:
 def readings(joints: Series) -> Iterator[Finding]:
     """What joints' stamps and readings show of themselves: steps back, repeats, pauses, joints that say nothing."""
     yield from _stamps(joints)
-    share = {n: float(np.mean(np.diff(y) == 0.0)) for n, y in zip(joints.names, joints.values.T, strict=True)}
+    repeats = {n: np.diff(y) == 0.0 for n, y in zip(joints.names, joints.values.T, strict=True)}
+    share = {name: float(np.mean(same)) for name, same in repeats.items() if len(same)}
     if often := {name: part for name, part in share.items() if part > OFTEN}:
         most = sorted(often, key=lambda name: -often[name])
         some = ", ".join(f"{name} {often[name]:.0%}" for name in most[:NAMED])

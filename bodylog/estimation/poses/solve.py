@@ -27,7 +27,8 @@ GUESSES, CANDIDATES = 4, 400
 class Poses:
     """P poses: t (P,) s · source_ns · encoders z (P,M) rad, NaN if silent · places y, var (P,K) of all tracks, px, px².
 
-    Beforehand an angle is held to be `centre` (M,) within `span` (M,) rad. rows {sighting: its columns of K}.
+    Beforehand an angle is held to be `centre` (M,) within `span` (M,) rad, where the body's tracks were learned, or
+    what the encoders read where it has none. rows {sighting: its columns of K}.
     """
 
     t: Array
@@ -83,16 +84,11 @@ def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: Bod
     if encoders is not None:
         at = np.searchsorted(t, encoders.t)
         z[at], sources[at] = encoders.values, encoders.source_ns
-    explored = samples(body)
-    low, high = explored.min(axis=0), explored.max(axis=0)
+    known = [model.samples for model in body.senses.values() if hasattr(model, "samples")]
+    explored = np.concatenate(known) if known else z
+    low, high = (np.nan_to_num(end.reduce(explored, axis=0, initial=np.nan)) for end in (np.fmin, np.fmax))
     span = np.maximum(high - low, LEAST_SPAN)
     return Poses(t, sources, z, y, var, tuple(sightings), rows, (low + high) / 2.0, span)
-
-
-def samples(body: BodyModel) -> Array:
-    """The angles (S,M) rad that the body's tracks were learned at."""
-    known = [model.samples for model in body.senses.values() if hasattr(model, "samples")]
-    return np.concatenate(known) if known else np.zeros((1, len(body.joints)))
 
 
 def solved(poses: Poses, encoder: Array, offset: Array, start: Array | None = None) -> Solved:

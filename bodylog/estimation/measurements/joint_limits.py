@@ -1,0 +1,72 @@
+"""Joints recorded outside of the limits that a URDF gives them."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...kinematics.urdf import Limits
+from ...types import Array, Finding, Series
+from .joints_alone import NAMED, STEP
+
+TURN = 2.0 * np.pi
+"""rad: no joint with limits in radians is a whole turn beyond them; its readings are degrees or ticks."""
+MOST = 0.99
+"""Quantile of how far readings lie beyond limits by which units are judged: single wild readings decide nothing."""
+
+
+@dataclass(frozen=True)
+class _Outside:
+    """A joint's readings beyond its limits: how many of how many, by how much at most and by MOST, since when (s)."""
+
+    name: str
+    limits: Limits
+    count: int
+    readings: int
+    worst: float
+    typical: float
+    since: float
+
+    @property
+    def of_another_unit(self) -> bool:
+        """Whether it lies further beyond its limits than they lie apart."""
+        return self.typical > self.limits.upper - self.limits.lower
+
+
+def outside(joints: Series, limits: Mapping[str, Limits], source: str) -> Iterator[Finding]:
+    """Which joints read outside of their limits (rad, m), how often and by how much; `source`: where these are from.
+
+    No joint is accused where units or zeros are others than the URDF's: where one is a whole turn beyond its limits, or
+    where most joints lie beyond theirs.
+    """
+    columns = dict(zip(joints.names, joints.values.T, strict=True))
+    known = [_outside(name, limits[name], joints.t, columns[name]) for name in columns if name in limits]
+    found = [one for one in known if one.count]
+    turned = any(one.typical > TURN and one.limits.unit == "rad" for one in found)
+    other = turned or (len(found) > 1 and 2 * len(found) > len(known))
+    foreign = [one for one in found if other or one.of_another_unit]
+    for one in found:
+        if one not in foreign:
+            yield Finding("warning", f"joints: {_text(one, source)}")
+    if foreign:
+        some = "; ".join(_text(one, source) for one in foreign[:NAMED])
+        more = f"; and {len(foreign) - NAMED} joints more" if len(foreign) > NAMED else ""
+        yield Finding("info", f"joints: other units or zeros than those of {source}, or another robot's: {some}{more}")
+
+
+def _outside(name: str, limits: Limits, t: Array, y: Array) -> _Outside:
+    beyond = np.maximum(y - limits.upper, limits.lower - y)[np.isfinite(y)]
+    out = beyond > limits.rounding + STEP
+    if not out.any():
+        return _Outside(name, limits, 0, len(beyond), 0.0, 0.0, 0.0)
+    since = float(t[np.isfinite(y)][out][0])
+    worst, typical = np.quantile(beyond, [1.0, MOST]).tolist()
+    return _Outside(name, limits, int(out.sum()), len(beyond), worst, typical, since)
+
+
+def _text(one: _Outside, source: str) -> str:
+    lower, upper, unit = one.limits.lower, one.limits.upper, one.limits.unit
+    return (
+        f"{one.name}: {one.count} of {one.readings} readings outside of {lower:.4g} to {upper:.4g} {unit}"
+        f" ({source}), by up to {one.worst:.3g} {unit}, first at {one.since:.3f} s"
+    )

@@ -1,0 +1,86 @@
+"""Joints that read outside of the limits of their URDF, and readings of other units, which accuse no joint."""
+
+import numpy as np
+import pytest
+
+from bodylog.estimation.measurements.joint_limits import outside
+from bodylog.kinematics import urdf
+from bodylog.kinematics.urdf import Limits
+from bodylog.types import Series
+
+NAMES = ("pan", "lift", "elbow", "grip")
+LIMITS = {
+    **dict.fromkeys(NAMES[:3], Limits(-2.0, 2.0, 0.005, "rad")),
+    "grip": Limits(0.0, 0.04, 0.0005, "m"),
+}
+
+
+@pytest.fixture
+def healthy():
+    t = np.arange(0.0, 20.0, 0.01)
+    motion = np.stack([1.99 * np.sin(t / 3), np.cos(t), 0.1 * t, 0.02 + 0.02 * np.sin(t)], axis=1)
+    return Series(t, motion, NAMES, "rad", (t * 1e9).astype(np.int64))
+
+
+def _said(joints, values):
+    moved = Series(joints.t, values, joints.names, joints.unit, joints.source_ns)
+    return [(finding.severity, finding.text) for finding in outside(moved, LIMITS, "arm.urdf")]
+
+
+def test_a_joint_that_keeps_its_limits_is_not_named(healthy):
+    assert _said(healthy, healthy.values) == []
+    assert _said(healthy, np.full_like(healthy.values, np.nan)) == []
+    assert _said(healthy, healthy.values + np.array([0.015, 0.0, 0.0, 0.0])) == []  # 2.005 rad: how 2.00 is rounded
+
+
+def test_a_joint_outside_is_named_with_how_often_and_by_how_much(healthy):
+    values = healthy.values.copy()
+    values[100:150, 2] = 2.25
+    ((severity, text),) = _said(healthy, values)
+    assert severity == "warning" and "elbow: 50 of 2000 readings outside of -2 to 2 rad (arm.urdf)" in text
+    assert "by up to 0.25 rad, first at 1.000 s" in text
+
+
+def test_one_wild_reading_does_not_hide_what_another_joint_does(healthy):
+    values = healthy.values.copy()
+    values[7, 0] = 1e6
+    values[100:150, 2] = 2.25
+    assert [severity for severity, _ in _said(healthy, values)] == ["warning", "warning"]
+
+
+@pytest.mark.parametrize("factor", [180.0 / np.pi, 4096.0 / (2 * np.pi)])
+def test_degrees_and_ticks_accuse_no_joint(healthy, factor):
+    ((severity, text),) = _said(healthy, healthy.values * factor)
+    assert severity == "info" and "other units or zeros" in text
+
+
+def test_a_gripper_in_percent_is_not_accused_and_hides_nothing(healthy):
+    values = healthy.values * [1.0, 1.0, 1.0, 2500.0]
+    ((severity, text),) = _said(healthy, values)
+    assert severity == "info" and "grip: " in text and "pan" not in text
+    values[:50, 0] = -2.1
+    assert sorted(severity for severity, _ in _said(healthy, values)) == ["info", "warning"]
+
+
+def test_zeros_of_another_robot_accuse_no_joint(healthy):
+    assert [severity for severity, _ in _said(healthy, healthy.values + 1.5)] == ["info"]
+
+
+JOINT = """<robot name="r"><link name="a"/><link name="b"/>
+<joint name="j" type="{}"><parent link="a"/><child link="b"/>{}</joint></robot>"""
+READ = {
+    ("revolute", '<limit lower="-1.57" upper="3.1416"/>'): Limits(-1.57, 3.1416, 0.005, "rad"),
+    ("revolute", '<limit lower="-2" upper="2" effort="1"/>'): Limits(-2.0, 2.0, 0.05, "rad"),
+    ("prismatic", '<limit upper="0.040"/>'): Limits(0.0, 0.04, 0.0005, "m"),
+    ("continuous", '<limit lower="-1" upper="1"/>'): None,
+    ("revolute", '<limit effort="1" velocity="2"/>'): None,
+    ("revolute", '<limit lower="1" upper="-1"/>'): None,
+    ("revolute", '<limit lower="nan" upper="1e999"/>'): None,
+    ("revolute", '<limit lower="${-pi}" upper="${pi}"/>'): None,
+    ("revolute", ""): None,
+}
+
+
+@pytest.mark.parametrize(("kind", "limit"), READ)
+def test_limits_are_read_where_they_make_sense(kind, limit):
+    assert urdf.parse(JOINT.format(kind, limit), "r.urdf").by_name["j"].limits == READ[kind, limit]
