@@ -1,11 +1,9 @@
 """Files that are either whole or absent: written beside, synced, renamed."""
 
 import errno
-import hashlib
 import mmap
 import os
 import select
-import shutil
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -30,7 +28,7 @@ def replacing(path: Path) -> Iterator[Path]:
         with temporary.file(path.parent) as beside:
             yield beside
             if path.exists():
-                shutil.copymode(path, beside)
+                beside.chmod(path.stat().st_mode & 0o7777)
             sync(beside)
             os.replace(beside, path)
             sync(path.parent)
@@ -132,7 +130,9 @@ def lasting(path: Path) -> None:
 
 def sha256(path: Path) -> str:
     """Hex digest of a file, or of a folder's files in name order."""
-    digest = hashlib.sha256()
+    from hashlib import sha256
+
+    digest = sha256()
     for piece in pieces(path, 1 << 20):
         digest.update(piece)
     return digest.hexdigest()

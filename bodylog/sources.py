@@ -1,6 +1,5 @@
 """Where a track comes from: one record per kind of source of `[features]`, read from TOML and checked here."""
 
-import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
@@ -179,6 +178,8 @@ def _source(kind: type[Source], value: Mapping[str, Any], key: str) -> Source:
     checked = {}
     for name, given in value.items():
         if name not in known:
+            import difflib
+
             near = difflib.get_close_matches(str(name), known, 1, 0.0)[0]
             raise ConfigError(f"{key} has {name!r}; did you mean {near}? possible: {', '.join(known)}")
         if given is not None:

@@ -1,14 +1,11 @@
 """Logs behind URLs (s3://, http://, file://, memory:// and whatever else fsspec knows): found, measured, fetched."""
 
-import hashlib
 import posixpath
 import re
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 from . import files, temporary
 from .errors import BodylogError, LogError, UsageError
@@ -41,6 +38,8 @@ def behind(url: str, suffixes: tuple[str, ...]) -> tuple[str, ...]:
 
 def name_of(url: str) -> str:
     """The file name at the end of a URL, made safe."""
+    from urllib.parse import unquote
+
     name = posixpath.basename(unquote(url.split("?", 1)[0].rstrip("/")))
     return re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log"
 
@@ -69,7 +68,9 @@ def identity(url: str) -> str:
         store, path = _store(url)
         said = store.info(path)
     telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
-    return hashlib.sha256(repr([url, *((key, str(said.get(key))) for key in telling)]).encode()).hexdigest()
+    from hashlib import sha256
+
+    return sha256(repr([url, *((key, str(said.get(key))) for key in telling)]).encode()).hexdigest()
 
 
 def part(url: str, start: int, end: int) -> bytes:
@@ -101,6 +102,8 @@ def naming(path: Path, url: str) -> Iterator[None]:
 
 
 def _fetch(url: str, path: Path) -> Path:
+    import shutil
+
     wanted, free = size(url), shutil.disk_usage(path.parent).free - _MARGIN
     if wanted > free:
         raise LogError(f"{url}: {wanted} bytes, where {free} are free in {path.parent}; give a folder with more room")

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from typing import TYPE_CHECKING
 
 from ..errors import FormatError
 from ..types import Array
@@ -10,6 +10,12 @@ from .chunks import Chunk, Loose, unpack
 from .compression import Buffer
 from .ledger import Ledger
 from .mapping import fetch
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+_SMALL = 4 << 20
+"""Bytes of a log that are unpacked in less time than it takes to have a thread for it."""
 
 _SHORT, _LONG = 1 << 14, 8 << 20
 """Packed bytes: shorter chunks are unpacked sooner than handed over, of longer ones memory shall not hold two."""
@@ -22,16 +28,18 @@ def unpacked_parts(
     data: memoryview, parts: Sequence[Chunk | Loose], ledger: Ledger, alone: bool = False
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
     """Each part with what it unpacks to, valid until the next is asked for; `alone`: nothing between is wanted."""
-    if len(parts) < 3 or _processors() < 2:
+    if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _processors() < 2:
         buffer = Buffer(ledger.path, ledger.limits)
         yield from ((part, _unpacked(data, part, buffer, alone)) for part in parts)
         return
+    from concurrent.futures import ThreadPoolExecutor
+
     with ThreadPoolExecutor(1) as pool:
         yield from _overlapped(data, parts, pool, ledger, alone)
 
 
 def _overlapped(
-    data: memoryview, parts: Sequence[Chunk | Loose], pool: ThreadPoolExecutor, ledger: Ledger, alone: bool
+    data: memoryview, parts: Sequence[Chunk | Loose], pool: "ThreadPoolExecutor", ledger: Ledger, alone: bool
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
     """Two buffers in turn; the first part comes alone, since who looks at a log's beginning wants no more."""
     here, there = Buffer(ledger.path, ledger.limits), Buffer(ledger.path, ledger.limits)

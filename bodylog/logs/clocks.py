@@ -1,6 +1,6 @@
 """Which clock dates a stream, and what to do with stamps that are out of order, doubled or years away."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -94,7 +94,7 @@ def repeats(t_ns: Array) -> Array:
     between = np.full(len(t), np.iinfo(np.int64).max)
     between[order[1:-1]] = t[order[2:]] - t[order[:-2]]
     # a part written late stands alone among its neighbours, one that was dated twice has others in between
-    again[near] = far & (behind > 0) & (between < 1.5 * np.median(steps[steps > 0]))
+    again[near] = far & (behind > 0) & (between < 1.5 * median(steps[steps > 0]))
     return again
 
 
@@ -117,7 +117,7 @@ def _doubled(stamp_ns: Array, log_ns: Array) -> bool:
     stamps, logged = stamp_ns[order], log_ns[order]
     first = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
     steps, spans = np.diff(stamps[first]), logged[np.append(first[1:], len(stamps)) - 1] - logged[first]
-    return len(steps) > 0 and bool(np.median(spans) < 0.5 * np.median(steps))
+    return len(steps) > 0 and median(spans) < 0.5 * median(steps)
 
 
 def _near(t_ns: Array) -> Array:
@@ -142,8 +142,20 @@ def _offset(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[int | N
         return None, None
     late = (log_ns - stamp_ns)[near]
     # Relative to the first, or the float64 of clocks fifty years apart would round to 256 ns.
-    low, middle, high = np.percentile(late - late[0], [5, 50, 95])
-    return int(late[0]) + round(middle), float(high - low) / 1e9
+    low, middle, high = quantiles(late - late[0], (0.05, 0.5, 0.95))
+    return int(late[0]) + round(middle), (high - low) / 1e9
+
+
+def quantiles(values: Array, wanted: Sequence[float]) -> list[float]:
+    """The quantiles of values (n,) as `np.quantile` has them, which imports more than it takes to read a small log."""
+    ordered = np.sort(values)
+    found = np.interp(np.multiply(wanted, len(ordered) - 1), np.arange(len(ordered)), ordered)
+    return [float(value) for value in found]
+
+
+def median(values: Array) -> float:
+    """The median of values (n,)."""
+    return quantiles(values, (0.5,))[0]
 
 
 def seconds(t_ns: Array, start_ns: int) -> Array:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from tempfile import gettempdir
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -148,6 +147,8 @@ def located(path: str | Path) -> Iterator[Path]:
     if not stores.is_url(str(path)):
         yield Path(path)
         return
+    from tempfile import gettempdir
+
     from . import sparse
 
     url = str(path)

@@ -11,7 +11,6 @@ from ..types import Array, Batch, Topic
 from ..values import nanoseconds, number, read_json, text
 from .columns import Columns, Part, joined
 from .object_places import number_of, shaped
-from .objects_alike import JsonAlike, ProtobufAlike
 from .paths import Only, Step
 
 _SECONDS = ("sec", "secs", "seconds")
@@ -94,6 +93,8 @@ class ObjectDecoder:
         self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
         self.seen = self.fast = 0
         self.rejected: Counter[str] = Counter()
+        from .objects_alike import JsonAlike, ProtobufAlike
+
         self.alike: JsonAlike | ProtobufAlike = (
             JsonAlike(paths, self.single) if topic.encoding == "json" else ProtobufAlike(topic, paths, self.single)
         )

@@ -14,20 +14,14 @@ from .messages import TRACK, TRACK_NAMES, escape, from_joints
 from .pose_columns import in_degrees, poses
 from .ros1 import known_definition
 from .table_file import kind, read
+from .topics import INDEPENDENT
 from .vocabulary import definition
 
-INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
-"""Metadata of a topic of joints whose messages are still poses that say nothing of each other."""
 JOINTS = "/joint_states"
 VECTOR = "bodylog_msgs/msg/Vector"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _LARGEST = 64 << 20
 _AS_THEY_ARE = (".jpg", ".jpeg", ".png", ".webp")
-
-
-def independent(topics: Collection[Topic]) -> bool:
-    """Whether a topic of joints holds still poses, each by itself."""
-    return any(topic.metadata.get(key) == value for topic in topics for key, value in INDEPENDENT.items())
 
 
 class PoseLog:

@@ -13,8 +13,8 @@ from ..types import Features, Finding, Frame, Health, Recording, Series, Topic, 
 from . import cameras, joint_topics, offers, roles, video
 from . import frames as camera
 from .containers import Log, open_log
-from .pose_log import independent
 from .streams import Stream, health, joints_of, remarks, series, streams
+from .topics import independent
 
 _OURS, _VIEW = "/bodylog/", "camera/"
 

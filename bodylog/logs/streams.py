@@ -11,12 +11,12 @@ from ..errors import BodylogError, ConfigError, FormatError, LogError
 from ..settings import Settings
 from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import images, signals
-from .clocks import Dated, date, largest_gap, seconds
+from .clocks import Dated, date, largest_gap, median, seconds
 from .columns import Columns, Source, columns, columns_of
 from .containers import Log
-from .pose_log import independent
 from .roles import Role
 from .stamps import stamp_field
+from .topics import independent
 
 _MINUTE = 60_000_000_000
 _JOINT_FIELDS = ("name", "position")
@@ -250,7 +250,7 @@ def _vanishing(stream: Stream) -> Iterator[str]:
         known = t[np.isfinite(column)]
         if len(known) < 2:
             continue
-        long = max(_GONE, _RARE * float(np.median(np.diff(known))))
+        long = max(_GONE, _RARE * median(np.diff(known)))
         if t[-1] - known[-1] > long:
             yield f"{name} vanishes: no reading after {known[-1]:.3f} s, while others go on until {t[-1]:.3f} s"
         if known[0] > long:

@@ -9,6 +9,14 @@ from ..types import Array, Batch, Topic
 from ..values import LATEST_NS, is_time, text, times
 from .ledger import Ledger
 
+INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
+"""Metadata of a topic of joints whose messages are still poses that say nothing of each other."""
+
+
+def independent(topics: Collection[Topic]) -> bool:
+    """Whether a topic of joints holds still poses, each by itself."""
+    return any(topic.metadata.get(key) == value for topic in topics for key, value in INDEPENDENT.items())
+
 
 class Topics:
     """The topics of one log, numbered from 0 in the order met."""

@@ -1,6 +1,5 @@
 """zstd around what a log holds: whole files, unpacked to a temporary file, and single messages (rosbag2)."""
 
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -41,7 +40,9 @@ def unpack_file(
     """
     with scratch() as folder:
         inner = folder / path.stem
-        _unpack(path, inner, shutil.disk_usage(folder).free - _MARGIN, limits, check)
+        from shutil import disk_usage
+
+        _unpack(path, inner, disk_usage(folder).free - _MARGIN, limits, check)
         return use(inner)
 
 

@@ -1,0 +1,29 @@
+"""What `bodylog info` and `import bodylog.logs` need not import is not imported: it takes longer than the work."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LOG = Path(__file__).parents[2] / "fixtures" / "containers" / "zstd.mcap"
+HEAVY = ("cv2", "scipy", "matplotlib", "rich", "numpy.ma", "concurrent.futures", "logging", "hashlib", "shutil",
+         "rosbags", "mcap", "ruamel", "threadpoolctl", "simplejpeg", "fsspec", "bodylog.pipeline")  # fmt: skip
+INFO = f"""
+import sys, bodylog_cli
+assert bodylog_cli.run(["info", {str(LOG)!r}]) == 0
+"""
+READ = f"""
+import sys, bodylog.logs
+assert "numpy" not in sys.modules
+with bodylog.logs.open({str(LOG)!r}) as log:
+    log.read({{topic.name: [] for topic in log.topics}})
+"""
+
+
+@pytest.mark.parametrize("script", [INFO, READ])
+def test_nothing_heavy_is_imported(script):
+    ask = f"print([name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)"
+    command = [sys.executable, "-c", f"{script}\n{ask}"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd="/")
+    assert done.stderr.strip() == "[]"
