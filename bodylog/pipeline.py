@@ -7,13 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import __version__, changed, sought
+from . import __version__, changed, in_space, sought
 from .files import sha256
 from .joints_only import joints_alone, without_body
 from .outputs import Output
 from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
 from .remarks import named, sightings, untold
-from .scoring import against, bounded, judge
+from .scoring import against, bounded, judge, with_true_poses
 from .settings import LIMITS, Input, Settings, plain, wanted
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
 
@@ -146,6 +146,7 @@ def fit(
     robot = robots.robot(logs, features, settings)
     with about(logs[0], findings, len(logs) - 1):
         learned = dates.learned(features, settings, provenance, known, robot)
+    learned = replace(learned, model=robots.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     model.save(learned.model, out)
     said = (*findings, *remarks, *learned.findings, *more)
@@ -188,6 +189,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         same_size(log, learned, features, settings)
         found = _estimated(log, read, features, learned, settings)
         lost = written.add(_estimate_messages(read, features, found))
+        read = with_true_poses(log, found, read)
         scores = judge(found, read)
         origin = _provenance([(log, written.digest())], read.settings)
         written.about(origin | ({} if body is None else {"body_sha256": sha256(body)}) | annotated.describe(found))
@@ -200,6 +202,7 @@ def _estimated(log: Path, read: Recording, features: Features, learned: BodyMode
     """`infer`, its refusals told of the log, with what that lost."""
     with about(log, read.findings):
         found = changed.compared(features, learned, infer(features, learned, settings), settings.estimate)
+        found = in_space.added(learned, found)
     insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
 
@@ -226,6 +229,7 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
 
     read = recording.read(log, settings, settings.input.strict)
     found = annotated.read_estimate(log, read.start_ns)
+    read = with_true_poses(log, found, read)
     if truth is not None:
         read = against(truth, found, read, settings)
     remarks = (*read.findings, *named(found.faults), *untold(found, read.truth))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from .errors import LogError
 from .settings import Settings
-from .types import Array, Features
+from .types import Array, BodyModel, Features
 
 if TYPE_CHECKING:
     from .body.kinematic import Robotics
@@ -80,6 +80,24 @@ def _from_log(log: Path, text: str) -> "Robot":
     from .kinematics import urdf
 
     return urdf.parse(text, f"{log}: /robot_description")
+
+
+def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:
+    """The body whose senses with kinematics know how the robot's root carries what they see."""
+    if known is None:
+        return body
+    from dataclasses import replace
+
+    from .body.kinematic import still
+    from .body.kinematic_gp import KinematicGP
+    from .kinematics.pose import based
+
+    held = still(features, body.joints)
+    senses = {
+        name: replace(one, base=based(known.robot, one.rig, one.theta, held)) if isinstance(one, KinematicGP) else one
+        for name, one in body.senses.items()
+    }
+    return replace(body, senses=senses)
 
 
 def _hints(robot: "Robot", told: "Sequence[Described]", features: Sequence[Features]) -> "dict[str, CameraHint]":

@@ -5,20 +5,56 @@ from pathlib import Path
 
 from .errors import InputError, LogError
 from .settings import Settings, Topics
-from .types import Estimate, Recording, Score, Series
+from .types import Estimate, Poses, Recording, Score, Series
 
 
 def judge(found: Estimate, read: Recording) -> tuple[Score, ...]:
     """Figures of merit; those against truth only where the recording carries it."""
     from .evaluation.scores import scores
 
-    return scores(found, read.truth, read.joints)
+    told = scores(found, read.truth, read.joints)
+    if found.effector is None or read.truth_pose is None:
+        return told
+    from .evaluation import poses
+
+    return (*told, *poses.scores(found.effector, read.truth_pose))
+
+
+def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
+    """The recording with the effector's true poses, where the estimate has poses and the log carries true ones."""
+    if found.effector is None:
+        return read
+    from .logs import pose_topics
+
+    return replace(read, truth_pose=pose_topics.true_poses(log, read.start_ns))
 
 
 def against(path: Path, found: Estimate, read: Recording, settings: Settings) -> Recording:
     """The recording with the truth in a file beside it; InputError where that says nothing about the estimate."""
+    if (poses := _poses_beside(path, read)) is not None:
+        return _comparable_poses(path, found, replace(read, truth_pose=poses))
     read = replace(read, truth=_beside(path, read, settings))
     _comparable(path, found, read)
+    return read
+
+
+def _poses_beside(path: Path, read: Recording) -> Poses | None:
+    """The effector's true poses in a table beside the log; None where it is no such table."""
+    from .evaluation import truth
+
+    return truth.load_poses(path, read.start_ns)
+
+
+def _comparable_poses(path: Path, found: Estimate, read: Recording) -> Recording:
+    """The recording; InputError where true poses have no estimate beside them."""
+    truth, t = read.truth_pose, found.joints.t
+    assert truth is not None
+    if found.effector is None:
+        advice = "type: bodylog fit LOG --urdf ROBOT.urdf, and estimate again"
+        raise InputError(f"{path}: has x, y, z, but the estimate has no pose; {advice}")
+    if truth.t[0] > t[-1] or truth.t[-1] < t[0]:
+        span = f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} to {t[-1]:.3f} s"
+        raise InputError(f"{path}: {span} after the log's first joint reading; give times since that one, or 1970")
     return read
 
 

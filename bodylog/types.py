@@ -32,6 +32,21 @@ class Series:
     std: Array | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """A frame's poses in another: t (N,) s · place (N,3) m · turn (N,4) quaternion x, y, z, w · source_ns (N,).
+
+    cov (N,6,6) of place, m, and of a small turn about the other frame's axes, rad; None where it is not known.
+    """
+
+    t: Array
+    place: Array
+    turn: Array
+    frame: str
+    source_ns: Array
+    cov: Array | None = None
+
+
 @dataclass(frozen=True)
 class Health:
     """What became of one topic's messages: counts, the reasons for rejection, the largest gap in s."""
@@ -215,6 +230,7 @@ class Recording:
     what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
     read with. `watched` are the first camera's frames, if someone was told of them while the log was read. `poses`: the
     joints are still poses, each by itself. `beside`: joints of further topics that nobody named.
+    `truth_pose`: the effector's true poses, for scores alone.
     `tracks` and `track_health` {feature: …} are those of [features] that topics or tables have.
     """
 
@@ -237,6 +253,7 @@ class Recording:
     watched: Watched | None = None
     poses: bool = False
     beside: tuple[str, ...] = ()
+    truth_pose: Poses | None = None
     tracks: Mapping[str, Series] = field(default_factory=dict)
     track_health: Mapping[str, Health] = field(default_factory=dict)
 
@@ -339,7 +356,8 @@ class Estimate:
 
     errors {sense: Series in standard deviations at the times it was heard} · used {sense: Health} ·
     predicted {track: Series px with std at the track's times} · predicted_cov {track: (K,2,2) px²} ·
-    bias (N,M) rad or None · faults · settings as resolved · can: what the method can do.
+    bias (N,M) rad or None · faults · settings as resolved · can: what the method can do ·
+    effector: poses in the robot's base, where lengths are known in m · kinematic {track: px by kinematics alone}.
     """
 
     method: str
@@ -356,6 +374,8 @@ class Estimate:
     faults: tuple[Fault, ...] = ()
     findings: tuple[Finding, ...] = ()
     can: Capabilities = Capabilities()
+    effector: Poses | None = None
+    kinematic: Mapping[str, Series] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

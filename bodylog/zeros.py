@@ -5,10 +5,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .body.offsets import plain
 from .errors import ModelError, UsageError
 
 if TYPE_CHECKING:
     from .kinematics.identifiability import Offset
+
+__all__ = ["FORMS", "plain", "write", "zeros"]
 
 FORMS = (".yaml", ".yml", ".json", ".urdf")
 
@@ -22,20 +25,6 @@ def zeros(body: Path) -> "tuple[Offset, ...]":
         return offsets.learned(learned)
     except ModelError as problem:
         raise ModelError(f"{body}: {problem}") from problem
-
-
-def plain(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
-    """As plain values: {joint: value (None where it is not identifiable), std, unit, identifiable, confused with}."""
-    return {
-        one.joint: {
-            "value": one.value if one.identifiable else None,
-            "std": one.std,
-            "unit": one.unit,
-            "identifiable": one.identifiable,
-            "confused_with": list(one.confused),
-        }
-        for one in found
-    }
 
 
 def write(found: "tuple[Offset, ...]", out: Path, urdf: Path | None) -> None:

@@ -15,7 +15,7 @@ LAYERS = (
     {*RECORDS, *SHARED, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},
     STAGES,
-    {"robots"},
+    {"in_space", "robots"},
     {"changed", "online", "dates", "inventory", "joints_only", "zeros", "refusals", "remarks", "scoring", "sought"},
     {"pipeline"},
     {"present", "comparison"},

@@ -61,10 +61,10 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     order = sorted(tracks, key=lambda name: (name in found.poor, name))
     parts = {name: pairs(features, name, found.joints, settings.fit.every) for name in order}
     parts = {name: part.rows(farthest(part.x, settings.fit.samples)) for name, part in parts.items()}
-    still, left_out = _still(features, names), dict[str, str]()
+    held, left_out = still(features, names), dict[str, str]()
     for _ in range(len(parts)):
         seen = {name: _track(name, part) for name, part in parts.items()}
-        links = find(robot, names, still, seen, given.hints, given.doubt)
+        links = find(robot, names, held, seen, given.hints, given.doubt)
         whys = dict(_unexplained(links, parts))
         foreign = {name: why for name, why in whys.items() if name in found.poor}
         if not foreign or len(foreign) == len(parts):
@@ -90,7 +90,7 @@ def _track(name: str, part: Pairs) -> Track:
     return Track(camera, marker, Sighted(part.x, part.y[:, None], part.floor[:, None]))
 
 
-def _still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
+def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
     """The median angle, rad, of joints that are heard and did not move."""
     found: dict[str, float] = {}
     told = (encoders.referred(one, None).joints for one in features)

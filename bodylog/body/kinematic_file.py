@@ -1,11 +1,13 @@
 """A KinematicGP as plain arrays and names, and back; what contradicts itself is refused by field."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ..kinematics.chain import Chain
+from ..kinematics.pose import Base
 from ..kinematics.rig import Camera, Carrier, Rig, Sight
 from ..types import Array
 from .gp import GP
@@ -26,16 +28,25 @@ SHAPES = {
     "points": "c3",
     "point": "1",
 }
+BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
+"""Of a model that knows its robot's base: x steps and one, y steps."""
+_BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
+_THINGS = ("marker", "camera")
 _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
 
 
 def arrays(model: KinematicGP) -> dict[str, Array]:
     """What SHAPES names, of a model with one camera, marker and sight."""
     rig, sight = model.rig, model.rig.sights[0]
-    chain = sight.chain
-    return {
+    chain, base = sight.chain, model.base
+    carried = (
+        {}
+        if base is None
+        else {"base": base.chain.fixed, "base_steps": _steps(base.chain), "base_tool": base.tool}
+    )
+    return carried | {
         "chain": chain.fixed,
-        "steps": np.column_stack([chain.column, chain.scale, chain.zero, chain.slides]),
+        "steps": _steps(chain),
         "camera": rig.cameras[0].anchor,
         "marker": rig.carriers[0].anchor,
         "lens": rig.cameras[0].lens,
@@ -54,22 +65,31 @@ def names(model: KinematicGP) -> dict[str, str]:
     rig, sight = model.rig, model.rig.sights[0]
     camera, marker = rig.cameras[0], rig.carriers[0]
     values = (camera.name, camera.link, marker.name, marker.link, sight.name, sight.chain.start, sight.chain.end)
-    return dict(zip(_NAMES, values, strict=True))
+    base, carried = model.base, dict[str, str]()
+    if base is not None:
+        told = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
+        carried = dict(zip(_BASE_NAMES, told, strict=True))
+    return dict(zip(_NAMES, values, strict=True)) | carried
+
+
+def _steps(chain: Chain) -> Array:
+    return np.column_stack([chain.column, chain.scale, chain.zero, chain.slides])
+
+
+def shapes(said: Mapping[str, Any]) -> dict[str, str]:
+    """The arrays of a model with these names, and their shapes."""
+    return SHAPES | (BASE if _BASE_NAMES[0] in said else {})
 
 
 def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> KinematicGP:
     """The model of a residual, arrays as SHAPES and names; ValueError for what contradicts itself."""
     steps, doubt, count = found["steps"], found["doubt"], len(joints)
     turns = len(doubt) == 18 + count
-    _insist(len(found["chain"]) == len(steps) + 1, "steps", len(steps), f"{len(found['chain']) - 1} steps")
     _insist(turns or len(doubt) == 15 + count, "doubt", len(doubt), f"{15 + count} or {18 + count} numbers")
     _insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
-    column, slides = steps[:, 0].astype(np.int64), steps[:, 3]
-    _insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), "steps", column, "joints")
-    _insist(np.isin(slides, (0.0, 1.0)).all(), "steps", slides, "0 or 1 in the last column")
     point = int(found["point"][0])
     _insist(found["point"][0] == point and 0 <= point < len(found["points"]), "point", point, "one of points")
-    chain = Chain(said["start"], said["end"], joints, found["chain"], column, steps[:, 1], steps[:, 2], slides > 0)
+    chain = _chain(said["start"], said["end"], joints, found["chain"], steps, "steps")
     end = 18 if turns else 15
     rig = Rig(
         (Camera(said["camera"], said["camera_link"], found["camera"], found["lens"], doubt[:12]),),
@@ -78,14 +98,36 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: 
         joints,
         doubt[end:],
     )
-    return KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"], point)
+    model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"], point)
+    return replace(model, base=_base(joints, found, said))
+
+
+def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
+    _insist(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
+    column, slides, count = steps[:, 0].astype(np.int64), steps[:, 3], len(joints)
+    _insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
+    _insist(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
+    return Chain(start, end, joints, fixed, column, steps[:, 1], steps[:, 2], slides > 0)
+
+
+def _base(joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> Base | None:
+    if _BASE_NAMES[0] not in said:
+        return None
+    start, end, link, thing = (said[name] for name in _BASE_NAMES)
+    chain = _chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
+    return Base(chain, found["base_tool"], link, thing == _THINGS[1])
 
 
 def checked(said: Any) -> dict[str, str]:
     """The names of a header; ValueError where one is missing."""
     if not isinstance(said, dict) or not all(isinstance(said.get(name), str) for name in _NAMES):
         raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_NAMES)}")
-    return {name: said[name] for name in _NAMES}
+    if _BASE_NAMES[0] not in said:
+        return {name: said[name] for name in _NAMES}
+    carried = all(isinstance(said.get(name), str) for name in _BASE_NAMES)
+    if not carried or said[_BASE_NAMES[-1]] not in _THINGS:
+        raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}")
+    return {name: said[name] for name in (*_NAMES, *_BASE_NAMES)}
 
 
 def _insist(sound: Any, field: str, found: object, possible: str) -> None:

@@ -7,6 +7,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..kinematics.instant import Instant, instant
+from ..kinematics.pose import Base
 from ..kinematics.rig import Rig, Seen
 from ..types import Array
 from .gp import GP, se
@@ -21,7 +22,8 @@ class KinematicGP(GP):
 
     rig: one camera, one marker, one sight · point: which of the sight's · theta (P,), of greatest posterior · root
     (P,p): θ's covariance is root rootᵀ · lean (D,p,n): the samples foretell root's columns by it, as weights do the
-    residual · drift (D,) px²: variance of an error that lasts longer than a log.
+    residual · drift (D,) px²: variance of an error that lasts longer than a log · base: how the robot's root carries
+    the marker, or the camera that moves, where a URDF said.
     """
 
     rig: Rig
@@ -30,6 +32,7 @@ class KinematicGP(GP):
     lean: Array
     drift: Array
     point: int = 0
+    base: Base | None = None
 
     @classmethod
     def on(cls, plain: GP, rig: Rig, theta: Array, root: Array, lean: Array, drift: Array, point: int = 0) -> Self:

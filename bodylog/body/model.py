@@ -67,8 +67,8 @@ def save(model: BodyModel, path: Path) -> None:
         if type(sense) not in _KINDS:
             possible = ", ".join(kind.__name__ for kind in _KINDS)
             raise ModelError(f"{path}: sense {name!r}: a {type(sense).__name__} cannot be saved; possible: {possible}")
-        fields = _SHAPES[_KINDS[type(sense)]]
         own = kinematic_file.arrays(sense) if isinstance(sense, KinematicGP) else {}
+        fields = (*_SHAPES[_KINDS[type(sense)]], *(field for field in own if field in kinematic_file.BASE))
         values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
         arrays |= {f"{name}/{field}.npy": np.asarray(value, np.float64) for field, value in values.items()}
     arrays[_HEADER] = np.array(json.dumps(_header(model), sort_keys=True))
@@ -242,7 +242,7 @@ def _sense(
 ) -> GP | Polynomial:
     sizes = {"d": len(outputs), "m": len(joints), **_SIZES}
     arrays: dict[str, Array] = {}
-    for field, letters in _SHAPES[kind].items():
+    for field, letters in (_SHAPES[kind] if links is None else _LEARNED | kinematic_file.shapes(links)).items():
         value = _array(path, archive, f"{name}/{field}.npy", "f")
         found = dict(zip(letters, value.shape, strict=False))
         expected = tuple(sizes.setdefault(letter, found.get(letter, 0)) for letter in letters)

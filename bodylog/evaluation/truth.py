@@ -9,13 +9,15 @@ import numpy as np
 
 from .. import files
 from ..errors import InputError
-from ..types import Array, Series
+from ..types import Array, Poses, Series
 
 MOST_BYTES = 1 << 30
 """Bytes that a table, or the arrays of an archive once unpacked, may have."""
 TIMES = ("t", "time", "timestamp", "stamp", "t_ns", "time_ns", "timestamp_ns", "stamp_ns", "t_s", "time_s", "seconds")
 NAMES, ANGLES, STARTS = ("names", "joints", "joint_names"), ("q", "positions", "position"), ("start", "start_ns", "T0")
 """Columns and arrays that are looked for, in order."""
+PLACE, TURN = ("x", "y", "z"), ("qx", "qy", "qz", "qw")
+"""Columns of a table of poses."""
 EPOCH = ((1e17, 1.0), (1e14, 1e3), (1e11, 1e6), (1e8, 1e9))
 """From which number on a time is one since 1970, and its unit in ns; smaller ones are s since the log began."""
 SURE, SAME = 0.5, 0.01
@@ -38,10 +40,37 @@ def load(path: Path, start_ns: int, joints: Series | None) -> Series:
     return Series(found.t[order], found.values[order], found.names, "rad", found.source_ns[order])
 
 
+def load_poses(path: Path, start_ns: int) -> Poses | None:
+    """The effector's poses in a table (.csv): columns x, y, z (m, in the robot's base), and qx, qy, qz, qw or no turn.
+
+    t in s since `start_ns`; each name may begin with effector_. None where the file is no table or has no x, y, z;
+    InputError where it has, and no times or numbers.
+    """
+    if path.suffix != ".csv":
+        return None
+    try:
+        rows = _table(path, start_ns)
+    except (OSError, ValueError, csv.Error) as err:
+        raise InputError(f"{path}: no truth can be read from it ({err}); {_possible()}") from None
+    columns = {name.removeprefix("effector_"): rows.values[:, k] for k, name in enumerate(rows.names)}
+    if not set(PLACE) <= set(columns):
+        return None
+    place = np.column_stack([columns[name] for name in PLACE])
+    turn = np.full((len(place), 4), np.nan)
+    if set(TURN) <= set(columns):
+        turn = np.column_stack([columns[name] for name in TURN])
+        turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    sound = np.isfinite(place).all(axis=1) & np.isfinite(rows.t)
+    if not sound.any():
+        raise InputError(f"{path}: {len(place)} rows, but not with numbers for times and x, y, z; {_possible()}")
+    order = np.flatnonzero(sound)[np.argsort(rows.t[sound], kind="stable")]
+    return Poses(rows.t[order], place[order], turn[order], "", rows.source_ns[order])
+
+
 def _possible() -> str:
     return (
         "possible: a .csv with a column t (s since the log's first joint reading, or since 1970 in s, ms, µs, ns) and "
-        "one in rad for each joint by its name; an .npz with arrays t, q and names; or a log"
+        "one in rad for each joint by its name, or x, y, z in m; an .npz with arrays t, q and names; or a log"
     )
 
 

@@ -91,3 +91,31 @@ def transform(rotation: Array, place: Array) -> Array:
 def inverse(pose: Array) -> Array:
     """The inverse of a homogeneous matrix (4,4)."""
     return transform(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
+
+
+def quaternions(rotation: Array) -> Array:
+    """Unit quaternions x, y, z, w (N,4) of rotations (N,3,3), w not negative."""
+    r = rotation
+    trace = np.einsum("nii->n", r)
+    # four ways to the same, of which the one with the largest root is sound (Shepperd 1978)
+    roots = np.stack([r[:, 0, 0], r[:, 1, 1], r[:, 2, 2], trace], axis=1)
+    largest = roots.argmax(axis=1)
+    found = np.empty((len(r), 4))
+    for n in range(3):
+        i, j, k = n, (n + 1) % 3, (n + 2) % 3
+        rows = largest == n
+        one = r[rows]
+        found[np.ix_(rows, [i, j, k, 3])] = np.column_stack(
+            [
+                1.0 + one[:, i, i] - one[:, j, j] - one[:, k, k],
+                one[:, i, j] + one[:, j, i],
+                one[:, i, k] + one[:, k, i],
+                one[:, k, j] - one[:, j, k],
+            ]
+        )
+    rows = largest == 3
+    one = r[rows]
+    lower = [one[:, 2, 1] - one[:, 1, 2], one[:, 0, 2] - one[:, 2, 0], one[:, 1, 0] - one[:, 0, 1]]
+    found[rows] = np.column_stack([*lower, 1.0 + trace[rows]])
+    found /= np.linalg.norm(found, axis=1)[:, None]
+    return np.asarray(np.where(found[:, 3:] < 0.0, -found, found))

@@ -17,6 +17,7 @@ from ..types import (
     Features,
     Finding,
     Health,
+    Poses,
     Series,
     Stroke,
     Synchrony,
@@ -27,7 +28,8 @@ from ..values import read_json
 from .append import NAME, ROOT
 from .columns import columns_of
 from .containers import Log, open_log
-from .messages import ERROR, PREDICTED, PREDICTED_NAMES, TRACK, TRACK_NAMES, unescape
+from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES, TRACK, TRACK_NAMES, unescape
+from .pose_topics import POSED, poses
 from .records import HEAD, METADATA, METADATA_INDEX, parse
 from .signals import believed
 from .toplevel import TopLevel
@@ -41,6 +43,7 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
     "bodylog_msgs/msg/Stroke": ("header.stamp", "duration", "start.x", "start.y", "end.x", "end.y", "delay"),
     "bodylog_msgs/msg/Synchrony": ("header.stamp", "delay", "weight"),
     "bodylog_msgs/msg/Fault": ("header.stamp", "sense", "name", "kind", "size", "unit"),
+    POSE: POSED,
     "sensor_msgs/msg/JointState": ("header.stamp", "name", "position", "velocity"),
 }
 """Type -> the fields of it that are read back."""
@@ -101,6 +104,8 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
         bias=table.series(ROOT + "encoder_bias", "rad"),
         faults=table.faults(),
         findings=said.findings,
+        effector=table.effector(),
+        kinematic=table.under(KINEMATIC, "px"),
         can=said.can,
     )
 
@@ -277,6 +282,11 @@ class _Table:
                 known = None if std != std else std
                 found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], known))
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
+
+    def effector(self) -> Poses | None:
+        """The effector's poses in the base, or None where there are none."""
+        columns = self.columns.get(ROOT + "effector_pose")
+        return None if columns is None else poses(columns, self.start_ns)
 
     def _unfit(self, topic: str, found: str) -> LogError:
         return LogError(f"{self.path}: {topic}: {found}; {_again(self.path)}")

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ..types import Array, Estimate, Fault, Features, Outgoing, Series, Synchrony, Touch
+from ..types import Array, Estimate, Fault, Features, Outgoing, Poses, Series, Synchrony, Touch
 from . import cdr, overlay
 from .cdr import Field, Payloads
 from .vocabulary import definition
@@ -13,7 +13,9 @@ from .vocabulary import definition
 ROOT = "/bodylog/"
 TRACK = ROOT + "track/"
 PREDICTED = ROOT + "predicted/"
+KINEMATIC = ROOT + "kinematics/"
 ERROR = ROOT + "prediction_error/"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ANNOTATIONS = ROOT + "annotations"
 TRACK_NAMES = ("u", "v", "std_u", "std_v")
 PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
@@ -61,6 +63,10 @@ def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list
         out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, _frame(name, features)))
     if (predicted := estimate.predicted.get("effector")) is not None:
         out.append(_points(ROOT + "effector_predicted", predicted, start_ns, _frame("effector", features)))
+    for name, kinematic in estimate.kinematic.items():
+        out.append(_named(KINEMATIC + escape(name), "Vector", kinematic, kinematic.values, start_ns))
+    if estimate.effector is not None:
+        out.append(_poses(ROOT + "effector_pose", estimate.effector, start_ns))
     if estimate.faults:
         out.append(_faults(estimate.faults, joints, start_ns))
     return [*out, *_overlays(estimate, features.tracks, start_ns)]
@@ -151,6 +157,17 @@ def _vector(
 def _scalar(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
     fields: list[Field] = [*cdr.header(stamps(series.t, start_ns)), ("float64", data)]
     return _plain(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
+
+
+def _poses(topic: str, poses: Poses, start_ns: int) -> Outgoing:
+    """Poses with their covariance, its rows and columns in ROS's order: x, y, z, turns about x, y, z."""
+    count = len(poses.t)
+    cov = np.zeros((count, 36)) if poses.cov is None else poses.cov.reshape(count, 36)
+    fields: list[Field] = [
+        *cdr.header(stamps(poses.t, start_ns), poses.frame),
+        ("float64*", np.column_stack([poses.place, poses.turn, cov])),
+    ]
+    return _plain(topic, POSE, poses.source_ns, fields)
 
 
 def _strokes(features: Features, hand: Series, start_ns: int) -> Outgoing:

@@ -6,6 +6,10 @@ _PARTS = {
     "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
     "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
     "geometry_msgs/PointStamped": "std_msgs/Header header\ngeometry_msgs/Point point\n",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
+    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
     "sensor_msgs/JointState": (
         "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
     ),
@@ -57,6 +61,13 @@ _PARTS = {
 _HEADER = ("std_msgs/Header", "builtin_interfaces/Time")
 _NEEDS = {
     "geometry_msgs/PointStamped": ("geometry_msgs/Point", *_HEADER),
+    "geometry_msgs/PoseWithCovarianceStamped": (
+        "geometry_msgs/PoseWithCovariance",
+        "geometry_msgs/Pose",
+        "geometry_msgs/Point",
+        "geometry_msgs/Quaternion",
+        *_HEADER,
+    ),
     "sensor_msgs/JointState": _HEADER,
     "bodylog_msgs/Touch": (*_HEADER, "builtin_interfaces/Duration"),
     "bodylog_msgs/Stroke": (*_HEADER, "builtin_interfaces/Duration", "geometry_msgs/Point"),

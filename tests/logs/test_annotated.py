@@ -36,8 +36,31 @@ def test_an_estimate_comes_back_as_it_was(tmp_path, seed):
     same(again.predicted["effector"], estimate.predicted["effector"])
     assert np.allclose(again.predicted["effector"].std, estimate.predicted["effector"].std)
     assert np.allclose(again.predicted_cov["effector"], estimate.predicted_cov["effector"])
+    same(again.kinematic["effector"], estimate.kinematic["effector"])
+    ours, theirs = again.effector, estimate.effector
+    assert ours.frame == theirs.frame and np.allclose(ours.t, theirs.t, atol=1e-9, rtol=0)
+    assert np.array_equal(ours.place, theirs.place) and np.array_equal(ours.cov, theirs.cov)
+    assert np.allclose(ours.turn, theirs.turn, atol=1e-15) and np.array_equal(ours.source_ns, theirs.source_ns)
     for name in ("method", "used", "settings", "faults", "findings"):
         assert getattr(again, name) == getattr(estimate, name)
+
+
+def test_faults_of_a_log_that_had_no_std_are_read(tmp_path, monkeypatch):
+    from bodylog.logs import messages, vocabulary
+
+    text = vocabulary._PARTS["bodylog_msgs/Fault"]
+    monkeypatch.setitem(vocabulary._PARTS, "bodylog_msgs/Fault", text.replace("float64 std\n", ""))
+    plain = messages.cdr.serialise
+    monkeypatch.setattr(messages.cdr, "serialise", lambda count, fields: plain(count, _without_std(fields)))
+    features, estimate = found()
+    path = log_of(tmp_path / "log.mcap", features, estimate)
+    monkeypatch.undo()
+    again = read_estimate(path, START)
+    assert again.faults == tuple(replace(fault, std=None) for fault in estimate.faults)
+
+
+def _without_std(fields):
+    return fields[:-1] if [kind for kind, _ in fields[-3:]] == ["float64", "string", "float64"] else fields
 
 
 @pytest.mark.parametrize("seed", range(3))

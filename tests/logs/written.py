@@ -10,7 +10,7 @@ from pybag.mcap.record_reader import McapRecordReaderFactory
 from rosbags.highlevel import AnyReader
 
 from bodylog.logs.messages import from_estimate, from_features
-from bodylog.types import Estimate, Fault, Features, Finding, Health, Series, Stroke, Synchrony, Touch
+from bodylog.types import Estimate, Fault, Features, Finding, Health, Poses, Series, Stroke, Synchrony, Touch
 
 START = 1_700_000_000_123_456_789
 LATE = 4_000_000
@@ -27,6 +27,14 @@ def series(rng, ns, width, names, unit, hidden=0.0):
 def covariance(rng, count, size):
     root = rng.normal(size=(count, size, size))
     return root @ root.transpose(0, 2, 1) + np.eye(size)
+
+
+def effector(rng, joints):
+    """Poses beside each row of the joints."""
+    turn = rng.normal(size=(len(joints.t), 4))
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    cov = covariance(rng, len(joints.t), 6)
+    return Poses(joints.t, rng.normal(size=(len(turn), 3)), turn, "base_link", joints.source_ns, cov)
 
 
 def found(seed=0, steps=300, frames=90):
@@ -62,8 +70,13 @@ def found(seed=0, steps=300, frames=90):
         predicted_cov={"effector": cov},
         settings={"method": "laplace", "rate": 100.0},
         bias=series(rng, ticks, 3, JOINTS, "rad"),
-        faults=(Fault("encoders", "elbow", "drift", 1.5, 0.25, "rad"), Fault("effector", "u", "jump", 2.0, 9.0, "px")),
+        faults=(
+            Fault("encoders", "elbow", "drift", 1.5, 0.25, "rad", 0.01),
+            Fault("effector", "u", "jump", 2.0, 9.0, "px"),
+        ),
         findings=(Finding("warning", "the elbow's encoder drifts"),),
+        effector=effector(rng, joints),
+        kinematic={"effector": series(rng, pictures, 2, ("u", "v"), "px")},
     )
     return features, estimate
 

@@ -1,0 +1,79 @@
+"""Figures of merit of the effector's pose: how far it is from the truth, and whether its error bars are true."""
+
+import numpy as np
+
+from ..types import Array, Poses, Score
+
+SAME = 1e-6
+"""s: stamps closer than this are the same but for rounding."""
+KNOWN = 1e-9
+"""Share of the greatest variance below which a direction has none."""
+GAP = 0.2
+"""s: truth with a greater gap around a time says nothing of that time."""
+
+
+def scores(found: Poses, truth: Poses) -> tuple[Score, ...]:
+    """Errors of place (m) and turn (rad), each beside its covariance; nothing where the two share no time.
+
+    The truth is taken at its own stamps, the belief between its own. What has no turn, NaN, is scored by its place.
+    """
+    rows = _inside(truth.t, found.t)
+    if not rows.any():
+        return ()
+    t, cov = truth.t[rows], found.cov
+    before = np.clip(np.searchsorted(found.t, t) - 1, 0, max(len(found.t) - 2, 0))
+    place = np.column_stack([np.interp(t, found.t, column) for column in found.place.T])
+    near = np.where(t - found.t[before] > found.t[np.minimum(before + 1, len(found.t) - 1)] - t, before + 1, before)
+    near = np.minimum(near, len(found.t) - 1)
+    told = [*_scored("effector_position", truth.place[rows] - place, None if cov is None else cov[near, :3, :3], "m")]
+    turned = np.isfinite(truth.turn[rows]).all(axis=1)
+    if turned.any():
+        error = _turns(_between(found, t[turned], before[turned]), truth.turn[rows][turned])
+        told += _scored("effector_turn", error, None if cov is None else cov[near[turned], 3:, 3:], "rad")
+    return tuple(told)
+
+
+def _inside(t: Array, known: Array) -> Array:
+    """Which times (N,) lie within the span of `known` (K,), and in no gap of it."""
+    if not len(known):
+        return np.zeros(len(t), bool)
+    inside: Array = (t >= known[0] - SAME) & (t <= known[-1] + SAME)
+    after = np.clip(np.searchsorted(known, t), 1, max(len(known) - 1, 1))
+    gap = known[np.minimum(after, len(known) - 1)] - known[after - 1]
+    return inside & (gap < GAP)
+
+
+def _scored(name: str, error: Array, cov: Array | None, unit: str) -> list[Score]:
+    found = [Score(f"{name}_rmse", float(np.sqrt(np.square(error).sum(axis=1).mean())), unit)]
+    if cov is None:
+        return found
+    # few joints turn a thing about few axes: of the others neither error nor variance says anything
+    values, vectors = np.linalg.eigh(cov)
+    known = values > KNOWN * values[:, -1:]
+    along = np.einsum("nik,ni->nk", vectors, error)
+    square = np.where(known, np.square(along) / np.where(known, values, 1.0), 0.0).sum(axis=1)
+    square /= np.maximum(known.sum(axis=1), 1)
+    covered = float((np.square(error) <= 4.0 * np.einsum("nii->ni", cov)).mean() * 100.0)
+    return [*found, Score(f"{name}_nees", float(square.mean()), "1"), Score(f"{name}_coverage_2sigma", covered, "%")]
+
+
+def _between(found: Poses, t: Array, before: Array) -> Array:
+    """Turns (N,4) at times between those of the belief, along the chord: they are close."""
+    after = np.minimum(before + 1, len(found.t) - 1)
+    span = found.t[after] - found.t[before]
+    share = np.where(span > 0, (t - found.t[before]) / np.where(span > 0, span, 1.0), 0.0)[:, None]
+    a, b = found.turn[before], found.turn[after]
+    b = np.where((a * b).sum(axis=1, keepdims=True) < 0.0, -b, b)
+    both = (1.0 - share) * a + share * b
+    return np.asarray(both / np.linalg.norm(both, axis=1)[:, None])
+
+
+def _turns(a: Array, b: Array) -> Array:
+    """The small turns (N,3), rad, about the base's axes that lead from quaternions a to b (N,4): b a⁻¹."""
+    av, aw, bv, bw = -a[:, :3], a[:, 3:], b[:, :3], b[:, 3:]
+    vector = bw * av + aw * bv + np.cross(bv, av)
+    scalar = bw * aw - (bv * av).sum(axis=1, keepdims=True)
+    vector = np.where(scalar < 0.0, -vector, vector)
+    length = np.linalg.norm(vector, axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(length, np.abs(scalar))
+    return np.asarray(np.where(length > 1e-12, vector / np.maximum(length, 1e-12) * angle, 2.0 * vector))

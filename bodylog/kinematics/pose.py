@@ -1,0 +1,106 @@
+"""Where in the robot's base a thing on a link is, and how sure that is: forward kinematics of angles and unknowns."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..types import Array
+from .chain import Chain, between
+from .links import Space
+from .rig import Rig
+from .rotations import inverse, logarithm
+from .urdf import Robot
+
+_STEP = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """How a robot's base carries a rig's marker, or its camera where the marker does not move: what `posed` needs.
+
+    chain: from the robot's root to the thing's link · tool (4,4): a frame on that link, named `link`, whose turn is
+    that of a marker which is a point · camera: whether the thing is the camera's optical frame.
+    """
+
+    chain: Chain
+    tool: Array
+    link: str
+    camera: bool = False
+
+
+def based(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) -> Base | None:
+    """How the robot's root carries what the rig sees, or sees with; None where neither moves against it.
+
+    theta (P,): the rig's unknowns · still: angles, rad or m, of joints that did not move.
+    """
+    space = Space(robot, rig.joints, still, 1.0)
+    for link, camera in ((rig.carriers[0].link, False), (rig.cameras[0].link, True)):
+        chain = space.chain(robot.root, link)
+        if len(chain.column):
+            place = rig.carrier_pose(0, theta)[:3, 3]
+            tool, name = (np.eye(4), link) if camera else _tool(robot, link, place, rig.joints, still)
+            return Base(chain, tool, name, camera)
+    return None
+
+
+def _tool(
+    robot: Robot, link: str, place: Array, moving: Sequence[str], still: Mapping[str, float]
+) -> tuple[Array, str]:
+    """Of the last frames that do not move on a link the one nearest to a place (3,) m there, and its name."""
+    found = []
+    for name in robot.links:
+        chain = between(robot, link, name)
+        if not set(chain.joints) & set(moving):
+            held = chain.holding({joint: still.get(joint, 0.0) for joint in chain.joints})
+            found.append((held.fixed[0], name))
+    parents = {joint.parent for joint in robot.joints}
+    ends = [one for one in found if one[1] not in parents] or found
+    return min(ends, key=lambda one: float(np.linalg.norm(one[0][:3, 3] - place)))
+
+
+def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array) -> tuple[Array, Array, Array]:
+    """Place (N,3) m, rotation (N,3,3) and covariance (N,6,6) of the thing in the robot's base.
+
+    At angles q (N,M) ± cov (N,M,M), rad or m, for unknowns theta (P,) whose covariance is root rootᵀ. The covariance is
+    of place, m, and then of a small turn about the base's axes, rad.
+    """
+    poses = base.chain.at(q + theta[rig.of_joints])
+    on_link, by_theta = _on_link(base, rig, theta)
+    place = poses.place + poses.rotation @ on_link[:3, 3]
+    rotation = poses.rotation @ on_link[:3, :3]
+    by_joints = np.zeros((len(q), 6, len(rig.joints)))
+    by_joints[:, :3] = base.chain.slopes(poses, place[:, None])[:, 0]
+    for k, slides in enumerate(base.chain.slides):
+        if not slides:
+            by_joints[:, 3:, base.chain.column[k]] += base.chain.scale[k] * poses.axes[:, k]
+    by = np.zeros((len(q), 6, len(theta)))
+    by[:, :3], by[:, 3:] = poses.rotation @ by_theta[:3], poses.rotation @ by_theta[3:]
+    by[..., rig.of_joints] += by_joints
+    unknown = by @ root
+    spread = by_joints @ cov @ by_joints.transpose(0, 2, 1) + unknown @ unknown.transpose(0, 2, 1)
+    return place, rotation, spread
+
+
+def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:
+    """The thing's pose (4,4) on its link, and how θ moves it (6,P): place, m, and a turn about the link's axes."""
+    found = _thing(base, rig, theta)
+    by, part = np.zeros((6, len(theta))), rig.of_camera(0) if base.camera else rig.of_carrier(0)
+    for k in range(part.start, part.start + 6 if base.camera else part.stop):
+        step = _STEP * (np.arange(len(theta)) == k)
+        above, below = _thing(base, rig, theta + step), _thing(base, rig, theta - step)
+        by[:3, k] = (above[:3, 3] - below[:3, 3]) / (2.0 * _STEP)
+        by[3:, k] = logarithm(above[:3, :3] @ below[:3, :3].T) / (2.0 * _STEP)
+    return found, by
+
+
+def _thing(base: Base, rig: Rig, theta: Array) -> Array:
+    """The camera's optical frame or the marker on its link (4,4); a point has the tool's turn."""
+    if base.camera:
+        return inverse(rig.camera_pose(0, theta))
+    pose = rig.carrier_pose(0, theta)
+    if not rig.carriers[0].turns:
+        pose = pose.copy()
+        pose[:3, :3] = base.tool[:3, :3]
+    return pose
+

@@ -1,0 +1,118 @@
+"""A thing's pose in the robot's base, its covariance, and what of it is scored."""
+
+import numpy as np
+import pytest
+
+from bodylog.evaluation import poses as figures
+from bodylog.evaluation.truth import load_poses
+from bodylog.kinematics import urdf
+from bodylog.kinematics.pose import based, posed
+from bodylog.kinematics.rotations import exponential, logarithm, quaternions
+from bodylog.types import Poses
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM
+
+STEP = 1e-6
+OFFSETS = {"lift": 0.03, "elbow": -0.02}
+
+
+def _posed(rig, theta, q, cov=None, camera=False):
+    base = based(urdf.parse(ARM, "arm"), rig, theta, {})
+    root = np.diag(rig.prior[1]) * 0.01
+    return base, posed(base, rig, theta, root, q, np.zeros((len(q), 4, 4)) if cov is None else cov)
+
+
+@pytest.mark.parametrize("thing", ["point", "board"])
+def test_the_pose_is_that_of_the_chain_and_its_covariance_that_of_small_steps(thing):
+    rig = robots.rig() if thing == "point" else robots.board()
+    theta, q = robots.truth(rig, OFFSETS), robots.angles(5)
+    draw = np.random.default_rng(1).normal(size=(5, 4, 4)) * 0.02
+    cov = draw @ draw.transpose(0, 2, 1)
+    base, (place, rotation, spread) = _posed(rig, theta, q, cov)
+    chain = rig.sights[0].chain.at(q + theta[rig.of_joints])
+    on_link = rig.carrier_pose(0, theta)
+    np.testing.assert_allclose(place, chain.place + chain.rotation @ on_link[:3, 3], atol=1e-12)
+    assert (base.chain.start, base.link, base.camera) == ("base", "tool", False)
+    if thing == "board":
+        np.testing.assert_allclose(rotation, chain.rotation @ on_link[:3, :3], atol=1e-12)
+    by_joints, by_theta = np.zeros((5, 6, 4)), np.zeros((5, 6, len(theta)))
+    for by, size in ((by_joints, 4), (by_theta, len(theta))):
+        for k in range(size):
+            step = STEP * (np.arange(size) == k)
+            ends = [(q + way, theta) if by is by_joints else (q, theta + way) for way in (step, -step)]
+            above, below = (_posed(rig, at, angles)[1] for angles, at in ends)
+            by[:, :3, k] = (above[0] - below[0]) / (2 * STEP)
+            turns = [logarithm(a @ b.T) for a, b in zip(above[1], below[1], strict=True)]
+            by[:, 3:, k] = np.array(turns) / (2 * STEP)
+    unknown = by_theta * rig.prior[1] * 0.01
+    expected = by_joints @ cov @ by_joints.transpose(0, 2, 1) + unknown @ unknown.transpose(0, 2, 1)
+    np.testing.assert_allclose(spread, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_camera_that_moves_before_a_still_marker_is_what_is_told():
+    from dataclasses import replace
+
+    from bodylog.kinematics.chain import between
+    from bodylog.kinematics.rig import Sight
+
+    robot, rig = urdf.parse(ARM, "arm"), robots.rig()
+    chain = between(robot, "tool", "base").over(robots.JOINTS)
+    swapped = replace(
+        rig,
+        cameras=(replace(rig.cameras[0], link="tool", anchor=np.eye(4)),),
+        carriers=(replace(rig.carriers[0], link="base"),),
+        sights=(Sight("point", 0, 0, chain),),
+    )
+    theta, q = swapped.prior[0].copy(), robots.angles(4)
+    base = based(robot, swapped, theta, {})
+    place, rotation, _ = posed(base, swapped, theta, np.zeros((len(theta), 1)), q, np.zeros((4, 4, 4)))
+    poses = rig.sights[0].chain.at(q)
+    assert base.camera
+    np.testing.assert_allclose(place, poses.place, atol=1e-12)
+    np.testing.assert_allclose(rotation, poses.rotation, atol=1e-12)
+
+
+def test_quaternions_are_rotations_by_whatever_angle():
+    draw = np.random.default_rng(3)
+    vectors = [*draw.normal(size=(40, 3)), np.array([np.pi, 0, 0]), np.array([0, np.pi, 0]), np.array([0, 0, np.pi])]
+    rotations = np.array([exponential(v) for v in vectors])
+    x, y, z, w = quaternions(rotations).T
+    back = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                     [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                     [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)]])  # fmt: skip
+    np.testing.assert_allclose(back.transpose(2, 0, 1), rotations, atol=1e-12)
+
+
+def _some(count=400, seed=0, cov=True):
+    draw, t = np.random.default_rng(seed), np.arange(count) / 100.0
+    turns = [exponential(np.array([0.3 * np.sin(s), 0.2 * s, 0.1])) for s in t]
+    true = Poses(t, np.column_stack([np.sin(t), np.cos(t), 0.1 * t]), quaternions(np.array(turns)), "base", t)
+    error = draw.normal(size=(count, 6)) * [0.01, 0.02, 0.01, 0.05, 0.03, 0.04]
+    off = np.array([exponential(e) @ turn for e, turn in zip(error[:, 3:], turns, strict=True)])
+    spread = np.broadcast_to(np.diag(np.square([0.01, 0.02, 0.01, 0.05, 0.03, 0.04])), (count, 6, 6))
+    return Poses(t, true.place + error[:, :3], quaternions(off), "base", t, spread if cov else None), true
+
+
+def test_errors_that_are_as_large_as_stated_have_a_nees_of_one():
+    found, true = _some()
+    told = {score.name: score.value for score in figures.scores(found, true)}
+    assert told["effector_position_rmse"] == pytest.approx(np.sqrt(6e-4), rel=0.1)
+    assert told["effector_turn_rmse"] == pytest.approx(np.sqrt(5e-3), rel=0.1)
+    for part in ("position", "turn"):
+        assert told[f"effector_{part}_nees"] == pytest.approx(1.0, abs=0.1)
+        assert 93 < told[f"effector_{part}_coverage_2sigma"] < 98
+
+
+def test_a_table_of_places_is_scored_without_turns(tmp_path):
+    found, true = _some()
+    rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(true.t, true.place, strict=True))
+    (tmp_path / "laser.csv").write_text("t,x,y,z\n" + rows)
+    told = {s.name: s.value for s in figures.scores(found, load_poses(tmp_path / "laser.csv", 0))}
+    assert told["effector_position_nees"] == pytest.approx(1.0, abs=0.1) and "effector_turn_rmse" not in told
+    (tmp_path / "joints.csv").write_text("t,pan\n0,1\n")
+    assert load_poses(tmp_path / "joints.csv", 0) is None and load_poses(tmp_path / "x.npz", 0) is None
+
+
+def test_what_shares_no_time_has_no_score():
+    found, true = _some()
+    assert figures.scores(found, Poses(true.t + 100.0, true.place, true.turn, "base", true.t)) == ()
