@@ -3,13 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import stores
 from .files import is_archive
 from .settings import Settings
-from .types import ForwardModel
+from .types import BodyModel, ForwardModel
 from .values import read_json
+
+if TYPE_CHECKING:
+    from .body.kinematic_gp import KinematicGP
 
 
 def info(log: Path | str, settings: Settings) -> dict[str, Any]:
@@ -46,6 +49,7 @@ def _info_body(path: Path) -> dict[str, Any]:
         "format": "body",
         "joints": list(learned.joints),
         "senses": {name: _sense(sense, learned.joints) for name, sense in learned.senses.items()},
+        **_zeros(learned),
         "noise": asdict(learned.noise),
         "touch": asdict(learned.touch),
         "cells": {str(cell): list(place) for cell, place in learned.cells.items()},
@@ -54,16 +58,34 @@ def _info_body(path: Path) -> dict[str, Any]:
     }
 
 
+def _zeros(learned: BodyModel) -> dict[str, Any]:
+    """The joints' zeros of a body that was learned with a URDF."""
+    from .body import kinematic_gp, offsets
+
+    if not any(isinstance(sense, kinematic_gp.KinematicGP) for sense in learned.senses.values()):
+        return {}
+    return {"offsets": offsets.plain(offsets.learned(learned))}
+
+
 def _sense(sense: ForwardModel, joints: Sequence[str]) -> dict[str, Any]:
     """What a sense's model is made of: samples and a length scale (rad) for each joint, or coefficients."""
     from .body.encoders import Polynomial
     from .body.gp import GP
+    from .body.kinematic_gp import KinematicGP
 
     told: dict[str, Any] = {"outputs": list(sense.outputs), "unit": getattr(sense, "unit", "")}
     if isinstance(sense, GP):
         scales = [dict(zip(joints, group, strict=True)) for group in sense.scales.tolist()]
-        return told | {"samples": len(sense.samples), "length_scales": scales}
+        told |= {"samples": len(sense.samples), "length_scales": scales}
+        return told | ({"kinematics": _links(sense)} if isinstance(sense, KinematicGP) else {})
     return told | ({"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {})
+
+
+def _links(sense: "KinematicGP") -> dict[str, str | None]:
+    """What hangs on which link, and the robot's root."""
+    camera, marker, base = sense.rig.cameras[0], sense.rig.carriers[0], sense.base
+    links = {"camera": camera.name, "camera_link": camera.link, "marker": marker.name, "marker_link": marker.link}
+    return links | {"base": None if base is None else base.chain.start}
 
 
 def _parsed(value: Any) -> Any:

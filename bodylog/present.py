@@ -19,12 +19,13 @@ from .settings import Settings, plain
 from .sought import toml_line
 from .stores import naming
 from .temporary import scratch
-from .types import Estimate, Features, Finding, Recording
+from .types import BodyModel, Estimate, Features, Finding, Recording
 
 if TYPE_CHECKING:
     from .perception import Candidate
     from .report.companion import Camera
     from .report.overlay import Picture
+    from .report.reprojection import Sheet, Zero
 
 
 def plot(source: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
@@ -37,13 +38,30 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
 
         learned = model.load(source)
         with about(source):
-            figures.body_figure(learned, out)
+            figures.body_figure(learned, out, *_reprojected(learned))
         return Result(out)
     read, features = observe(source, settings, progress)
     with about(source):
         figures.recording_figure(read, features, out)
     health = {**read.health, **features.health}
     return Result(out, (), health, (*read.findings, *features.findings), plain(settings))
+
+
+def _reprojected(learned: BodyModel) -> "tuple[tuple[Sheet, ...], tuple[Zero, ...]]":
+    """Of a body learned with a URDF: what it was learned from beside what it expects there, and the joints' zeros."""
+    from .body.kinematic_gp import KinematicGP
+    from .body.offsets import learned as told
+    from .body.offsets import plain as values
+    from .report import reprojection
+
+    senses = {name: sense for name, sense in learned.senses.items() if isinstance(sense, KinematicGP)}
+    if not senses:
+        return (), ()
+    drawn = tuple(
+        reprojection.Sheet(name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0])
+        for name, sense in senses.items()
+    )
+    return drawn, reprojection.zeros(values(told(learned)))
 
 
 def report(log: Path, out: Path, settings: Settings, figures: Path | None = None) -> Result:
@@ -227,11 +245,15 @@ def _caption(row: Mapping[str, Any]) -> str:
 def _figures(
     folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]"
 ) -> None:
-    from .report import figures, overlay
+    from .report import figures, overlay, reprojection
 
     made(folder)
     for suffix in (".png", ".svg"):
         figures.recording_figure(read, features, folder / f"recording{suffix}")
         figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")
+    drawn, zeros = reprojection.sheets(features, found), reprojection.zeros(found.settings.get("offsets"))
+    if drawn:
+        for suffix in (".png", ".svg"):
+            figures.reprojection_figure(drawn, zeros, folder / f"reprojection{suffix}")
     if shown:
         overlay.overlay_sheet(shown, folder / "overlay.png")

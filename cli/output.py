@@ -1,6 +1,7 @@
 """How results are shown: data on standard output, talk on standard error."""
 
 import json
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -119,7 +120,7 @@ def body(told: dict[str, Any]) -> None:
     line(f"{told['path']}: body model of {', '.join(told['joints'])}")
     for name, sense in told["senses"].items():
         line(f"  {name} ({', '.join(sense['outputs'])}): {_learned(sense)}")
-    for text in (*_noise(told), *_touch(told), *_provenance(told["provenance"])):
+    for text in (*_zeros(told), *_noise(told), *_touch(told), *_provenance(told["provenance"])):
         line(f"  {text}")
 
 
@@ -127,7 +128,21 @@ def _learned(sense: dict[str, Any]) -> str:
     if "coefficients" in sense:
         return "; ".join(" + ".join(f"{c:.4g} x^{k}" for k, c in enumerate(row)) for row in sense["coefficients"])
     kernels = (", ".join(f"{joint} {value:.4g}" for joint, value in one.items()) for one in sense["length_scales"])
-    return f"{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
+    links = sense.get("kinematics")
+    on = "" if links is None else f"camera on {links['camera_link']}, marker on {links['marker_link']}; "
+    return f"{on}{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
+
+
+def _zeros(told: dict[str, Any]) -> Iterator[str]:
+    """The joints' zeros in degrees and rad, or what they cannot be told from."""
+    for joint, one in told.get("offsets", {}).items():
+        if one["value"] is None:
+            yield f"offset {joint}: not identifiable: {' and '.join(one['confused_with']) or 'not seen'}"
+            continue
+        factor, unit = (math.degrees(1.0), "°") if one["unit"] == "rad" else (1e3, " mm")
+        value, std = (factor * one[key] for key in ("value", "std"))
+        plain = f"{one['value']:.5f} ± {one['std']:.2g} {one['unit']}"
+        yield f"offset {joint}: {value:+.2f}{unit} ± {std:.2f}{unit} ({plain})"
 
 
 def _noise(told: dict[str, Any]) -> Iterator[str]:

@@ -1,6 +1,6 @@
 """Static figures, PNG or SVG by suffix: a recording (the paper's figure 3), a body (3b), an estimate (figure 4)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,8 @@ from ..errors import LogError, ModelError
 from ..types import Array, BodyModel, Estimate, Features, ForwardModel, Recording, Series
 from .canvas import INK, figure, label
 from .panels import belief, deviation, errors, events, free_energy, pixels, seen_tracks, signals, skin, trajectories
+from .reprojection import TRACKS as SHEETS
+from .reprojection import Sheet, Zero, offsets, plane, residuals
 
 Panel = Callable[[Any], None]
 
@@ -32,17 +34,38 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
             trajectories(tracks, features.strokes, drawing.add_subplot(grid[:, 1]))
 
 
-def body_figure(body: BodyModel, out: Path) -> None:
-    """Draw each output's mean and standard deviation over the two joints that moved most, with its samples."""
+def body_figure(body: BodyModel, out: Path, sheets: Sequence[Sheet] = (), zeros: Sequence[Zero] = ()) -> None:
+    """Draw each output's mean and standard deviation over the two joints that moved most, with its samples.
+
+    With a URDF, beside it the reprojection of every track and the joints' zeros.
+    """
     if len(body.joints) < 2:
         raise ModelError(f"body of {len(body.joints)} joint: a surface needs two; type: bodylog fit LOG --joints a,b")
     rows = [(sense, model, d) for sense, model in body.senses.items() for d in range(len(model.outputs))][:_ROWS]
     if not rows:
         raise ModelError("body model without a sense: nothing to draw; type: bodylog info body.npz")
-    with figure(out, 9.0, 0.4 + 3.1 * len(rows)) as drawing:
-        grid = drawing.add_gridspec(len(rows), 2)
+    below = _kinematic(sheets, zeros)
+    with figure(out, 9.0, 0.4 + 3.1 * (len(rows) + -(-len(below) // 2))) as drawing:
+        grid = drawing.add_gridspec(len(rows) + -(-len(below) // 2), 2)
+        for k, draw in enumerate(below):
+            draw(drawing.add_subplot(grid[len(rows) + k // 2, k % 2]))
         for row, (sense, model, d) in enumerate(rows):
             _surface(drawing, grid[row, :], body.joints, f"{label(sense)} {label(model.outputs[d])}", model, d)
+
+
+def reprojection_figure(sheets: Sequence[Sheet], zeros: Sequence[Zero], out: Path) -> None:
+    """Draw each track in the image plane with what kinematics, and kinematics with the process, leave; the zeros."""
+    panels = _kinematic(sheets, zeros)
+    with figure(out, 9.0, 0.4 + 3.6 * -(-len(panels) // 2)) as drawing:
+        grid = drawing.add_gridspec(-(-len(panels) // 2), 2)
+        for k, draw in enumerate(panels):
+            draw(drawing.add_subplot(grid[k // 2, k % 2]))
+
+
+def _kinematic(sheets: Sequence[Sheet], zeros: Sequence[Zero]) -> list[Panel]:
+    """Two panels for every track, and one for the zeros where there are any."""
+    panels = [partial(draw, sheet) for sheet in sheets[:SHEETS] for draw in (plane, residuals)]
+    return [*panels, *([partial(offsets, zeros)] if zeros else [])]
 
 
 def estimate_figure(estimate: Estimate, truth: Series | None, recorded: Series | None, out: Path) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ..files import replacing
 from ..types import Estimate, Features, Recording, Score
+from . import reprojection
 from .document import document, plots
 from .overlay import Picture
 from .packing import marks, most_points, plain
@@ -27,11 +28,13 @@ def write(
     """Write the page to `out`, whole or not at all: no network, the same bytes for the same input."""
     drawn = panels(recording, features, estimate)
     groups = [plain(drawn, marks(features, estimate), recording.duration_s)] if drawn else []
+    zeros = reprojection.zeros(estimate.settings.get("offsets"))
     body = [
         header(recording, estimate, scores),
         faults(estimate),
         _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
         _gallery(pictures),
+        reprojection.section(reprojection.sheets(features, estimate), zeros),
         score_table(scores),
         tables(recording, features, estimate),
         settings(estimate, provenance),

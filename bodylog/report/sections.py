@@ -45,7 +45,7 @@ def score_table(scores: Sequence[Score]) -> str:
     figures = list(dict.fromkeys(figure for figure, _ in found))
     parts = dict.fromkeys(part for _, part in found)
     rows = [(part, *(found.get((figure, part), "–") for figure in figures)) for part in parts]
-    return _table("Scores in parts", ("part", *figures), rows)
+    return table("Scores in parts", ("part", *figures), rows)
 
 
 def faults(estimate: Estimate) -> str:
@@ -54,7 +54,7 @@ def faults(estimate: Estimate) -> str:
         (x.sense, x.name, x.kind, Moment(x.since, x.since), _amount(x))
         for x in estimate.faults
     ]
-    return _table("Which sensor lied", ("sense", "name", "kind", "since", "size"), rows)
+    return table("Which sensor lied", ("sense", "name", "kind", "since", "size"), rows)
 
 
 def notes(features: Features, estimate: Estimate) -> list[str]:
@@ -72,12 +72,12 @@ def tables(recording: Recording, features: Features, estimate: Estimate) -> str:
     """Remarks, touches, health per topic and sense, roles."""
     findings = (*recording.findings, *features.findings, *estimate.findings)
     parts = [
-        _table("Remarks", ("severity", "what"), [(x.severity, x.text) for x in findings]),
+        table("Remarks", ("severity", "what"), [(x.severity, x.text) for x in findings]),
         _health("Health of the log, per topic", recording.health),
         _health("What perception found, per feature", features.health),
         _health("What the estimate used, per sense", estimate.used),
         _touches(features),
-        _table("Which topic is what", ("role", "topic"), list(recording.roles.items())),
+        table("Which topic is what", ("role", "topic"), list(recording.roles.items())),
     ]
     return "\n".join(part for part in parts if part)
 
@@ -94,13 +94,13 @@ def _health(title: str, health: Mapping[str, Health]) -> str:
     rows = [
         (name, f"{h.seen}", f"{h.used}", f"{h.largest_gap_s:.3f} s", _reasons(h.rejected)) for name, h in health.items()
     ]
-    return _table(title, ("name", "seen", "used", "largest gap", "rejected"), rows)
+    return table(title, ("name", "seen", "used", "largest gap", "rejected"), rows)
 
 
 def _touches(features: Features) -> str:
     pairs = {pair.touch: pair for pair in features.synchrony}
     rows = [_touch(x, pairs.get(i)) for i, x in enumerate(features.touches or ())]
-    return _table("Touches", ("from", "lasting", "cells", "peak", "seen later by", "synchrony"), rows)
+    return table("Touches", ("from", "lasting", "cells", "peak", "seen later by", "synchrony"), rows)
 
 
 def _touch(touch: Touch, pair: Synchrony | None) -> tuple[str | Moment, ...]:
@@ -113,7 +113,7 @@ def _reasons(rejected: Mapping[str, int]) -> str:
     return ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "–"
 
 
-def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str | Moment]]) -> str:
+def table(title: str, heads: Sequence[str], rows: Sequence[Sequence[str | Moment]]) -> str:
     """Nothing for no rows; `_ROWS` at most, the rest counted."""
     if not rows:
         return ""

@@ -249,6 +249,15 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, bodylog, caps
         if score.name.startswith("offset."):
             std = next(s.value for s in again.scores if s.name == score.name.replace("offset.", "offset_std."))
             assert abs(score.value) < 2 * std
+    assert bodylog("info", tmp_path / "body.npz") == 0
+    told = capsys.readouterr().out
+    assert "effector (u, v): camera on base, marker on hand; " in told
+    assert "  offset pan: not identifiable: camera's turn" in told and "  offset lift: +" in told and " rad)" in told
+    assert bodylog("plot", tmp_path / "body.npz", "-o", tmp_path / "body.png") == 0
+    assert bodylog("plot", tmp_path / "plain.npz", "-o", tmp_path / "plain.png") == 0
+    sizes = [int.from_bytes((tmp_path / name).read_bytes()[20:24]) for name in ("body.png", "plain.png")]
+    assert sizes[0] > 1.5 * sizes[1]  # the reprojection and the zeros stand below
+    capsys.readouterr()
     assert bodylog("offsets", tmp_path / "plain.npz") == 65
     assert "type: bodylog fit LOG --urdf" in capsys.readouterr().err
 

@@ -1,0 +1,74 @@
+"""The reprojection sheet: what kinematics and the process leave of each track, and the joints' zeros."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.report import figures, reprojection
+from bodylog.report.reprojection import Sheet, Zero, section, sheets, zeros
+
+from .records import estimate, features, series
+
+TOLD = {
+    "lift": {"value": 0.0349, "std": 0.0017, "unit": "rad", "confused_with": []},
+    "rail": {"value": -0.002, "std": 0.0005, "unit": "m", "confused_with": []},
+    "pan": {"value": None, "std": 0.08, "unit": "rad", "confused_with": ["camera's turn about the z axis of base"]},
+}
+
+
+def some(off=3.0):
+    """A track of which kinematics alone is `off` px beside what is predicted."""
+    seen, found = features(), estimate()
+    predicted = found.predicted["effector"]
+    alone = series(predicted.t, predicted.values + np.array([off, 0.0]), ("u", "v"), "px")
+    return seen, replace(found, kinematic={"effector": alone})
+
+
+def test_what_was_seen_stands_beside_what_was_expected():
+    seen, found = some()
+    (sheet,) = sheets(seen, found)
+    known = np.isfinite(seen.tracks["effector"].values).all(axis=1)
+    np.testing.assert_array_equal(sheet.measured, seen.tracks["effector"].values[known])
+    alone, both = sheet.errors
+    assert both == pytest.approx(0.3 * np.sqrt(2), rel=0.1) and alone == pytest.approx(np.hypot(3.0, both), rel=0.02)
+    assert sheet.magnified in (1, 2, 5, 10) and len(sheet.some().measured) == reprojection.POINTS
+
+
+def test_a_track_without_kinematics_or_sightings_is_left_out():
+    seen, found = some()
+    assert sheets(seen, estimate()) == () and sheets(replace(seen, tracks={}), found) == ()
+    blind = replace(seen.tracks["effector"], values=np.full_like(seen.tracks["effector"].values, np.nan))
+    assert sheets(replace(seen, tracks={"effector": blind}), found) == ()
+
+
+def test_zeros_are_told_with_their_std_or_why_there_are_none():
+    lift, rail, pan = zeros(TOLD)
+    assert lift.shown == ("+2.00° ± 0.10°", "+0.03490 ± 0.00170 rad")
+    assert rail.shown[0] == "-2.00 mm ± 0.50 mm"
+    assert pan.shown == ("not identifiable: camera's turn about the z axis of base", "")
+
+
+@pytest.mark.parametrize("told", [None, 3, {"a": 1}, {"a": {"std": "x"}}, {"a": {"value": True, "std": 1.0}},
+                                  {"a": {"value": float("nan"), "std": 1.0}}])  # fmt: skip
+def test_zeros_that_are_none_are_left_out(told):
+    assert zeros(told) == ()
+
+
+def test_the_page_escapes_names_and_the_figures_are_drawn(tmp_path):
+    name = "<b>$x_1$&"
+    point = np.array([[0.0, 0.0], [5.0, 3.0]])
+    drawn = [Sheet(name, point, point + 1.0, point), Sheet("still", point[:1], point[:1], point[:1])]
+    text = section(drawn, [Zero(name, None, 1.0, "rad", (name,))])
+    assert "<b>" not in text and "&lt;b&gt;$x_1$&amp;" in text and text.count("<svg") == 2
+    assert section((), ()) == ""
+    figures.reprojection_figure(drawn, zeros(TOLD), tmp_path / "a.png")
+    figures.reprojection_figure(drawn, zeros(TOLD), tmp_path / "b.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_only_the_first_tracks_are_drawn_and_that_is_said():
+    point = np.array([[0.0, 0.0], [5.0, 3.0]])
+    many = [Sheet(f"corner.{k}", point, point, point) for k in range(40)]
+    text = section(many, ())
+    assert text.count("<svg") == reprojection.TRACKS and "the first 12 of 40 tracks" in text
