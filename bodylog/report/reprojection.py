@@ -200,7 +200,7 @@ def _number(value: Any) -> bool:
 
 
 def _reach(sheet: Sheet) -> float:
-    """px about nought that holds nearly all residuals: the first of a log, before which nothing is known, may be far."""
+    """px about nought that holds nearly all residuals: the first of a log, before which nothing is known, is far."""
     left = np.concatenate([sheet.kinematics - sheet.measured, sheet.both - sheet.measured])
     return max(1.1 * float(np.quantile(np.linalg.norm(left, axis=1), 0.98)), 1e-3)
 
