@@ -33,10 +33,9 @@ def estimate(
         with one_thread():
             found = replace(still_poses(features, body, settings, method.can), can=method.can)
         return replace(found, findings=(*found.findings, *doubts(found, settings)))
-    with one_thread():
+    with one_thread(), solvable(settings.method):
         timely = dated(features, body, delay)
-        with solvable(settings.method):
-            found = replace(finite(method.estimate(timely.features, body, settings)), can=method.can)
+        found = replace(finite(method.estimate(timely.features, body, settings)), can=method.can)
     if timely.delays:
         found = unsure(as_stamped(found, features, timely.features), timely)
         told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
