@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from . import episodes
 from .errors import UsageError
 
 Key = tuple[int, int]
@@ -39,7 +40,7 @@ def guard(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
     outputs, inputs = list(outputs), list(inputs)
     for output in outputs:
         place = _Place(output)
-        for given in inputs:
+        for given in map(episodes.base, inputs):
             for part in _parts(given):
                 place.refuse(part, given)
     for first in outputs:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__, changed, in_space, sought
+from .errors import UsageError
 from .files import sha256
 from .joints_only import joints_alone, without_body
 from .outputs import Output
@@ -252,6 +253,28 @@ def ingest(
     for form, folder in tables.items():
         export.export(recording.read(out, Settings()), folder, form)
     return Result(out, findings=findings)
+
+
+def convert(
+    logs: Sequence[Path], out: Path, settings: Settings, form: str = "mcap", how: str = "lossless",
+    topics: Sequence[str] | None = None, task: str | None = None, **window: float | None,
+) -> Result:  # fmt: skip
+    """Write logs in another form: one as a chunked MCAP, or several as the episodes of a LeRobot dataset.
+
+    form: mcap, lerobot or lerobot-2.1 · how: a dataset's videos, lossless, h264 or av1 · topics: only these, of an
+    MCAP · task: what the robot does, of a dataset · window: start, end (s since the log's start).
+    """
+    from .logs import conversion
+    from .logs.datasets import lerobot_write
+
+    distinct(logs, [Output(out)], settings)
+    if form not in ("mcap", *lerobot_write.FORMS):
+        raise UsageError(f"--to {form}: possible are mcap, {', '.join(lerobot_write.FORMS)}")
+    if form != "mcap":
+        return Result(out, findings=lerobot_write.write(logs, out, settings, form, how, task, **window))
+    if len(logs) != 1:
+        raise UsageError(f"{len(logs)} logs: an MCAP is made of one; a dataset of several, with --to lerobot")
+    return Result(out, findings=conversion.convert(logs[0], out, topics, **window))
 
 
 def doctor(log: Path, repair: Path | None = None, strict: bool = False, limits: Input = LIMITS) -> Result:

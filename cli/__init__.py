@@ -10,6 +10,7 @@ from collections.abc import Sequence
 # Small matrices are faster on one BLAS thread, and one thread gives the same bytes on every machine size.
 for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
+os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder writes to standard error itself: its errors alone
 
 _RARELY = 100_000
 """New objects after which they are looked through for cycles: what is imported has none to be freed."""

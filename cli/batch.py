@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 @click.option("--shard", metavar="I/N", default="1/1", show_default=True, help="Every N-th log, from the I-th.")
 @click.option("--resume", is_flag=True, help="Skip what an earlier run did with the same input, settings and version.")
 @click.option("--keep-going", is_flag=True, help="Go on to further logs even after a bug of ours.")
+@options.episodic("logs")
 @options.fail_option
 @options.estimation_options
 @options.clock_option

@@ -10,6 +10,7 @@ from . import (
     batch,
     compare,
     config,
+    convert,
     doctor,
     estimate,
     evaluate,
@@ -31,6 +32,7 @@ from .places import guarded
 COMMANDS = (
     record.record,
     ingest.ingest,
+    convert.convert,
     info.info,
     doctor.doctor,
     features.features,

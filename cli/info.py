@@ -5,11 +5,12 @@ from typing import Any
 
 import click
 
-from .options import ANYWHERE, Common, common_options
+from .options import ANYWHERE, Common, common_options, episodic
 
 
 @click.command(epilog="Example: bodylog info run.bag --json")
 @click.argument("logs", metavar="LOG|BODY.npz...", type=ANYWHERE, nargs=-1, required=True)
+@episodic("logs")
 @common_options
 def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
     """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
@@ -41,6 +42,7 @@ def _print(one: dict[str, Any]) -> None:
     for role, topic in one["roles"].items():
         line(f"  {role}: {topic}")
     if one["joints"]:
-        line(f"  joint names: {', '.join(one['joints'])}")
+        unit = "" if one["unit"] in (None, "rad") else f" (unit: {one['unit']})"
+        line(f"  joint names: {', '.join(one['joints'])}{unit}")
     for finding in one["findings"]:
         line(f"  {finding['severity']}: {finding['text']}")

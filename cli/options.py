@@ -3,6 +3,7 @@
 import functools
 import math
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,6 +72,15 @@ class OutputFile(Named):
         return path
 
 
+class OutputLog(OutputFile):
+    """A log to write: a file, or the folder of a dataset, which may not be there yet."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Path."""
+        text = os.fspath(value)
+        return super().convert(text.rstrip(os.sep) or text, param, ctx)
+
+
 class Folder(Named):
     """A folder to write into, which may not be there yet; refused, before anything is done, where a file is."""
 
@@ -98,14 +108,57 @@ def finite(_context: click.Context, _option: click.Parameter, value: float | Non
     return value
 
 
+def episodic(parameter: str) -> Callable[[Command], Command]:
+    """--episode, which names episodes of the datasets in an argument; ranges become several logs."""
+
+    def decorated(function: Command) -> Command:
+        @functools.wraps(function)
+        def wrapped(*, episode: str | None, **rest: Any) -> Any:
+            return function(**{**rest, parameter: _episodes(rest[parameter], episode)})
+
+        help_ = "Read this episode of a dataset; LOG#N means the same."
+        return click.option("--episode", metavar="N", callback=_episode, help=help_)(wrapped)  # type: ignore[return-value]
+
+    return decorated
+
+
+def _episode(_context: click.Context, _option: click.Parameter, text: str | None) -> str | None:
+    if text is not None and re.fullmatch(r"\d{1,9}(-\d{1,9})?", text) is None:
+        raise click.BadParameter(f"{text!r}; it must be a number, or a range of them, e.g. 3 or 0-9")
+    return text
+
+
+def _episodes(given: Any, text: str | None) -> Any:
+    """The logs with the episode that was asked for; of one argument that takes several logs, ranges as single ones."""
+    from bodylog import episodes
+
+    if isinstance(given, tuple):
+        return tuple(one for log in given for one in _several(log, text))
+    named = _named(given, text)
+    if isinstance(named, Path) and len(episodes.expanded(named)) > 1:
+        raise click.BadParameter(f"{named}: this command takes one episode", param_hint="--episode")
+    return named
+
+
+def _named(log: Any, text: str | None) -> Any:
+    return log if text is None else type(log)(f"{log}#{text}")
+
+
+def _several(log: Any, text: str | None) -> tuple[Any, ...]:
+    from bodylog import episodes
+
+    named = _named(log, text)
+    return episodes.expanded(named) if isinstance(named, Path) else (named,)
+
+
 def log_argument(function: Command) -> Command:
-    """LOG: any log, .bag, rosbag2 folder, .db3 or .mcap."""
-    return click.argument("log", type=LOG)(function)
+    """LOG: any log, .bag, rosbag2 folder, .db3, .mcap or dataset."""
+    return click.argument("log", type=LOG)(episodic("log")(function))
 
 
 def logs_argument(function: Command) -> Command:
     """LOG...: one or many logs."""
-    return click.argument("logs", metavar="LOG...", type=LOG, nargs=-1, required=True)(function)
+    return click.argument("logs", metavar="LOG...", type=LOG, nargs=-1, required=True)(episodic("logs")(function))
 
 
 def out_option(what: str) -> Callable[[Command], Command]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import Folder, Named, OutputFile, Url
+from .options import Folder, Named, OutputFile, OutputLog, Url
 
 if TYPE_CHECKING:
     from bodylog.outputs import Output
@@ -38,7 +38,8 @@ def _outputs(params: list[click.Parameter], given: dict[str, Any]) -> "Iterator[
     for param in params:
         if isinstance(param.type, OutputFile | Folder):
             for path in _each(given[param.name or ""]):
-                yield Output(path, param.opts[0], isinstance(param.type, Folder))
+                folder = isinstance(param.type, Folder) or (isinstance(param.type, OutputLog) and path.is_dir())
+                yield Output(path, param.opts[0], folder)
 
 
 def _inputs(params: list[click.Parameter], given: dict[str, Any]) -> Iterator[Path]:

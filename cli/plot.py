@@ -4,11 +4,12 @@ from pathlib import Path
 
 import click
 
-from .options import OUT, PATH, Common, clock_option, common_options
+from .options import OUT, PATH, Common, clock_option, common_options, episodic
 
 
 @click.command(epilog="Example: bodylog plot run.bag -o run.png")
 @click.argument("source", metavar="LOG|BODY.npz", type=PATH)
+@episodic("source")
 @click.option("-o", "--output", "out", type=OUT, required=True, help="The picture to write (.png or .svg).")
 @clock_option
 @common_options

@@ -10,7 +10,7 @@ import bodylog
 ROOT = Path(__file__).parents[1]
 STAGES = {"logs", "perception", "body", "estimation", "sim", "evaluation", "report"}
 SHARED = {"kinematics"}
-RECORDS = {"types", "errors", "settings", "sources", "files", "outputs", "temporary", "threads", "values"}
+RECORDS = {"episodes", "types", "errors", "settings", "sources", "files", "outputs", "temporary", "threads", "values"}
 LAYERS = (
     {*RECORDS, *SHARED, "memory", "stopping", "toml_file", "torn"},
     {"config", "stores", "workers"},

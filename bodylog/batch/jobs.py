@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import stores
-from ..errors import LogError, UsageError
+from .. import episodes, stores
+from ..errors import BodylogError, LogError, UsageError
 from ..outputs import Key, key
 from ..settings import Settings
 from . import folders
@@ -19,7 +19,7 @@ Row = dict[str, Any]
 
 MOST = 100_000
 """Names that a pattern may fit, and folders that are searched: more are not meant."""
-SUFFIXES = (".bag", ".bag.active", ".mcap", ".mcap.zst", ".db3", ".db3.zstd")
+SUFFIXES = (".bag", ".bag.active", ".mcap", ".mcap.zst", ".db3", ".db3.zstd", ".hdf5", ".h5")
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,25 @@ def find(given: str) -> Iterator[str]:
     if stores.is_url(given):
         yield from stores.behind(given, SUFFIXES)
         return
+    if not Path(given).exists() and (some := episodes.expanded(Path(given))) and episodes.split(some[0])[1] is not None:
+        yield from map(str, some)
+        return
     paths = [Path(given)] if Path(given).exists() else _matches(given)
     if not paths:
         raise LogError(f"{given}: no such file, folder or pattern; type: ls {given}")
     for path in paths:
-        yield from map(str, _inside(path) if path.is_dir() else [path])
+        yield from map(str, _inside(path) if path.is_dir() else _episodes(path))
+
+
+def _episodes(path: Path) -> list[Path]:
+    """The episodes of a dataset that has several; any other log, and a dataset that cannot be read, by itself."""
+    from ..logs.datasets import kinds
+
+    try:
+        numbers = kinds.numbers(path)
+    except BodylogError:
+        return [path]
+    return [episodes.named(path, number) for number in numbers] or [path]
 
 
 def _matches(pattern: str) -> list[Path]:
@@ -87,19 +101,21 @@ def _matches(pattern: str) -> list[Path]:
 
 def _inside(folder: Path) -> Iterator[Path]:
     """The logs in a folder, in path order, each folder once: links may lead back; UsageError when there is no end."""
+    from ..logs.datasets import kinds
+
     seen, left = set[Key | None]((None,)), [folder]
     while left:
         path = left.pop()
         if not path.is_dir():
-            yield path
+            yield from _episodes(path)
             continue
         if (found := key(path)) in seen or folders.is_result(path):
             continue
         seen.add(found)
         if len(seen) > MOST:
             raise UsageError(f"{folder}: more than {MOST} folders are in it; name folders nearer to the logs")
-        if is_rosbag2(path):
-            yield path
+        if is_rosbag2(path) or kinds.is_dataset(path):
+            yield from _episodes(path)
             continue
         names = sorted(path.iterdir(), reverse=True)
         left += [one for one in names if (one.name[0] != "." if one.is_dir() else one.name.endswith(SUFFIXES))]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from .. import stores
 from ..errors import BodylogError
+from ..logs.episode_files import files_of
 from ..temporary import remove_killed
 from ..workers import ready, stop, uninterrupted
 from . import work
@@ -37,11 +38,12 @@ def _here(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
 
 def size(log: str) -> int:
     """Bytes of a log: file, folder or URL; 0 when it cannot be read."""
-    path = Path(log)
     try:
         if stores.is_url(log):
             return stores.size(log)
-        return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+        parts = files_of(Path(log))
+        every = (p for part in parts for p in (part.rglob("*") if part.is_dir() else [part]))
+        return sum(p.stat().st_size for p in every if not p.is_dir())
     except (OSError, BodylogError):
         return 0
 

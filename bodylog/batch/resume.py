@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import __version__, pipeline, stores
+from .. import __version__, episodes, pipeline, stores
 from ..errors import BodylogError, LogError, ModelError, UsageError
 from ..files import replacing, sha256
+from ..logs.episode_files import digest
 from ..settings import Settings, plain
 from .folders import RESULT, ROW, mark
 from .jobs import Job, Row
@@ -21,7 +22,7 @@ ODD = "backslashreplace"
 
 def key(job: Job) -> str:
     """Digest of what the outputs depend on: log (what its store says of a URL), body, settings, bounds, version."""
-    log = stores.identity(job.log) if stores.is_url(job.log) else sha256(Path(job.log))
+    log = stores.identity(job.log) if stores.is_url(job.log) else digest(Path(job.log))
     parts = [log, sha256(job.body), plain(job.settings), list(job.bounds), __version__]
     return _digest(parts)
 
@@ -95,10 +96,10 @@ def _counted(job: Job, row: Row) -> bool:
 def learned(train: Sequence[Path], body: Path, settings: Settings) -> Path:
     """The body model learned from `train`, unless the one there comes from the same logs and settings."""
     for log in train:
-        if not log.exists():
+        if not episodes.base(log).exists():
             raise LogError(f"{log}: there is no such file or folder; check the name")
     said = _mark_of(body)
-    wanted, known = _digest([[sha256(log) for log in train], plain(settings), __version__]), _read_mark(said)
+    wanted, known = _digest([[digest(log) for log in train], plain(settings), __version__]), _read_mark(said)
     if not (_loads(body) and known == [wanted, sha256(body)]):
         _leave_mark(said, [wanted, None])
         pipeline.fit(train, body, settings)

@@ -22,11 +22,14 @@ if TYPE_CHECKING:
 __all__ = ["Writer", "convert", "examine", "open", "read", "repair"]
 
 
-def open(path: str | Path, strict: bool = False) -> "OpenLog":
-    """A log of any container, path or URL; LogError when it is none, or when `strict` and part of it is lost."""
+def open(path: str | Path, strict: bool = False, episode: int | None = None) -> "OpenLog":
+    """A log of any container, path or URL; LogError when it is none, or when `strict` and part of it is lost.
+
+    episode: the number of an episode of a dataset; the path DATASET#N means the same.
+    """
     from .library import OpenLog
 
-    return OpenLog(path, strict)
+    return OpenLog(path, strict, episode)
 
 
 def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Table]":
@@ -55,16 +58,22 @@ def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
 
 def convert(
     path: str | Path, out: str | Path, topics: Sequence[str] | None = None,
-    start: float | None = None, end: float | None = None,
+    start: float | None = None, end: float | None = None, to: str = "mcap",
 ) -> "tuple[Finding, ...]":  # fmt: skip
     """Write a log as a chunked, indexed MCAP; ROS 1 messages become CDR.
 
-    topics: only these · start, end: only what was logged between them, s since the log's start.
+    topics: only these · start, end: only what was logged between them, s since the log's start. to: "lerobot" or
+    "lerobot-2.1" writes the folder of a dataset with this log as its episode, its images without loss.
     """
     from .conversion import convert
     from .library import located
 
     with located(path) as here:
+        if to != "mcap":
+            from ..settings import Settings
+            from .datasets.lerobot_write import write
+
+            return write([here], Path(out), Settings(), to, start=start, end=end)
         return convert(here, Path(out), topics, start, end)
 
 

@@ -1,18 +1,27 @@
 """Open any log: the file's first bytes say what it is, FORMATS who reads it."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
+from .. import episodes
 from ..errors import LogError
 from ..files import lasting
 from ..settings import LIMITS, Input
 from ..types import Batch, Finding, Topic
+from .cameras import VIDEOS
 from .table_file import kind as table_kind
 from .unpacked import ZSTD, unpack_file
 
+if TYPE_CHECKING:
+    from .columns import Source
+    from .datasets.episode_log import EpisodeLog
+
+_MP4 = b"ftyp"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 _LFS = b"version https://git-lfs"
 
 
@@ -55,14 +64,17 @@ def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
 
     `limits`: how much what is packed may unpack to.
     """
-    if not path.exists():
+    place = episodes.base(path)
+    if not place.exists():
         raise LogError(f"{path}: there is no such file or folder; check the name")
     try:
-        if path.is_dir():
-            return _rosbag2(path, strict, limits)
-        lasting(path)
-        with path.open("rb") as stream:
+        if place.is_dir():
+            return _folder(path, strict, limits)
+        lasting(place)
+        with place.open("rb") as stream:
             first = stream.read(32)
+        if place != path or first.startswith(_HDF5) or first[4:8] == _MP4 or place.suffix.lower() in VIDEOS:
+            return _episode(path, first, strict, limits)
         if first.startswith(ZSTD):
             return unpack_file(path, lambda inner: _opened(path, strict, inner, limits), limits, partial(_opener, path))
         return _opened(path, strict, path, limits)
@@ -83,8 +95,26 @@ def _opener(path: Path, first: bytes) -> "Opener":
             return opener
     if first and not first.startswith(_LFS) and table_kind(path):
         return _poses
-    known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; tables of poses .csv, .parquet, .yaml"
+    known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; datasets; tables of poses .csv, .parquet, .yaml"
     raise LogError(f"{path}: {_what_it_is(first)}; {known}")
+
+
+def without_images(log: Log) -> "Source":
+    """The log, for who reads no images: where these would have to be decoded from a video, they are left out."""
+    from .datasets.episode_log import EpisodeLog
+
+    return _Heads(log) if isinstance(log, EpisodeLog) else log
+
+
+@dataclass(frozen=True)
+class _Heads:
+    """An episode of a dataset, its images left out."""
+
+    log: "EpisodeLog"
+
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
+        """Messages of the topics, of cameras without their images."""
+        return self.log.heads(ids)
 
 
 def is_mcap(first: bytes) -> bool:
@@ -135,6 +165,29 @@ def _poses(path: Path, strict: bool, source: Path, limits: Input) -> Log:
     from .pose_log import PoseLog
 
     return PoseLog(path, strict, source, limits)
+
+
+def _episode(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
+    """A file that holds episodes, or a video."""
+    from .datasets import kinds
+
+    opener = kinds.of_file(first)
+    if opener is None:
+        what = "is no dataset, so it has no episodes; leave out the #" if episodes.base(path) != path else "is no video"
+        raise LogError(f"{path}: {episodes.base(path)} {what}")
+    return opener(path, strict, limits)
+
+
+def _folder(path: Path, strict: bool, limits: Input) -> Log:
+    """A dataset's folder, or else a rosbag2 folder."""
+    from .datasets import kinds
+
+    opener = kinds.of_folder(episodes.base(path))
+    if opener is not None:
+        return opener(path, strict, limits)
+    if episodes.base(path) != path:
+        raise LogError(f"{path}: {episodes.base(path)} is no dataset, so it has no episodes; leave out the #")
+    return _rosbag2(path, strict, limits)
 
 
 def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:

@@ -8,6 +8,7 @@ from threading import Event
 
 from ..errors import LogError
 from ..files import pieces
+from .episode_files import files_of
 
 _PIECE = 16 << 20
 _BLOCK = 4096
@@ -69,7 +70,8 @@ class Copy:
     def _pass(self, target: "_Target | None") -> tuple[str, int]:
         """The digest, and how many bytes there were; each piece is written while it is digested."""
         digest, read = hashlib.sha256(), 0
-        for piece in pieces(self._source, _PIECE):
+        parts = files_of(self._source) if target is None else (self._source,)
+        for piece in (piece for part in parts for piece in pieces(part, _PIECE)):
             if self._stopped.is_set():
                 raise CancelledError
             if target is not None:

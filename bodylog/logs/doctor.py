@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from .. import episodes
 from ..errors import LogError
 from ..settings import LIMITS, Input
 from ..types import Finding
@@ -14,6 +15,9 @@ from .mapping import mapped, uncut
 from .rewrite import repair
 from .rosbag2 import METADATA, members, metadata_of
 from .unpacked import ZSTD, unpack_file
+
+if TYPE_CHECKING:
+    from .datasets.checks import Checks
 
 __all__ = ["examine", "repair"]
 
@@ -48,10 +52,15 @@ class _Remarks:
 
 def examine(path: Path, strict: bool = False, limits: Input = LIMITS) -> tuple[Finding, ...]:
     """Everything wrong with a log, read from end to end; LogError when it is none, or when strict and part is lost."""
+    if several := _episodes(path):
+        whole, *found = several
+        return tuple(dict.fromkeys((*_dataset(whole), *(f for one in found for f in examine(one, strict, limits)))))
     remarks = _Remarks(path)
     with open_log(path, strict, limits) as log:
-        seen = _read(log)
+        seen = _read(log, checks := _checks(log, limits))
         _compare(log, seen, remarks)
+        for number, text in enumerate(checks.texts() if checks else ()):
+            remarks.say(f"dataset {number}", text)
         if log.format == "rosbag2":
             _metadata(log, seen, remarks)
         own = log.findings
@@ -59,9 +68,36 @@ def examine(path: Path, strict: bool = False, limits: Input = LIMITS) -> tuple[F
     return tuple(dict.fromkeys((*own, *remarks.findings(), *inner)))
 
 
-def _read(log: Log) -> dict[int, _Seen]:
+def _episodes(path: Path) -> list[Path]:
+    """A dataset, and the episodes that are there, where no single one is named; none for other logs."""
+    from .datasets import kinds
+
+    if episodes.split(path)[1] is not None or not path.is_dir() or not kinds.is_dataset(path):
+        return []
+    there = kinds.numbers(path)
+    return [path, *(episodes.named(path, number) for number in there)] if there else []
+
+
+def _dataset(folder: Path) -> Iterator[Finding]:
+    from .datasets import checks, lerobot_layout
+
+    known = lerobot_layout.layout(folder)
+    yield from (Finding("warning", f"{folder}: {text}") for text in checks.of_dataset(known))
+
+
+def _checks(log: Log, limits: Input) -> "Checks | None":
+    """What looks at the images and joints of an episode of a dataset."""
+    from .datasets.checks import Checks
+    from .datasets.episode_log import EpisodeLog
+
+    return Checks(log, limits) if isinstance(log, EpisodeLog) else None
+
+
+def _read(log: Log, checks: "Checks | None") -> dict[int, _Seen]:
     seen = {topic.id: _Seen() for topic in log.topics}
     for batch in log.batches():
+        if checks is not None:
+            checks.add(batch)
         one, times = seen[batch.topic_id], batch.log_ns
         back = (one.last_ns > times[0], int(one.last_ns - times[0]) if one.last_ns > times[0] else 0)
         steps = times[1:] - times[:-1]
@@ -122,7 +158,7 @@ def _topics(said: dict[str, Any]) -> Iterator[tuple[str, str, int]]:
 
 def _mcaps(path: Path) -> list[Path]:
     try:
-        files = members(path, Ledger(path)) if path.is_dir() else [path]
+        files = members(path, Ledger(path)) if path.is_dir() else [path] if path.is_file() else []
     except LogError:
         return []
     return [file for file in files if ".mcap" in file.suffixes]

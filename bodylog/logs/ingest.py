@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import LogError
-from ..files import replacing, sha256
+from ..files import replacing
 from ..outputs import Output, guard
 from ..settings import Settings
 from ..types import Finding, Outgoing, Recording, Series
 from .annotate import add, verify
 from .append import NAME
+from .episode_files import digest
+from .kept import kept_metadata, of_episode
 from .mcap_write import Messages
 from .messages import from_joints, from_skin, from_track, stamps
 from .pictures import Kind, Picture, pictures
@@ -36,26 +38,38 @@ def ingest(
     LogError when the log has neither signals nor pictures there, UsageError when `out` is the log.
     """
     guard([path], [Output(out)])
+    settings, further = of_episode(path, settings)
     recording = read(path, settings, settings.input.strict)
     begun = -recording.start_ns / 1e9
     window = (begun if start is None else max(start, begun), np.inf if end is None else end)
-    heard = outgoing(recording, window)
+    heard = [*outgoing(recording, window), *_within_window(further, recording.start_ns, window)]
     with replacing(out) as beside:
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, heard, {JOINTS: INDEPENDENT} if recording.poses else {})
+            add(writer, heard, kept_metadata(recording) | {one.topic: about for one, about in further})
             unread: dict[str, list[str]] = {}
-            seen, early = _pictures(pictures(path, recording, unread), recording.start_ns, window, writer)
+            found = pictures(path, recording, unread)
+            seen, early = _pictures(found, recording.start_ns, window, writer, kept_metadata(recording))
             count = sum(len(o.log_ns) for o in heard) + seen
             if not count:
                 lacking = f"no joints, skin, truth or pictures {_within(start, end)}"
                 raise LogError(f"{path}: {lacking}; type: bodylog info {path}")
-            writer.about(NAME, {"source": path.name, "source_sha256": sha256(path)})
+            writer.about(NAME, {"source": path.name, "source_sha256": digest(path)})
             writer.finish()
         verify(beside, count, out)
     early += sum(int((series.t < begun).sum()) for series in signals(recording).values())
     return (*recording.findings, *_left_out(path, unread), *_unwritten(path, early if start is None else 0))
+
+
+def _within_window(
+    further: Sequence[tuple[Outgoing, Mapping[str, str]]], start_ns: int, window: Window
+) -> Iterator[Outgoing]:
+    """The messages of further topics within `window`."""
+    for one, _ in further:
+        t = (one.log_ns - start_ns) / 1e9
+        rows = np.flatnonzero((t >= window[0]) & (t <= window[1]))
+        yield replace(one, log_ns=one.log_ns[rows], offset=one.offset[rows], length=one.length[rows])
 
 
 def _left_out(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
@@ -100,8 +114,13 @@ def cut(series: Series, start_ns: int, window: Window) -> Series:
     return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=std)
 
 
-def _pictures(found: Iterable[Picture], start_ns: int, window: Window, writer: Writer) -> tuple[int, int]:
-    """Write the pictures within `window`, about a chunk at a time; returns how many, and how many came before it."""
+def _pictures(
+    found: Iterable[Picture], start_ns: int, window: Window, writer: Writer, about: Mapping[str, Mapping[str, str]]
+) -> tuple[int, int]:
+    """Write the pictures within `window`, about a chunk at a time; returns how many, and how many came before it.
+
+    about {camera's topic without /image…: metadata}.
+    """
     pending: list[Picture] = []
     channels: dict[Kind, int] = {}
     size = count = early = 0
@@ -111,7 +130,8 @@ def _pictures(found: Iterable[Picture], start_ns: int, window: Window, writer: W
             continue
         if picture.kind not in channels:
             kind = picture.kind
-            channels[kind] = writer.topic(kind.topic, kind.type, "cdr", kind.definition, kind.form, {})
+            own = about.get(kind.topic.partition("/image")[0], {})
+            channels[kind] = writer.topic(kind.topic, kind.type, "cdr", kind.definition, kind.form, own)
         pending.append(picture)
         size += len(picture.payload)
         if size >= CHUNK_BYTES:

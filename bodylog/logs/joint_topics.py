@@ -58,14 +58,25 @@ def series(heard: Mapping[str, Stream], settings: Settings, start_ns: int, what:
         width = stream.values.shape[1]
         values[np.searchsorted(t_ns, clock), column : column + width] = stream.values
         column += width
-    whole = Series(seconds(t_ns, start_ns), values, tuple(every), "rad", source_ns)
+    whole = Series(seconds(t_ns, start_ns), values, tuple(every), _unit(found), source_ns)
     return _chosen(whole, settings.body.joints, what)
 
 
 def _one(stream: Stream, settings: Settings, start_ns: int) -> Series:
     """A single topic's joints; `delay` takes what only this topic is late by."""
     t_ns = stream.dated.t_ns - round(1e9 * _delay(stream, settings))
-    return Series(seconds(t_ns, start_ns), stream.values, stream.names, "rad", stream.log_ns)
+    return Series(seconds(t_ns, start_ns), stream.values, stream.names, stream.unit, stream.log_ns)
+
+
+def unit(heard: Mapping[str, Stream]) -> str | None:
+    """The unit of the joints as they are read: rad, counts or unknown; None without joints."""
+    found = streams_of(heard)
+    return _unit(found) if found else None
+
+
+def _unit(found: Sequence[Stream]) -> str:
+    units = {stream.unit for stream in found}
+    return units.pop() if len(units) == 1 else "unknown"
 
 
 def _check(found: Sequence[Stream], settings: Settings, what: str) -> None:

@@ -15,10 +15,12 @@ from .. import stores
 from ..errors import ConfigError, FormatError
 from ..types import Batch, Finding, Frame, Topic
 from .columns import columns_of, definition_of
-from .containers import Log, is_mcap, open_log, payloads
+from .containers import Log, is_mcap, open_log, payloads, without_images
 from .table import Table, filled, leaf_paths, object_paths
 
 _OBJECTS = ("json", "protobuf")
+_HEADS = ("header", "encoding", "format", "name", "names", "position")
+"""Fields for which no image needs to be decoded."""
 
 
 class Message(NamedTuple):
@@ -35,8 +37,9 @@ class OpenLog:
     topics · start_ns, end_ns: first and last log time, int64 ns · `log[topic]` is a Table.
     """
 
-    def __init__(self, path: str | Path, strict: bool = False) -> None:
-        """Open; LogError when it is no log, or when `strict` and part of it is lost."""
+    def __init__(self, path: str | Path, strict: bool = False, episode: int | None = None) -> None:
+        """Open; LogError when it is no log, or when `strict` and part of it is lost. `episode`: of a dataset."""
+        path = path if episode is None else f"{path}#{episode}"
         self.path = str(path)
         self.rejected: Counter[str] = Counter()
         self._open = ExitStack()
@@ -48,7 +51,7 @@ class OpenLog:
 
     @property
     def format(self) -> str:
-        """mcap, bag, rosbag2 or db3."""
+        """mcap, bag, rosbag2, db3, or the name of a dataset's format."""
         return self._log.format
 
     @property
@@ -65,7 +68,8 @@ class OpenLog:
         """Fields of several topics, {topic: [message path, …]}, in one pass over the file."""
         topics = {name: self._topics(name) for name in fields}
         wants = {one.id: (one, tuple(fields[name])) for name, some in topics.items() for one in some}
-        columns = columns_of(self._log, wants)
+        light = all(path.split(".")[0] in _HEADS for some in fields.values() for path in some)
+        columns = columns_of(without_images(self._log) if light else self._log, wants)
         tables = {}
         for name, some in topics.items():
             own = [columns[one.id] for one in some]

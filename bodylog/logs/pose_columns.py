@@ -45,7 +45,7 @@ def poses(table: Table, path: str) -> Poses:
     images = {name: files for name, files in table.texts.items() if _are_images(files)}
     time, t = _time(left, table.rows, remarks)
     tracks, std = _tracks(left)
-    labels = [name for name in left if _LABEL.fullmatch(name)]
+    labels = [name for name in left if label(name)]
     spaces = _spaces(left)
     empty = [name for name, values in left.items() if not np.isfinite(values).any()]
     lone = [name for name in left if _PLACE.fullmatch(name)]
@@ -89,6 +89,11 @@ def time_column(numbers: Mapping[str, Array]) -> tuple[str | None, Array]:
     """The first column that is a time by its name, and its times (N,) s; None where there is none."""
     name = next((name for name in numbers if _TIME.fullmatch(name)), None)
     return (None, np.empty(0)) if name is None else (name, numbers[name] * _scale(name))
+
+
+def label(name: str) -> bool:
+    """Whether a column counts or names its rows, by its own name."""
+    return _LABEL.fullmatch(name) is not None
 
 
 def _scale(name: str) -> float:

@@ -12,7 +12,7 @@ from ..sources import TableSource, TopicSource
 from ..types import Features, Finding, Frame, Health, Recording, Series, Topic, Watched, Watcher
 from . import cameras, joint_topics, offers, roles, video
 from . import frames as camera
-from .containers import Log, open_log
+from .containers import Log, open_log, without_images
 from .streams import Stream, health, joints_of, remarks, series, streams
 from .topics import independent
 
@@ -32,7 +32,7 @@ def read(
         to_be_seen = "camera" in found and not _is_ours(log)
         with watching() if watching and to_be_seen else nullcontext() as watch:
             told = camera.Told(log, found["camera"].topics, watch, settings.input) if watch else None
-            heard, silent = streams(told or log, found, settings, str(path))
+            heard, silent = streams(told or without_images(log), found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
         named = _named(log, path, settings, heard, start_ns, features)
@@ -73,7 +73,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
         found: dict[str, roles.Role] = {}
         try:
             found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
-            heard, silent = streams(log, found, settings, str(path))
+            heard, silent = streams(without_images(log), found, settings, str(path))
             found = {role: stream.role for role, stream in heard.items()}
             remarked = (*silent, *_findings(log, heard, settings))
         except BodylogError as error:
@@ -87,6 +87,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
             "topics": [_topic(topic, spans) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
             "roles": {role: source.path for role, source in found.items()},
             "joints": list(joint_topics.names(heard)),
+            "unit": joint_topics.unit(heard),
             "clock": {role: _clock(stream) for role, stream in heard.items()},
             "findings": [{"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)],
         }

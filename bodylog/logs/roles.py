@@ -23,7 +23,7 @@ _FEWEST = 10
 """Messages below which a further topic of joints says too little to be joined."""
 _JOINTS = "sensor_msgs/msg/JointState"
 _ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
-_WISHED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint", re.IGNORECASE)
+_WISHED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint|(^|/)actions?(/|$)", re.IGNORECASE)
 _TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)", re.IGNORECASE)
 _TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
 _COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
@@ -125,6 +125,11 @@ def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str
     joints = {name: max(len(joints_of(t)) for t in topics if t.name == name and t.type == _JOINTS) for name in rivals}
     fewer = {name for name in rivals if joints[name] < max(joints.values())}
     return [topic for topic in topics if topic.name not in fewer]
+
+
+def is_wished(topic: Topic) -> bool:
+    """Whether a topic of joints tells where they should be, by its name."""
+    return _WISHED.search(topic.name) is not None
 
 
 def is_raw(topic: Topic) -> bool:

@@ -11,7 +11,8 @@ from ..types import Array
 from .columns import Columns
 
 _TURN = 2.0 * np.pi
-_NEAR = 1.0
+_NEAR = 1.0 / _TURN
+"""Turns, one radian, that a step may differ from a whole turn where a joint wraps around."""
 FARTHEST = 1e9
 """rad: no joint has turned further; a reading beyond is none."""
 
@@ -142,20 +143,21 @@ def believed(values: Array) -> tuple[Array, int]:
     return (np.where(beyond, np.nan, values) if count else values), count
 
 
-def angles(values: Array, follow: bool = True) -> tuple[Array, int, Array]:
+def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array]:
     """Angles (N,D) rad as motions: without readings beyond FARTHEST, how many these were, and turns taken back (D,).
 
     From one reading to the next no joint makes a whole turn, within a radian: it wraps around there. Independent poses
-    do not `follow` each other: their readings stay as they are.
+    do not follow each other (`turn` None): their readings stay as they are. `turn`: one whole turn in the values' unit.
     """
     values, beyond = believed(values)
     values, turns = values.copy(), np.zeros(values.shape[1], int)
-    for column in range(values.shape[1] if follow else 0):
+    whole = turn or _TURN
+    for column in range(0 if turn is None else values.shape[1]):
         known = np.flatnonzero(np.isfinite(values[:, column]))
         steps = np.diff(values[known, column])
-        wraps = np.where(np.abs(np.abs(steps) - _TURN) < _NEAR, np.sign(steps), 0.0)
+        wraps = np.where(np.abs(np.abs(steps) / whole - 1.0) < _NEAR, np.sign(steps), 0.0)
         if wraps.any():
-            values[known[1:], column] -= _TURN * np.cumsum(wraps)
+            values[known[1:], column] -= whole * np.cumsum(wraps)
             turns[column] = np.count_nonzero(wraps)
     return values, beyond, turns
 

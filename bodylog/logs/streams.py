@@ -14,6 +14,7 @@ from . import images, signals
 from .clocks import Dated, date, largest_gap, median, seconds
 from .columns import Columns, Source, columns, columns_of
 from .containers import Log
+from .joint_units import joint_unit
 from .roles import Role
 from .stamps import stamp_field
 from .topics import independent
@@ -39,6 +40,7 @@ class Stream:
     beyond: int = 0
     wraps: Mapping[str, int] = field(default_factory=dict)
     sets: tuple[signals.Named, ...] = ()
+    unit: str = "rad"
 
 
 def streams(
@@ -116,10 +118,11 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     by_name = role.role in ("joints", "truth", "reference")
     dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
     values, idle, beyond, wraps = signal.values[dated.rows], 0, 0, dict[str, int]()
+    unit = joint_unit(role.topics[0].metadata, settings.body.unit)
     if by_name:
-        keep, values, idle = signals.merged(dated.t_ns, np.deg2rad(values) if settings.body.unit == "deg" else values)
+        keep, values, idle = signals.merged(dated.t_ns, values if unit.factor == 1.0 else values * unit.factor)
         dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
-        values, beyond, turns = signals.angles(values[keep], follow=not independent(role.topics))
+        values, beyond, turns = signals.angles(values[keep], None if independent(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     elif values.dtype.kind == "f":
         values, beyond = signals.believed(values)
@@ -129,7 +132,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     slow = sum(some.fallback for some in read)
     return Stream(
         role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond, wraps=wraps,
-        sets=signal.sets,
+        sets=signal.sets, unit=unit.unit if by_name else "",
     )  # fmt: skip
 
 

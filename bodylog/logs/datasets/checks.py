@@ -1,0 +1,187 @@
+"""What is wrong with an episode: black and frozen cameras, joints that wrap or never move, lengths, gaps in time."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...errors import BodylogError
+from ...settings import LIMITS, Input
+from ...types import Array, Batch
+from .. import images
+from ..containers import payloads
+from ..joint_units import joint_unit
+from .episode_log import JOINTS, Camera, EpisodeLog, Signal
+from .lerobot_layout import Layout
+
+_BLACK = 20
+"""Grey levels: video's black is 16 (BT.601), and a covered sensor's noise a few levels more."""
+_BLOCK = 8
+"""px: block of a video codec."""
+_SAME = 4.0
+"""Grey levels that no block's mean differs by where the same image is coded again. Measured on an image repeated 60
+times: AV1 (crf 30) 0, H.264 (crf 23) 1; on a real MPEG-4 recording whose camera repeats images 2.5. A new image of that
+recording differs by 112 and more."""
+_LONG_S, _MANY = 0.5, 5
+"""A camera is frozen, or black, where it is so for at least so long, and so many images."""
+_MOVED = 0.02
+"""Share of a joint's range that it must cross while a camera shows the same."""
+_GAP = 5.0
+"""Usual steps in time, beyond which there is a gap."""
+
+
+@dataclass
+class _Look:
+    """What is kept of a camera's images: brightness (grey levels), change from the one before, time (ns) of each."""
+
+    bright: list[float] = field(default_factory=list)
+    change: list[float] = field(default_factory=list)
+    ns: list[int] = field(default_factory=list)
+    last: Array | None = None
+
+    def add(self, ns: int, image: Array) -> None:
+        """Take in the next image (H,W,3)."""
+        import cv2
+
+        grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2GRAY)
+        size = max(grey.shape[1] // _BLOCK, 1), max(grey.shape[0] // _BLOCK, 1)
+        small = cv2.resize(grey.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        same = self.last is not None and self.last.shape == small.shape
+        self.change.append(float(np.abs(small - self.last).max()) if same and self.last is not None else np.inf)
+        self.bright.append(float(np.percentile(grey, 99)))
+        self.ns.append(ns)
+        self.last = small
+
+
+class Checks:
+    """Looks at the batches of an episode on their way, then says what is wrong."""
+
+    def __init__(self, log: EpisodeLog, limits: Input = LIMITS) -> None:
+        """An episode that is about to be read from end to end."""
+        self._log = log
+        topics = {topic.id: topic for topic in log.topics if topic.id in log.cameras}
+        self._decoders = {number: images.decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
+        self._looks = {number: _Look() for number in topics}
+
+    def add(self, batch: Batch) -> None:
+        """Look at the images of a batch."""
+        if (decode := self._decoders.get(batch.topic_id)) is None:
+            return
+        for ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            try:
+                self._looks[batch.topic_id].add(ns, decode(bytes(payload), 1))
+            except BodylogError:  # counted by the log itself
+                continue
+
+    def texts(self) -> Iterator[str]:
+        """One line for each thing that is wrong."""
+        joints = next((one for one in self._log.signals if one.topic == JOINTS), None)
+        for number, look in self._looks.items():
+            yield from _camera(self._log.cameras[number], look, joints)
+        yield from () if joints is None else _joints(joints)
+        yield from _length(self._log)
+
+
+def _camera(camera: Camera, look: _Look, joints: Signal | None) -> Iterator[str]:
+    name = camera.topic
+    if not look.ns:
+        return
+    black = np.array(look.bright) < _BLACK
+    if black.all():
+        yield f"{name}: the camera is black in all {len(black)} images"
+        return
+    for first, end in _runs(black, look.ns):
+        yield f"{name}: the camera is black {_when(look.ns, first, end)}"
+    same = np.append((np.array(look.change) < _SAME)[1:], False)
+    yield from _frozen(name, look.ns, list(_runs(same & ~black, look.ns)), joints)
+
+
+def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: Signal | None) -> Iterator[str]:
+    """Runs of images that show the same, though joints move."""
+    runs = [(first, end) for first, end in runs if joints is None or _moves(joints, ns[first], ns[end - 1])]
+    if not runs:
+        return
+    moving = "" if joints is None else " while joints move"
+    lasts = [(ns[end - 1] - ns[first]) / 1e9 for first, end in runs]
+    longest = _when(ns, *runs[int(np.argmax(lasts))])
+    if len(runs) == 1:
+        yield f"{name}: the camera is frozen {longest}{moving}"
+    else:
+        whole = (ns[-1] - ns[0]) / 1e9
+        often = f"{len(runs)} times, {sum(lasts):.1f} s of {whole:.1f} s{moving}"
+        yield f"{name}: the camera is frozen {often}, at the longest {longest}"
+
+
+def _runs(which: Array, ns: Sequence[int]) -> Iterator[tuple[int, int]]:
+    """Runs (first, beyond the last) that last long enough to be remarked on."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
+    for first, end in edges.tolist():
+        if end - first >= _MANY and ns[end - 1] - ns[first] >= _LONG_S * 1e9:
+            yield first, end
+
+
+def _when(ns: Sequence[int], first: int, end: int) -> str:
+    begin, last = ((ns[k] - ns[0]) / 1e9 for k in (first, end - 1))
+    return f"from {begin:.2f} to {last:.2f} s ({end - first} images)"
+
+
+def _moves(joints: Signal, first_ns: int, last_ns: int) -> bool:
+    """Whether any joint crosses some of its range meanwhile."""
+    during = joints.values[(joints.ns >= first_ns) & (joints.ns <= last_ns)]
+    if not len(during):
+        return False
+    whole, part = _range(joints.values), _range(during)
+    return bool((part > _MOVED * whole)[whole > 0].any())
+
+
+def _range(values: Array) -> Array:
+    """Highest less lowest of each column (K,), 0 where it holds no number."""
+    known = np.isfinite(values)
+    low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
+    return np.where(known.any(axis=0), high - low, 0.0)
+
+
+def _joints(joints: Signal) -> Iterator[str]:
+    still = [name for name, one in zip(joints.names, _range(joints.values), strict=True) if one == 0]
+    if still:
+        yield f"{joints.topic}: {', '.join(still)} {'is' if len(still) == 1 else 'are'} constant throughout"
+    if missing := int((~np.isfinite(joints.values)).sum()):
+        yield f"{joints.topic}: {missing} of {joints.values.size} readings are no finite numbers"
+    yield from _wraps(joints)
+    steps = np.diff(joints.ns) / 1e9
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    if usual > 0 and (gaps := np.flatnonzero(steps > _GAP * usual)).size:
+        at = (joints.ns[gaps[0]] - joints.ns[0]) / 1e9
+        yield f"{joints.topic}: {len(gaps)} gaps in time, the first of {steps[gaps[0]]:.3g} s at {at:.2f} s"
+
+
+def _wraps(joints: Signal) -> Iterator[str]:
+    """Joints whose readings leap by more than half a turn."""
+    known = joint_unit(joints.metadata, "rad")
+    if known.turn is None:
+        return
+    for name, column in zip(joints.names, joints.values.T * known.factor, strict=True):
+        steps = np.diff(column[np.isfinite(column)])
+        if count := int((np.abs(steps) > 0.5 * known.turn).sum()):
+            yield f"{joints.topic}: {name} wraps around {count} times: it leaps by more than half a turn"
+
+
+def _length(log: EpisodeLog) -> Iterator[str]:
+    declared = log.episode.length
+    rows = max((len(one.ns) for one in log.signals), default=0)
+    if declared is not None and declared != rows:
+        yield f"the dataset lists {declared} rows for this episode, its table holds {rows}"
+
+
+def of_dataset(known: Layout) -> Iterator[str]:
+    """What info.json says of the dataset as a whole and the rest does not."""
+    there, info = known.present(), known.info
+    listed = len(known.rows)
+    if isinstance(total := info.get("total_episodes"), int) and total != listed:
+        yield f"info.json says total_episodes {total}, {listed} are listed"
+    if len(there) != listed:
+        yield f"{listed} episodes are listed, the tables of {len(there)} are there"
+    lengths = [row.get("length") for row in known.rows.values()]
+    whole = sum(length for length in lengths if isinstance(length, int))
+    if isinstance(total := info.get("total_frames"), int) and total != whole:
+        yield f"info.json says total_frames {total}, the episodes listed have {whole}"

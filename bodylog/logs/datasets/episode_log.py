@@ -1,0 +1,218 @@
+"""One episode of a dataset as a log: signals held as arrays, cameras decoded as they are read; see containers.Log."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from ...errors import LogError
+from ...types import Array, Batch, Finding, Topic
+from .. import cdr
+from ..cdr import Field, Payloads
+from ..ros1 import known_definition
+from ..vocabulary import definition
+
+JOINTS, ACTION = "/joint_states", "/action"
+FEATURE, DTYPE = "bodylog.feature", "bodylog.dtype"
+"""Metadata of a topic: the dataset's name and dtype of what it holds."""
+JOINT_STATE, VECTOR = "sensor_msgs/msg/JointState", "bodylog_msgs/msg/Vector"
+RAW, COMPRESSED, TEXT = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
+EPOCH_NS = 1_000_000_000
+"""Where times of a dataset begin that count from an episode's start: a stamp of 0 would mean that there is none."""
+_BATCH_BYTES = 4 << 20
+
+Item = tuple[int, Array | bytes | None]
+"""Number of a frame, and its image (H,W,3) uint8 BGR or encoded bytes; None where it cannot be read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Numbers of one topic: values (N,K) float64 at ns (N,) int64, as JointState or Vector."""
+
+    topic: str
+    type: str
+    names: tuple[str, ...]
+    values: Array
+    ns: Array
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Texts:
+    """Texts of one topic: texts (N,) at ns (N,) int64, as std_msgs/String."""
+
+    topic: str
+    texts: tuple[str, ...]
+    ns: Array
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Images of one topic: their times ns (n,) int64, and what reads them: one item for each time, in order.
+
+    `size` is (width, height) px of raw images; None: they are encoded, as `form` (jpeg, png) says.
+    """
+
+    topic: str
+    ns: Array
+    read: Callable[[], Iterator[Item]]
+    size: tuple[int, int] | None
+    form: str = ""
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """What a reader found: name of the format, streams, remarks; `length`: rows that the dataset declares."""
+
+    format: str
+    streams: Sequence[Signal | Texts | Camera]
+    remarks: Sequence[Finding] = ()
+    length: int | None = None
+    videos: Mapping[str, Array] = field(default_factory=dict)
+
+
+class EpisodeLog:
+    """An episode as a log; images that cannot be read are counted as lost, and stand as messages without an image."""
+
+    def __init__(self, path: Path, episode: Episode, strict: bool) -> None:
+        """LogError when it holds nothing, or when strict and part of it is lost."""
+        self.path, self.episode, self.format, self._strict = path, episode, episode.format, strict
+        self._lost: dict[str, str] = {}
+        streams = [one for one in episode.streams if len(one.ns)]
+        if not streams:
+            raise LogError(f"{path}: the episode is empty: no rows and no images")
+        self._streams = dict(enumerate(streams))
+        self.topics: tuple[Topic, ...] = tuple(_topic(number, one) for number, one in self._streams.items())
+        self.start_ns = min(int(one.ns.min()) for one in streams)
+        self.end_ns = max(int(one.ns.max()) for one in streams)
+        for finding in episode.remarks:
+            self._refuse(finding)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """Remarks of the reader, and images that could not be read so far."""
+        lost = (Finding("lost", f"{self.path}: {text}") for text in self._lost.values())
+        return (*(Finding(f.severity, f"{self.path}: {f.text}") for f in self.episode.remarks), *lost)
+
+    @property
+    def cameras(self) -> dict[int, Camera]:
+        """The cameras by topic id."""
+        return {number: one for number, one in self._streams.items() if isinstance(one, Camera)}
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """The topics of numbers."""
+        return tuple(one for one in self._streams.values() if isinstance(one, Signal))
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all), one topic after the other; images a few MiB at a time."""
+        for number, one in self._streams.items():
+            if ids is None or number in ids:
+                yield from self._images(number, one) if isinstance(one, Camera) else _held(number, one)
+
+    def heads(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """As `batches`, but messages of cameras come without their images, which need not be decoded."""
+        for number, one in self._streams.items():
+            if ids is None or number in ids:
+                yield from _held(number, one)
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """First and last time (ns) of every topic."""
+        return {number: (int(one.ns.min()), int(one.ns.max())) for number, one in self._streams.items()}
+
+    def close(self) -> None:
+        """Nothing stays open between batches."""
+
+    def __enter__(self) -> Self:
+        """The log itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing stays open."""
+
+    def _images(self, number: int, camera: Camera) -> Iterator[Batch]:
+        """Batches of a camera's images; as many messages as it has times."""
+        pending: list[tuple[int, bytes]] = []
+        size, missing = 0, 0
+        for at, image in camera.read():
+            missing += image is None
+            pending.append((int(camera.ns[at]), _message(camera, int(camera.ns[at]), image)))
+            size += len(pending[-1][1])
+            if size >= _BATCH_BYTES:
+                yield _batch(number, pending)
+                pending, size = [], 0
+        if pending:
+            yield _batch(number, pending)
+        if missing:
+            self._count(camera, missing)
+
+    def _count(self, camera: Camera, missing: int) -> None:
+        self._lost[camera.topic] = f"{camera.topic}: {missing} of {len(camera.ns)} images cannot be read"
+        self._refuse(Finding("lost", self._lost[camera.topic]))
+
+    def _refuse(self, finding: Finding) -> None:
+        if finding.severity == "lost" and self._strict:
+            said = "type the command without --strict to use the rest"
+            raise LogError(f"{self.path}: {finding.text}; {said}")
+
+
+def _topic(number: int, one: Signal | Texts | Camera) -> Topic:
+    kind = _type(one)
+    text = definition(kind) if kind in (JOINT_STATE, VECTOR) else known_definition(kind) or b""
+    return Topic(number, one.topic, kind, "cdr", text, "ros2msg", len(one.ns), one.metadata)
+
+
+def _type(one: Signal | Texts | Camera) -> str:
+    if isinstance(one, Signal):
+        return one.type
+    return TEXT if isinstance(one, Texts) else COMPRESSED if one.size is None else RAW
+
+
+def _held(number: int, one: Signal | Texts | Camera) -> Iterator[Batch]:
+    """All messages of a topic at once, of a camera without images."""
+    made = _texts(one) if isinstance(one, Texts) else cdr.serialise(len(one.ns), _fields(one))
+    yield Batch(number, one.ns, made.data, made.offset, made.length)
+
+
+def _fields(one: Signal | Camera) -> list[Field]:
+    if isinstance(one, Camera):
+        return _image_fields(one, one.ns, np.empty((len(one.ns), 0), np.uint8))
+    fields: list[Field] = [*cdr.header(one.ns), ("string[]", one.names), ("float64[]", one.values)]
+    # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array
+    unknown = np.full(one.values.shape, np.nan)
+    return fields + ([("float64[]", unknown)] * 2 if one.type == JOINT_STATE else [])
+
+
+def _texts(one: Texts) -> Payloads:
+    parts = [(np.array([k]), cdr.serialise(1, [("string", text)])) for k, text in enumerate(one.texts)]
+    return cdr.merge(parts, len(one.texts))
+
+
+def _image_fields(camera: Camera, ns: Array, data: Array) -> list[Field]:
+    """CompressedImage or Image with the bytes data (n,B); B = 0 of a raw image means none."""
+    if camera.size is None:
+        return [*cdr.header(ns), ("string", camera.form), ("uint8[]", data)]
+    width, height = camera.size if data.shape[1] else (0, 0)
+    return [
+        *cdr.header(ns), ("uint32", height), ("uint32", width), ("string", "bgr8"), ("uint8", 0),
+        ("uint32", 3 * width), ("uint8[]", data),
+    ]  # fmt: skip
+
+
+def _message(camera: Camera, ns: int, image: Array | bytes | None) -> bytes:
+    if image is None or isinstance(image, bytes):
+        flat = np.frombuffer(image or b"", np.uint8)
+    else:
+        flat = np.ascontiguousarray(image).reshape(-1)
+    return cdr.serialise(1, _image_fields(camera, np.array([ns]), flat.reshape(1, -1))).data.tobytes()
+
+
+def _batch(number: int, pending: list[tuple[int, bytes]]) -> Batch:
+    ns, payloads = zip(*pending, strict=True)
+    length = np.array([len(one) for one in payloads], np.int64)
+    data = np.frombuffer(b"".join(payloads), np.uint8)
+    return Batch(number, np.array(ns, np.int64), data, np.cumsum(length) - length, length)

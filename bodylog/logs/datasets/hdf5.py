@@ -1,0 +1,235 @@
+"""HDF5 episodes as logs: ALOHA (/observations/qpos, /action) and robomimic (/data/demo_N/obs/…)."""
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import episodes
+from ...errors import LogError
+from ...settings import LIMITS, Input
+from ...types import Array, Finding
+from ...values import times
+from ..messages import escape
+from .episode_log import (
+    ACTION,
+    DTYPE,
+    EPOCH_NS,
+    FEATURE,
+    JOINT_STATE,
+    JOINTS,
+    VECTOR,
+    Camera,
+    Episode,
+    EpisodeLog,
+    Item,
+    Signal,
+    Texts,
+)  # fmt: skip
+from .hdf5_file import Sets, attribute, opened, sets_of
+from .units import unit
+
+_MOST_ROWS, _MOST_VALUES = 1 << 24, 1 << 26
+_MOST_CHUNK = 256 << 20
+"""Bytes that HDF5 unpacks at once: one chunk of a dataset."""
+_ALOHA_HZ = 50.0
+"""Rate of ALOHA's recordings (DT = 0.02 s in its constants); its files hold no times."""
+_ALOHA_ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")
+_TIMES = re.compile(r"(^|/)(timestamps?|times?|stamps?|t)(_(ns|us|ms|s))?$", re.IGNORECASE)
+_SCALE = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+_JOINTS = re.compile(r"(^|/)(qpos|joint_pos(itions?)?|robot\d*_joint_pos)$")
+_ACTION = re.compile(r"actions?")
+
+
+def open_hdf5(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
+    """An episode of an HDF5 file: of FILE#N number N, of FILE the first."""
+    file, number = episodes.split(path)
+    remarks: list[Finding] = []
+    with opened(file) as one:
+        found = sets_of(one, file, number, remarks)
+        episode = _episode(file, found, remarks, limits)
+    return EpisodeLog(path, episode, strict)
+
+
+def _episode(path: Path, found: Sets, remarks: list[Finding], limits: Input) -> Episode:
+    rows = _rows(found.sets)
+    if not rows:
+        some = ", ".join(list(found.sets)[:8]) or "none"
+        said = "no qpos, joint_pos, action or images as ALOHA and robomimic keep them"
+        raise LogError(f"{path}: {said}; its datasets are {some}")
+    if rows > _MOST_ROWS:
+        raise LogError(f"{path}: an episode of {rows} rows; at most {_MOST_ROWS} are read")
+    ns = _times(found, rows, remarks)
+    streams: list[Signal | Texts | Camera] = []
+    joints = next((name for name in found.sets if _JOINTS.search(name) and _is_numbers(found.sets[name])), None)
+    lengths = {name: one.shape[0] for name, one in found.sets.items() if _is_row(one)}
+    for name in lengths:
+        own = ns[: lengths[name]] if lengths[name] <= rows else None
+        if lengths[name] != rows:
+            remarks.append(Finding("warning", f"{name}: {lengths[name]} rows, {joints or 'the others'} {rows}"))
+        if own is None or not len(own) or (_TIMES.search(name) and found.sets[name].ndim == 1):
+            continue
+        streams += _stream(path, found, name, own, joints, remarks, limits)
+    return Episode(found.format, streams, remarks)
+
+
+def _is_row(one: Any) -> bool:
+    """Whether a dataset has a row for each step."""
+    return one.ndim >= 1 and one.dtype.kind in "fiubO" and one.shape[0] > 0
+
+
+def _is_numbers(one: Any) -> bool:
+    return _is_row(one) and one.dtype.kind in "fiub" and one.ndim == 2
+
+
+def _rows(sets: Mapping[str, Any]) -> int:
+    """Steps of the episode: rows of the joints, else of the action, else of most datasets."""
+    known = {name: int(one.shape[0]) for name, one in sets.items() if _is_row(one)}
+    wanted = [rows for name, rows in known.items() if _JOINTS.search(name) or re.search(r"(^|/)actions?$", name)]
+    images = [rows for name, rows in known.items() if _is_camera(name, sets[name])]
+    every = wanted or images
+    return every[0] if every else 0
+
+
+def _is_camera(name: str, one: Any) -> bool:
+    """(T,H,W,3) or (T,H,W,1) bytes, or JPEG and PNG in (T,L) bytes or rows of changing length, named as images are."""
+    if one.dtype == np.uint8 and one.ndim == 4:
+        return one.shape[3] in (1, 3)
+    return bool(re.search(r"image|rgb|cam", name)) and (
+        (one.dtype == np.uint8 and one.ndim == 2 and one.shape[1] > 64) or (one.dtype == object and one.ndim == 1)
+    )
+
+
+def _times(found: Sets, rows: int, remarks: list[Finding]) -> Array:
+    """Times of the steps (N,) int64 ns: a dataset of times, else their numbers at the rate that is known."""
+    for name, one in found.sets.items():
+        if (match := _TIMES.search(name)) and one.shape == (rows,) and one.dtype.kind in "fiu":
+            ns = _ns(one[()], match[4])
+            if ns is not None and (np.diff(ns) > 0).all():
+                return ns
+            remarks.append(Finding("warning", f"{name} does not date every row later than the one before; not used"))
+    if found.rate is not None:
+        remarks.append(Finding("info", f"no times; rows are dated at the {found.rate:g} Hz that the file states"))
+    else:
+        said = f"no times and no rate in the file; rows are dated at ALOHA's {_ALOHA_HZ:g} Hz"
+        remarks.append(Finding("warning", said))
+    return EPOCH_NS + np.rint(np.arange(rows) / (found.rate or _ALOHA_HZ) * 1e9).astype(np.int64)
+
+
+def _ns(values: Array, ending: str | None) -> Array | None:
+    """Times as int64 ns: by the ending of their name, else by their size; None where they are none."""
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        return None
+    largest = float(np.abs(values).max(initial=0))
+    scale = _SCALE.get((ending or "").lower(), 1e-9 if largest > 1e17 else 1.0)
+    if not largest * scale <= 4e9:
+        return None
+    whole = values.dtype.kind in "iu" and scale == 1e-9
+    ns = values.astype(np.int64) if whole else np.rint(values.astype(float) * scale * 1e9).astype(np.int64)
+    return times(ns if len(ns) and ns.min() >= EPOCH_NS else ns - ns.min(initial=0) + EPOCH_NS)
+
+
+def _stream(
+    path: Path, found: Sets, name: str, ns: Array, joints: str | None, remarks: list[Finding], limits: Input
+) -> Iterator[Signal | Camera]:
+    one = found.sets[name]
+    if _is_camera(name, one):
+        yield from _camera(path, found, name, ns, remarks, limits)
+        return
+    if one.dtype.kind not in "fiub" or one.ndim > 3:
+        remarks.append(Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read"))
+        return
+    if one.size > _MOST_VALUES or _chunk_bytes(one) > _MOST_CHUNK:
+        remarks.append(Finding("lost", f"{name}: {one.size} numbers of shape {one.shape}; too many to be read"))
+        return
+    values = np.asarray(one[()], float).reshape(len(ns), -1)
+    short = re.sub(r"^(obs|observations)/", "", name)
+    topic, kind = f"/{escape(short)}", VECTOR
+    metadata = {FEATURE: _feature(name), DTYPE: str(one.dtype)}
+    names = _names(values.shape[1], found.format, name == joints or bool(_ACTION.fullmatch(name)))
+    if name == joints or _ACTION.fullmatch(name):
+        topic, kind = (JOINTS if name == joints else ACTION), JOINT_STATE
+        of = unit({key: _text(attribute(one, key)) for key in ("unit", "units")}, names, values)
+        metadata |= of.metadata
+        remarks += [Finding(*of.remark)] if name == joints else []
+    yield Signal(topic, kind, names, values, ns, metadata)
+
+
+def _feature(name: str) -> str:
+    """What LeRobot would call a dataset."""
+    if _JOINTS.search(name):
+        return "observation.state"
+    if _ACTION.fullmatch(name):
+        return "action"
+    short = re.sub(r"^(obs|observations)/", "observation.", name)
+    return short.replace("/", ".")
+
+
+def _text(value: Any) -> Any:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:
+    """ALOHA's names of its arms' joints; else their places."""
+    if of_joints and form == "hdf5" and count in (7, 14):
+        sides = ("left_", "right_") if count == 14 else ("",)
+        return tuple(f"{side}{name}" for side in sides for name in _ALOHA_ARM)
+    return tuple(map(str, range(count)))
+
+
+def _chunk_bytes(one: Any) -> int:
+    """Bytes that HDF5 unpacks at once."""
+    if one.dtype == object:
+        return 0
+    return int(np.prod(one.chunks or (1,), dtype=float) * one.dtype.itemsize) if one.chunks else 0
+
+
+def _camera(
+    path: Path, found: Sets, name: str, ns: Array, remarks: list[Finding], limits: Input
+) -> Iterator[Camera]:
+    one, short = found.sets[name], re.sub(r"^.*?(images?)/", "", name)
+    topic = f"/{escape(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
+    metadata = {FEATURE: f"observation.images.{topic[1:].replace('/', '.')}"}
+    place = f"{found.group}/{name}"
+    if one.ndim == 4:
+        height, width = one.shape[1:3]
+        if not 0 < height * width <= limits.max_image_mpx * 1e6 or _chunk_bytes(one) > _MOST_CHUNK:
+            said = f"{name}: images of {width} x {height} in chunks of {_chunk_bytes(one)} bytes"
+            remarks.append(Finding("lost", f"{said}; too large to be read"))
+            return
+        yield Camera(f"{topic}/image", ns, partial(_raw, path, place, len(ns)), (width, height), "", metadata)
+        return
+    if _chunk_bytes(one) > _MOST_CHUNK:
+        remarks.append(Finding("lost", f"{name}: chunks of {_chunk_bytes(one)} bytes; too large to be read"))
+        return
+    yield Camera(f"{topic}/image/compressed", ns, partial(_packed, path, place, len(ns)), None, "jpeg", metadata)
+
+
+def _raw(path: Path, place: str, count: int) -> Iterator[Item]:
+    """RGB images (T,H,W,3), or grey ones, row by row, as BGR."""
+    for number, image in _rows_of(path, place, count):
+        if image is not None:
+            image = np.ascontiguousarray(np.broadcast_to(image, (*image.shape[:2], 3))[:, :, ::-1])
+        yield number, image
+
+
+def _packed(path: Path, place: str, count: int) -> Iterator[Item]:
+    """JPEG or PNG images row by row, without the zeros that fill a row up."""
+    for number, row in _rows_of(path, place, count):
+        data = b"" if row is None else np.asarray(row, np.uint8).tobytes().rstrip(b"\0")
+        yield number, data or None
+
+
+def _rows_of(path: Path, place: str, count: int) -> Iterator[tuple[int, Array | None]]:
+    """The rows of a dataset; None for those that cannot be unpacked."""
+    with opened(path) as file:
+        one = file[place]
+        for number in range(count):
+            try:
+                row = one[number]
+            except (OSError, RuntimeError, ValueError):
+                row = None
+            yield number, row

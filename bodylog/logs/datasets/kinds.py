@@ -1,0 +1,54 @@
+"""Which datasets there are: who opens a folder or a file, which files an episode is read from, how many there are."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ...settings import Input
+from .episode_log import EpisodeLog
+
+Opener = Callable[[Path, bool, Input], EpisodeLog]
+"""Dataset or episode, strict, limits -> the log."""
+_RECORDED = (".db3", ".mcap", ".bag", ".zst", ".zstd", ".active")
+
+
+def of_folder(folder: Path) -> Opener | None:
+    """Who opens a folder as a dataset; None for a folder that is none, or holds what rosbag2 or ROS recorded."""
+    from . import lerobot, tables
+
+    if is_dataset(folder):
+        return lerobot.open_lerobot
+    names = [path.name for path in folder.iterdir()]
+    recorded = "metadata.yaml" in names or any(name.endswith(_RECORDED) for name in names)
+    return tables.open_folder if not recorded and tables.is_tables(folder) else None
+
+
+def of_file(first: bytes) -> Opener | None:
+    """Who opens a file that begins so; None for one that is neither HDF5 nor a video."""
+    from . import hdf5, hdf5_file, tables, video
+
+    if first.startswith(hdf5_file.MAGIC):
+        return hdf5.open_hdf5
+    return tables.open_video if video.is_video(first) else None
+
+
+def is_dataset(folder: Path) -> bool:
+    """Whether a folder is a dataset of episodes."""
+    return (folder / "meta" / "info.json").is_file()
+
+
+def files(folder: Path, number: int | None) -> tuple[Path, ...]:
+    """The files that an episode of a dataset's folder is read from; none for a folder that holds no episodes."""
+    from . import lerobot
+
+    return lerobot.files(folder, number) if is_dataset(folder) else ()
+
+
+def numbers(path: Path) -> tuple[int, ...]:
+    """The episodes that are there in a folder or file; none where it holds no episodes."""
+    from . import hdf5_file, lerobot_layout
+
+    if path.is_dir():
+        return lerobot_layout.layout(path).present() if is_dataset(path) else ()
+    with path.open("rb") as stream:
+        is_hdf5 = stream.read(8) == hdf5_file.MAGIC
+    return hdf5_file.numbers(path) if is_hdf5 else ()

@@ -1,0 +1,251 @@
+"""A LeRobot episode as a log: state, action and other features as topics, cameras from videos or tables."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import episodes
+from ...errors import InputError, LogError
+from ...settings import LIMITS, Input
+from ...types import Array, Finding
+from ...values import times
+from ..messages import escape
+from . import parquet, video
+from .episode_log import (
+    ACTION,
+    DTYPE,
+    EPOCH_NS,
+    FEATURE,
+    JOINT_STATE,
+    JOINTS,
+    VECTOR,
+    Camera,
+    Episode,
+    EpisodeLog,
+    Item,
+    Signal,
+    Texts,
+)  # fmt: skip
+from .lerobot_layout import Layout, layout, tasks
+from .units import unit
+
+_STATE = ("observation.state", "observation.qpos", "observation.joint_positions")
+_STAMP = ".stamp_ns"
+"""Ends the names of features that hold the times of another feature (int64, ns): what `convert` writes."""
+_BOOKKEEPING = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
+_NUMBERS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
+_MOST_WIDE = 100_000
+
+
+def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
+    """An episode of a LeRobot folder: of DATASET#N number N, of DATASET the first that is there."""
+    folder, number = episodes.split(path)
+    known = layout(folder)
+    there = known.present()
+    remarks: list[Finding] = []
+    if number is None:
+        if not there:
+            raise LogError(f"{folder}: none of the {len(known.rows)} episodes it lists has its table there")
+        number = there[0]
+        if len(there) > 1:
+            some = f"episode {number}, the first of {_ranges(there)}; for another, type: --episode {there[1]}"
+            remarks.append(Finding("info", some))
+    if number not in there:
+        raise LogError(f"{folder}: no episode {number}; there are {_ranges(there) or 'none'}")
+    return EpisodeLog(path, _episode(known, number, remarks, limits), strict)
+
+
+def files(folder: Path, number: int | None) -> tuple[Path, ...]:
+    """The files that an episode is read from (None: the first), those that are there."""
+    known = layout(folder)
+    number = next(iter(known.present()), 0) if number is None else number
+    cameras = [name for name, about in known.features.items() if about.get("dtype") == "video"]
+    found = [folder / "meta" / "info.json"]
+    if number in known.rows:
+        found += [known.table(number), *(known.video(number, name).path for name in cameras)]
+    return tuple(dict.fromkeys(path for path in found if path.is_file()))
+
+
+def _ranges(numbers: Sequence[int]) -> str:
+    """0 to 24, or 0, 1, 7."""
+    if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"{numbers[0]} to {numbers[-1]}"
+    return ", ".join(map(str, numbers[:12])) + (f" and {len(numbers) - 12} more" if len(numbers) > 12 else "")
+
+
+def _episode(known: Layout, number: int, remarks: list[Finding], limits: Input) -> Episode:
+    table = known.table(number)
+    where = parquet.rows(table, "episode_index", number)
+    if not where:
+        raise LogError(f"{table}: no rows of episode {number}")
+    numbers = [name for name, about in known.features.items() if about.get("dtype") in _NUMBERS]
+    wanted = [name for name in numbers if name not in _BOOKKEEPING and not name.endswith(_STAMP)]
+    found = parquet.columns(table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where)
+    count = sum(end - first for first, end in where)
+    named = [f"{name}{_STAMP}" for name in known.features if f"{name}{_STAMP}" in known.features]
+    stamps = {name: parquet.integers(table, name, where) for name in named}
+    ns = _times(stamps, found.get("timestamp"), count, known.fps, remarks)
+    streams: list[Signal | Texts | Camera] = []
+    for name in wanted:
+        streams += _signal(name, known, found.get(name), _stamps(stamps, name, ns), remarks)
+    streams += _tasks(known, found, ns)
+    videos: dict[str, Array] = {}
+    for name, about in known.features.items():
+        if about.get("dtype") in ("video", "image"):
+            streams += _camera(name, known, number, _stamps(stamps, name, ns), where, videos, remarks, limits)
+    length = known.rows[number].get("length")
+    return Episode(f"lerobot {known.version}", streams, remarks, length if isinstance(length, int) else None, videos)
+
+
+def _times(
+    stamps: Mapping[str, Array | None], t: Array | None, count: int, fps: float, remarks: list[Finding]
+) -> Array:
+    """Times of the rows (N,) int64 ns: the first stamps, else `timestamp` (s), else their numbers at the rate."""
+    own = [ns for ns in stamps.values() if ns is not None]
+    if own:
+        return times(own[0])
+    if t is None or t.shape[1] != 1 or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 9e9:
+        remarks.append(Finding("warning", f"no timestamp dates every row; rows are dated at {fps:g} Hz"))
+        t = np.arange(count)[:, None] / fps
+    if still := int((np.diff(t[:, 0]) <= 0).sum()):
+        remarks.append(Finding("warning", f"timestamp does not rise in {still} of {count} rows"))
+    return times(EPOCH_NS + np.rint(t[:, 0] * 1e9).astype(np.int64))
+
+
+def _stamps(stamps: Mapping[str, Array | None], name: str, ns: Array) -> Array:
+    """The feature's own times, where the dataset has them, else the rows'."""
+    own = stamps.get(f"{name}{_STAMP}")
+    return ns if own is None else times(own)
+
+
+def _signal(
+    name: str, known: Layout, values: Array | None, ns: Array, remarks: list[Finding]
+) -> Iterator[Signal]:
+    about = known.features[name]
+    if values is None or not values.shape[1]:
+        remarks.append(Finding("lost", f"{name}: info.json declares it, the table holds no such numbers"))
+        return
+    if values.shape[1] > _MOST_WIDE:
+        remarks.append(Finding("lost", f"{name}: {values.shape[1]} numbers in a row; at most {_MOST_WIDE} are read"))
+        return
+    width = int(np.prod([side for side in about.get("shape") or [1] if isinstance(side, int)]))
+    if width != values.shape[1]:
+        said = f"{name}: info.json declares {width} numbers, the table holds {values.shape[1]}"
+        remarks.append(Finding("warning", said))
+    names = _names(about.get("names"), values.shape[1])
+    metadata = {FEATURE: name, DTYPE: str(about["dtype"]), **_robot(known, name)}
+    state = next((one for one in _STATE if known.features.get(one)), None)
+    topic, kind = f"/{escape(name.replace('.', '/'))}", VECTOR
+    if name in (state, "action"):
+        topic, kind = (JOINTS if name == state else ACTION), JOINT_STATE
+        of = unit(about, names, values)
+        metadata |= of.metadata
+        remarks += [Finding(*of.remark)] if name == state else []
+    yield Signal(topic, kind, names, values, ns, metadata)
+
+
+def _robot(known: Layout, name: str) -> dict[str, str]:
+    """What of the dataset is kept with the joints: rate and robot."""
+    if name not in _STATE:
+        return {}
+    robot = known.info.get("robot_type")
+    return {"bodylog.fps": f"{known.fps:g}"} | ({"bodylog.robot": robot} if isinstance(robot, str) else {})
+
+
+def _names(said: Any, count: int) -> tuple[str, ...]:
+    """The names of `count` numbers: a list, or what lies in a mapping ({"motors": [...]}); else their places."""
+    while isinstance(said, dict) and len(said) == 1:
+        said = next(iter(said.values()))
+    if isinstance(said, dict):
+        said = [text for part in said.values() for text in (part if isinstance(part, list) else [part])]
+    if isinstance(said, list) and len(said) == count and all(isinstance(text, str) for text in said):
+        names = tuple(text.encode(errors="replace").decode().replace("\0", "") for text in said)
+        if len(set(names)) == count and all(names):
+            return names
+    return tuple(map(str, range(count)))
+
+
+def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Iterator[Texts]:
+    """The task, where it begins or changes."""
+    index = found.get("task_index")
+    texts = tasks(known)
+    if not texts or not len(ns):
+        return
+    if index is None or index.shape[1] != 1:
+        index = np.zeros((len(ns), 1))
+    begins = np.flatnonzero(np.concatenate([[True], np.diff(index[:, 0]) != 0]))
+    rows = [row for row in begins.tolist() if index[row, 0] in texts]
+    yield Texts("/task", tuple(texts[int(index[row, 0])] for row in rows), ns[rows], {FEATURE: "task"})
+
+
+def _camera(
+    name: str, known: Layout, number: int, ns: Array, where: Sequence[tuple[int, int]], videos: dict[str, Array],
+    remarks: list[Finding], limits: Input,
+) -> Iterator[Camera]:  # fmt: skip
+    about = known.features[name]
+    topic, metadata = f"/{escape(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
+    if _is_depth(about):
+        remarks.append(Finding("info", f"{name}: depth, which is not read"))
+        return
+    if about["dtype"] == "image":
+        table = known.table(number)
+        read = partial(_of_table, table, name, where)
+        yield Camera(f"{topic}/image/compressed", ns, read, None, "png", metadata)
+        return
+    try:
+        part = known.video(number, name)
+        if not part.path.is_file():
+            raise LogError(f"{part.path}: there is no such file; is the dataset downloaded completely?")
+        film = video.survey(part.path, limits.max_image_mpx)
+    except InputError as problem:
+        remarks.append(Finding("lost", f"{name}: {problem}"))
+        return
+    first, last = _within(film, part.start, part.end, known.fps)
+    t = film.t[first:last] - (film.t[first] if last > first else 0.0)
+    videos[name] = t
+    times, more = _dated(name, t, ns, known.fps)
+    remarks += more
+    reader: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last)
+    yield Camera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata)
+
+
+def _is_depth(about: Mapping[str, Any]) -> bool:
+    found = {**_mapping(about.get("info")), **_mapping(about.get("video_info"))}
+    return bool(found.get("is_depth_map") or found.get("video.is_depth_map"))
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _within(film: video.Video, start: float, end: float | None, fps: float) -> tuple[int, int]:
+    """The frames of an episode in a video of several: from start to before end, within half a frame."""
+    margin = 0.5 / fps
+    first = int(np.searchsorted(film.t, start - margin)) if start else 0
+    return first, len(film.t) if end is None else int(np.searchsorted(film.t, end - margin))
+
+
+def _dated(name: str, t: Array, ns: Array, fps: float) -> tuple[Array, list[Finding]]:
+    """When the frames shown at t (K,) s were taken, ns: frame k belongs to row k where there are as many."""
+    if len(t) != len(ns):
+        less = "lost" if len(t) < len(ns) else "warning"
+        said = f"{name}: the video has {len(t)} frames, the table {len(ns)} rows; frames are dated by the video"
+        return (ns[0] if len(ns) else EPOCH_NS) + np.rint(t * 1e9).astype(np.int64), [Finding(less, said)]
+    apart = t - (ns - ns[0]) / 1e9 if len(ns) else t
+    worst = float(np.abs(apart).max(initial=0.0))
+    if worst <= 0.5 / fps:
+        return ns, []
+    said = f"{name}: the video's times and the table's drift apart, by up to {worst:.3g} s; frame k is dated by row k"
+    return ns, [Finding("warning", said)]
+
+
+def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]]) -> Iterator[Item]:
+    yield from enumerate(parquet.encoded(table, name, where))
+
+
+def _of_video(film: video.Video, first: int, last: int) -> Iterator[Item]:
+    for number, image in video.images(film, first, last):
+        yield number - first, image

@@ -1,0 +1,216 @@
+"""Where a LeRobot dataset (v2.0, v2.1, v3.0) keeps what: meta/info.json, the list of episodes, tables and videos."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ...errors import FormatError, LogError
+from ...values import number, read_json
+from . import parquet
+
+INFO, EPISODES, TASKS = "meta/info.json", "meta/episodes.jsonl", "meta/tasks.jsonl"
+EPISODE_TABLES, TASK_TABLE = "meta/episodes", "meta/tasks.parquet"
+_MOST_BYTES = 64 << 20
+_MOST_FEATURES = 1000
+_PLACE = re.compile(r"\{(\w+)(?::0?(\d{1,2})d)?\}")
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Where a piece of an episode is: a file, and for videos of several episodes from when to when (s)."""
+
+    path: Path
+    start: float = 0.0
+    end: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """A dataset: its folder, info.json, features {name: declaration}, frames per second, and the episodes' rows.
+
+    `rows` {episode: what the dataset lists about it}.
+    """
+
+    folder: Path
+    info: Mapping[str, Any]
+    features: Mapping[str, Mapping[str, Any]]
+    fps: float
+    rows: Mapping[int, Mapping[str, Any]]
+
+    @property
+    def version(self) -> str:
+        """v2.0, v2.1 or v3.0."""
+        return str(self.info.get("codebase_version", ""))
+
+    @property
+    def one_file_each(self) -> bool:
+        """Whether each episode has files of its own, as before v3.0."""
+        return not self.version.startswith("v3")
+
+    def table(self, episode: int) -> Path:
+        """The Parquet file with the rows of an episode."""
+        return self._path("data_path", self._keys(episode, "data"))
+
+    def video(self, episode: int, feature: str) -> Part:
+        """The video of a camera in an episode."""
+        keys = {**self._keys(episode, f"videos/{feature}"), "video_key": feature}
+        path = self._path("video_path", keys)
+        if self.one_file_each:
+            return Part(path)
+        row, name = self.rows[episode], f"videos/{feature}"
+        start, end = (_real(row.get(f"{name}/{side}_timestamp")) for side in ("from", "to"))
+        return Part(path, start or 0.0, end)
+
+    def present(self) -> tuple[int, ...]:
+        """The episodes whose tables are there."""
+        return tuple(number for number in sorted(self.rows) if self._there(number))
+
+    def _there(self, episode: int) -> bool:
+        try:
+            return self.table(episode).is_file()
+        except FormatError:
+            return False
+
+    def _keys(self, episode: int, what: str) -> dict[str, int | str]:
+        size = self.info.get("chunks_size")
+        chunk = episode // size if isinstance(size, int) and size > 0 else 0
+        if self.one_file_each:
+            return {"episode_index": episode, "episode_chunk": chunk, "chunk_index": chunk}
+        row = self.rows[episode]
+        found = {name: row.get(f"{what}/{name}") for name in ("chunk_index", "file_index")}
+        if not all(isinstance(value, int) for value in found.values()):
+            raise FormatError(f"{self.folder}: episode {episode}: {EPISODE_TABLES} does not list the file of {what}")
+        return {"episode_index": episode, **{name: int(value or 0) for name, value in found.items()}}
+
+    def _path(self, key: str, values: Mapping[str, int | str]) -> Path:
+        """A path of info.json with its places filled in; FormatError where it leads out of the folder."""
+        template = self.info.get(key)
+        if not isinstance(template, str):
+            raise FormatError(f"{self.folder}/{INFO}: {key} is {template!r:.60}; a path is expected")
+
+        def filled(place: "re.Match[str]") -> str:
+            if (value := values.get(place[1])) is None:
+                raise FormatError(f"{self.folder}/{INFO}: {key}: {place[0]} is none of {', '.join(values)}")
+            return f"{value:0{place[2]}d}" if place[2] and isinstance(value, int) else str(value)
+
+        text = _PLACE.sub(filled, template)
+        path = Path(text)
+        if path.is_absolute() or ".." in path.parts or "{" in text or "\0" in text:
+            raise FormatError(f"{self.folder}/{INFO}: {key} = {template!r:.80} is no path within the dataset")
+        return self.folder / path
+
+
+
+def layout(folder: Path) -> Layout:
+    """The layout of a dataset; FormatError or LogError says in one line what is wrong with its meta files."""
+    info = (folder / INFO).stat()
+    tables = sorted((folder / EPISODE_TABLES).rglob("*.parquet"))
+    listed = [path.stat() for path in (folder / EPISODES, *tables) if path.is_file()]
+    return _layout(folder, *((one.st_mtime_ns, one.st_size) for one in (info, *listed)))
+
+
+@lru_cache(maxsize=4)
+def _layout(folder: Path, *_: tuple[int, int]) -> Layout:
+    """As `layout`, kept as long as the files do not change."""
+    path = folder / INFO
+    info = _json(path)
+    features = info.get("features") if isinstance(info, dict) else None
+    if not isinstance(features, dict) or len(features) > _MOST_FEATURES:
+        raise FormatError(f"{path}: no LeRobot info.json: features is {type(features).__name__}")
+    version = str(info.get("codebase_version", ""))
+    if not re.match(r"v[23]\.\d", version):
+        raise LogError(f"{path}: codebase_version is {version!r:.40}; v2.0, v2.1 and v3.0 are read")
+    fps = _real(info.get("fps"))
+    if fps is None or not 0 < fps <= 1e5:
+        raise FormatError(f"{path}: fps is {info.get('fps')!r:.40}; frames per second are expected")
+    known = {str(name): said for name, said in features.items() if isinstance(said, dict)}
+    listed = _listed_v3(folder) if version.startswith("v3") else _listed_v2(folder)
+    return Layout(folder, info, known, fps, listed)
+
+
+def tasks(layout: Layout) -> dict[int, str]:
+    """The texts of the tasks by index; none where the dataset lists none."""
+    folder = layout.folder
+    if layout.one_file_each:
+        found = _lines(folder / TASKS) if (folder / TASKS).is_file() else []
+        pairs = [(row.get("task_index"), row.get("task")) for row in found]
+    elif (folder / TASK_TABLE).is_file():
+        table = parquet.objects(folder / TASK_TABLE, ("task_index", "task", "__index_level_0__"))
+        names = table.get("task") or table.get("__index_level_0__") or []
+        pairs = list(zip(table.get("task_index", []), names, strict=False))
+    else:
+        pairs = []
+    return {index: str(text) for index, text in pairs if isinstance(index, int) and isinstance(text, str)}
+
+
+def _listed_v2(folder: Path) -> dict[int, Mapping[str, Any]]:
+    path = folder / EPISODES
+    if not path.is_file():
+        raise LogError(f"{path}: there is no such file; is the dataset downloaded completely?")
+    return {row["episode_index"]: row for row in _lines(path) if _is_index(row.get("episode_index"))}
+
+
+_COLUMNS = ("episode_index", "tasks", "length", "data/chunk_index", "data/file_index")
+
+
+def _listed_v3(folder: Path) -> dict[int, Mapping[str, Any]]:
+    found: dict[int, Mapping[str, Any]] = {}
+    tables = sorted((folder / EPISODE_TABLES).rglob("*.parquet"))
+    if not tables:
+        raise LogError(f"{folder / EPISODE_TABLES}: there are no tables; is the dataset downloaded completely?")
+    for path in tables:
+        with parquet.opened(path) as file:
+            names = [name for name in file.schema_arrow.names if name in _COLUMNS or name.startswith("videos/")]
+        columns = parquet.objects(path, names)
+        for cells in zip(*columns.values(), strict=True):
+            row = dict(zip(columns, cells, strict=True))
+            if _is_index(row.get("episode_index")):
+                found[row["episode_index"]] = row
+    return found
+
+
+def _is_index(value: Any) -> bool:
+    return isinstance(value, int) and 0 <= value < 10**9
+
+
+def _real(value: Any) -> float | None:
+    """A finite number, or None."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    found = float(number(value))
+    return found if found - found == 0 else None
+
+
+def _text(path: Path) -> str:
+    size = path.stat().st_size
+    if size > _MOST_BYTES:
+        raise LogError(f"{path}: {size} bytes; at most {_MOST_BYTES} are read")
+    try:
+        return path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        raise FormatError(f"{path}: this is no UTF-8 text") from None
+
+
+def _json(path: Path) -> Any:
+    try:
+        return read_json(_text(path))
+    except ValueError as problem:
+        raise FormatError(f"{path}: this is no JSON: {problem}") from None
+
+
+def _lines(path: Path) -> Sequence[Mapping[str, Any]]:
+    """The objects of a file of JSON lines; FormatError for a line that is none."""
+    found = []
+    for number_, line in enumerate(_text(path).splitlines(), 1):
+        if line.strip():
+            try:
+                row = read_json(line)
+            except ValueError as problem:
+                raise FormatError(f"{path}: line {number_} is no JSON: {problem}") from None
+            if not isinstance(row, dict):
+                raise FormatError(f"{path}: line {number_} is no JSON object")
+            found.append(row)
+    return found

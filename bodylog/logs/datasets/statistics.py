@@ -1,0 +1,67 @@
+"""Statistics of features and images, as LeRobot keeps them: of each episode, and of all together."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...types import Array
+
+_SAMPLE = 8
+"""px between those that an image's statistics are taken of."""
+
+
+def of_numbers(values: Array) -> dict[str, Any]:
+    """Least, largest, mean and std of each column, over the finite numbers, and how many rows."""
+    table = np.where(np.isfinite(values.astype(float)), values.astype(float), np.nan).reshape(len(values), -1)
+    known = np.isfinite(table).any(axis=0)
+    safe = np.where(known, table, 0.0)
+    found = {
+        "min": np.nanmin(safe, axis=0), "max": np.nanmax(safe, axis=0),
+        "mean": np.nanmean(safe, axis=0), "std": np.nanstd(safe, axis=0),
+    }  # fmt: skip
+    return {name: values.tolist() for name, values in found.items()} | {"count": [len(table)]}
+
+
+class Sampled:
+    """Statistics of images as they pass, of every eighth pixel and line, in RGB from 0 to 1."""
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        self._sums = np.zeros((2, 3))
+        self._ends = np.array([[1.0] * 3, [0.0] * 3])
+        self._count = 0
+
+    def seen(self, image: Array) -> Array:
+        """The image, once it is counted."""
+        some = image[::_SAMPLE, ::_SAMPLE, ::-1].reshape(-1, 3) / 255.0
+        self._sums += some.sum(axis=0), (some**2).sum(axis=0)
+        low, high = np.minimum(self._ends[0], some.min(axis=0)), np.maximum(self._ends[1], some.max(axis=0))
+        self._ends = np.array([low, high])
+        self._count += len(some)
+        return image
+
+    def stats(self, count: int) -> dict[str, Any]:
+        """Least, largest, mean and std of each channel (3,1,1), and how many images."""
+        mean = self._sums[0] / self._count
+        std = np.sqrt(np.maximum(self._sums[1] / self._count - mean**2, 0.0))
+        found = {"min": self._ends[0], "max": self._ends[1], "mean": mean, "std": std}
+        return {name: values.reshape(3, 1, 1).tolist() for name, values in found.items()} | {"count": [count]}
+
+
+def together(stats: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
+    """Statistics of all episodes from those of each."""
+    return {name: _joined([one[name] for one in stats]) for name in stats[0]} if stats else {}
+
+
+def _joined(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    counts = np.array([one["count"][0] for one in parts], float)
+    mean, std = (np.array([one[key] for one in parts], float) for key in ("mean", "std"))
+    weight = (counts / counts.sum()).reshape(-1, *[1] * (mean.ndim - 1))
+    whole = (weight * mean).sum(axis=0)
+    spread = np.sqrt((weight * (std**2 + (mean - whole) ** 2)).sum(axis=0))
+    return {
+        "min": np.min([one["min"] for one in parts], axis=0).tolist(),
+        "max": np.max([one["max"] for one in parts], axis=0).tolist(),
+        "mean": whole.tolist(), "std": spread.tolist(), "count": [int(counts.sum())],
+    }  # fmt: skip

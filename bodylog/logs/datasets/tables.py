@@ -1,0 +1,205 @@
+"""A folder of tables, images and videos as a log, or a lone video: each table dates what it names or lies beside.
+
+A table with a column of image files is a camera, one beside a video of its name dates the video's frames, its numbers
+are joints.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ... import episodes
+from ...errors import BodylogError, LogError
+from ...settings import LIMITS, Input
+from ...types import Array, Finding
+from ...values import times
+from ..messages import escape
+from ..pose_columns import IMAGES, label, time_column
+from ..table_file import SUFFIXES, Table, read
+from . import video
+from .episode_log import EPOCH_NS, JOINT_STATE, JOINTS, Camera, Episode, EpisodeLog, Item, Signal, Texts
+from .units import unit
+
+_LARGEST = 64 << 20
+_MOST_FILES = 10_000
+_ENDINGS = ("", "_timestamps", "_times", ".timestamps", ".times", "_stamps")
+_PLACES = ("", "data", "images")
+"""Folders beside a table in which the images it names may lie."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Dated:
+    """A table: its file, its name, times t (N,) s, numbers and image files by column."""
+
+    path: Path
+    name: str
+    t: Array
+    numbers: Mapping[str, Array]
+    images: Mapping[str, Array]
+
+
+def is_tables(folder: Path) -> bool:
+    """Whether a folder holds tables or videos, and is no recording."""
+    return any(True for _ in _files(folder, (*SUFFIXES, *video.SUFFIXES)))
+
+
+def open_folder(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
+    """The folder as a log; LogError when no table dates anything in it."""
+    if episodes.split(path)[1] is not None:
+        raise LogError(f"{path}: the folder holds no episodes; leave out the #")
+    remarks: list[Finding] = []
+    tables = [one for file in _files(path, tuple(SUFFIXES)) for one in _table(file, path, remarks)]
+    films = _films(list(_files(path, video.SUFFIXES)), limits, remarks)
+    return EpisodeLog(path, _episode(path, tables, films, remarks), strict)
+
+
+def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
+    """A video as a log, dated by a table beside it, else by itself."""
+    if episodes.split(path)[1] is not None:
+        raise LogError(f"{path}: a video holds no episodes; leave out the #")
+    film, remarks = video.survey(path, limits.max_image_mpx), list[Finding]()
+    beside = (path.with_name(f"{path.stem}{ending}{suffix}") for ending in _ENDINGS for suffix in SUFFIXES)
+    tables = [one for file in beside if file.is_file() for one in _table(file, path.parent, remarks)][:1]
+    return EpisodeLog(path, _episode(path, tables, [film], remarks, "video"), strict)
+
+
+def _films(files: Sequence[Path], limits: Input, remarks: list[Finding]) -> list[video.Video]:
+    found = []
+    for file in files:
+        try:
+            found.append(video.survey(file, limits.max_image_mpx))
+        except LogError as problem:
+            remarks.append(Finding("lost", str(problem)))
+    return found
+
+
+def _files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
+    """The files of a folder that end so, and tables in folders in it, in name order."""
+    names = sorted(path for path in folder.iterdir() if path.name[0] != ".")[:_MOST_FILES]
+    yield from (path for path in names if path.suffix.lower() in suffixes and path.is_file())
+    for inner in (path for path in names if path.is_dir() and not path.is_symlink()):
+        more = sorted(path for path in inner.iterdir() if path.suffix.lower() in suffixes)[:_MOST_FILES]
+        yield from (path for path in more if path.suffix.lower() in SUFFIXES and path.is_file())
+
+
+def _table(file: Path, folder: Path, remarks: list[Finding]) -> Iterator[_Dated]:
+    """A table that dates its rows; one that does not, or is none, is remarked on."""
+    where = file.relative_to(folder)
+    try:
+        table = read(file, SUFFIXES[file.suffix.lower()])
+    except BodylogError as problem:
+        remarks.append(Finding("lost", str(problem)))
+        return
+    remarks += [Finding("lost", f"{where}: {text}") for text in table.lost]
+    numbers = {_plain(name): values for name, values in table.numbers.items()}
+    column, t = time_column(numbers)
+    if column is None or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 4e9:
+        said = "no column of times dates every row" if column is None else f"column {column} does not date every row"
+        remarks.append(Finding("warning", f"{where}: {said}, so the table is not used; its columns are {_list(table)}"))
+        return
+    images = {_plain(name): files for name, files in table.texts.items() if _are_images(files)}
+    joints = {name: values for name, values in numbers.items() if _is_joint(name, values)}
+    name = file.parent.name if file.stem.lower() == "data" and file.parent != folder else file.stem
+    yield _Dated(file, name, t, joints, images)
+
+
+def _is_joint(name: str, values: Array) -> bool:
+    return time_column({name: values})[0] is None and not label(name) and bool(np.isfinite(values).any())
+
+
+def _plain(name: str) -> str:
+    """The name of a column without what EuRoC adds: `#timestamp [ns]` is timestamp_ns."""
+    return re.sub(r"\s*[\[(](\w+)[\])]$", r"_\1", name.lstrip("# "))
+
+
+def _list(table: Table) -> str:
+    return ", ".join(table.names[:12])
+
+
+def _are_images(files: Array) -> bool:
+    filled = [str(name).lower() for name in files.tolist() if name]
+    return bool(filled) and sum(name.endswith(IMAGES) for name in filled) > len(filled) / 2
+
+
+def _episode(
+    path: Path, tables: Sequence[_Dated], films: Sequence[video.Video], remarks: list[Finding], form: str = "tables"
+) -> Episode:
+    first = min((float(one.t.min()) for one in tables), default=0.0)
+    shift = 0.0 if first >= 1.0 else EPOCH_NS / 1e9 - first
+    streams: list[Signal | Texts | Camera] = []
+    beside: dict[Path, _Dated] = {}
+    for film in films:
+        own = next((one for one in tables if _dates(one, film)), None)
+        beside |= {} if own is None else {own.path: own}
+        streams += _film(film, own, shift, remarks)
+    free = JOINTS
+    for one in tables:
+        for column, files in one.images.items():
+            streams.append(_camera(one, column, files, shift))
+        if one.numbers and one.path not in beside:
+            streams.append(_joints(one, free or f"/{escape(one.name)}", shift, remarks))
+            free = ""
+    if not streams:
+        raise LogError(f"{path}: no table with a column of times has images or joints, e.g. t,file or t,elbow")
+    return Episode(form, streams, remarks)
+
+
+def _dates(table: _Dated, film: video.Video) -> bool:
+    return not table.images and table.path.stem in {f"{film.path.stem}{ending}" for ending in _ENDINGS}
+
+
+def _film(film: video.Video, table: _Dated | None, shift: float, remarks: list[Finding]) -> Iterator[Camera]:
+    """A video as a camera: frame k at row k of its table, or when the video shows it."""
+    t = film.t - film.t[0] + EPOCH_NS / 1e9 if table is None and len(film.t) else film.t
+    if table is not None:
+        t = table.t + shift
+    count = min(len(t), len(film.t))
+    if len(t) != len(film.t):
+        said = f"{film.path.name}: the video has {len(film.t)} frames, its table {len(t)} rows"
+        remarks.append(Finding("lost", f"{said}; frame k is dated by row k"))
+    reader = partial(_frames, film, count)
+    yield Camera(f"/{escape(film.path.stem)}/image", _ns(t[:count]), reader, (film.width, film.height))
+
+
+def _camera(table: _Dated, column: str, files: Array, shift: float) -> Camera:
+    several = len(table.images) > 1
+    topic = f"/{escape(f'{table.name}/{column}' if several else table.name)}/image/compressed"
+    rows = np.array([k for k, name in enumerate(files.tolist()) if name], np.int64)
+    names = tuple(str(files[row]) for row in rows.tolist())
+    return Camera(topic, _ns(table.t[rows] + shift), partial(_files_of, table.path.parent, names), None, "jpeg")
+
+
+def _joints(table: _Dated, topic: str, shift: float, remarks: list[Finding]) -> Signal:
+    names = tuple(table.numbers)
+    values = np.column_stack(list(table.numbers.values()))
+    of = unit({}, names, values)
+    remarks.append(Finding(of.remark[0], f"{table.path.name}: {of.remark[1]}"))
+    return Signal(topic, JOINT_STATE, names, values, _ns(table.t + shift), of.metadata)
+
+
+def _ns(t: Array) -> Array:
+    return times(np.rint(t * 1e9).astype(np.int64))
+
+
+def _frames(film: video.Video, count: int) -> Iterator[Item]:
+    yield from video.images(film, 0, count)
+
+
+def _files_of(folder: Path, names: Sequence[str]) -> Iterator[Item]:
+    """The bytes of image files; None for those that are not there, too large, or out of the folder."""
+    for number, name in enumerate(names):
+        yield number, next((data for place in _PLACES if (data := _bytes(folder, place, name))), None)
+
+
+def _bytes(folder: Path, place: str, name: str) -> bytes | None:
+    if Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name:
+        return None
+    file = folder / place / name
+    try:
+        return file.read_bytes() if file.is_file() and file.stat().st_size <= _LARGEST else None
+    except OSError:
+        return None

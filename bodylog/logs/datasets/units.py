@@ -1,0 +1,86 @@
+"""The unit of a dataset's joints: as the dataset declares it, or what the values look like, which stays a guess."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...types import Array
+from ..joint_units import TURN, UNIT
+
+_WORDS = {
+    "rad": "rad", "radian": "rad", "radians": "rad",
+    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg",
+    "tick": "counts", "ticks": "counts", "count": "counts", "counts": "counts", "raw": "counts", "steps": "counts",
+}  # fmt: skip
+_ENDING = re.compile(r"[._ (\[](?P<unit>[a-z]+)[)\]]?", re.IGNORECASE)
+_COUNTS = 4096
+"""Counts of one turn of the 12-bit encoders of Feetech STS and Dynamixel X servos: values run from 0 to 4095."""
+_ROUND = 1.05
+
+
+@dataclass(frozen=True)
+class Unit:
+    """rad, deg, counts or unknown · whether the dataset declares it · one whole turn in it, None where unknown."""
+
+    name: str
+    declared: bool
+    turn: float | None
+    why: str
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """For the topic. A guess of rad stands for itself, as any log's joints are taken for rad."""
+        turn = {} if self.turn is None else {TURN: repr(self.turn)}
+        return {} if self.name == "rad" and not self.declared else {UNIT: self.name, **turn}
+
+    @property
+    def remark(self) -> tuple[str, str]:
+        """Severity and text of what is to be known of the unit."""
+        if self.name == "rad":
+            return "info", f"joints: rad, {self.why}"
+        if self.name == "deg" and self.declared:
+            return "info", f"joints: degrees, {self.why}; they are read as rad"
+        if self.name == "counts":
+            return "warning", f"joints: encoder counts, {self.why}; they are kept as they are; what is stated in rad is in counts"
+        said = 'if they are degrees, type: [body] unit = "deg"'
+        return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {said}"
+
+
+def unit(feature: Mapping[str, Any], names: Sequence[str], values: Array) -> Unit:
+    """The unit of joints from the declaration of their feature, their names, and their values (N,K)."""
+    for key in ("unit", "units"):
+        if isinstance(said := feature.get(key), str) and (known := _WORDS.get(said.strip().lower())):
+            return Unit(known, True, _turn(known, values), f"as the dataset declares ({key}: {said})")
+    endings = {_WORDS.get(match["unit"].lower()) if (match := _last(name)) else None for name in names}
+    if len(endings) == 1 and (known := endings.pop()) is not None:
+        return Unit(known, True, _turn(known, values), f"as the names of the joints declare ({names[0]})")
+    return _guessed(values)
+
+
+def _last(name: str) -> "re.Match[str] | None":
+    """The unit at the end of a joint's name: elbow_deg, elbow (rad)."""
+    found = list(_ENDING.finditer(name))
+    return found[-1] if found and found[-1].end() == len(name) else None
+
+
+def _guessed(values: Array) -> Unit:
+    known = values[np.isfinite(values)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
+    seen = f"the values, {low:.4g} to {high:.4g}, look like it"
+    if max(abs(low), abs(high)) <= _ROUND * 2 * math.pi:
+        return Unit("rad", False, 2 * math.pi, seen)
+    if low >= 0 and high > 360 and (known == np.round(known)).all():
+        return Unit("counts", False, _turn("counts", values), f"whole numbers from {low:g} to {high:g}")
+    return Unit("unknown", False, None, f"values from {low:.4g} to {high:.4g} are no angles in rad")
+
+
+def _turn(name: str, values: Array) -> float | None:
+    """One whole turn: of counts only where the values stay within those of a 12-bit encoder."""
+    if name != "counts":
+        return 2 * math.pi if name == "rad" else 360.0
+    known = values[np.isfinite(values)]
+    return float(_COUNTS) if len(known) and known.min() >= 0 and 2 * np.pi < known.max() < _COUNTS else None

@@ -1,0 +1,125 @@
+"""Video files, frame by frame: when each frame is shown, and its image. Nothing is held but the frame at hand."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import LogError
+from ...types import Array
+from .extra import needed
+
+SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+_MOST_FRAMES = 1 << 24
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """One video: presentation times pts (K,) int64, ascending, in units of `base` s · width, height px · codec."""
+
+    path: Path
+    pts: Array
+    base: float
+    width: int
+    height: int
+    codec: str
+
+    @property
+    def t(self) -> Array:
+        """Times of the frames (K,) s."""
+        return self.pts * self.base
+
+
+def survey(path: Path, mpx: float) -> Video:
+    """Size, codec and the times of all frames, read from the packets' heads without decoding.
+
+    LogError for a file that is no video, or whose images have more than `mpx` million pixels.
+    """
+    with _opened(path) as (container, stream):
+        width, height = stream.codec_context.width, stream.codec_context.height
+        if not 0 < width * height <= mpx * 1e6:
+            raise LogError(f"{path}: images of {width} x {height}; set [input] max_image_mpx to read larger ones")
+        shown: list[int] = []
+        with suppress(*_damage(path)):  # a file that is cut has fewer packets
+            for packet in container.demux(stream):
+                if packet.size and (at := packet.dts if packet.pts is None else packet.pts) is not None:
+                    shown.append(at)
+                if len(shown) > _MOST_FRAMES:
+                    raise LogError(f"{path}: more than {_MOST_FRAMES} frames")
+        pts = np.sort(np.array(shown, np.int64))
+        return Video(path, pts, float(stream.time_base or 0), width, height, stream.codec_context.name)
+
+
+def images(video: Video, first: int = 0, last: int | None = None) -> Iterator[tuple[int, Array | None]]:
+    """Frames `first` to before `last` by number, each with its image (H,W,3) uint8 BGR; None: it cannot be decoded."""
+    due, last = first, len(video.pts) if last is None else last
+    for number, image in _decoded(video, first):
+        if number >= last:
+            break
+        if number < due:
+            continue
+        yield from ((missing, None) for missing in range(due, number))
+        yield number, image
+        due = number + 1
+    yield from ((missing, None) for missing in range(due, last))
+
+
+def _decoded(video: Video, first: int) -> Iterator[tuple[int, Array]]:
+    """Frames with their numbers, from a key frame at or before `first` to the end or to where the file is damaged."""
+    known = {pts: number for number, pts in reversed(list(enumerate(video.pts.tolist())))}
+    if not known:
+        return
+    with _opened(video.path) as (container, stream), suppress(*_damage(video.path)):
+        if first:
+            container.seek(int(video.pts[first]), stream=stream, backward=True)
+        number = -1
+        for frame in container.decode(stream):
+            number = max(known.get(frame.pts, number + 1), number + 1)
+            if (frame.width, frame.height) == (video.width, video.height):
+                yield number, frame.to_ndarray(format="bgr24")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """The container and its first video stream; LogError where there is none.
+
+    The form is named by the file's first bytes, so that FFmpeg takes no text for a list of other files or URLs.
+    """
+    av = needed("av", path)
+    with path.open("rb") as file:
+        form = _form(file.read(12))
+    if form is None:
+        raise LogError(f"{path}: no video: its first bytes are those of no MP4, Matroska or AVI")
+    try:
+        container = av.open(str(path), format=form, options={"protocol_whitelist": "file"})
+    except _damage(path) as problem:
+        raise LogError(f"{path}: the video cannot be opened, it may be cut: {_line(problem)}") from None
+    with container:
+        if not container.streams.video:
+            raise LogError(f"{path}: the file holds no video")
+        yield container, container.streams.video[0]
+
+
+def is_video(first: bytes) -> bool:
+    """Whether a file that begins so is a video that is read."""
+    return _form(first) is not None
+
+
+def _form(first: bytes) -> str | None:
+    if first[4:8] in (b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip"):
+        return "mp4"
+    if first[:4] == b"\x1aE\xdf\xa3":
+        return "matroska"
+    return "avi" if first[:4] == b"RIFF" and first[8:12] == b"AVI " else None
+
+
+def _damage(path: Path) -> tuple[type[Exception], ...]:
+    """What FFmpeg's binding raises on damaged files."""
+    return (needed("av", path).error.FFmpegError, ValueError, EOFError)
+
+
+def _line(problem: BaseException) -> str:
+    return " ".join(str(problem).split())[:160]

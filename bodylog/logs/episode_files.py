@@ -1,0 +1,35 @@
+"""The files that a log is read from: itself, or those of one episode of a dataset."""
+
+import hashlib
+from pathlib import Path
+
+from .. import episodes
+from ..errors import BodylogError
+from ..files import pieces, sha256
+
+
+def files_of(path: Path) -> tuple[Path, ...]:
+    """A log's file or folder; of an episode, or of a dataset whose first episode is meant, the files it is read from.
+
+    A dataset that cannot be read is itself.
+    """
+    base, number = episodes.split(path)
+    if not base.is_dir():
+        return (base,)
+    from .datasets import kinds
+
+    try:
+        return kinds.files(base, number) or (base,)
+    except BodylogError:
+        return (base,)
+
+
+def digest(path: Path) -> str:
+    """Hex SHA-256 of a log; of an episode that of its files in order."""
+    parts = files_of(path)
+    if parts == (path,):
+        return sha256(path)
+    found = hashlib.sha256()
+    for piece in (piece for part in parts for piece in pieces(part, 1 << 20)):
+        found.update(piece)
+    return found.hexdigest()

@@ -1,0 +1,42 @@
+"""The unit of a topic's joints: as the topic's metadata declare it, else as [body] unit says."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+UNIT, TURN = "bodylog.unit", "bodylog.turn"
+"""Metadata of a topic of joints: rad, deg, counts or unknown; how many of these make one whole turn."""
+SOURCE_UNIT = "bodylog.source_unit"
+"""Metadata: the unit of the dataset that joints in rad came from."""
+_RAD = {"rad": 1.0, "deg": math.pi / 180.0}
+
+
+@dataclass(frozen=True)
+class JointUnit:
+    """What readings are in · by how much they are multiplied · in what they then are · one whole turn of it, or None.
+
+    Encoder counts and readings of unknown unit stay as they are.
+    """
+
+    read: str
+    factor: float
+    unit: str
+    turn: float | None
+
+
+def joint_unit(about: Mapping[str, str], settings_unit: str) -> JointUnit:
+    """The unit of joints by their topic's metadata; `settings_unit` where these name none, or an unknown one is deg."""
+    read = about.get(UNIT, settings_unit)
+    if read == "unknown" and settings_unit == "deg":
+        read = "deg"
+    if read in _RAD:
+        return JointUnit(read, _RAD[read], "rad", 2.0 * math.pi)
+    return JointUnit(read, 1.0, read, _number(about.get(TURN)))
+
+
+def _number(text: str | None) -> float | None:
+    try:
+        found = float(text or "")
+    except ValueError:
+        return None
+    return found if 0.0 < found < 1e9 else None

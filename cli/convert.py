@@ -1,0 +1,38 @@
+"""bodylog convert."""
+
+from pathlib import Path
+
+import click
+
+from .options import Common, OutputLog, common_options, finite, listed, logs_argument
+
+
+@click.command(epilog="Example: bodylog convert run.bag -o dataset --to lerobot --task 'fold the cloth'")
+@logs_argument
+@click.option("-o", "--output", "out", type=OutputLog(), required=True, help="The MCAP, or the dataset's new folder.")
+@click.option("--to", "form", default="mcap", show_default=True, help="mcap, lerobot (v3.0) or lerobot-2.1.")
+@click.option("--codec", "how", default="lossless", show_default=True, help="Of videos: lossless, h264 or av1.")
+@click.option("--task", metavar="TEXT", help="What the robot does, for a dataset.")
+@click.option("--topics", metavar="TOPICS", help="Only these, with commas between; for an MCAP.")
+@click.option("--start", type=float, callback=finite, metavar="S", help="Leave out what came before (s since start).")
+@click.option("--end", type=float, callback=finite, metavar="S", help="Leave out what came after.")
+@common_options
+def convert(
+    logs: tuple[Path, ...],
+    out: Path,
+    form: str,
+    how: str,
+    task: str | None,
+    topics: str | None,
+    start: float | None,
+    end: float | None,
+    common: Common,
+    as_json: bool,
+) -> int:
+    """Write logs in another form: one as an MCAP, or several as the episodes of a LeRobot dataset."""
+    from bodylog import pipeline
+
+    from .output import show
+
+    settings, window = common.settings(), {"start": start, "end": end}
+    return show(pipeline.convert(logs, out, settings, form, how, listed(topics), task, **window), as_json)

@@ -1,0 +1,293 @@
+"""LeRobot folders are read as logs: every episode's values, images and times, and what is damaged in one line."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bodylog.logs as logs
+from bodylog import episodes
+from bodylog.errors import InputError, LogError, UsageError
+from bodylog.logs import recording
+from bodylog.logs.containers import open_log
+from bodylog.logs.episode_files import digest, files_of
+from bodylog.outputs import Output, guard
+from bodylog.settings import Settings
+
+from . import drawn
+
+LENGTHS = [12, 9, 15]
+REAL = Path(__file__).parents[4] / "shared" / "real" / "so101"
+
+
+@pytest.fixture(scope="module")
+def old(tmp_path_factory) -> Path:
+    return drawn.v21(tmp_path_factory.mktemp("v21") / "set", LENGTHS)
+
+
+@pytest.fixture(scope="module")
+def new(tmp_path_factory) -> Path:
+    return drawn.v30(tmp_path_factory.mktemp("v30") / "set", LENGTHS)
+
+
+@pytest.fixture
+def copied(old, tmp_path) -> Path:
+    """A dataset to break."""
+    return Path(shutil.copytree(old, tmp_path / "set"))
+
+
+def texts(path: Path) -> str:
+    with open_log(path) as log:
+        for _ in log.batches():
+            pass
+        return " | ".join(f"{one.severity}: {one.text}" for one in log.findings)
+
+
+@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("form", ["old", "new"])
+def test_an_episode_holds_its_rows_and_its_images(form, number, request):
+    folder = request.getfixturevalue(form)
+    rows, first = LENGTHS[number], sum(LENGTHS[:number])
+    with logs.open(folder, episode=number) as log:
+        joints, action, done = log["/joint_states"], log["/action"], log["/next/done"]
+        np.testing.assert_array_equal(joints.position, drawn.angles(rows, number))
+        np.testing.assert_array_equal(action.position, drawn.angles(rows, number) + np.float32(0.01))
+        np.testing.assert_array_equal(joints.name[0], drawn.JOINTS)
+        np.testing.assert_array_equal(done.data[:, 0], np.arange(rows) == rows - 1)
+        t = (np.arange(rows) / drawn.FPS).astype(np.float32).astype(float)
+        np.testing.assert_array_equal(joints.header.stamp, 1_000_000_000 + np.rint(t * 1e9))
+        assert [one.value.data for one in log.messages(["/task"])] == ["push"]
+        frames = list(log.frames("/top/image"))
+    np.testing.assert_array_equal([one.source_ns for one in frames], joints.header.stamp)
+    file = f"videos/chunk-000/{drawn.CAMERA}/episode_{number:06d}.mp4"
+    path = folder / (file if form == "old" else f"videos/{drawn.CAMERA}/chunk-000/file-000.mp4")
+    wanted = drawn.decoded(path)[0 if form == "old" else first :][:rows]
+    assert len(frames) == rows
+    for frame, image in zip(frames, wanted, strict=True):
+        np.testing.assert_array_equal(frame.image, image)
+
+
+def test_without_a_number_it_is_the_first_episode_that_is_there(old, copied):
+    (copied / "data/chunk-000/episode_000000.parquet").unlink()
+    for folder, number in ((old, 0), (copied, 1)):
+        with logs.open(folder) as log:
+            assert len(log["/joint_states"]) == LENGTHS[number]
+            assert f"episode {number}, the first of" in log.findings[0].text
+    with pytest.raises(LogError, match=r"no episode 0; there are 1, 2"):
+        logs.open(copied, episode=0)
+
+
+def test_an_episode_is_named_by_its_number(old, tmp_path):
+    assert episodes.split(Path(f"{old}#2")) == (old, 2) == episodes.split(Path(f"{old}/#2"))
+    assert episodes.split(tmp_path / "set#2") == (tmp_path / "set#2", None)
+    (tmp_path / "run#2.mcap").touch()
+    assert episodes.split(tmp_path / "run#2.mcap")[1] is None
+    assert episodes.expanded(Path(f"{old}#0-2")) == tuple(Path(f"{old}#{n}") for n in range(3))
+    with pytest.raises(UsageError, match="a range runs from the smaller number"):
+        episodes.expanded(Path(f"{old}#5-2"))
+    with pytest.raises(LogError, match=r"is no dataset, so it has no episodes"):
+        open_log(Path(f"{tmp_path}/run#2.mcap#1"))
+
+
+def test_the_digest_is_of_the_episodes_own_files(old, copied):
+    before = [digest(Path(f"{copied}#{number}")) for number in range(3)]
+    assert before == [digest(Path(f"{old}#{number}")) for number in range(3)] and len(set(before)) == 3
+    drawn.table(copied / "data/chunk-000/episode_000001.parquet", drawn.columns(1, 8))
+    after = [digest(Path(f"{copied}#{number}")) for number in range(3)]
+    assert after[1] != before[1] and after[0] == before[0] and after[2] == before[2]
+    assert files_of(copied) == files_of(Path(f"{copied}#0"))
+
+
+def test_no_output_goes_into_a_dataset(old):
+    for place in (old / "new.mcap", old / "meta" / "info.json"):
+        with pytest.raises(UsageError, match="input"):
+            guard([Path(f"{old}#1")], [Output(place)])
+
+
+@pytest.mark.parametrize("said", [{"unit": "degrees"}, {"names": ["a_deg", "b_deg", "c_deg"]}])
+def test_declared_degrees_are_read_as_rad(copied, said):
+    info = json.loads((copied / "meta/info.json").read_text())
+    info["features"]["observation.state"] |= said
+    (copied / "meta/info.json").write_text(json.dumps(info))
+    read = recording.read(copied, Settings())
+    assert read.joints is not None and read.joints.unit == "rad"
+    np.testing.assert_allclose(read.joints.values, np.deg2rad(drawn.angles(12).astype(float)), rtol=1e-15)
+    assert "degrees, as" in texts(copied)
+    with logs.open(copied) as log:
+        np.testing.assert_array_equal(log["/joint_states"].position, drawn.angles(12))
+
+
+@pytest.mark.parametrize(
+    ("values", "unit", "text"),
+    [
+        ([[4090, 100], [3, 101], [9, 102]], "counts", "encoder counts, whole numbers from 3 to 4090"),
+        ([[88.5, 10.0], [95.0, 11.0], [-99.0, 13.0]], "unknown", "their unit is not declared"),
+        ([[0.5, 1.0], [0.6, 3.1], [0.7, -3.1]], "rad", "rad, the values, -3.1 to 3.1, look like it"),
+    ],
+)
+def test_the_unit_that_values_look_like_is_said(copied, values, unit, text):
+    rows = np.array(values, float)
+    info = json.loads((copied / "meta/info.json").read_text())
+    info["features"]["observation.state"] |= {"shape": [2], "names": ["pan", "lift"]}
+    (copied / "meta/info.json").write_text(json.dumps(info))
+    table = drawn.columns(0, 3) | {"observation.state": rows}
+    drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
+    found = recording.info(copied, Settings())
+    assert found["unit"] == unit and text in " ".join(one["text"] for one in found["findings"])
+    read = recording.read(copied, Settings())
+    turn = {"counts": 4096.0, "unknown": np.inf, "rad": 2 * np.pi}[unit]
+    steps = np.diff(rows, axis=0)
+    moved = steps - np.where(np.abs(steps) > turn / 2, np.sign(steps) * turn, 0.0) if np.isfinite(turn) else steps
+    assert read.joints is not None
+    np.testing.assert_allclose(np.diff(read.joints.values, axis=0), moved)
+
+
+def test_frames_have_the_times_of_their_rows_and_drift_is_named(copied):
+    table = drawn.columns(0, 12) | {"timestamp": np.arange(12) * 0.06}
+    drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
+    with logs.open(copied) as log:
+        np.testing.assert_array_equal(log["/top/image"].header.stamp, 1_000_000_000 + np.arange(12) * 60_000_000)
+    assert "the video's times and the table's drift apart, by up to 0.11 s" in texts(copied)
+
+
+def test_info_decodes_no_image(old, monkeypatch):
+    monkeypatch.setattr("bodylog.logs.datasets.video.images", lambda *_: pytest.fail("an image was decoded"))
+    assert recording.info(old, Settings())["roles"] == {"joints": "/joint_states", "camera": "/top/image"}
+
+
+def test_images_in_the_table_are_passed_on(copied):
+    import cv2
+
+    wanted = drawn.images(12)
+    info = json.loads((copied / "meta/info.json").read_text())
+    info["features"][drawn.CAMERA]["dtype"] = "image"
+    (copied / "meta/info.json").write_text(json.dumps(info))
+    cells = [{"bytes": cv2.imencode(".png", image)[1].tobytes(), "path": None} for image in wanted]
+    drawn.table(copied / "data/chunk-000/episode_000000.parquet", drawn.columns(0, 12) | {drawn.CAMERA: cells}, 5)
+    with logs.open(copied) as log:
+        for frame, image in zip(log.frames("/top/image/compressed"), wanted, strict=True):
+            np.testing.assert_array_equal(frame.image, image)
+
+
+def _cut(path: Path, share: float) -> None:
+    path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
+
+
+def test_what_of_a_video_is_lost_is_said(copied):
+    video = copied / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4"
+    drawn.film(video, drawn.images(7))
+    assert "lost: " in texts(copied) and "the video has 7 frames, the table 12 rows" in texts(copied)
+    _cut(video, 0.6)
+    with logs.open(copied) as log:
+        assert len(log["/joint_states"]) == 12
+    assert "the video cannot be opened, it may be cut" in texts(copied)
+    with pytest.raises(LogError, match="--strict"):
+        open_log(copied, strict=True)
+    video.unlink()
+    assert "there is no such file; is the dataset downloaded completely?" in texts(copied)
+
+
+def test_a_video_damaged_inside_gives_the_sound_images(copied):
+    video = copied / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4"
+    drawn.film(video, drawn.images(12), "mpeg4", g="1")
+    data = bytearray(video.read_bytes())
+    begin = data.index(b"mdat") + len(data) // 3
+    data[begin : begin + 900] = bytes(900)
+    video.write_bytes(data)
+    with open_log(copied) as log:
+        (camera,) = (topic for topic in log.topics if topic.name == "/top/image")
+        messages = sum(len(batch.log_ns) for batch in log.batches((camera.id,)))
+        assert messages == camera.messages == 12
+    read = recording.read(copied, Settings())
+    assert read.frames is not None
+    assert len(list(read.frames())) == 12
+
+
+def _edited(folder: Path, **more: object) -> Path:
+    info = json.loads((folder / "meta/info.json").read_text())
+    (folder / "meta/info.json").write_text(json.dumps(info | more))
+    return folder
+
+
+HOSTILE = {
+    "no JSON": (lambda f: (f / "meta/info.json").write_text("{"), "this is no JSON"),
+    "no features": (lambda f: _edited(f, features=3), "no LeRobot info.json: features is int"),
+    "another version": (lambda f: _edited(f, codebase_version="v1.6"), "codebase_version is 'v1.6'; v2.0, v2.1"),
+    "no rate": (lambda f: _edited(f, fps=1e400), "fps is inf"),
+    "a path out of it": (lambda f: _edited(f, data_path="../../{episode_index:06d}"), "none of the 3 episodes"),
+    "a path too wide": (lambda f: _edited(f, data_path="{episode_index:0999999999d}"), "none of the 3 episodes"),
+    "a path with code": (lambda f: _edited(f, data_path="{episode_index.__class__}"), "none of the 3 episodes"),
+    "a cut table": (lambda f: _cut(f / "data/chunk-000/episode_000000.parquet", 0.5), "the table cannot be read"),
+    "an empty table": (lambda f: (f / "data/chunk-000/episode_000000.parquet").write_bytes(b""), "cannot be read"),
+    "no list": (lambda f: (f / "meta/episodes.jsonl").unlink(), "episodes.jsonl: there is no such file"),
+    "a broken list": (lambda f: (f / "meta/episodes.jsonl").write_text("[1]\n"), "line 1 is no JSON object"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_what_cannot_be_read_is_refused_in_one_line(name, copied):
+    spoil, text = HOSTILE[name]
+    spoil(copied)
+    with pytest.raises(InputError) as refused:
+        open_log(copied)
+    assert text in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_features_that_are_not_there_are_lost(copied):
+    table = drawn.columns(0, 12)
+    del table["action"]
+    drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
+    said = texts(copied)
+    assert "lost: " in said and "action: info.json declares it, the table holds no such numbers" in said
+
+
+def test_lists_of_changing_length_end_in_nan(copied):
+    rows = [[0.1, 0.2, 0.3]] * 6 + [[0.1, 0.2]] * 5 + [None]
+    drawn.table(copied / "data/chunk-000/episode_000000.parquet", drawn.columns(0, 12) | {"observation.state": rows})
+    with logs.open(copied) as log:
+        position = log["/joint_states"].position
+    assert np.isnan(position[6:11, 2]).all() and np.isnan(position[11]).all() and np.isfinite(position[:6]).all()
+
+
+def test_what_a_table_declares_is_checked_before_it_is_read(copied, monkeypatch):
+    monkeypatch.setattr("bodylog.logs.datasets.parquet.MOST_VALUES", 30)
+    with pytest.raises(LogError, match=r"observation.state: 36 values; at most 30"):
+        open_log(copied)
+
+
+def test_a_video_of_large_images_is_not_decoded(copied):
+    from bodylog.settings import Input
+
+    with open_log(copied, limits=Input(max_image_mpx=0.001)) as log:
+        assert [topic.name for topic in log.topics if "image" in topic.name] == []
+        assert "images of 64 x 48; set [input] max_image_mpx" in log.findings[-1].text
+
+
+def test_a_text_is_not_taken_for_a_video(copied):
+    video = copied / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4"
+    video.write_text("ffconcat version 1.0\nfile /etc/hostname\n")
+    assert "its first bytes are those of no MP4, Matroska or AVI" in texts(copied)
+
+
+@pytest.mark.parametrize("module", ["pyarrow", "av"])
+def test_a_missing_package_is_named(module, old, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(UsageError, match=r'type: pip install "bodylog\[datasets\]"'):
+        open_log(Path(f"{old}#1"))
+
+
+def test_a_real_dataset_is_read(tmp_path):
+    if not REAL.is_dir():
+        pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
+    found = recording.info(REAL, Settings())
+    assert found["format"] == "lerobot v2.1" and found["unit"] == "counts" and len(found["joints"]) == 12
+    counts = {one["topic"]: one["messages"] for one in found["topics"]}
+    assert counts == {"/action": 348, "/joint_states": 348, "/cam0/image": 348, "/cam1/image": 348, "/task": 1}
+    video = REAL / "videos/chunk-000/observation.images.cam1/episode_000001.mp4"
+    with logs.open(REAL, episode=1) as log:
+        for frame, image in zip(log.frames("/cam1/image"), drawn.decoded(video), strict=True):
+            np.testing.assert_array_equal(frame.image, image)
