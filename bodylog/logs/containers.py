@@ -18,7 +18,6 @@ from .unpacked import ZSTD, unpack_file
 
 if TYPE_CHECKING:
     from .columns import Source
-    from .datasets.episode_log import EpisodeLog
 
 _MP4 = b"ftyp"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -101,20 +100,19 @@ def _opener(path: Path, first: bytes) -> "Opener":
 
 def without_images(log: Log) -> "Source":
     """The log, for who reads no images: where these would have to be decoded from a video, they are left out."""
-    from .datasets.episode_log import EpisodeLog
-
-    return _Heads(log) if isinstance(log, EpisodeLog) else log
+    heads: Batches | None = getattr(log, "heads", None)
+    return log if heads is None else _Heads(heads)
 
 
 @dataclass(frozen=True)
 class _Heads:
     """An episode of a dataset, its images left out."""
 
-    log: "EpisodeLog"
+    heads: "Batches"
 
     def batches(self, ids: Collection[int]) -> Iterator[Batch]:
         """Messages of the topics, of cameras without their images."""
-        return self.log.heads(ids)
+        return self.heads(ids)
 
 
 def is_mcap(first: bytes) -> bool:
@@ -195,6 +193,9 @@ def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:
 
     return Rosbag2Log(path, strict, limits)
 
+
+Batches = Callable[[Collection[int]], Iterator[Batch]]
+"""Topic ids -> their messages."""
 
 Opener = Callable[[Path, bool, Path, Input], Log]
 """Log's path, strict, the file to read (unpacked, if it was packed), limits -> the log."""

@@ -19,7 +19,6 @@ from .mcap_write import Messages
 from .messages import from_joints, from_skin, from_track, stamps
 from .pictures import Kind, Picture, pictures
 from .recording import read
-from .topics import INDEPENDENT
 from .transcode import LIBRARY, PROFILE
 from .write import CHUNK_BYTES, Contents, Writer
 

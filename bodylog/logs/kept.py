@@ -9,7 +9,7 @@ from ..types import Batch, Outgoing, Recording, Topic
 from .containers import open_log
 from .joint_units import SOURCE_UNIT, UNIT
 from .messages import escape
-from .pose_log import INDEPENDENT
+from .topics import INDEPENDENT
 
 JOINTS = "/joint_states"
 _OURS = "bodylog."

@@ -249,7 +249,7 @@ def test_importing_the_library_loads_no_opencv_or_scipy():
     path = next(FIXTURES.glob("zstd.mcap"))
     done = subprocess.run([sys.executable, "-c", code.replace("['/joint_states'].position", ""), path],
                           capture_output=True, text=True, check=True)  # fmt: skip
-    assert not {"cv2", "scipy", "rosbags", "click"} & set(done.stdout.split())
+    assert not {"cv2", "scipy", "rosbags", "click", "pyarrow", "h5py", "av"} & set(done.stdout.split())
 
 
 @pytest.fixture(scope="module")
@@ -266,12 +266,14 @@ RECIPES = re.findall(r"### (.*?)\n\n```python\n(.*?)```", COOKBOOK, re.DOTALL)
 
 
 def test_every_recipe_runs_in_the_order_of_the_page(kitchen):
-    pytest.importorskip("pandas")
+    for package in ("pandas", "pyarrow", "av"):
+        pytest.importorskip(package)
     code = "\n".join(recipe for _, recipe in RECIPES)
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], cwd=kitchen, capture_output=True, text=True,
                           env={**os.environ})  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert len(RECIPES) == 10
+    assert len(RECIPES) == 11
+    assert re.search(r"^lerobot v3.0 \((\d+), \d+\) \1$", done.stdout, re.MULTILINE)
     assert {"run.avi", "part.mcap", "both.mcap", "renamed.mcap", "other.mcap", "sound.mcap", "new.mcap"} <= {
         path.name for path in kitchen.iterdir()
     }

@@ -2,24 +2,30 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ...settings import Input
-from .episode_log import EpisodeLog
 
-Opener = Callable[[Path, bool, Input], EpisodeLog]
+if TYPE_CHECKING:
+    from .episode_log import EpisodeLog
+
+Opener = Callable[[Path, bool, Input], "EpisodeLog"]
 """Dataset or episode, strict, limits -> the log."""
 _RECORDED = (".db3", ".mcap", ".bag", ".zst", ".zstd", ".active")
 
 
 def of_folder(folder: Path) -> Opener | None:
     """Who opens a folder as a dataset; None for a folder that is none, or holds what rosbag2 or ROS recorded."""
-    from . import lerobot, tables
-
     if is_dataset(folder):
+        from . import lerobot
+
         return lerobot.open_lerobot
     names = [path.name for path in folder.iterdir()]
-    recorded = "metadata.yaml" in names or any(name.endswith(_RECORDED) for name in names)
-    return tables.open_folder if not recorded and tables.is_tables(folder) else None
+    if "metadata.yaml" in names or any(name.endswith(_RECORDED) for name in names):
+        return None
+    from . import tables
+
+    return tables.open_folder if tables.is_tables(folder) else None
 
 
 def of_file(first: bytes) -> Opener | None:

@@ -45,7 +45,8 @@ class Unit:
         if self.name == "deg" and self.declared:
             return "info", f"joints: degrees, {self.why}; they are read as rad"
         if self.name == "counts":
-            return "warning", f"joints: encoder counts, {self.why}; they are kept as they are; what is stated in rad is in counts"
+            said = "they are kept as they are, so what is stated in rad is in counts"
+            return "warning", f"joints: encoder counts, {self.why}; {said}"
         said = 'if they are degrees, type: [body] unit = "deg"'
         return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {said}"
 
