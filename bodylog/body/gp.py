@@ -160,13 +160,21 @@ class _Single:
 
     def at(self, offset: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and variance (D,) at an offset (M,) from the origin of `near`."""
+        kernel, tilt = self.kernel(offset)
+        return self.told(self.rows.dot(kernel), tilt)
+
+    def kernel(self, offset: Array) -> tuple[Array, Array]:
+        """At an offset (M,) from the origin of `near`: k (n,) of amplitude 1; the offset times the precision (M,)."""
         # method calls: an operator's way to the same product takes as long as the product of 46 samples
-        outputs, inputs = len(self.mean), len(offset)
         tilt = offset * self.precision
         kernel = self.near.dot(tilt)
         kernel += self.fixed
         kernel -= 0.5 * offset.dot(tilt)
-        sums = self.rows.dot(np.exp(kernel, out=kernel))
+        return np.exp(kernel, out=kernel), tilt
+
+    def told(self, sums: Array, tilt: Array) -> tuple[Array, Array, Array]:
+        """Mean (D,), Jacobian (D,M) and variance (D,) of rows · k."""
+        outputs, inputs = len(self.mean), len(tilt)
         value, leans, seen = sums[:outputs], sums[outputs : outputs * (1 + inputs)], sums[outputs * (1 + inputs) :]
         slope = leans.reshape(outputs, inputs) - value[:, None] * tilt
         return value + self.mean, slope, max(self.amplitude - float(seen.dot(seen)), 0.0) * self.share

@@ -57,12 +57,15 @@ class KinematicGP(GP):
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
-        value, slope, spread = super().predict_one(x)
-        image, by_joints, design = self._instant(x)
-        apart = (self.centres - x) / self.scales[0]
-        kernel = np.exp(-0.5 * (apart * apart).sum(axis=1))
-        unknown = design.dot(self.root) - self._leaning.dot(kernel).reshape(len(image), -1)
-        return value + image, slope + by_joints, spread + (unknown * unknown).sum(axis=1) + self.drift
+        single, (image, by_joints, design) = self._singles[0], self._instant(x)
+        kernel, tilt = single.kernel(x - self._origin)
+        sums, own = self._rows.dot(kernel), len(single.rows)
+        value, slope, spread = single.told(sums[:own], tilt)
+        unknown = design.dot(self.root)
+        unknown -= sums[own:].reshape(unknown.shape)
+        spread = spread + self.drift
+        spread += np.einsum("dp,dp->d", unknown, unknown)
+        return value + image, slope + by_joints, spread
 
     def means(self, x: Array) -> tuple[Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
@@ -107,9 +110,10 @@ class KinematicGP(GP):
         return instant(self.rig, self.theta, self.point)
 
     @cached_property
-    def _leaning(self) -> Array:
-        """lean as rows (D p,n), of a kernel of amplitude 1."""
-        return np.ascontiguousarray(self.lean.reshape(-1, self.lean.shape[2]) * self.amplitude[0])
+    def _rows(self) -> Array:
+        """The process's rows and below them lean's (D p,n), of a kernel of amplitude 1."""
+        leaning = self.lean.reshape(-1, self.lean.shape[2]) * self.amplitude[0]
+        return np.asfortranarray(np.concatenate([self._singles[0].rows, leaning]))
 
     def _seen(self, x: Array) -> Seen:
         return self.rig.see(self.rig.sights[0], self.theta, x)

@@ -1,6 +1,6 @@
 """What one sight of a rig shows at one posture, in plain numbers: NumPy's calls would take twenty times as long."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import cos, exp, sin
 
 import numpy as np
@@ -11,6 +11,7 @@ from .rig import Rig
 from .rotations import left_jacobian, skew
 
 Row = tuple[float, float, float]
+Lens = tuple[float, float, float, float, float, float]
 Instant = Callable[[Array], tuple[Array, Array, Array]]
 """From joint angles (M,) rad or m: image (2,) px · slope (2,M) by the joints · design (2,P) by θ, as of `Rig.see`."""
 
@@ -26,16 +27,17 @@ def instant(rig: Rig, theta: Array, point: int) -> Instant:
     zeros = sight.chain.zero + sight.chain.scale * theta[rig.of_joints][sight.chain.column]
     each = (sight.chain.column, sight.chain.scale, zeros, sight.chain.slides)
     steps = list(zip(*(part.tolist() for part in each), strict=True))
-    by_turn, camera_jacobian = placed - mine[:3], left_jacobian(own[3:6])
-    marker = -skew(by_turn) @ left_jacobian(mine[3:]) if len(mine) == 6 else np.empty((3, 0))
-    lens, shift, joints, size = own[6:].tolist(), own[:3], len(rig.joints), len(theta)
-    camera_part, carrier_part, joint_part = rig.of_camera(0), rig.of_carrier(0), rig.of_joints
+    by_turn, turn = placed - mine[:3], tuple(left_jacobian(own[3:6]).T.reshape(-1).tolist())
+    marker = (-skew(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist() if len(mine) == 6 else None
+    lens, shift, joints = own[6:].tolist(), own[:3].tolist(), len(rig.joints)
+    joint_part, none, last, end_point = rig.of_joints, [0.0] * joints, fixed[-1], placed.tolist()
+    way = tuple(range(len(steps) - 1, -1, -1))
 
     def at(x: Array) -> tuple[Array, Array, Array]:
         angles = x.tolist()
         turned = [(0.0, 0.0, 0.0, 0.0)] * len(steps)
-        px, py, pz = _applied(fixed[-1], placed.tolist())
-        for k in range(len(steps) - 1, -1, -1):
+        px, py, pz = _applied(last, end_point)
+        for k in way:
             column, scale, zero, slides = steps[k]
             angle = scale * angles[column] + zero
             if slides:
@@ -46,22 +48,19 @@ def instant(rig: Rig, theta: Array, point: int) -> Instant:
             turned[k] = (c, s, px, py)
             px, py, pz = _applied(fixed[k], (px, py, pz))
         image, rows, by_lens = _projected(px, py, pz, lens)
-        slope, ends = np.zeros((2, joints)), []
-        for d, row in enumerate(rows):
-            g = _before(fixed[0], row)
-            for k, (column, scale, _, slides) in enumerate(steps):
-                c, s, x_, y_ = turned[k]
-                slope[d, column] += scale * (g[2] if slides else g[1] * x_ - g[0] * y_)
-                g = _before(fixed[k + 1], (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
-            ends.append(g)
-        design, by_point, end = np.empty((2, size)), np.array(rows), np.array(ends)
-        block = design[:, camera_part]
-        block[:, :3], block[:, 6:] = by_point, by_lens
-        inside = np.array((px, py, pz)) - shift
-        block[:, 3:6] = np.cross(inside, by_point) @ camera_jacobian
-        design[:, carrier_part] = np.hstack([end, end @ marker]) if marker.size else end
-        design[:, joint_part] = slope
-        return np.array(image), slope, design
+        ix, iy, iz = px - shift[0], py - shift[1], pz - shift[2]
+        design = []
+        for row, by in zip(rows, by_lens, strict=True):
+            slope, g = none.copy(), _before(fixed[0], row)
+            for (column, scale, _, slides), (c, s, x_, y_), after in zip(steps, turned, fixed[1:], strict=True):
+                slope[column] += scale * (g[2] if slides else g[1] * x_ - g[0] * y_)
+                g = _before(after, (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
+            a, b, e = row
+            by_turning = _weighed(turn, iy * e - iz * b, iz * a - ix * e, ix * b - iy * a)
+            more = () if marker is None else _weighed(marker, *g)
+            design.append((*row, *by_turning, *by, *g, *more, *slope))
+        result = np.array(design)
+        return np.array(image), result[:, joint_part], result
 
     return at
 
@@ -77,6 +76,11 @@ def _applied(pose: tuple[float, ...], p: "Row | list[float]") -> Row:
     return a * x + b * y + c * z + d, e * x + f * y + g * z + h, i * x + j * y + k * z + m
 
 
+def _weighed(m: Sequence[float], x: float, y: float, z: float) -> Row:
+    """A row (3,) times a matrix, whose nine numbers are given column by column."""
+    return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
+
+
 def _before(pose: tuple[float, ...], g: Row) -> Row:
     """A slope by a point, as one by the point before it was turned."""
     a, b, c, _, e, f, h, _, i, j, k, _ = pose
@@ -86,7 +90,7 @@ def _before(pose: tuple[float, ...], g: Row) -> Row:
 
 def _projected(
     px: float, py: float, pz: float, lens: list[float]
-) -> tuple[tuple[float, float], tuple[Row, Row], Array]:
+) -> tuple[tuple[float, float], tuple[Row, Row], tuple[Lens, Lens]]:
     """`camera.project` of one point."""
     depth, far = max(pz, NEAREST), pz > NEAREST
     x, y = px / depth, py / depth
@@ -103,5 +107,5 @@ def _projected(
     )
     u, v = fu * x * bend, fv * y * bend
     ku, kv = fu * x * square, fv * y * square
-    by_lens = np.array(((u, 0.0, 1.0, 0.0, ku, ku * square), (v, v, 0.0, 1.0, kv, kv * square)))
+    by_lens = (u, 0.0, 1.0, 0.0, ku, ku * square), (v, v, 0.0, 1.0, kv, kv * square)
     return (u + lens[2], v + lens[3]), rows, by_lens
