@@ -43,7 +43,9 @@ test-all: test
 soak: $(VENV)/installed
 	$(BIN)/pytest -m soak
 
+# Speed and memory beside peers; writes docs/performance.md, and exits with 4 where a bound is broken. Half an hour.
 bench: $(VENV)/installed
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test,bench]'
 	$(BIN)/python -m tests.benchmarks
 
 # The wheel, built and used where nothing of the checkout can be seen.

@@ -12,18 +12,21 @@ EXTRAS = PROJECT["optional-dependencies"]
 DISTRIBUTIONS = {
     "aiohttp": "fsspec",  # of its extra http
     "cv2": "opencv-python-headless",
+    "google": "protobuf",
+    "mcap_protobuf": "mcap-protobuf-support",
     "mcap_ros2": "mcap-ros2-support",
     "pybag": "pybag-sdk",
     "rerun": "rerun-sdk",
     "rerun_cli": "rerun-sdk",
     "ruamel": "ruamel.yaml",
+    "sklearn": "scikit-learn",
     "xdist": "pytest-xdist",
 }
 """Modules whose distribution has another name."""
 
 OURS = {"bodylog", "bodylog_cli", "tests", "docs", "fixtures"}
-PEERS = {"sklearn", "filterpy"}
-"""Benchmarks compare with these where they happen to be installed."""
+OURS_ALONE = {"test", "bench"}
+"""Extras of who works on bodylog: what is tested with, and the peers of the benchmarks."""
 
 COMMANDS = {"mypy", "ruff", "build", "pytest-xdist", "rosbags-image", "uv"}
 """Test tools that are run, or found by their framework, and not imported."""
@@ -46,22 +49,23 @@ def _imported(*folders):
                 modules.add(node.module.split(".")[0])
             elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("import_module", "importorskip")):
                 modules |= {arg.value.split(".")[0] for arg in node.args[:1] if isinstance(arg, ast.Constant)}
-    third = modules - set(sys.stdlib_module_names) - OURS - PEERS
+    third = modules - set(sys.stdlib_module_names) - OURS
     return {DISTRIBUTIONS.get(module, module) for module in third}
 
 
 def test_what_the_package_imports_is_a_dependency_or_an_extra():
-    assert _imported("bodylog", "cli") == _declared(*(set(EXTRAS) - {"test", "all"}))
+    assert _imported("bodylog", "cli") == _declared(*(set(EXTRAS) - OURS_ALONE - {"all"}))
 
 
 def test_what_the_tests_import_is_declared():
     assert not _imported("tests", "docs") - _declared(*(set(EXTRAS) - {"all"}))
     assert not _declared("test") - _declared() - _imported("tests") - COMMANDS
+    assert not _declared("bench") - _declared() - _imported("tests/benchmarks")
 
 
 def test_all_has_every_extra_but_the_tests():
     (listed,) = EXTRAS["all"]
-    assert set(re.search(r"\[(.*)\]", listed).group(1).split(",")) == set(EXTRAS) - {"test", "all"}
+    assert set(re.search(r"\[(.*)\]", listed).group(1).split(",")) == set(EXTRAS) - OURS_ALONE - {"all"}
 
 
 def test_every_bound_is_a_lowest_version():

@@ -23,6 +23,7 @@ from bodylog.logs.messages import from_estimate, from_features
 from bodylog.logs.ros1 import known_definition
 from bodylog.types import Array, Estimate, Features, Outgoing, Series
 
+from .goals import at_least, at_most
 from .timing import side_by_side
 
 _START = 1_700_000_000_000_000_000
@@ -67,12 +68,14 @@ def main(megabytes: int = 300) -> None:
         # Each removes what it wrote, so that the next finds memory of this machine's own to put its pages in.
         cases = {name: partial(_and_remove, case, out) for name, case in cases.items()}
         plain, synced, ours, mcap = side_by_side("annotating", cases, repeats=3).values()
-        print(f"  against a plain copy {ours / plain:.2f} (bound 1.5), one that is synced too {ours / synced:.2f}")
-        print(f"  mcap's reader piped to its writer takes {mcap / ours:.1f} x as long (bound 4)")
+        print(f"  against a plain copy, which leaves the disk to others, {ours / plain:.2f}")
+        said = f"a synced copy, {synced:.2f} s; ours {ours:.2f} s"
+        at_most("annotating, times a synced copy", ours / synced, 1.1, "", said)
+        said = f"mcap's reader piped to its writer, {mcap:.2f} s"
+        at_least("annotating, times faster than writing anew", mcap / ours, 4, "", said)
         log.unlink()
-        worst = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (30, 300))
-    if ours > 1.5 * plain or mcap < 4 * ours or worst > 1.1:
-        sys.exit("a bound is broken")
+        worst, sizes = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (30, 300))
+        at_most("peak memory of reading, annotating, ingesting a log ten times as long", worst, 1.1, "times", sizes)
 
 
 def record(path: Path, megabytes: int, chunked: bool = True) -> float:
@@ -158,10 +161,10 @@ def _by_mcap(log: Path, out: Path) -> None:
         writer.finish()
 
 
-def _memory(folder: Path, sizes: tuple[int, int]) -> float:
-    """Print the largest resident memory of four jobs at both sizes; returns the worst ratio of the two."""
+def _memory(folder: Path, sizes: tuple[int, int]) -> tuple[float, str]:
+    """Print the largest resident memory of four jobs at both sizes; returns the worst ratio of the two, and whose."""
     print(f"\npeak memory, logs of {sizes[0]} and {sizes[1]} MB (10 s of messages are added to each)")
-    worst = 0.0
+    worst = (0.0, "")
     jobs = {"read": True, "annotate by copying": True, "annotate by rewriting": False, "ingest": True}
     for job, chunked in jobs.items():
         peaks = []
@@ -170,7 +173,7 @@ def _memory(folder: Path, sizes: tuple[int, int]) -> float:
             command = [sys.executable, "-c", _CHILD, job, str(folder / "log.mcap"), str(folder / "out.mcap")]
             peaks.append(float(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
         print(f"  {job:<24} {peaks[0]:7.1f} MB {peaks[1]:7.1f} MB   x{peaks[1] / peaks[0]:.2f} (bound 1.1)")
-        worst = max(worst, peaks[1] / peaks[0])
+        worst = max(worst, (peaks[1] / peaks[0], f"{job}: {peaks[0]:.0f} and {peaks[1]:.0f} MB"))
     return worst
 
 

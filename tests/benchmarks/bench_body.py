@@ -15,6 +15,7 @@ from bodylog.body.gp import GP, shortened
 from bodylog.body.train import CANDIDATES, Samples, build, fitted, samples
 from bodylog.types import Array
 
+from .goals import unmeasured
 from .timing import side_by_side
 
 _LOW, _HIGH = np.array([-0.8, -0.4, 0.1]), np.array([0.8, 0.9, 1.2])
@@ -215,7 +216,7 @@ def main() -> None:
         return
     warnings.simplefilter("ignore")
     if peer(drawn(10)) is None:
-        print("scikit-learn is not installed: its columns are left out (pip install scikit-learn)")
+        unmeasured("learning, beside scikit-learn", "scikit-learn is not installed: pip install 'bodylog[bench]'")
     else:
         print("Agreement with scikit-learn at the same hyperparameters")
         for count in (46, 500):

@@ -27,6 +27,7 @@ from bodylog.settings import Settings
 from bodylog.types import Array
 from tests.benchmarks import chain_log, chain_peer
 from tests.benchmarks.bench_annotate import _and_remove, _synced_copy
+from tests.benchmarks.goals import at_least, at_most
 from tests.benchmarks.timing import side_by_side
 
 SECONDS = 60.0
@@ -74,12 +75,17 @@ def whole(work: Path, kind: str) -> None:
     ours, fresh, durable, copy, digest, *decode = took.values()
     peer = durable - statistics.median(synced[1:])
     print(f"  the peer without its sync {peer:.2f} s, of which the bound speaks; {SECONDS / ours:.0f} x real time")
-    print(f"  it takes {peer / ours:.1f} x our time (bound {BOUNDS[kind]:g}), {peer / fresh:.1f} x a fresh process's;")
+    said = f"mcap, mcap_ros2, OpenCV and numpy, not synced, {peer:.2f} s; ours {ours:.2f} s"
+    at_least(f"a minute of {kind}, log to annotated log, times a script", peer / ours, BOUNDS[kind], "", said)
+    print(f"  it takes {peer / fresh:.1f} x a fresh process's;")
     print(f"  synced as ours is, {durable / ours:.1f} x our time, {durable / fresh:.1f} x a fresh process's")
     reach = f"{peer / max(copy, digest):.1f} x is what a copy and a digest side by side would reach"
     print(f"  ours is {ours / copy:.1f} x a synced copy, {ours / digest:.1f} x a digest; {reach}")
     for by, alone in zip(("OpenCV (bound 2)", "simplejpeg, as we decode"), decode, strict=False):
         print(f"  {ours / alone:.2f} x decoding alone by {by}; {fresh / alone:.2f} x by a fresh process")
+    if decode:
+        said = f"OpenCV on {THREADS} threads, {decode[0]:.2f} s"
+        at_most("a minute of jpeg, log to annotated log, times decoding its pictures", ours / decode[0], 2, "", said)
 
 
 def _peer(log: Path, body: Path, out: Path, packed: CompressionType, synced: list[float]) -> None:
@@ -104,7 +110,9 @@ def command(work: Path) -> None:
         "python -c pass": lambda: subprocess.run([sys.executable, "-c", "pass"], check=True),
     }
     loop, inside, fresh, _ = side_by_side("10 minutes at 100 Hz, tracks in the log", cases, REPEATS["command"]).values()
-    print(f"  beside the loop {inside - loop:.2f} s, as a command {fresh - loop:.2f} s (bound 0.6)")
+    print(f"  beside the loop {inside - loop:.2f} s, as a command {fresh - loop:.2f} s")
+    what = "`bodylog estimate` of 10 minutes, tracks in the log, beyond the estimation"
+    at_most(what, fresh - loop, 0.6, "s", f"the loop alone, {loop:.2f} s")
 
 
 def _command(log: Path, body: Path, out: Path) -> None:

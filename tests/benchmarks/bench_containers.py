@@ -15,6 +15,7 @@ from bodylog.logs.compression import Buffer
 from bodylog.logs.containers import open_log, payloads
 from bodylog.logs.mapping import mapped
 from bodylog.logs.records import CHUNK, HEAD, MAGIC
+from tests.benchmarks.goals import at_least, at_most
 from tests.benchmarks.timing import side_by_side
 
 MESSAGES = 100_000
@@ -187,32 +188,46 @@ def main() -> None:
             write_mcap(path, compression)
             _compare(f"{MESSAGES} messages, MCAP {compression.lower()}", path, True)
         write_mcap(folder / "unchunked.mcap", "NONE", chunked=False)
-        _compare(f"{MESSAGES} messages, MCAP without chunks", folder / "unchunked.mcap", False)
+        _compare(f"{MESSAGES} messages, MCAP without chunks", folder / "unchunked.mcap", False, 3)
         write_bag(folder / "lz4.bag")
         _versus(f"{MESSAGES} messages, ROS 1 bag lz4", folder / "lz4.bag", {"rosbags raw": rosbag1_raw})
         write_db3(folder / "x.db3")
-        _versus(f"{MESSAGES} messages, db3", folder / "x.db3", {"rosbags raw": rosbags_raw})
+        _versus(f"{MESSAGES} messages, db3", folder / "x.db3", {"rosbags raw": rosbags_raw}, 3)
         write_large(folder / "large.mcap")
         _small(folder / "large.mcap")
 
 
-def _compare(title: str, path: Path, floor: bool) -> None:
+def _compare(title: str, path: Path, floor: bool, least: float | None = None) -> None:
     others = {"mcap seeking": mcap_seeking, "mcap streaming": mcap_streaming, "rosbags raw": rosbags_raw}
-    _versus(title, path, {**({"unpacking and CRC alone": unpack_only} if floor else {}), **others})
+    _versus(title, path, {**({"unpacking and CRC alone": unpack_only} if floor else {}), **others}, least)
 
 
-def _versus(title: str, path: Path, others: dict[str, Callable[[Path], int]]) -> None:
+def _versus(
+    title: str, path: Path, others: dict[str, Callable[[Path], int]], least: float | None = None
+) -> None:
     cases = {"bodylog in batches": in_batches, "bodylog by message": by_message, **others}
     assert {case(path) for case in cases.values() if case is not unpack_only} == {MESSAGES}
-    side_by_side(title, {label: (lambda case=case: case(path)) for label, case in cases.items()}, repeats=3)
+    runs = {label: (lambda case=case: case(path)) for label, case in cases.items()}
+    took = side_by_side(title, runs, repeats=3, cpu=True)
+    if least is not None:
+        for label in ("bodylog in batches", "bodylog by message"):
+            ratio = took["rosbags raw"] / took[label]
+            said = f"rosbags raw, {took['rosbags raw'] * 1e3:.0f} ms; ours {took[label] * 1e3:.0f} ms"
+            at_least(f"{title}, {label.removeprefix('bodylog ')}, times faster than rosbags", ratio, least, "", said)
 
 
 def _small(path: Path) -> None:
     cases = {"bodylog": small_topic, "mcap": small_topic_mcap, "rosbags": small_topic_rosbags}
     title = f"one small topic of a {path.stat().st_size / 1e9:.2f} GB log"
-    side_by_side(title, {label: (lambda case=case: case(path)) for label, case in cases.items()}, repeats=3)
-    for label, case in cases.items():
-        print(f"  {label:<52} {read_from_disk(path, case) / 1e6:10.1f} MB brought in from the file")
+    runs = {label: (lambda case=case: case(path)) for label, case in cases.items()}
+    took = side_by_side(title, runs, repeats=9, cpu=True)
+    brought = {label: read_from_disk(path, case) / 1e6 for label, case in cases.items()}
+    for label, megabytes in brought.items():
+        print(f"  {label:<52} {megabytes:10.1f} MB brought in from the file")
+    said = f"mcap's seeking reader, {took['mcap'] * 1e3:.1f} ms; ours {took['bodylog'] * 1e3:.1f} ms"
+    at_most(f"{title}, times mcap's reader", took["bodylog"] / took["mcap"], 1, "", said)
+    said = f"mcap's seeking reader, {brought['mcap']:.1f} MB"
+    at_most(f"{title}, brought in from the file", brought["bodylog"], brought["mcap"], "MB", said)
 
 
 if __name__ == "__main__":

@@ -15,11 +15,13 @@ from bodylog.estimation import estimate
 from bodylog.estimation.live.estimator import Estimator
 from bodylog.settings import Estimation, Settings
 from bodylog.types import BodyModel, Features, Series
+from tests.benchmarks.goals import at_least, at_most, unmeasured
 from tests.benchmarks.timing import side_by_side
 from tests.estimation.conftest import World, draw
 
 MINUTES = 10
 GIVEN = Estimation(precision="model", bias="off")
+_BESIDE_FILTERPY = "`laplace`, precisions learned, times faster than filterpy and scikit-learn"
 PEERS = ("filterpy EKF, scikit-learn means", "filterpy EKF, scikit-learn means and variances")
 
 
@@ -45,10 +47,12 @@ def whole_log(model: BodyModel) -> dict[str, float]:
         "limit: the model's predictions alone, once": partial(sense.predict, where),
         "kalman": partial(estimate, world.features, model, Estimation(method="kalman")),
     }
-    medians = side_by_side(f"{MINUTES} minutes, {steps} steps, {len(track.t)} pictures", cases, repeats=1)
+    medians = side_by_side(f"{MINUTES} minutes, {steps} steps, {len(track.t)} pictures", cases, repeats=3, cpu=True)
     for name in ("laplace", "smoother"):
         print(f"  {name}: {medians[name] / steps * 1e6:.1f} µs per step")
-    print(f"  smoother / laplace: {medians['smoother'] / medians['laplace']:.2f}")
+    at_most("`laplace`, 10 minutes, a step", medians["laplace"] / steps * 1e6, 7, "µs", f"{steps} steps")
+    ratio, said = medians["smoother"] / medians["laplace"], f"laplace, {medians['laplace']:.2f} s"
+    at_most("`smoother`, times laplace", ratio, 1.15, "", said)
     return {name: seconds / steps for name, seconds in medians.items()}
 
 
@@ -61,8 +65,12 @@ def fast_encoders(model: BodyModel) -> None:
         "laplace, the body's precisions": partial(estimate, world.features, model, GIVEN),
     }
     readings = len(world.features.joints.t)
-    for name, seconds in side_by_side(f"60 s of encoders at 500 Hz, {readings} readings", cases, repeats=3).items():
+    took = side_by_side(f"60 s of encoders at 500 Hz, {readings} readings", cases, repeats=3, cpu=True)
+    for name, seconds in took.items():
         print(f"  {name}: {seconds * 1e3:.0f} ms, {seconds / readings * 1e6:.1f} µs per reading")
+        if name == "laplace":
+            each, said = seconds / readings * 1e6, f"{readings} readings"
+            at_most("`laplace`, encoders at 500 Hz, a reading", each, 4, "µs", said)
 
 
 def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
@@ -82,12 +90,15 @@ def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
         cases[PEERS[0]] = partial(filterpy, world, model, events, order, False)
         cases[PEERS[1]] = partial(filterpy, world, model, events, order, True)
     else:
-        print("  filterpy or scikit-learn is not installed: no peer")
-    medians = side_by_side("30 seconds, one and the same log", cases, repeats=1)
+        unmeasured(_BESIDE_FILTERPY, "filterpy or scikit-learn is not installed: pip install 'bodylog[bench]'")
+    medians = side_by_side("30 seconds, one and the same log", cases, repeats=1, cpu=True)
     for peer in (peer for peer in PEERS if peer in medians):
         for name in ("laplace", "laplace, the body's precisions"):
             step = medians[peer] / len(world.features.joints.t)
             print(f"  {peer}, its step / {name}'s of {MINUTES} minutes: {step / ours[name]:.1f}")
+    if PEERS[1] in medians:
+        step = medians[PEERS[1]] / len(world.features.joints.t)
+        at_least(_BESIDE_FILTERPY, step / ours["laplace"], 20, "", f"{PEERS[1]}, {step * 1e6:.0f} µs a step")
 
 
 def stream(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:

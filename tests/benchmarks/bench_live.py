@@ -9,10 +9,13 @@ import numpy as np
 from bodylog import Estimator
 from bodylog.types import Array, BodyModel
 from tests.benchmarks.bench_estimation import learned
+from tests.benchmarks.goals import at_most
 from tests.estimation.conftest import World, draw
 
 ENCODERS, CAMERA, SECONDS = 500.0, 30.0, 20.0
 """Hz, Hz and s of the motion replayed."""
+_LIMITS_US = {(0.0, "encoders"): 60, (0.0, "a picture"): 500, (0.05, "a picture"): 900}
+"""By how late (s) pictures come, and what the step is told."""
 
 
 def stream(model: BodyModel, world: World, late: float) -> dict[str, Array]:
@@ -53,6 +56,8 @@ def main() -> None:
         for what, costs in stream(model, world, late).items():
             middle, rare, most = np.quantile(costs, [0.5, 0.99, 1.0])
             said = f", {1e3 * late:.0f} ms late" if late and what != "encoders" else ""
+            if (late, what) in _LIMITS_US:
+                at_most(f"`Estimator.step`, {what}{said}, median", middle, _LIMITS_US[late, what], "µs")
             print(f"  {what + said:<24} median {middle:6.0f}  99th percentile {rare:6.0f}  most {most:6.0f}")
     soon, after = allocated(model, world, 20_000)
     print(f"  held after 4,000 steps {soon / 1024:.0f} KiB, after 20,000 {after / 1024:.0f} KiB")
