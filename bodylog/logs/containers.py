@@ -122,10 +122,7 @@ def is_mcap(first: bytes) -> bool:
 
 def payloads(batch: Batch) -> Iterator[memoryview]:
     """Each message of a batch as a view of its bytes, valid as long as the batch is."""
-    data = batch.data.data
-    ends = (batch.offset + batch.length).tolist()
-    for start, end in zip(batch.offset.tolist(), ends, strict=True):
-        yield data[start:end]
+    return map(batch.data.data.__getitem__, map(slice, batch.offset.tolist(), (batch.offset + batch.length).tolist()))
 
 
 def _what_it_is(first: bytes) -> str:

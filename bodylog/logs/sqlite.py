@@ -9,11 +9,13 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ..errors import LogError
+from ..errors import FormatError, LogError
 from ..settings import LIMITS, Input
 from ..temporary import scratch
 from ..types import Batch, Finding, Topic
 from .ledger import Ledger
+from .mapping import mapped
+from .sqlite_pages import Pages
 from .sqlite_rows import DAMAGE, Block, Rows, interrupted
 from .topics import Topics, normalised, span, split
 from .unpacked import unpacked
@@ -21,6 +23,7 @@ from .unpacked import unpacked
 _ENDS = ("min", "max")
 _FEW_TOPICS = 8
 _LARGEST = 1 << 30
+_COLUMNS = ("id", "topic_id", "timestamp", "data")
 _TABLES = ("topics", "messages", "message_definitions")
 _STEPS = 1_000_000
 """SQLite's own steps after which Python is asked, some milliseconds, so that a signal is heard while it looks."""
@@ -37,10 +40,10 @@ class Db3Log:
         """Open `source` (default: `path` itself) read only; LogError when it has no topics or messages."""
         self.path = path
         self._ledger = Ledger(path, strict, limits)
-        self._store = _connect(path, source or path)
-        self._rows = Rows(self._store, self._ledger)
+        self._store, alone = _connect(path, source or path)
         try:
             _only_tables(path, self._store)
+            self._rows = Rows(self._store, self._ledger, _pages(self._store, source or path) if alone else None)
             named = _topics(self._store)
             counts, *ends = self._survey(list(named))
         except LogError:
@@ -119,10 +122,12 @@ class Db3Log:
         return dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
 
 
-def _connect(path: Path, source: Path) -> sqlite3.Connection:
+def _connect(path: Path, source: Path) -> tuple[sqlite3.Connection, bool]:
+    """The database, and whether all of it is in that one file."""
     pending = [beside for end in ("-wal", "-journal") if (beside := source.with_name(source.name + end)).is_file()]
     if not any(beside.stat().st_size for beside in pending):
-        return _opened(f"file:{quote(os.fsencode(source.resolve()))}?mode=ro&immutable=1", source.stat().st_size)
+        address = f"file:{quote(os.fsencode(source.resolve()))}?mode=ro&immutable=1"
+        return _opened(address, source.stat().st_size), True
     needed = sum(part.stat().st_size for part in (source, *pending))
     with scratch() as folder:
         if shutil.disk_usage(folder).free < 2 * needed:
@@ -131,7 +136,19 @@ def _connect(path: Path, source: Path) -> sqlite3.Connection:
             shutil.copyfile(part, folder / part.name)
         store = _opened(f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw", 2 * needed)
         store.execute("SELECT count(*) FROM sqlite_master").fetchall()
-        return store
+        return store, False
+
+
+def _pages(store: sqlite3.Connection, source: Path) -> Pages | None:
+    """The pages of the table of messages; None where its columns are not those that rosbag2 gives it."""
+    columns = [(name, kind.upper(), key) for _, name, kind, _, _, key in store.execute("PRAGMA table_info(messages)")]
+    found = store.execute("SELECT rootpage FROM sqlite_master WHERE lower(name) = 'messages'").fetchone()
+    if found is None or tuple(name for name, _, _ in columns) != _COLUMNS or columns[0][1:] != ("INTEGER", 1):
+        return None
+    try:
+        return Pages(mapped(source), found[0])
+    except FormatError:
+        return None
 
 
 def _opened(address: str, size: int) -> sqlite3.Connection:
@@ -195,4 +212,4 @@ def _standard(kind: str) -> tuple[bytes, str]:
 def _batches(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
     numbers, where = np.unique(block.topic, return_inverse=True)
     topic = np.array([wanted.get(number, -1) for number in numbers.tolist()], np.int64)[where]
-    return split(topic, block.log_ns, block.data, np.cumsum(block.length) - block.length, block.length)
+    return split(topic, block.log_ns, block.data, block.offset, block.length)

@@ -8,8 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..errors import FormatError
 from ..types import Array
 from .ledger import Ledger
+from .sqlite_pages import Pages
+from .sqlite_pages import Rows as PageRows
 
 DAMAGE = (sqlite3.Error, UnicodeError)
 """What SQLite raises for a file that is damaged."""
@@ -37,25 +40,34 @@ Row = tuple[int, int, int, bytes]
 
 
 class Block(NamedTuple):
-    """Rows as arrays: topic id in the file (n,), log time (n,) ns, all payloads one after another, lengths (n,)."""
+    """Rows as arrays: topic id in the file (n,), log time (n,) ns, bytes, where in them each payload is (n,), (n,)."""
 
     topic: Array
     log_ns: Array
     data: Array
+    offset: Array
     length: Array
 
 
 class Rows:
     """The table of messages; what of it is lost goes into the ledger."""
 
-    def __init__(self, store: sqlite3.Connection, ledger: Ledger) -> None:
-        """Of an open database."""
-        self._store, self._ledger = store, ledger
+    def __init__(self, store: sqlite3.Connection, ledger: Ledger, pages: Pages | None = None) -> None:
+        """Of an open database, and its pages where they can be read by themselves."""
+        self._store, self._ledger, self._pages = store, ledger, pages
 
     def blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
         """The rows of these topics in the order stored; what cannot be read is skipped and said."""
         chosen = "" if wanted is None else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
         count, largest, low = _FIRST_ROWS, 1, _LOWEST
+        if self._pages is not None:
+            try:
+                for some in self._pages.rows():
+                    yield from _chosen(some, self._pages.data, wanted)
+                    low = int(some.rowid[-1])
+                return
+            except FormatError:
+                pass  # SQLite reads on from there
         try:
             cursor = self._store.execute(_SELECT.format(_COLUMNS, chosen), (low,))
             while rows := cursor.fetchmany(count):
@@ -147,4 +159,13 @@ def _block(rows: list[Row], low: int) -> Block | None:
         return None
     if rowid[0] <= low or (rowid[1:] <= rowid[:-1]).any():
         return None
-    return Block(topic, log_ns, data, np.fromiter(map(len, payloads), np.int64, len(payloads)))
+    length = np.fromiter(map(len, payloads), np.int64, len(payloads))
+    return Block(topic, log_ns, data, np.cumsum(length) - length, length)
+
+
+def _chosen(rows: PageRows, data: Array, wanted: Collection[int] | None) -> Iterator[Block]:
+    """The rows of these topics, if there are any."""
+    if wanted is None:
+        yield Block(rows.topic, rows.log_ns, data, rows.offset, rows.length)
+    elif (of := np.isin(rows.topic, list(wanted))).any():
+        yield Block(rows.topic[of], rows.log_ns[of], data, rows.offset[of], rows.length[of])
