@@ -161,6 +161,7 @@ def test_a_signal_ends_a_query_of_sqlite(tmp_path, monkeypatch):
     from bodylog.logs import sqlite, sqlite_rows
 
     monkeypatch.setattr(sqlite_rows, "_AGAIN", 0.0)
+    monkeypatch.setattr(sqlite, "_pages", lambda _store, _source: None)
     by_hand.db3(tmp_path / "x.db3", [("/a", T0 + k, b"\0\1\0\0" + bytes(8)) for k in range(5000)], KIND, None)
     monkeypatch.setattr(sqlite, "_STEPS", 100)
     with sqlite.Db3Log(tmp_path / "x.db3") as log:
