@@ -4,11 +4,13 @@ BodylogError            1
 ├── UsageError          2    what was typed
 │   └── ConfigError     2    what robot.toml says
 ├── BoundError          4    a bound of --fail-if was broken
-└── InputError          65   what was given cannot be used
-    ├── LogError        65   a log: not one, empty, a role or field missing
-    ├── FormatError     65   a definition, payload or picture that contradicts itself
-    ├── ModelError      65   a body model: not one, wrong version, another robot's
-    └── EvidenceError   65   a named sense contributed nothing
+├── InputError          65   what was given cannot be used
+│   ├── LogError        65   a log: not one, empty, a role or field missing
+│   ├── FormatError     65   a definition, payload or picture that contradicts itself
+│   ├── ModelError      65   a body model: not one, wrong version, another robot's
+│   └── EvidenceError   65   a named sense contributed nothing
+└── OutputError         73   an output cannot be created: no folder, protected, something else in its place
+    └── WriteError      74   an output cannot be written: disk full, I/O error
 """
 
 
@@ -54,3 +56,15 @@ class ModelError(InputError):
 
 class EvidenceError(InputError):
     """A named sense contributed no observation."""
+
+
+class OutputError(BodylogError):
+    """An output cannot be created."""
+
+    exit_code = 73
+
+
+class WriteError(OutputError):
+    """An output cannot be written to its end."""
+
+    exit_code = 74

@@ -10,9 +10,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from . import temporary
-from .errors import LogError, UsageError
+from .errors import LogError, OutputError, WriteError
 
-_UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What no reading ends in."""
 
 
 @contextmanager
@@ -20,8 +21,8 @@ def replacing(path: Path) -> Iterator[Path]:
     """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
 
     Of a link, what it leads to is replaced, or made; who may read what is replaced may read what replaces it. What
-    killed runs left in that folder goes first. UsageError when `path` is in no folder, or no file; OSError, which names
-    `path`, where there is no room, or it may not be written to.
+    killed runs left in that folder goes first. OutputError when `path` is in no folder, no file, or may not be written
+    to; WriteError where there is no room, or the disk fails.
     """
     path = writable(path)
     try:
@@ -33,13 +34,16 @@ def replacing(path: Path) -> Iterator[Path]:
             os.replace(beside, path)
             sync(path.parent)
     except OSError as problem:
-        if problem.errno not in _UNWRITABLE and not str(problem.filename).endswith(temporary.PART):
+        ours = str(problem.filename).endswith(temporary.PART)
+        failed = problem.errno in FULL or (problem.errno == errno.EIO and (ours or problem.filename is None))
+        if not (failed or ours or problem.errno == errno.EROFS):
             raise
-        raise OSError(problem.errno, f"{problem.strerror}; give another name with -o", os.fspath(path)) from problem
+        text = f"{path}: {problem.strerror}; give another name with -o"
+        raise (WriteError if failed else OutputError)(text) from problem
 
 
 def writable(path: Path, folder: bool = False) -> Path:
-    """The file that an output names, behind links; UsageError where it can be none, OSError where it is protected.
+    """The file that an output names, behind links; OutputError where it can be none, or is protected.
 
     Of a `folder`, which may not be there yet, whether files may be written into it.
     """
@@ -48,33 +52,34 @@ def writable(path: Path, folder: bool = False) -> Path:
     if folder:
         place = next(one for one in (path, *path.absolute().parents) if one.exists())
         if not os.access(place, os.W_OK | os.X_OK):
-            raise OSError(errno.EACCES, "is write-protected; give another folder", os.fspath(path))
+            raise OutputError(f"{path}: is write-protected; give another folder")
         return path
     if path.exists() and not path.is_file():
-        raise UsageError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
+        raise OutputError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
     if not path.parent.is_dir():
-        raise UsageError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
+        raise OutputError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
     if not all(os.access(place, os.W_OK) for place in (path, path.parent) if place.exists()):
-        raise OSError(errno.EACCES, "is write-protected; give another name with -o", os.fspath(path))
+        raise OutputError(f"{path}: is write-protected; give another name with -o")
     return path
 
 
 def _behind(link: Path) -> Path:
-    """What a link leads to; UsageError when that is a link again, without end."""
+    """What a link leads to; OutputError when that is a link again, without end."""
     path = Path(os.path.realpath(link))
     if path.is_symlink():
-        raise UsageError(f"{link}: is a link that leads back to itself; give another name with -o")
+        raise OutputError(f"{link}: is a link that leads back to itself; give another name with -o")
     return path
 
 
 def made(path: Path) -> Path:
-    """`path` as a folder, made where it is not there yet; UsageError where it, or what it would be in, is a file."""
+    """`path` as a folder, made where it is not there yet; OutputError where it, or what it would be in, is a file."""
     try:
         Path(os.path.realpath(path)).mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
-        raise UsageError(f"{path}: a file is in its place; give the name of a folder") from None
+        raise OutputError(f"{path}: a file is in its place; give the name of a folder") from None
     except OSError as problem:
-        raise OSError(problem.errno, f"{problem.strerror}; give the name of another folder", os.fspath(path)) from None
+        kind = WriteError if problem.errno in (*FULL, errno.EIO) else OutputError
+        raise kind(f"{path}: {problem.strerror}; give the name of another folder") from None
     return path
 
 

@@ -1,6 +1,5 @@
 """The bodylog command line: one file per command; errors become one line and an exit code here."""
 
-import errno
 import gc
 import os
 import signal
@@ -17,7 +16,7 @@ _RARELY = 100_000
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with the code of the contract: 0, 1, 2, 3, 4 or 65; 128 + n for signal n."""
+    """Run the command line and exit with the contract's code: 0, 1, 2, 3, 4, 65, 73 or 74; 128 + n for signal n."""
     code, told = 0, None
     try:
         from bodylog import stopping
@@ -67,7 +66,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code."""
     import click
 
-    from bodylog.errors import BodylogError
+    from bodylog.errors import BodylogError, InputError, WriteError
+    from bodylog.files import FULL
 
     from .commands import Unheard, bodylog
     from .output import line, say
@@ -93,7 +93,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as err:
-        if err.filename is None and err.errno != errno.ENOSPC:
+        full = err.errno in FULL
+        if err.filename is None and not full:
             raise
         say(OSError(f"{os.fsdecode(err.filename or 'output')}: {err.strerror}"))
-        return 65
+        return (WriteError if full else InputError).exit_code

@@ -68,7 +68,7 @@ class OutputFile(Named):
         """Path."""
         path = super().convert(value, param, ctx)
         if os.fspath(value).endswith(os.sep):
-            self.fail(f"{value}: is a folder; give the name of a file", param, ctx)
+            raise _cannot_be_made(f"{value}: is a folder; give the name of a file")
         return path
 
 
@@ -88,8 +88,14 @@ class Folder(Named):
         """Path."""
         path = super().convert(value, param, ctx)
         if any(place.exists() and not place.is_dir() for place in (path, *path.parents)):
-            self.fail(f"{value}: a file is in its place; give the name of a folder", param, ctx)
+            raise _cannot_be_made(f"{value}: a file is in its place; give the name of a folder")
         return path
+
+
+def _cannot_be_made(why: str) -> Exception:
+    from bodylog.errors import OutputError
+
+    return OutputError(why)
 
 
 PATH = Named()

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.errors import UsageError
+from bodylog.errors import OutputError, WriteError
 from bodylog.files import made, replacing, sha256, text
 from bodylog.temporary import FOREIGN_S, PART, held, machine, remove_stale, scratch
 
@@ -71,7 +71,7 @@ def test_who_may_read_and_write_a_file_is_who_may_do_so_after(tmp_path, monkeypa
         beside.write_bytes(b"new")
     assert (path.read_bytes(), path.stat().st_mode & 0o777) == (b"new", 0o640)
     monkeypatch.setattr(os, "access", lambda *_: False)  # root may write to everything
-    with pytest.raises(OSError, match="write-protected"), replacing(path):
+    with pytest.raises(OutputError, match="write-protected"), replacing(path):
         pass
     assert [*tmp_path.iterdir()] == [path] and path.read_bytes() == b"new"
 
@@ -80,9 +80,9 @@ def test_links_that_lead_nowhere_are_refused(tmp_path):
     astray, circle = tmp_path / "astray", tmp_path / "circle"
     astray.symlink_to("no/out.bin")
     circle.symlink_to("circle")
-    with pytest.raises(UsageError, match=r"mkdir -p .*/no$"), replacing(astray):
+    with pytest.raises(OutputError, match=r"mkdir -p .*/no$"), replacing(astray):
         pass
-    with pytest.raises(UsageError, match="leads back to itself"), replacing(circle):
+    with pytest.raises(OutputError, match="leads back to itself"), replacing(circle):
         pass
     assert circle.is_symlink()
 
@@ -101,7 +101,7 @@ def test_what_a_pipe_says_is_read_and_without_end_refused(tmp_path):
 
 
 def test_absent_folder_says_what_to_type(tmp_path):
-    with pytest.raises(UsageError, match="mkdir -p"), replacing(tmp_path / "no" / "out.bin"):
+    with pytest.raises(OutputError, match="mkdir -p"), replacing(tmp_path / "no" / "out.bin"):
         pass
 
 
@@ -115,10 +115,10 @@ def test_digest_of_a_folder_is_of_its_files_in_name_order(tmp_path):
 
 
 def test_a_folder_or_a_device_is_not_a_file_to_write(tmp_path):
-    with pytest.raises(UsageError, match="is a folder"), replacing(tmp_path):
+    with pytest.raises(OutputError, match="is a folder"), replacing(tmp_path):
         pass
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(UsageError, match="is a device"), replacing(tmp_path / "pipe"):
+    with pytest.raises(OutputError, match="is a device"), replacing(tmp_path / "pipe"):
         pass
     assert (tmp_path / "pipe").is_fifo()
 
@@ -263,3 +263,29 @@ with scratch(place) as folder, scratch(place) as other, replacing(place / "out")
 def test_a_sweep_takes_all_that_is_temporary_away(tmp_path):
     done = subprocess.run([sys.executable, "-c", SWEEPS, tmp_path], capture_output=True, text=True)
     assert done.stdout == "[]\n"
+
+
+@pytest.mark.parametrize(("number", "kind"), [
+    (errno.ENOSPC, WriteError), (errno.EDQUOT, WriteError), (errno.EFBIG, WriteError), (errno.EIO, WriteError),
+    (errno.EROFS, OutputError), (errno.EACCES, OutputError),
+])  # fmt: skip
+def test_what_keeps_an_output_from_being_written_is_told_from_what_keeps_it_from_being_made(
+    tmp_path, monkeypatch, number, kind
+):
+    def fail(source, _):
+        raise OSError(number, os.strerror(number), os.fspath(source))
+
+    monkeypatch.setattr(os, "replace", fail)
+    told = f"out: {os.strerror(number)}; give another"
+    with pytest.raises(OutputError, match=told) as raised, replacing(tmp_path / "out") as beside:
+        beside.write_bytes(b"new")
+    assert type(raised.value) is kind and raised.value.exit_code == (74 if kind is WriteError else 73)
+    assert not os.listdir(tmp_path)
+
+
+def test_an_input_that_cannot_be_read_while_an_output_is_written_is_the_inputs(tmp_path):
+    with pytest.raises(FileNotFoundError), replacing(tmp_path / "out"):
+        (tmp_path / "input").read_bytes()
+    with pytest.raises(OSError, match="input") as raised, replacing(tmp_path / "out"):
+        raise OSError(errno.EIO, "Input/output error", str(tmp_path / "input"))
+    assert not isinstance(raised.value, OutputError)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bodylog import pipeline
-from bodylog.errors import EvidenceError, LogError, UsageError
+from bodylog.errors import EvidenceError, LogError, OutputError, UsageError
 from bodylog.evaluation.scores import scores
 from bodylog.settings import Settings
 
@@ -41,7 +41,7 @@ def test_an_estimate_that_ends_early_leaves_nothing(tmp_path, monkeypatch, arm, 
 
 def test_an_output_that_cannot_be_is_refused_before_anything_is_read(tmp_path, monkeypatch, arm, arm_body) -> None:
     monkeypatch.setattr(pipeline, "observe", lambda *_: pytest.fail("the log was read"))
-    with pytest.raises(UsageError, match="mkdir -p"):
+    with pytest.raises(OutputError, match="mkdir -p"):
         pipeline.estimate(arm / "touch.mcap", arm_body, tmp_path / "no" / "out.mcap", Settings())
 
 

@@ -68,8 +68,8 @@ def batch(plan: Plan, report: Report | None = None) -> list[Row]:
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """The worst kind met, from sound to our bug: 0, 3, 4, 65, 1."""
-    return max((row["exit_code"] for row in rows), key=(0, 3, 4, 65, 1).index, default=0)
+    """The worst kind met, from sound to our bug: 0, 3, 4, 65, 73, 74, 1."""
+    return max((row["exit_code"] for row in rows), key=list(work.STATUS).index, default=0)
 
 
 def _planned(plan: Plan) -> tuple[list[Job], set[str]]:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..errors import UsageError
+from ..errors import OutputError, UsageError
 from ..files import made
 
 BATCH = ".bodylog-batch"
@@ -73,7 +73,7 @@ def check(folder: Path, results: Iterable[Path]) -> None:
 
 def _no_file(folder: Path) -> None:
     if (folder.exists() or folder.is_symlink()) and not folder.is_dir():
-        raise UsageError(f"{folder}: is in the place of a folder; give another one with -o")
+        raise OutputError(f"{folder}: is in the place of a folder; give another one with -o")
 
 
 def _left_by_a_batch(path: Path) -> bool:

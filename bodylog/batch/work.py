@@ -12,14 +12,23 @@ from .. import pipeline, present, stores, torn
 from ..config import toml
 from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
-from ..files import replacing, sha256
+from ..files import FULL, replacing, sha256
 from ..temporary import PART, remove_stale
 from . import folders, resume
 from .folders import OUTPUTS
 from .jobs import Job, Row
 from .resume import ODD
 
-STATUS = {0: "passed", 3: "passed, input lost", 4: "bound broken", 65: "unusable", 1: "bug"}
+STATUS = {
+    0: "passed",
+    3: "passed, input lost",
+    4: "bound broken",
+    65: "unusable",
+    73: "not writable",
+    74: "not written",
+    1: "bug",
+}
+"""What a row's exit code means, the worst last."""
 
 
 def run(job: Job) -> Row:
@@ -76,7 +85,7 @@ def _attempt(job: Job) -> Row:
     except BodylogError as err:
         return _row(job, key, err.exit_code if err.exit_code != 2 else 65, str(err))
     except OSError as err:
-        return _row(job, key, 65, f"{job.log}: {err.strerror or err}")
+        return _row(job, key, 74 if err.errno in FULL else 65, f"{job.log}: {err.strerror or err}")
     except MemoryError as err:
         return _row(job, key, 65, f"{job.log}: there is not enough memory ({err})")
     except Exception:

@@ -1,5 +1,6 @@
 """A folder of good and bad logs: every one has its row, and what is done is not done again."""
 
+import errno
 import json
 import os
 import shutil
@@ -14,7 +15,7 @@ import pytest
 
 from bodylog.batch.jobs import named, share
 from bodylog.batch.results import junit
-from bodylog.errors import LogError, UsageError
+from bodylog.errors import LogError, UsageError, WriteError
 
 ROOT = Path(__file__).parents[2]
 
@@ -66,6 +67,20 @@ def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot,
         pytest.skip("xmllint is not installed: the schema was not checked")
     schema = ROOT / "fixtures" / "junit" / "junit-10.xsd"
     subprocess.run(["xmllint", "--noout", "--schema", schema, tmp_path / "junit.xml"], check=True, capture_output=True)
+
+
+@pytest.mark.parametrize("problem", [WriteError("o: No space left on device"), OSError(errno.ENOSPC, "No space left")])
+def test_a_full_disk_is_a_row_and_the_exit_code(tmp_path, monkeypatch, robot, bodylog, problem):
+    def full(*_, **__):
+        raise problem
+
+    monkeypatch.setattr("bodylog.pipeline.estimate", full)
+    out = tmp_path / "out"
+    typed = ("batch", robot / "reach.mcap", "-o", out, "--body", robot / "body.npz", "--jobs", 1)
+    assert bodylog(*typed) == 74
+    (row,) = _rows(out).values()
+    assert (row["exit_code"], row["status"]) == (74, "not written") and "No space left" in row["error"]
+    assert 'errors="1"' in (out / "junit.xml").read_text()
 
 
 def test_what_xml_cannot_hold_is_replaced():

@@ -12,7 +12,7 @@ import pytest
 from bodylog.body.encoders import Polynomial
 from bodylog.body.model import load, save
 from bodylog.body.train import samples, train
-from bodylog.errors import ModelError, UsageError
+from bodylog.errors import ModelError, OutputError
 from bodylog.types import BodyModel, Noise, TouchConstants
 
 
@@ -195,7 +195,7 @@ def test_no_flipped_byte_gets_through(seed: int, body: BodyModel, tmp_path: Path
 def test_a_missing_file_and_folder_are_named(body: BodyModel, tmp_path: Path) -> None:
     with pytest.raises(ModelError, match="there is no such body model"):
         load(tmp_path / "none.npz")
-    with pytest.raises(UsageError, match="mkdir -p"):
+    with pytest.raises(OutputError, match="mkdir -p"):
         save(body, tmp_path / "none" / "body.npz")
 
 

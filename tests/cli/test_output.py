@@ -49,7 +49,7 @@ def test_files_may_be_called_anything(tmp_path: Path, capsys, bodylog) -> None:
 def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path: Path, capsys, bodylog) -> None:
     taken = write(tmp_path / "x.mcap", [joints("/joints", [(T0, joint_state(T0, ("a",), (0.1,)))])])
     for typed in (("ingest", "--csv", taken), ("extract", "--csv", taken / "in"), ("report", "--figures", taken)):
-        assert bodylog(typed[0], taken, "-o", tmp_path / "out", *typed[1:]) == 2
+        assert bodylog(typed[0], taken, "-o", tmp_path / "out", *typed[1:]) == 73
         assert "a file is in its place; give the name of a folder" in capsys.readouterr().err
         assert [*tmp_path.iterdir()] == [taken]
 
@@ -76,3 +76,10 @@ def test_data_prints_numbers_that_are_not_finite_as_null(capsys) -> None:
     assert json.loads(capsys.readouterr().out, parse_constant=pytest.fail) == {
         "a": [[1.0, None], [None, 2.0]], "b": None, "c": "x",
     }  # fmt: skip
+
+
+def test_standard_output_on_a_full_disk_is_an_output_that_cannot_be_written() -> None:
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "bodylog_cli", "config"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (74, "bodylog: output: No space left on device\n")

@@ -209,7 +209,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
     monkeypatch.chdir(tmp_path)
     for name in ("ingest", "plot", "colours", "layout"):
         capsys.readouterr()
-        assert bodylog(name, "absent.mcap", "-o", place) == 2
+        assert bodylog(name, "absent.mcap", "-o", place) == 73
         assert capsys.readouterr().err.count("\n") == 1
     assert sorted(os.listdir(tmp_path)) == ["folder", "loop", "pipe"]
 
@@ -217,7 +217,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
 def test_a_stream_is_a_device(capsys, bodylog):
     """What /dev/stdout leads to, where that is a pipe, has no name."""
     read, write = os.pipe()
-    assert bodylog("ingest", "absent.mcap", "-o", f"/dev/fd/{write}") == 2
+    assert bodylog("ingest", "absent.mcap", "-o", f"/dev/fd/{write}") == 73
     assert "is a device" in capsys.readouterr().err
     os.close(read)
     os.close(write)

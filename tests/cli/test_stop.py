@@ -220,7 +220,7 @@ def test_where_there_is_no_room_is_said_in_one_line_and_nothing_is_left(tmp_path
     done = subprocess.run(_command(name, *words), capture_output=True, text=True, preexec_fn=little_room)
     out = next(word for word in words if str(word).startswith(str(tmp_path)))
     *talk, last = done.stderr.splitlines()
-    assert last == f"bodylog: {out}: File too large; give another name with -o" and done.returncode == 65
+    assert last == f"bodylog: {out}: File too large; give another name with -o" and done.returncode == 74
     assert all(line.startswith(("info: ", "warning: ")) for line in talk) and not list(tmp_path.iterdir())
 
 

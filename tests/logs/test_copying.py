@@ -11,7 +11,7 @@ import pytest
 from mcap.writer import CompressionType
 
 from bodylog import temporary
-from bodylog.errors import LogError
+from bodylog.errors import LogError, WriteError
 from bodylog.files import sha256
 from bodylog.logs import annotate, copying
 from bodylog.logs.copying import Copy
@@ -128,7 +128,7 @@ def test_a_full_disk_is_told_and_nothing_is_left(tmp_path, log, monkeypatch):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(copying.os, "pwrite", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(WriteError, match="No space left"):
         annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
     assert list(tmp_path.iterdir()) == [log]
 
