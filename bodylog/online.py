@@ -1,8 +1,6 @@
 """Beside a live robot: the filter for any learned body, also where encoders read a function of the angle."""
 
-from collections import ChainMap
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from .body import encoders
@@ -43,6 +41,4 @@ class Estimator(estimator.Estimator):
         for name, place in places.items():
             by = 0.0 if name == "touch" else self._delays.get(correction.camera(name), 0.0)
             late.setdefault(by, {})[name] = place
-        said = [super(Estimator, self).step(t - by, joints if by == own else None, **late[by]) for by in late]
-        nats, errors = sum(belief.free_energy for belief in said), ChainMap(*(dict(belief.errors) for belief in said))
-        return said[0] if len(said) == 1 else replace(said[-1], free_energy=nats, errors=dict(errors))
+        return self._tell([(t - by, joints if by == own else None, told) for by, told in late.items()])

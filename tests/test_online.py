@@ -7,7 +7,7 @@ import pytest
 
 from bodylog import Estimator, body
 from bodylog.body.encoders import Polynomial, understood
-from bodylog.errors import UsageError
+from bodylog.errors import LogError, UsageError
 from bodylog.estimation import estimate
 from bodylog.settings import Estimation, Settings
 from tests.body.conftest import run
@@ -108,3 +108,21 @@ def test_what_is_told_at_once_is_said_at_once_however_late_a_part_of_it_is():
     assert belief.t == 0.06 and set(belief.errors) == {"encoders", "effector"}
     assert belief.free_energy == first.free_energy + last.free_energy
     np.testing.assert_array_equal(belief.x, last.x)
+
+
+def test_an_image_that_comes_with_the_first_joints_is_used_though_its_camera_is_late():
+    """All of a call is taken, or none of it: the image was dropped where its own time asked for a step of its own."""
+    drawn = draw(2, duration=1.0)
+    pan, lift, elbow = ({name: value} for name, value in zip(drawn.body.joints, (-0.9, -0.9, 1.0), strict=True))
+    place = drawn.body.senses["effector"].predict(np.array([[-0.9, -0.9, 1.0]]))[0][0]
+    live = Estimator(drawn.body, delay={"camera": 0.05})
+    with pytest.raises(LogError, match="no reading tells where lift, elbow starts"):
+        live.step(0.1, joints=pan, effector=place)
+    belief = live.step(0.12, joints=lift | elbow)
+    assert live.used["effector"].used == 1 and live.used["encoders"].used == 2
+    timely = Estimator(drawn.body)
+    with pytest.raises(LogError):
+        timely.step(0.05, effector=place)
+    with pytest.raises(LogError):
+        timely.step(0.1, joints=pan)
+    np.testing.assert_allclose(belief.x, timely.step(0.12, joints=lift | elbow).x, atol=1e-12, rtol=0)

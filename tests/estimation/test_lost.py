@@ -43,6 +43,24 @@ def judged(features, drawn, since, **settings):
     return float(np.sqrt(np.mean(error**2))), nees, found.faults, lost
 
 
+@pytest.mark.parametrize(("seed", "silent"), [(0, "elbow"), (4, "lift"), (4, "elbow")])
+def test_a_sound_encoder_that_was_silent_for_a_second_has_not_lost_the_belief(world, seed, silent):
+    """The others, which never fell silent, speak against starting again from where this one reads."""
+    drawn = world(seed, duration=12.0)
+    *_, lost = judged(muted(drawn.features, 6.0, 7.0, (silent,)), drawn, 6.0, precision="model", bias="off")
+    assert not lost
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("length", [1.0, 3.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_no_sound_silence_of_a_single_encoder_is_called_lost(world, seed, length):
+    drawn = world(seed, duration=12.0)
+    for silent in ALL:
+        muffled = muted(drawn.features, 6.0, 6.0 + length, (silent,))
+        assert not judged(muffled, drawn, 6.0, precision="model", bias="off")[3]
+
+
 @pytest.mark.parametrize("method", ["laplace", "ekf"])
 @pytest.mark.parametrize("seed", seeds(1, 3))
 def test_it_is_found_again_by_the_first_word_after_a_silence(world, seed, method):

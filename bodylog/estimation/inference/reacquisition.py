@@ -92,7 +92,8 @@ class Watch:
         x, cov = z.copy(), p.copy()
         forget(x, cov, mute, said, 0.0)
         anew = h @ cov @ h.T + noise
-        if _nats(np.zeros_like(nu), anew) >= _nats(nu, h @ p @ h.T + noise):
+        # encoders that were not mute still contradict the belief that starts again
+        if _nats((said - rows @ x)[heard], anew) >= _nats(nu, h @ p @ h.T + noise):
             return None, heard & ~mute | tested
         gain = np.linalg.solve(anew, h @ cov).T
         x, cov = x + gain @ (said[heard] - h @ x), cov - gain @ h @ cov

@@ -1,6 +1,6 @@
 """The filter beside a live robot: one step per instant, the same belief as the batch filter's."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -80,16 +80,22 @@ class Estimator:
         the latest instant. UsageError or ModelError for what is not the body's. LogError until all joints were told:
         what was told until then is heard then.
         """
-        t, told = finite(t), self._incoming.read(joints, places)
-        if self._recent is not None:
-            return self._hear(self._recent, t, told)
-        self._waiting.append((t, told))
-        while self._waiting[0][0] < t - self._lag:
-            self._incoming.accept(*self._waiting.pop(0), late=True)
-        self._recent = self._begin(told.angles)
-        beliefs = [self._hear(self._recent, *one) for one in self._waiting]
-        self._waiting.clear()
-        return replace(beliefs[-1], free_energy=sum(belief.free_energy for belief in beliefs))
+        return self._tell([(finite(t), joints, places)])
+
+    def _tell(self, parts: Sequence[tuple[float, Angles | None, Mapping[str, Place | None]]]) -> Belief:
+        """The same of what one call tells of several times (s): each is a time, joints and places."""
+        told = [(t, self._incoming.read(joints, places)) for t, joints, places in parts]
+        if self._recent is None:
+            self._waiting += told
+            while self._waiting[0][0] < max(t for t, _ in told) - self._lag:
+                self._incoming.accept(*self._waiting.pop(0), late=True)
+            self._recent = self._begin([one.angles for _, one in told if one.angles is not None])
+            told, self._waiting = self._waiting, []
+        beliefs = [self._hear(self._recent, *one) for one in told]
+        if len(beliefs) == 1:
+            return beliefs[0]
+        errors = {name: error for belief in beliefs[-len(parts) :] for name, error in belief.errors.items()}
+        return replace(beliefs[-1], free_energy=sum(belief.free_energy for belief in beliefs), errors=errors)
 
     def _hear(self, recent: Recent, t: float, told: Told) -> Belief:
         late = recent.late(t)
@@ -107,10 +113,11 @@ class Estimator:
         cov = self._precision.of(now.p[:m, :m])
         return Belief(now.t, now.z[:m], now.z[m : 2 * m], cov, nats, errors, bias, lost)
 
-    def _begin(self, angles: Array | None) -> Recent:
-        """No instant yet, and what is known before the first."""
+    def _begin(self, readings: Sequence[Array]) -> Recent:
+        """No instant yet, and what is known before the first; `readings` (M,) rad of this call."""
         names, given, precision = self._body.joints, self._settings.start, self._precision
-        self._first = self._first if angles is None else np.where(np.isfinite(self._first), self._first, angles)
+        for angles in readings:
+            self._first = np.where(np.isfinite(self._first), self._first, angles)
         x = self._first if given is None else np.array(given, float)
         if not np.isfinite(x).all():
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
