@@ -12,7 +12,7 @@ from typing import Any
 
 from . import toml_file
 from .errors import ConfigError
-from .settings import Estimation, Settings
+from .settings import Estimation, Settings, spell
 from .sources import check_colour, parse, spelled
 from .toml_file import shown
 
@@ -43,12 +43,13 @@ def merge(settings: Settings, given: Mapping[str, Any], where: str) -> Settings:
 
 def _section(current: Any, section: str, values: Mapping[str, Any], where: str) -> Any:
     hints = typing.get_type_hints(type(current))
-    known = [f.name for f in fields(current)]
+    known = {spell(f.name): f.name for f in fields(current)}
     changed = {}
     for key, value in values.items():
-        _known(key, known, where, "key", f"{section}.{key}")
-        changed[key] = _typed(value, hints[key], f"{where}: {section}.{key}")
-        _allowed(section, key, changed[key], where)
+        _known(key, list(known), where, "key", f"{section}.{key}")
+        name = known[key]
+        changed[name] = _typed(value, hints[name], f"{where}: {section}.{key}")
+        _allowed(section, key, changed[name], where)
     if section == "estimate" and changed.get("preset") == "paper" and current.method == Estimation().method:
         changed.setdefault("method", "predictive-coding")  # the printed model is that one
     return replace(current, **changed)
@@ -133,6 +134,11 @@ LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
     ("skin", "columns"): (1, 10**6),
     ("estimate", "rate"): (1e-3, 1e4),  # Hz: as the fastest joint controllers; more is a mistake that takes hours
     ("estimate", "start"): (-1e4, 1e4),
+    ("estimate", "sigma_encoders"): (1e-18, 1e6),
+    ("estimate", "sigma_vision"): (1e-12, 1e12),
+    ("estimate", "sigma_touch"): (1e-12, 1e12),
+    ("estimate", "process"): (1e-18, 1e9),
+    ("estimate", "lambda"): (0, 1e3),
     ("synchrony", "clock_offset"): (-9e9, 9e9),
     ("fit", "samples"): (8, 10**9),
     ("fit", "every"): (1, 10**9),
@@ -154,7 +160,8 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
             f"{where}: {section}.{key} is {shown(value)}; possible: {', '.join(possible)}; did you mean {near[0]}?"
         )
     low, high = LIMITS.get((section, key), (-math.inf, math.inf))
-    numbers = [one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, int | float)]
+    listed = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else (value,)
+    numbers = [one for one in listed if isinstance(one, int | float)]
     if not all(low <= one <= high for one in numbers):
         raise ConfigError(f"{where}: {section}.{key} is {shown(value)}; it must be from {low:g} to {high:g}")
     if (section, key) == ("body", "joints") and value is not None and len(set(value)) < max(len(value), 1):
@@ -187,7 +194,7 @@ def _toml_section(name: str, section: Any) -> str:
         values = {feature: spelled(source) for feature, source in section.items()}
         return "\n".join([f"[{name}]", *(f"{_toml_key(k)} = {toml_value(v)}" for k, v in values.items()), ""])
     assert is_dataclass(section)
-    lines = [_toml_line(f.name, getattr(section, f.name)) for f in fields(section)]
+    lines = [_toml_line(spell(f.name), getattr(section, f.name)) for f in fields(section)]
     return "\n".join([f"[{name}]", *lines, ""])
 
 

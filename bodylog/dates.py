@@ -96,7 +96,7 @@ def _stepped(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequence[Delays], 
 
 def _missed(turn: _Turn, cameras: Iterable[str]) -> float:
     """Root mean square (px) of what the body misses on withheld places of some cameras' tracks, all together."""
-    from .estimation.timing.correction import camera
+    from .estimation.measurements.gather import camera
 
     kinds = (score.name.partition(".") for score in turn.found.scores)
     seen = [kind == "held_out" and track and camera(track) in cameras for kind, _, track in kinds]

@@ -6,6 +6,7 @@ from typing import Any
 from .body import encoders
 from .estimation.live import estimator
 from .estimation.live.inputs import Angles, Place, finite
+from .estimation.measurements.gather import camera
 from .estimation.timing import correction
 from .settings import Estimation
 from .types import BodyModel
@@ -39,6 +40,6 @@ class Estimator(estimator.Estimator):
         if joints is not None or not places:
             late[own] = {}
         for name, place in places.items():
-            by = 0.0 if name == "touch" else self._delays.get(correction.camera(name), 0.0)
+            by = 0.0 if name == "touch" else self._delays.get(camera(name), 0.0)
             late.setdefault(by, {})[name] = place
         return self._tell([(t - by, joints if by == own else None, told) for by, told in late.items()])

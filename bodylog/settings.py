@@ -136,6 +136,9 @@ class Estimation:
     """[estimate]: method, senses (None: all that are there), output rate in Hz (None: as the encoders, at most 100).
 
     Where robot.toml or the command line sets the preset paper and names no method, that is predictive-coding.
+    Variances that are typed are used as they are, others are found as `precision` says: sigma_encoders (rad²) and
+    process (rad²/s³) for all joints or {joint: …}, sigma_vision (px²) for all tracks or {track: …}, sigma_touch (px²).
+    `lambda` (written lambda_ in Python): how fast the prior of predictive coding follows its belief, 1/s.
     """
 
     method: str = "laplace"
@@ -148,6 +151,17 @@ class Estimation:
     touch: str = "likelihood"
     step: str = "implicit"
     start: tuple[float, ...] | None = None
+    sigma_encoders: float | Mapping[str, float] | None = None
+    sigma_vision: float | Mapping[str, float] | None = None
+    sigma_touch: float | None = None
+    process: float | Mapping[str, float] | None = None
+    lambda_: float | None = None
+
+    @property
+    def typed(self) -> dict[str, float | Mapping[str, float]]:
+        """The variances that are typed, by key."""
+        keys = ("sigma_encoders", "sigma_vision", "sigma_touch", "process", "lambda_")
+        return {spell(key): value for key in keys if (value := getattr(self, key)) is not None}
 
 
 @dataclass(frozen=True)
@@ -167,11 +181,21 @@ class Settings:
     synchrony: Clocks = field(default_factory=Clocks)
 
 
+def spell(field: str) -> str:
+    """A setting's key in robot.toml: Python's own words end in _ as names of fields."""
+    return field.rstrip("_")
+
+
+def _spelled(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {spell(key): value for key, value in values.items()}
+
+
 def plain(settings: Settings) -> dict[str, Any]:
     """The settings as nested plain values, to be written beside a result."""
     from dataclasses import asdict
 
-    return asdict(settings) | {"features": {name: spelled(source) for name, source in settings.features.items()}}
+    found = {section: _spelled(values) for section, values in asdict(settings).items()}
+    return found | {"features": {name: spelled(source) for name, source in settings.features.items()}}
 
 
 def wanted(settings: Settings) -> dict[str, Source]:

@@ -14,6 +14,7 @@ from .measurements.joints_alone import joints_body, readings, unlearned_body
 from .methods.choices import unheeded
 from .methods.finite import finite, solvable
 from .methods.table import METHODS
+from .noise import typed
 from .poses.estimate import estimate as still_poses
 from .timing.correction import as_stamped, dated, unsure
 
@@ -56,3 +57,4 @@ def check(body: BodyModel, settings: Estimation) -> None:
         able = " or --method ".join(name for name, one in METHODS.items() if one.can.from_paper)
         raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {able}")
     gather.chosen((), body, settings)
+    typed.check(settings, body.joints, [name for name in body.senses if name != "encoders"])

@@ -11,6 +11,8 @@ SOUGHT = ("encoder_offset", "drifting", "offset")
 """Kinds that only images show, and only to methods that look for them: else there is no saying, NaN."""
 FIRST = 1.0
 """s: an encoder that is certainly off so soon was so before."""
+CAMERA = "camera"
+"""Name of the first camera, whose tracks are named plainly."""
 EITHER = " or "
 """Between the names of joints of which one lies."""
 
@@ -25,13 +27,18 @@ def _faults(found: Estimate) -> Iterator[Score]:
     yield Score("faults", float(len(found.faults)), "1")
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
     sought = found.can.repairs and any(found.used[name].used for name in tracks)
-    for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in found.faults for n in _names(f)))):
-        others = (f.kind for f in found.faults if name in _names(f))
+    faults = [fault for fault in found.faults if fault.kind != "moved"]
+    for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in faults for n in _names(f)))):
+        others = (f.kind for f in faults if name in _names(f))
         for kind in dict.fromkeys((*KINDS, *others)):
             own = [fault for fault in found.faults if name in _names(fault) and kind in _kinds(fault)]
             unit = own[0].unit if own else "rad" if name in found.joints.names else "px"
             open_ = not own and kind in SOUGHT and not sought
             yield Score(f"fault/{kind}/{name}", float("nan") if open_ else _greatest(own), unit)
+    cameras = [name.rpartition("/")[0] or CAMERA for name in tracks]
+    for name in dict.fromkeys(cameras):
+        own = [fault for fault in found.faults if (fault.kind, fault.name) == ("moved", name)]
+        yield Score(f"fault/moved/{name}", _greatest(own), "px")
 
 
 def _greatest(faults: Sequence[Fault]) -> float:

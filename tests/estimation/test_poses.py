@@ -121,9 +121,9 @@ def test_the_order_of_poses_is_no_matter(learned):
 
 def test_a_pose_is_found_from_beside_it(learned):
     features, _ = _poses(23, noise=0.01)
-    from bodylog.estimation.measurements.gather import gather
+    from bodylog.estimation.faults.screening import screened
 
-    evidence = gather(features, learned, Estimation())
+    evidence = screened(features, learned, Estimation())
     poses = gathered(evidence.encoders, evidence.sightings, learned)
     variance = np.full(3, 1e-4)
     found = descended(poses, variance, np.zeros(3), poses.z)

@@ -191,7 +191,7 @@ def test_joints_without_an_encoder_are_said_to_have_no_true_error_bars(world):
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 def test_methods_the_paper_has_not_refuse_its_preset(world, method):
     drawn = world(0, duration=2.0)
-    with pytest.raises(UsageError, match=f"'paper' is not for {method}; type --method predictive-coding"):
+    with pytest.raises(UsageError, match=f"'paper' is not for {method}; type --method kalman or --method p"):
         estimate(drawn.features, drawn.body, Estimation(method=method, preset="paper"))
 
 

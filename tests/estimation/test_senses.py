@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.errors import EvidenceError, LogError, ModelError, UsageError
 from bodylog.estimation import METHODS, estimate
-from bodylog.estimation.measurements.gather import gather
+from bodylog.estimation.faults.screening import screened
 from bodylog.settings import Estimation
 
 
@@ -121,7 +121,7 @@ def test_tracks_are_heard_in_the_order_the_log_has_them(world):
     names = ("side/effector", "effector", "tip", "wrist", "back", "arm")
     body = replace(drawn.body, senses=dict.fromkeys(names, drawn.body.senses["effector"]))
     features = replace(drawn.features, tracks=dict.fromkeys(names, drawn.features.tracks["effector"]))
-    assert [s.name for s in gather(features, body, Estimation()).sightings] == list(names)
+    assert [s.name for s in screened(features, body, Estimation()).sightings] == list(names)
 
 
 def _quiet(drawn, begin, end, joints=(0, 1, 2)):

@@ -61,3 +61,14 @@ def test_a_camera_that_stands_still_is_named_by_encoders_on_topics_of_their_own(
     values[::2, 0], values[1::2, 1:] = np.nan, np.nan
     found = estimate(replace(features, joints=replace(features.joints, values=values)), drawn.body, Estimation())
     assert [(fault.sense, fault.name, fault.kind) for fault in found.faults] == [("vision", "effector", "frozen")]
+
+
+def test_two_encoders_that_jump_do_not_make_a_resting_arms_camera_lie(world):
+    """What moved by the encoders is judged by what is left of these once their own faults are taken out."""
+    drawn = world(3, duration=14.0, camera_hz=20.0, speed=0.0, encoder_std=0.002, pixel_std=0.1)
+    features = freeze(drawn, 0.0)
+    joints = features.joints
+    values = joints.values + 0.15 * np.outer(joints.t >= 6.0, np.arange(3) < 2)
+    found = estimate(replace(features, joints=replace(joints, values=values)), drawn.body, Estimation())
+    assert {(fault.sense, fault.kind) for fault in found.faults} == {("encoders", "jumping")}
+    assert {fault.name for fault in found.faults} == set(joints.names[:2])

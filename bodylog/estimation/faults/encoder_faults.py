@@ -8,12 +8,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import Array, Fault, Finding
-from ..measurements.records import Encoders, Sighting
+from ...types import Array, BodyModel, Fault, Finding
+from ..measurements.records import Encoders, Evidence, Sighting
+from .contract import Verdict
 from .dead import fallen, silent
 from .frozen import frozen
 from .jumping import jumps, turned
 from .stalled import stalled
+
+
+def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+    """Encoders that are frozen, dead or jumping; readings of another function of the angle have no whole turns."""
+    if evidence.encoders is None:
+        return Verdict(evidence)
+    angles = "encoders" not in body.senses
+    remarks = tuple(turns(evidence.encoders, body.joints)) if angles else ()
+    sound, faults = screen(evidence.encoders, body.joints, evidence.sightings if angles else (), angles)
+    return Verdict(replace(evidence, encoders=sound), faults, remarks)
 
 
 def screen(

@@ -1,15 +1,13 @@
 """Pictures that stand still while the encoders move: a camera that repeats its last one lies."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...types import Array, Fault, Health
-
-if TYPE_CHECKING:
-    from ..measurements.records import Encoders, Sighting
+from ...types import Array, BodyModel, Fault
+from ..measurements.records import Encoders, Evidence, Sighting
+from .contract import Verdict
 
 LASTING = 0.5
 """s: a track that repeats one place exactly for longer may be that of a camera that stands still."""
@@ -18,23 +16,23 @@ FRAMES, PARTS, SIGMAS, LEAST = 5, 8, 6.0, 1.0
 between two of them, whichever encoder is left out: standard deviations of these averages, and px."""
 
 
-def unfrozen(
-    seen: Iterable["Sighting"], encoders: "Encoders | None", used: dict[str, Health]
-) -> tuple[list["Sighting"], tuple[Fault, ...]]:
-    """Sightings without places repeated exactly while by the encoders what is seen moved; counted, and the faults."""
-    told, faults = [], list[Fault]()
-    for sighting in seen:
-        values, found = _moving(sighting, encoders) if encoders is not None else (sighting.values, [])
+def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+    """Tracks without places repeated exactly while by the encoders what is seen moved."""
+    if evidence.encoders is None or "encoders" in body.senses:
+        return Verdict(evidence)
+    used, sightings, faults = dict(evidence.used), list[Sighting](), list[Fault]()
+    for sighting in evidence.sightings:
+        values, found = _moving(sighting, evidence.encoders) if sighting.name != "touch" else (sighting.values, [])
         if found:
             health, left = used[sighting.name], int(np.isfinite(values).all(axis=1).sum())
             rejected = {**health.rejected, "frozen": health.used - left}
             used[sighting.name] = replace(health, used=left, rejected=rejected)
-        told.append(replace(sighting, values=values))
+        sightings.append(replace(sighting, values=values))
         faults += found
-    return told, tuple(faults)
+    return Verdict(replace(evidence, sightings=tuple(sightings), used=used), tuple(faults))
 
 
-def _moving(sighting: "Sighting", encoders: "Encoders") -> tuple[Array, list[Fault]]:
+def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]:
     """Places (N,D) with those repeated wrongly, but the first of each run, as not seen."""
     seen = np.flatnonzero(np.isfinite(sighting.values).all(axis=1))
     values, found = sighting.values.copy(), []
@@ -55,10 +53,15 @@ def _repeats(t: Array, places: Array) -> Sequence[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in runs if b - a >= FRAMES and t[b - 1] - t[a] > LASTING]
 
 
-def _moved(sighting: "Sighting", encoders: "Encoders", begin: float, end: float) -> float:
+def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> float:
     """How far (px) by the encoders what is seen moved between two parts of a stretch; 0 where not certainly."""
     inside = (encoders.t >= begin) & (encoders.t <= end)
-    averaged = _averaged(encoders.t[inside], encoders.values[inside], np.linspace(begin, end, PARTS + 1))
+    values = encoders.values[inside]
+    for joint in np.flatnonzero(~np.isfinite(values).any(axis=0)):
+        # one that says nothing meanwhile speaks of no motion
+        before = encoders.values[: np.searchsorted(encoders.t, begin), joint]
+        values[:, joint] = before[np.isfinite(before)][-1:] if np.isfinite(before).any() else np.nan
+    averaged = _averaged(encoders.t[inside], values, np.linspace(begin, end, PARTS + 1))
     if averaged is None:
         return 0.0
     means, std = averaged

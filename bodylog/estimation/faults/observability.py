@@ -1,26 +1,26 @@
 """Joints, and stretches of a log, that no encoder speaks of: what pictures alone tell of them is said to be little."""
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...types import Array, Finding
+from ...types import Array, BodyModel, Finding
+from ..inference.reacquisition import NAMED
+from ..measurements.gather import silent
+from ..measurements.records import Encoders, Evidence, Sighting
+from .contract import Verdict
 
-if TYPE_CHECKING:
-    from ..measurements.records import Encoders, Sighting
-
-LONG, NAMED = 1.0, 3
-"""s: encoders that say nothing for longer are silent; and how many silences are named."""
+LONG = 1.0
+"""s: encoders that say nothing for longer are silent."""
 
 
-def silent(names: tuple[str, ...], encoders: "Encoders | None") -> list[str]:
-    """Joints no encoder speaks of."""
-    return [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
+def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+    """What images alone tell of joints that no encoder speaks of, ever or for long."""
+    return Verdict(evidence, (), tuple(silences(body.joints, evidence.encoders, evidence.sightings)))
 
 
 def silences(
-    names: tuple[str, ...], encoders: "Encoders | None", heard: Sequence["Sighting"]
+    names: tuple[str, ...], encoders: Encoders | None, heard: Sequence[Sighting]
 ) -> Iterator[Finding]:
     """Warnings where pictures give fewer numbers than there are joints no encoder speaks of, ever or for long."""
     mute = silent(names, encoders)

@@ -6,10 +6,17 @@ import numpy as np
 
 from ...errors import ModelError
 from ...types import Array, BodyModel, Finding
+from ..measurements.records import Evidence
+from .contract import Verdict
 
 BESIDE = 0.5
 """rad, or share of what was explored, by which readings may lie beyond it."""
 TURN = 2.0 * np.pi
+
+
+def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+    """Readings beyond what was explored, of silenced encoders too: they say where the belief starts."""
+    return Verdict(evidence, (), tuple(checked(evidence.read, body)) if len(evidence.read) else ())
 
 
 def checked(readings: Array, body: BodyModel) -> Iterator[Finding]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Finding
-from ..faults.observability import NAMED
 from ..noise.correlated_noise import Memory, Sight
 from ..noise.posture_prior import Habit
 
@@ -23,6 +22,8 @@ SILENCE = 0.5
 """s: after a longer one an encoder is to bear out the belief before this may contradict it."""
 VAGUE = 100.0
 """rad: a belief less sure of an angle holds nothing of it; its variance would soon swallow a reading's by rounding."""
+NAMED = 3
+"""Times that are named of those at which a belief was lost."""
 APART = 3.0
 """Standard deviations by which a posture disagrees with what was seen."""
 

@@ -15,6 +15,7 @@ from ..inference.outset import OFFSET_STD
 from ..inference.reacquisition import START_STD, Watch, forget
 from ..inference.scan import Dynamics
 from ..methods.table import METHODS
+from ..noise import typed
 from ..noise.correlated_noise import PAST, Likeness, Memory, Sight, reach
 from ..noise.noise_model import carried
 from ..noise.posture_prior import LASTING, Habit, usual, wont
@@ -62,7 +63,8 @@ class Estimator:
         if not lag >= 0:
             raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
         self._body, self._settings, self._lag = body, settings, lag
-        self._precision = carried(body, learned)
+        typed.check(settings, body.joints, [name for name in body.senses if name != "encoders"])
+        self._precision = typed.precision(carried(body, learned), settings, body.joints)
         self._incoming = Incoming(body, settings, tell)
         self._first = np.full(len(body.joints), np.nan)
         self._recent: Recent | None = None

@@ -10,6 +10,7 @@ from ...errors import ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, ForwardModel, Health
 from ..measurements.gather import chosen, pixel_variance
+from ..noise import typed
 
 Angles = Sequence[float] | Array | Mapping[str, float]
 """rad, in the body's order, or by joint; NaN, or a joint left out, was not read."""
@@ -42,6 +43,7 @@ class Incoming:
         self._joints, self._noise, self._tell = body.joints, body.noise.senses, tell
         self._newest_angles = np.full(len(body.joints), -np.inf)
         self._newest: dict[str, float] = {}
+        self._variance = {name: typed.of_track(settings, name) for name in self.models}
         self._counts: dict[str, dict[str, int]] = {}
 
     def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Told:
@@ -64,10 +66,11 @@ class Incoming:
         sizes, possible = ((4,), "") if name == "touch" else ((2, 4), "(u, v) or ")
         found = _numbers(name, told, sizes, f"{possible}(u, v, std_u, std_v) in px")
         place, std = found[:2], found[2:] if len(found) == 4 else None
-        if name == "touch" and std is not None:
+        if name == "touch" and std is not None and self._variance[name] is None:
             return place, np.square(std)
         fallback = np.array(self._noise.get(name, (1.0, 1.0)), float)
-        return place, pixel_variance(std, self.models[name], fallback)
+        given = self._variance[name]
+        return place, pixel_variance(std, self.models[name], fallback) if given is None else np.full(2, given)
 
     def accept(self, t: float, told: Told, late: bool) -> Told:
         """Of what is told of the time t (s) that which is to be heard; the rest is counted by its reason."""

@@ -8,35 +8,40 @@ import numpy as np
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, Features, Finding, ForwardModel, Health, Series
-from ..faults.frozen_camera import unfrozen
-from ..faults.observability import silences, silent
-from ..faults.out_of_range import checked
 from . import touch
 from .records import Encoders, Evidence, Sighting
 
+FIRST = "camera"
+"""Name of the first camera, whose tracks are named plainly."""
+
 
 def gather(features: Features, body: BodyModel, settings: Estimation, whole: bool = True) -> Evidence:
-    """The evidence the settings ask for; a named sense without observations raises EvidenceError.
-
-    whole: all frames of one touch count as one sighting.
-    """
+    """The evidence the settings ask for, as measured; `whole`: all frames of one touch count as one sighting."""
     visual = {name: track for name, track in features.tracks.items() if name in body.senses}
-    wanted = chosen(visual, body, settings)
-    encoders, used = _encoders(features.joints, body.joints, wanted)
-    first = _first(features.joints, body.joints)
-    joints = features.joints
-    # silenced encoders, too, say where the belief starts
-    findings = () if joints is None else tuple(checked(joints.values[:, columns(joints, body.joints)], body))
-    seen = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
-    sightings, faults = unfrozen(seen, None if "encoders" in body.senses else encoders, used)
+    wanted, joints = chosen(visual, body, settings), features.joints
+    encoders, used = _encoders(joints, body.joints, wanted)
+    sightings = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
     if "touch" in wanted and "effector" in body.senses:
         sightings.append(_touch(features, body, used, whole))
-    findings += _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
+    read = np.empty((0, len(body.joints))) if joints is None else joints.values[:, columns(joints, body.joints)]
+    return Evidence(encoders, tuple(sightings), _first(joints, body.joints), used, (), read=read, joints=body.joints)
+
+
+def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Estimation) -> Evidence:
+    """The evidence of the senses that measured anything; EvidenceError where a named one, or all, did not."""
+    used, encoders = evidence.used, evidence.encoders
+    wanted = chosen([name for name in features.tracks if name in body.senses], body, settings)
+    findings = _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
     # touches out of time are a result, not a lack: they are heard, for what little they weigh
-    heard = tuple(s for s in sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
+    heard = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
-    return Evidence(encoders, heard, first, used, (*findings, *silences(body.joints, encoders, heard)), faults)
+    return replace(evidence, sightings=heard, findings=(*evidence.findings, *findings))
+
+
+def silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
+    """Joints no encoder speaks of."""
+    return [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
 
 
 def chosen(visual: Iterable[str], body: BodyModel, settings: Estimation) -> set[str]:
@@ -79,6 +84,11 @@ def _encoders(
 def _rows(series: Series, chosen: Array) -> Series:
     """Some rows of a signal."""
     return replace(series, t=series.t[chosen], values=series.values[chosen], source_ns=series.source_ns[chosen])
+
+
+def camera(track: str) -> str:
+    """The name of a track's camera."""
+    return track.rpartition("/")[0] or FIRST
 
 
 def columns(joints: Series, names: tuple[str, ...]) -> list[int]:

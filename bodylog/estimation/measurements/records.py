@@ -1,9 +1,11 @@
 """The records of what each sense measured, shared by whatever gathers, screens and uses it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from ...types import Array, Fault, Finding, ForwardModel, Health
+import numpy as np
+
+from ...types import Array, Fault, Finding, ForwardModel, Health, Hypothesis
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,8 @@ class Sighting:
     """What one sense measured: t (N,) s · values, var (N,D) unit, unit² · source_ns · the model that predicts it.
 
     D is any number of rows, the same for all of one sense. cov (N,D,D) unit²: where the rows of one measurement err
-    together, with `var` its diagonal; None where each errs by itself. common: share of the model's variance that comes
+    together, with `var` its diagonal; None where each errs by itself. displaced (N,D): what was taken off the values
+    because the camera had moved. common: share of the model's variance that comes
     of exploring encoders' errors, which all tracks' models learn.
     """
 
@@ -36,13 +39,15 @@ class Sighting:
     source_ns: Array
     common: float = 0.0
     cov: Array | None = None
+    displaced: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
     """Everything heard: `encoders` also when unused (then all NaN), for their clock; `first` (M,) rad, NaN if none.
 
-    faults: tracks that lied, which are not heard where they did.
+    faults: sensors that lied, which are not used where they did · hypotheses: what was weighed · read (N,M) rad: what
+    the encoders read, also those that are not to be used · joints: their names (M,).
     """
 
     encoders: Encoders | None
@@ -51,3 +56,6 @@ class Evidence:
     used: Mapping[str, Health]
     findings: tuple[Finding, ...]
     faults: tuple[Fault, ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
+    read: Array = field(default_factory=lambda: np.empty((0, 0)))
+    joints: tuple[str, ...] = ()

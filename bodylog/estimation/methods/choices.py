@@ -1,6 +1,7 @@
 """Which methods can run on which senses, the rows of a comparison; and which settings a method does not heed."""
 
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -42,11 +43,14 @@ def _heard(features: Features, body: BodyModel, wanted: set[str]) -> dict[str, b
 
 
 def unheeded(settings: Estimation) -> tuple[Finding, ...]:
-    """Warnings for settings that were given, being no defaults, and that one of the paper's methods passes by."""
+    """Warnings for settings that were given, being no defaults, and that the method passes by."""
     heeds = METHODS[settings.method].heeds if settings.preset != "paper" else frozenset[str]()
+    typed = [key for key in settings.typed if key not in METHODS[settings.method].heeds]
     by = f"{settings.method}{' with the preset paper' * (settings.preset == 'paper')}"
+    passed: dict[str, Any] = {name: value for name, value in UNHEEDED if name not in heeds}
+    passed = {name: value for name, value in passed.items() if getattr(settings, name) == value}
+    passed |= {key: settings.typed[key] for key in typed}
     return tuple(
         Finding("warning", f"{name}: {value!r} is not heeded by {by}; leave it out, or type --method laplace")
-        for name, value in UNHEEDED
-        if name not in heeds and getattr(settings, name) == value
+        for name, value in passed.items()
     )

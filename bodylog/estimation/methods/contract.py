@@ -8,6 +8,8 @@ from ...types import BodyModel, Capabilities, Estimate, Features
 
 SENSES = frozenset({"encoders", "vision", "touch"})
 """Groups of senses."""
+VARIANCES = frozenset({"sigma_encoders", "sigma_vision", "sigma_touch", "process"})
+"""Settings that are variances."""
 
 
 class Method(NamedTuple):
@@ -21,7 +23,7 @@ class Method(NamedTuple):
     estimate: Callable[[Features, BodyModel, Estimation], Estimate]
     can: Capabilities
     senses: frozenset[str] = SENSES
-    heeds: frozenset[str] = frozenset({"precision", "bias"})
+    heeds: frozenset[str] = frozenset({"precision", "bias", *VARIANCES})
     literal_touch: bool = False
     encoder_model: bool = False
     live: bool = False

@@ -10,13 +10,13 @@ import numpy as np
 from ...settings import Estimation
 from ...types import BodyModel, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
-from ..faults.encoder_faults import screen, turns
+from ..faults.screening import screened
 from ..inference.gauss_newton import Problem, Restless, Solution, solve
 from ..inference.reacquisition import named
 from ..inference.walk import led, walk
-from ..measurements.gather import gather, start
+from ..measurements.gather import start
 from ..measurements.timeline import timeline
-from ..noise import encoder_noise
+from ..noise import encoder_noise, typed
 from ..noise.evidence_search import ROUGHLY, tune
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import habit
@@ -51,7 +51,7 @@ def _filtered(features: Features, body: BodyModel, settings: Estimation, method:
     beliefs = Beliefs(
         unfold(trace.z), precision.of(unfold(trace.p[:, :m, :m])), unfold(trace.nats), unfold(trace.prior),
         unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
-        (*faults, *drifts(problem, body.joints, solution, faults)), tuple(lost(problem, body.joints, solution)),
+        drifts(problem, body.joints, solution, faults), tuple(lost(problem, body.joints, solution)),
     )  # fmt: skip
     return results.estimate(method, body, problem.evidence, problem.timeline, beliefs)
 
@@ -60,15 +60,12 @@ def pose(
     features: Features, body: BodyModel, settings: Estimation
 ) -> tuple[Problem, Solution | None, tuple[Fault, ...]]:
     """The log as a problem with its precisions, a solution to begin from, and the encoders that lie outright."""
-    evidence = warned(gather(features, body, settings), body, settings)
-    faults: tuple[Fault, ...] = ()
-    if evidence.encoders is not None:
-        angles = "encoders" not in body.senses
-        said = turns(evidence.encoders, body.joints) if angles else ()
-        sound, faults = screen(evidence.encoders, body.joints, evidence.sightings if angles else (), angles)
-        evidence = replace(evidence, encoders=sound, findings=(*evidence.findings, *said))
+    evidence = warned(screened(features, body, settings), body, settings)
+    faults = tuple(fault for fault in evidence.faults if fault.sense == "encoders")
+    evidence = replace(evidence, sightings=typed.sightings(evidence.sightings, settings))
     first = start(evidence, settings, body.joints)
-    precision = resolve(evidence, body, settings)
+    precision = typed.precision(resolve(evidence, body, settings), settings, body.joints)
+    evidence = replace(evidence, findings=(*evidence.findings, *typed.remark(settings, precision, evidence.sightings)))
     evidence = weighed(evidence, precision, settings)
     usual = habit(evidence, precision.process, first)
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
@@ -85,7 +82,8 @@ def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | N
         found, warm = tune(problem, whole=settings.method == "smoother")
     except Restless:
         return problem, None
-    return replace(problem, precision=found), warm
+    # what is typed is not looked for, though what else is found was found beside other values of it
+    return replace(problem, precision=typed.precision(found, settings, problem.evidence.joints)), warm
 
 
 def settled(
@@ -141,7 +139,8 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
     if settings.precision != "auto" or encoders is None:
         return problem, None
     _, evident = encoder_noise.learn(encoders, precision.encoder, precision.process)
-    return tuned(replace(problem, precision=precision.held(evident, encoders)), settings)
+    held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
+    return tuned(replace(problem, precision=held), settings)
 
 
 def cost(problem: Problem, warm: Solution | None = None) -> float:

@@ -6,9 +6,11 @@ import numpy as np
 
 from ...settings import Estimation
 from ...types import Array, BodyModel, Features, ForwardModel
-from ..measurements.gather import gather, start
+from ..faults.screening import screened
+from ..measurements.gather import start
 from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline, timeline
+from ..noise import typed
 from ..noise.noise_model import resolve, warned
 from .paper_touch import Literal, literal
 
@@ -16,6 +18,8 @@ RATE = 20.0
 """Hz: the paper's Δt of 0.05 s."""
 PAPER = (1.0, 1.0, 5.0)
 """The paper's σ_x, σ_p (rad²) and σ_v (pixels divided by the image width, squared)."""
+LEARNING = 1.0
+"""The paper's λ, 1/s: how fast the prior follows the belief."""
 GAINS = np.linspace(0.05, 0.95, 19)
 """Shares of a reading that a static belief may take over."""
 
@@ -44,7 +48,7 @@ class Sense:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,)."""
+    """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,), λ 1/s of the prior."""
 
     senses: tuple[Sense, ...]
     touch: Literal | None
@@ -52,21 +56,24 @@ class Plan:
     dt: float
     sigma_x: Array
     start: Array
+    learning: float = LEARNING
 
 
 def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple[Plan, Evidence, Timeline]:
     """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
     printed = settings.preset == "paper" or settings.touch == "literal"
     # descent integrates a pull over time: frames of one touch need not count as one
-    evidence = gather(features, body, settings, whole=False)
+    # and lies are named, but heard as printed
+    evidence = screened(features, body, settings, whole=False, repairs=False)
     rate = settings.rate or RATE
     line = timeline(evidence, rate)
     t, dt, m = line.t[line.outputs], 1.0 / rate, len(body.joints)
     paper = settings.preset == "paper" or settings.precision == "fixed"
     precision = None if paper else resolve(evidence, body, settings)
     evidence = evidence if paper else warned(evidence, body, settings)
-    noise = None if precision is None else precision.encoder
-    senses = [] if evidence.encoders is None else [_encoders(evidence, body, t, noise)]
+    found = np.full(m, PAPER[1]) if precision is None else precision.encoder
+    noise = typed.of_joints(settings.sigma_encoders, body.joints, found)
+    senses = [] if evidence.encoders is None else [_encoders(evidence, body, t, noise, paper)]
     width = image_width(features, body)
     for sighting in evidence.sightings:
         if sighting.name == "touch" and printed:
@@ -74,12 +81,14 @@ def plan_for(features: Features, body: BodyModel, settings: Estimation) -> tuple
         s, rows = on_grid(sighting.t, sighting.values, t)
         unit = width if paper else 1.0
         scale = 1.0 if precision is None else precision.scale.get(sighting.name, 1.0)
-        own = scale * sighting.var[rows] / unit**2
+        own, variance = scale * sighting.var[rows] / unit**2, typed.of_track(settings, sighting.name)
         sigma = np.full(s.shape, PAPER[2]) if paper and sighting.name != "touch" else own
+        sigma = sigma if variance is None else np.full(s.shape, variance / unit**2)
         senses.append(Sense(sighting.name, s / unit, sighting.model, sigma, unit, paper))
     touch = literal(features, body, t, dt) if printed and any(s.name == "touch" for s in evidence.sightings) else None
-    sigma_x = np.full(m, PAPER[0]) if precision is None else _wander(senses[:1], precision.encoder)
-    return Plan(tuple(senses), touch, t, dt, sigma_x, start(evidence, settings, body.joints)), evidence, line
+    sigma_x = np.full(m, PAPER[0]) if precision is None else _wander(senses[:1], noise)
+    first, learning = start(evidence, settings, body.joints), LEARNING if settings.lambda_ is None else settings.lambda_
+    return Plan(tuple(senses), touch, t, dt, sigma_x, first, learning), evidence, line
 
 
 def calmest(plan: Plan) -> Array:
@@ -89,11 +98,11 @@ def calmest(plan: Plan) -> Array:
     return np.asarray(np.minimum(plan.sigma_x, least))
 
 
-def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array | None) -> Sense:
+def _encoders(evidence: Evidence, body: BodyModel, t: Array, variance: Array, printed: bool) -> Sense:
     assert evidence.encoders is not None
     s, _ = on_grid(evidence.encoders.t, evidence.encoders.values, t)
-    sigma = np.full(s.shape, PAPER[1]) if variance is None else np.broadcast_to(variance, s.shape)
-    return Sense("encoders", s, body.senses.get("encoders"), sigma, printed=variance is None)
+    sigma = np.broadcast_to(variance, s.shape)
+    return Sense("encoders", s, body.senses.get("encoders"), sigma, printed=printed)
 
 
 def on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:

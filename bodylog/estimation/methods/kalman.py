@@ -7,8 +7,8 @@ import numpy as np
 from ...errors import UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, Capabilities, Estimate, Features
-from ..faults.encoder_faults import screen
-from ..measurements.gather import gather, start
+from ..faults.screening import screened
+from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from . import results
 from .contract import Method
@@ -21,7 +21,8 @@ PROCESS, NOISE = 0.001, 1.0
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """The belief on the paper's grid of 20 Hz, or `rate`; EvidenceError without encoders."""
-    evidence = gather(features, body, replace(settings, senses=_encoders(body, settings)))
+    # lies are named, but heard as printed
+    evidence = screened(features, body, replace(settings, senses=_encoders(body, settings)), repairs=False)
     assert evidence.encoders is not None
     line = timeline(evidence, settings.rate or RATE)
     t = line.t[line.outputs]
@@ -36,9 +37,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     cov, before_cov = (v[held][:, :, None] * np.eye(s.shape[1]) for v in (var, before_var))
     used = {"process": PROCESS, "encoder": NOISE}
     z = np.concatenate([x, rate], axis=1)[held]
-    # lies are named, but heard as printed
-    _, lies = screen(evidence.encoders, body.joints)
-    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used, lies)
+    beliefs = Beliefs(z, cov, every, before[held], before_cov, errors, {}, used)
     return results.estimate("kalman", body, evidence, line, beliefs)
 
 

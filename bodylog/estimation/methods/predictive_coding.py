@@ -11,18 +11,15 @@ import numpy as np
 from ...errors import UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, Capabilities, Estimate, Features, Finding
-from ..faults.encoder_faults import screen
 from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results
-from .contract import Method
+from .contract import VARIANCES, Method
 from .grid import Plan, Sense, calmest, plan_for
 from .results import Beliefs
 
 __all__ = ["Plan", "Sense", "descent", "estimate", "explicitly", "implicitly", "plan_for", "stable_step"]
 
-LEARNING = 1.0
-"""The paper's λ: how fast the prior follows the belief."""
 POSTURES, MARGIN = 16, 0.8
 """Postures of the log in which stability is looked at, and the share of the largest stable Δt that is named."""
 FAR = 100.0
@@ -40,15 +37,12 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
         raise UsageError(f"{why} (the belief left {FAR:g} rad)")
     findings = (*findings, *_unheard(plan, evidence, body.joints))
     beliefs = _beliefs(plan, evidence, line, x, cov, nats, findings, explicit)
-    if evidence.encoders is not None and "encoders" not in body.senses:
-        # lies are named, but heard as printed
-        beliefs = replace(beliefs, faults=screen(evidence.encoders, body.joints)[1])
     return results.estimate("predictive-coding", body, evidence, line, beliefs)
 
 
 METHOD = Method(
     estimate, Capabilities(moves=False, density=False, repairs=False, from_paper=True),
-    heeds=frozenset({"precision"}), literal_touch=True, encoder_model=True,
+    heeds=frozenset({"precision", "lambda", *VARIANCES} - {"process"}), literal_touch=True, encoder_model=True,
 )  # fmt: skip
 
 
@@ -57,7 +51,7 @@ def implicitly(plan: Plan) -> tuple[Array, Array, Array]:
     m, n = len(plan.start), len(plan.t)
     x, mu, eye = plan.start.copy(), plan.start.copy(), np.eye(len(plan.start))
     xs, cov, nats = np.empty((n, m)), np.empty((n, m, m)), np.empty(n)
-    follow = plan.dt * LEARNING / (plan.sigma_x + plan.dt * LEARNING)
+    follow = plan.dt * plan.learning / (plan.sigma_x + plan.dt * plan.learning)
     for k in range(n):
         force, hessian, nats[k] = descent(plan, k, x, mu)
         x = x + np.linalg.solve(eye + plan.dt * hessian, plan.dt * force)
@@ -105,7 +99,7 @@ def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
             pull, slope = plan.touch.pull(k, x)
             dx = dx + slope * pull
         # corrected (docs/method.md, Errata): ė_x = x̂ − μ − σ_x e_x, and μ̇ = λ e_x
-        dex, dmu = x - mu - plan.sigma_x * ex, LEARNING * ex
+        dex, dmu = x - mu - plan.sigma_x * ex, plan.learning * ex
         x, ex, mu = x + plan.dt * dx, ex + plan.dt * dex, mu + plan.dt * dmu
         if not np.abs(x).max() < FAR:
             break
@@ -156,7 +150,7 @@ def stable_step(plan: Plan) -> float:
     a = np.zeros((size, size))  # rows: x, e_x, μ, then the senses' errors
     own, ex, mu = slice(0, m), slice(m, 2 * m), slice(2 * m, 3 * m)
     a[own, ex], a[ex, own], a[ex, mu] = -np.eye(m), np.eye(m), -np.eye(m)
-    a[ex, ex], a[mu, ex] = -np.diag(plan.sigma_x), LEARNING * np.eye(m)
+    a[ex, ex], a[mu, ex] = -np.diag(plan.sigma_x), plan.learning * np.eye(m)
     at = 3 * m
     for jac, sigma in blocks:
         rows = slice(at, at + len(sigma))

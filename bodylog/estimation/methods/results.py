@@ -60,6 +60,7 @@ def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, 
     names = sighting.model.outputs
     seen = np.isfinite(sighting.values).all(axis=1)
     error = ((sighting.values - mean) / std)[seen]
+    mean = mean if sighting.displaced is None else mean + sighting.displaced
     errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])
     return errors, Series(sighting.t, mean, names, "px", sighting.source_ns, std), cov
 

@@ -60,7 +60,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estim
     z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov))
     beliefs = Beliefs(
         z, cov, unfold(smooth.trace.nats), z[:, :m], cov, unfold(smooth.trace.encoder_d), precision.scale,
-        precision.plain(), (*faults, *drifts(problem, body.joints, smooth, faults)),
+        precision.plain(), drifts(problem, body.joints, smooth, faults),
         tuple(lost(problem, body.joints, smooth)),
     )  # fmt: skip
     return results.estimate("smoother", body, problem.evidence, problem.timeline, beliefs)

@@ -7,8 +7,9 @@ import numpy as np
 from ...errors import EvidenceError, ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, Capabilities, Estimate, Features, Finding, Series
-from ..measurements.gather import gather
+from ..faults.screening import POSES, screened
 from ..measurements.records import Evidence, Sighting
+from ..noise import typed
 from .encoders import Encoding, faults, learned
 from .solve import Poses, Solved, gathered, solved
 
@@ -21,13 +22,14 @@ def estimate(features: Features, body: BodyModel, settings: Estimation, can: Cap
     if can.from_paper:
         possible = "laplace, smoother or ekf, which are the same for poses"
         raise UsageError(f"method: {settings.method!r} follows a motion, but poses are each by itself; type {possible}")
-    evidence = gather(replace(features, touches=None), body, settings)
-    sightings = [s for s in evidence.sightings if s.name != "touch"]
+    evidence = screened(replace(features, touches=None), body, settings, detectors=POSES)
+    sightings = [s for s in typed.sightings(evidence.sightings, settings) if s.name != "touch"]
     poses = gathered(evidence.encoders, sightings, body)
     if not len(poses.t):
         raise EvidenceError("no pose has a reading of a joint or a place that the body knows; type: bodylog info LOG")
-    known = np.array(body.noise.encoder, float)
-    found = learned(poses, known, body.joints, settings.precision == "auto", settings.bias)
+    known = typed.of_joints(settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float))
+    unknown = settings.precision == "auto" and settings.sigma_encoders is None
+    found = learned(poses, known, body.joints, unknown, settings.bias)
     at = solved(poses, found.variance, found.offset)
     return _written(settings, body, evidence, poses, found, at)
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import ModelError, UsageError
 from ...types import Array, BodyModel, Estimate, Features, Finding, Series
 from ..faults.encoder_faults import screen
-from ..measurements.gather import ascending, columns, pixel_variance
+from ..measurements.gather import ascending, camera, columns, pixel_variance
 from ..measurements.records import Encoders, Sighting
 from .regression import FARTHEST, Delay, measured
 
@@ -22,7 +22,7 @@ SURE = 4.0
 """Standard errors within which a camera that is not as late as when its body was learned may not be late at all."""
 ENOUGH = 60.0
 """s of the log, from its middle, that are asked first."""
-JOINTS, FIRST = "joints", "camera"
+JOINTS = "joints"
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,11 +72,6 @@ def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, f
 def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
     """The cameras of tracks and senses, the first of which is called camera."""
     return tuple(dict.fromkeys(camera(name) for name in tracks if name != "encoders"))
-
-
-def camera(track: str) -> str:
-    """The name of a track's camera."""
-    return track.rpartition("/")[0] or FIRST
 
 
 def telling(delay: Delay, least: float = LEAST, gain: float = GAIN) -> bool:

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Encoders, Sighting
+from ..measurements.track_curve import FEWEST, Curve, drawn, places
 from .regression import FARTHEST, ROUNDS, STEP, STILL, Delay
-from .track_curve import FEWEST, Curve, drawn, places
 
 MOST = 400
 """Means of encoders at most, evenly spread: the cost goes with their third power."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Encoders, Sighting
-from .track_curve import FEWEST, MOST, Rows, compared, drawn
+from ..measurements.track_curve import FEWEST, MOST, Rows, compared, drawn
 
 PART, STEPS, PARTS = 0.5, 12.0, 40
 """s and steps of the curves that a part lasts which is left out, at least, and how many there are at most."""

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from ..measurements.records import Encoders, Sighting
-from ..measurements.timeline import spans
+from .records import Encoders, Sighting
+from .timeline import spans
 
 MOST, FEWEST = 600, 20
 """Means at most, evenly spread, and at least."""
@@ -29,7 +29,7 @@ class Curve:
 
     at (B,) s · angles x (B,M) · places foretold (B,2) · noise (B,2) px² of encoders and pictures ·
     root (B,2,2) of the inverse of that and the model's variance · rooted J·offset (B,2,P) · blur (B,): a place's own
-    noise in units of all.
+    noise in units of all · encoder (B,M) rad²: the variance of the means.
     """
 
     t: Array
@@ -42,6 +42,7 @@ class Curve:
     root: Array
     offsets: Array
     blur: Array
+    encoder: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,8 @@ def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     if len(at) < FEWEST:
         return None
     foretold, jac, model = seen.model.predict(x)
-    spread = np.einsum("bdm,bm,bem->bde", jac, _scatter(encoders.values) / count, jac)
+    encoder = _scatter(encoders.values) / count
+    spread = np.einsum("bdm,bm,bem->bde", jac, encoder, jac)
     np.einsum("bdd->bd", spread)[:] += var
     noise = np.einsum("bdd->bd", spread).copy()
     np.einsum("bdd->bd", spread)[:] += model
@@ -113,7 +115,7 @@ def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     offsets = np.einsum("bde,bem,bk->bdmk", root, jac, bends).reshape(len(at), 2, -1)
     # what is stated may hold a model's misfit, what scatters a jerk of the arm: a picture's own noise is below either
     blur = np.einsum("bdd,d->b", inverse, np.minimum(var, _scatter(places)))
-    curve = Curve(t, places, step, at, x, foretold, noise, root, offsets, blur)
+    curve = Curve(t, places, step, at, x, foretold, noise, root, offsets, blur, encoder)
     while curve.step < SLOW and len(curve.t) >= 2 * FEWEST and _blurred(curve):
         curve = _paired(curve)
     return curve if len(curve.t) >= FEWEST else None

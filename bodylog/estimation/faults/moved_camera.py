@@ -1,0 +1,265 @@
+"""A camera that moved: from some time on all it shows is displaced by the same pixels, whatever the joints do.
+
+Encoders' means foretell places; what a track's curve shows beyond them, r (R,) px, is normal with covariance C: noise,
+the model's error (correlated by posture), and offsets of all encoders that wander. A displacement Δ ~ N(0, σ²I) from
+the k-th mean on, each k as likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), with A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r. It must
+win against no displacement, against encoders that all wander, and against any one that wanders far.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ...types import Array, BodyModel, Fault, ForwardModel, Hypothesis
+from ..measurements.gather import camera
+from ..measurements.records import Encoders, Evidence, Sighting
+from ..measurements.track_curve import Curve, drawn, places
+from .contract import Verdict
+from .threshold import NATS
+
+PIXELS = ("u", "v")
+"""Outputs of a track in the image."""
+SIZE = 30.0
+"""px: how far a camera that moved may well have moved."""
+MOST = 160
+"""Means of encoders at most, evenly spread: the cost goes with their third power."""
+OFFSET, LASTING, WALKS = 0.01, 1e-7, (1e-4, 1e-3)
+"""rad: how far off encoders may be · rad²/s: how fast that wanders of sound ones, and of ones that drift."""
+FAR, FAST = 0.3, 1e-2
+"""rad, rad²/s: the same of one encoder that is faulty outright."""
+LATE = 2e-3
+"""s: how late a camera may still be once its delay is taken off."""
+ROUNDS, GATE = 3, 5.0
+"""Rounds in which rows farther off than GATE standard deviations count less, as they do in the filter."""
+MOVES = 3
+"""Times at most that one camera is found to have moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moved:
+    """Since t (s): the displacement (2,) px and its covariance (2,2); nats won, over none and over any encoder."""
+
+    t: float
+    size: Array
+    cov: Array
+    nats: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """Rows of all tracks at t (R,) s: track and output (R,) · postures x (R,M) · r (R,) px · jac (R,M) · noise (R,)
+    px², encoder variance (R,M) rad² of the means, model variance (R,) px² · speed (R,) px/s · reach (R,M) rad."""
+
+    t: Array
+    track: Array
+    output: Array
+    x: Array
+    r: Array
+    jac: Array
+    noise: Array
+    encoder: Array
+    model: Array
+    speed: Array
+    reach: Array
+
+
+def detect(evidence: Evidence, body: BodyModel) -> Verdict:
+    """Tracks put back where the camera would show them had it not moved; their model variance grows by what is unsure.
+
+    An encoder that reads another function of the angle tells nothing of this.
+    """
+    if evidence.encoders is None or "encoders" in body.senses:
+        return Verdict(evidence)
+    sightings, faults, hypotheses = list(evidence.sightings), list[Fault](), list[Hypothesis]()
+    tracks = [k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs == PIXELS]
+    for name in dict.fromkeys(camera(sightings[k].name) for k in tracks):
+        own = [k for k in tracks if camera(sightings[k].name) == name]
+        for found in displaced(evidence.encoders, [sightings[k] for k in own]):
+            hypotheses.append(Hypothesis("camera moved", name, found.nats, NATS, found.nats > NATS))
+            if found.nats > NATS:
+                faults.append(Fault("vision", name, "moved", found.t, float(np.hypot(*found.size)), "px"))
+                for k in own:
+                    sightings[k] = anchored(sightings[k], found)
+    found_in = replace(evidence, sightings=tuple(sightings))
+    return Verdict(found_in, tuple(faults), (), tuple(hypotheses))
+
+
+def anchored(sighting: Sighting, moved: Moved) -> Sighting:
+    """The sighting without the displacement since the camera moved."""
+    off = (sighting.t >= moved.t)[:, None] * moved.size
+    before = np.zeros_like(sighting.values) if sighting.displaced is None else sighting.displaced
+    unsure = Unsure(sighting.model, np.diag(moved.cov))
+    return replace(sighting, model=unsure, values=sighting.values - off, displaced=before + off)
+
+
+class Unsure:
+    """A forward model of more variance, (D,) unit²; all else is as the plain one has it."""
+
+    def __init__(self, plain: ForwardModel, more: Array) -> None:
+        """Of a plain model."""
+        self._plain, self._more = plain, more
+
+    def __getattr__(self, name: str) -> Any:
+        """What the plain model says of itself."""
+        if name.startswith("__") or name == "_plain":
+            raise AttributeError(name)
+        return getattr(self._plain, name)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the D outputs."""
+        return self._plain.outputs
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D)."""
+        mean, jac, var = self._plain.predict(x)
+        return mean, jac, var + self._more
+
+
+def displaced(encoders: Encoders, seen: Sequence[Sighting]) -> list[Moved]:
+    """The displacements of one camera's tracks that win NATS, in order of time, or the likeliest if none does.
+
+    Empty where too little is seen to say.
+    """
+    found = [(s, curve) for s in seen if (curve := drawn(encoders, s, MOST // len(seen))) is not None]
+    rows = _rows(found) if found else None
+    if rows is None or not len(rows.t):
+        return []
+    cov, moves = _weighed(rows)
+    if moves[0].nats > NATS:
+        beyond = _beyond_encoders(rows, cov, moves)
+        moves = [replace(one, nats=min(one.nats, beyond)) for one in moves]
+    return sorted(moves, key=lambda one: one.t)
+
+
+def _weighed(rows: _Rows) -> tuple[Array, list[Moved]]:
+    """The covariance (R,R) with rows far from what the moves explain counting less, and the moves that win NATS each.
+
+    Or the likeliest alone, where none wins.
+    """
+    plain, far = _covariance(rows), np.zeros(len(rows.t))
+    spread = np.sqrt(np.diag(plain))
+    for _ in range(ROUNDS):
+        cov = plain + np.diag(rows.noise * (np.maximum(far, 1.0) ** 2 - 1.0))
+        moves = _moves(rows, cov)
+        if moves[0].nats <= NATS:
+            break
+        off = np.abs(_left(rows, moves)) / spread
+        far = off / (GATE * max(1.0, 1.4826 * float(np.median(off))))
+    return cov, moves
+
+
+def _moves(rows: _Rows, cov: Array) -> list[Moved]:
+    """One move after the other while each wins NATS, those before found again beside it; the likeliest if none does."""
+    moves = [_next(rows, cov, [])]
+    while moves[-1].nats > NATS and len(moves) < MOVES:
+        more = [*moves, _next(rows, cov, moves)]
+        for k in range(len(more)):
+            more[k] = _next(rows, cov, more[:k] + more[k + 1 :])
+        if min(one.nats for one in more) <= NATS:
+            break
+        moves = more
+    return moves
+
+
+def _next(rows: _Rows, cov: Array, others: list[Moved]) -> Moved:
+    """The likeliest move beside others, and the nats it wins."""
+    left = _left(rows, others)
+    found = _likeliest(replace(rows, r=left), cov, np.eye(2)[rows.output], SIZE)
+    return replace(found, nats=_cost(left, cov) - found.nats)
+
+
+def _left(rows: _Rows, moves: list[Moved]) -> Array:
+    """What moves leave (R,) px."""
+    return np.asarray(rows.r - sum(one.size[rows.output] * (rows.t >= one.t) for one in moves))
+
+
+def _beyond_encoders(rows: _Rows, cov: Array, moves: list[Moved]) -> float:
+    """Nats by which moves explain the rows better than encoders that wander, all or one by far, or one that steps.
+
+    As one step is as simple as one move, the first move alone must win against that.
+    """
+    joints, none = range(rows.x.shape[1]), _cost(rows.r, cov)
+    wander = [sum(_wandering(rows, joint, OFFSET, walk) for joint in joints) for walk in WALKS]
+    wander += [_wandering(rows, joint, FAR, FAST) for joint in joints]
+    moved = none - sum(one.nats for one in moves)
+    one = none - moves[0].nats if len(moves) == 1 else none - _next(rows, cov, []).nats
+    steps = min(_likeliest(rows, cov, rows.jac[:, joint, None], FAR).nats for joint in joints)
+    return min(steps - one, min(_cost(rows.r, cov + more) for more in wander) - moved)
+
+
+def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
+    """The tracks' curves beside the encoders, as rows."""
+    parts = []
+    for number, (sighting, curve) in enumerate(found):
+        place, speed, *_, sound = places(curve, 0.0)
+        _, jac, model = sighting.model.predict(curve.x)
+        noise = curve.noise - np.einsum("bdm,bm->bd", np.square(jac), curve.encoder)
+        reach = np.broadcast_to(getattr(sighting.model, "reach", np.inf), curve.x.shape)
+        track, off = np.full(len(curve.at), number), place - curve.foretold
+        for d in range(off.shape[1]):
+            columns = (
+                curve.at, track, np.full(len(track), d), curve.x, off[:, d], jac[:, d], noise[:, d], curve.encoder,
+                model[:, d], speed[:, d], reach,
+            )  # fmt: skip
+            parts.append(tuple(column[sound] for column in columns))
+    return _Rows(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _covariance(rows: _Rows) -> Array:
+    """Covariance (R,R) px² of r where no camera moved and encoders are sound."""
+    same = (rows.track[:, None] == rows.track) & (rows.output[:, None] == rows.output)
+    apart = np.square((rows.x[:, None] - rows.x) / rows.reach).sum(axis=2)
+    model = np.sqrt(rows.model)
+    cov = same * model[:, None] * model * np.exp(-0.5 * apart)
+    # the same means of encoders foretell all that is seen at one time
+    cov += (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
+    cov += LATE**2 * rows.speed[:, None] * rows.speed
+    cov += sum(_wandering(rows, joint, OFFSET, LASTING) for joint in range(rows.x.shape[1]))
+    cov[np.diag_indices_from(cov)] += rows.noise
+    return np.asarray(cov)
+
+
+def _wandering(rows: _Rows, joint: int, offset: float, walk: float) -> Array:
+    """What an encoder adds (R,R) px² that is off by `offset` (rad, one deviation) at first and wanders (rad²/s)."""
+    since = rows.t - rows.t.min()
+    lean = rows.jac[:, joint]
+    return np.asarray(lean[:, None] * lean * (offset**2 + walk * np.minimum(since[:, None], since)))
+
+
+def _likeliest(rows: _Rows, cov: Array, basis: Array, wide: float) -> Moved:
+    """The likeliest step along a basis (R,D), one of D ~ N(0, wide²), and when.
+
+    `nats` is the cost, −ln p (nats) of all rows, over all times of a step.
+    """
+    times, d = np.unique(rows.t), basis.shape[1]
+    chol = np.linalg.cholesky(cov)
+    steps = basis[:, :, None] * (rows.t[:, None] >= times)[:, None, :]
+    white = np.linalg.solve(chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)]))
+    r, s = white[:, 0], white[:, 1:].reshape(len(rows.t), d, len(times))
+    info = np.einsum("rdk,rek->kde", s, s) + np.eye(d) / wide**2
+    pull = np.einsum("rdk,r->kd", s, r)
+    size = np.linalg.solve(info, pull[..., None])[..., 0]
+    won = 0.5 * (pull * size).sum(axis=1) - 0.5 * np.linalg.slogdet(wide**2 * info)[1]
+    square = r @ r - 2.0 * won
+    logdet = 2.0 * float(np.log(np.diag(chol)).sum())
+    cost = _scaled(square, len(r)) + 0.5 * logdet
+    best = int(cost.argmin())
+    # each time is as likely
+    total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
+    return Moved(float(times[best]), size[best], np.linalg.inv(info[best]), total)
+
+
+def _cost(r: Array, cov: Array) -> float:
+    """−ln p (nats) of rows r (R,) without a displacement, but for what all hypotheses share."""
+    chol = np.linalg.cholesky(cov)
+    white = np.linalg.solve(chol, r)
+    return float(_scaled(np.array(white @ white), len(r)) + np.log(np.diag(chol)).sum())
+
+
+def _scaled(square: Array, count: int) -> Array:
+    """−ln p (nats) by the whitened rows' squares, where all may be noisier than stated: at the likeliest scale ≥ 1."""
+    scale = np.maximum(square / count, 1.0)
+    return np.asarray(0.5 * (square / scale + count * np.log(scale)))

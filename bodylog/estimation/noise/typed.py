@@ -1,0 +1,85 @@
+"""Variances typed in the settings: they take the place of what was learned, and stay as they are."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...errors import UsageError
+from ...settings import Estimation
+from ...types import Array, Finding
+from ..measurements.records import Sighting
+from .noise_model import Precision
+
+TOUCH = "touch"
+"""Name of touch among the sightings."""
+
+
+def check(settings: Estimation, joints: Sequence[str], tracks: Sequence[str]) -> None:
+    """UsageError where a table names a joint or a track that there is not."""
+    for key, names in (("sigma_encoders", joints), ("process", joints), ("sigma_vision", tracks)):
+        given = getattr(settings, key)
+        unknown = [name for name in given if name not in names] if isinstance(given, Mapping) else []
+        if unknown:
+            raise UsageError(f"estimate.{key}: {unknown[0]!r} is none of {', '.join(names) or 'none'}")
+
+
+def of_joints(given: float | Mapping[str, float] | None, joints: Sequence[str], learned: Array) -> Array:
+    """Variances (M,): those given for all joints, or by joint, else the learned ones."""
+    if given is None:
+        return learned
+    table = given if isinstance(given, Mapping) else dict.fromkeys(joints, given)
+    return np.array([table.get(name, value) for name, value in zip(joints, learned.tolist(), strict=True)])
+
+
+def of_track(settings: Estimation, name: str) -> float | None:
+    """The variance (px²) given for a track, or for touch."""
+    if name == TOUCH:
+        return settings.sigma_touch
+    given = settings.sigma_vision
+    return given.get(name) if isinstance(given, Mapping) else given
+
+
+def sightings(found: Sequence[Sighting], settings: Estimation) -> tuple[Sighting, ...]:
+    """The sightings with the variances that are given for them."""
+    return tuple(_as_given(one, of_track(settings, one.name)) for one in found)
+
+
+def _as_given(sighting: Sighting, variance: float | None) -> Sighting:
+    return sighting if variance is None else replace(sighting, var=np.full_like(sighting.var, variance), cov=None)
+
+
+def precision(found: Precision, settings: Estimation, joints: Sequence[str]) -> Precision:
+    """The precisions with what is given in place of what was found; a given motion's covariance is stated in full."""
+    scale = {name: factor if of_track(settings, name) is None else 1.0 for name, factor in found.scale.items()}
+    encoder = of_joints(settings.sigma_encoders, joints, found.encoder)
+    if settings.process is None:
+        return replace(found, encoder=encoder, scale=scale)
+    process = of_joints(settings.process, joints, found.process)
+    likeliest = None if found.likeliest is None else of_joints(settings.process, joints, found.likeliest)
+    fewer = {view: of_joints(settings.process, joints, one) for view, one in found.fewer.items()}
+    stated = of_joints(
+        1.0 if not isinstance(settings.process, Mapping) else dict.fromkeys(settings.process, 1.0), joints,
+        np.broadcast_to(found.stated, process.shape),
+    )  # fmt: skip
+    return replace(
+        found, encoder=encoder, process=process, scale=scale, likeliest=likeliest, fewer=fewer, stated=stated
+    )
+
+
+def remark(settings: Estimation, found: Precision, sightings: Sequence[Sighting]) -> tuple[Finding, ...]:
+    """What `--precision fixed` used, and which variances were typed."""
+    if settings.precision != "fixed" and not settings.typed:
+        return ()
+    pixels = {s.name: float(np.median(s.var)) * found.scale.get(s.name, 1.0) for s in sightings}
+    used = [
+        f"encoders {_listed(found.encoder)} rad²",
+        f"process {_listed(found.process)} rad²/s³",
+        *(f"{name} {value:.3g} px²" for name, value in pixels.items()),
+    ]
+    typed = f" ({', '.join(settings.typed)} as typed)" if settings.typed else ""
+    return (Finding("info", f"precision {settings.precision}{typed}: variances used are {', '.join(used)}"),)
+
+
+def _listed(values: Array) -> str:
+    return f"{values[0]:.3g}" if np.ptp(values) == 0.0 else " ".join(f"{value:.3g}" for value in values)

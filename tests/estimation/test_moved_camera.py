@@ -1,0 +1,101 @@
+"""A camera that moved while it looked: found with its time and size, put back, and never seen where none moved."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate
+from bodylog.estimation.faults.moved_camera import Unsure, detect
+from bodylog.estimation.faults.screening import screened
+from bodylog.settings import Estimation
+from tests.estimation.conftest import Explored
+from tests.estimation.resting import MOTIONS, Drawn, drawn, judged
+from tests.seeds import seeds
+
+MOVED = 8.0
+
+
+def moved(features, px, angle, since=MOVED, names=None):
+    """The features with places displaced by px at some angle from a time on."""
+    tracks = dict(features.tracks)
+    for name in names or tracks:
+        off = np.outer(tracks[name].t >= since, px * np.array([np.cos(angle), np.sin(angle)]))
+        tracks[name] = replace(tracks[name], values=tracks[name].values + off)
+    return replace(features, tracks=tracks)
+
+
+def stepped(features, joint, size, since):
+    joints = features.joints
+    values = joints.values + size * np.outer(joints.t >= since, np.arange(3) == joint)
+    return replace(features, joints=replace(joints, values=values))
+
+
+def cameras(features, body):
+    return [fault for fault in screened(features, body, Estimation()).faults if fault.sense == "vision"]
+
+
+@pytest.mark.parametrize("px", [5.0, 30.0])
+@pytest.mark.parametrize("moves", ["reach", "sines"])
+@pytest.mark.parametrize("seed", seeds(3, 20))
+def test_it_is_found_with_its_time_and_its_size(moves, px, seed):
+    world = drawn(100 + seed, Drawn(moves, noise=0.01))
+    (fault,) = cameras(moved(world.features, px, seed), world.body)
+    assert (fault.name, fault.kind, fault.unit) == ("camera", "moved", "px")
+    assert abs(fault.since - MOVED) < 0.4 and abs(fault.size - px) < 0.6
+
+
+@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("px", [4.0, 20.0])
+def test_the_path_is_as_good_as_if_it_had_stayed(method, px):
+    world = drawn(101, Drawn("reach", noise=0.01))
+    found, sound = (
+        estimate(features, world.body, Estimation(method=method))
+        for features in (moved(world.features, px, 1.0), world.features)
+    )
+    assert [fault.kind for fault in found.faults] == ["moved"] and not sound.faults
+    (rmse, nees), (best, _) = judged(world, found.joints, found.cov), judged(world, sound.joints, sound.cov)
+    assert rmse < 1.15 * best and nees < 1.3
+    # what is predicted of the track is where this camera shows it
+    off = found.predicted["effector"].values - sound.predicted["effector"].values
+    assert np.abs(np.hypot(*off[-30:].T) - px).max() < 1.0
+
+
+@pytest.mark.parametrize("moves", MOTIONS)
+@pytest.mark.parametrize("seed", seeds(3, 20))
+def test_neither_a_healthy_log_nor_an_encoder_accuses_the_camera(moves, seed):
+    world = drawn(300 + seed, Drawn(moves, noise=(0.01, 0.002, 0.0005)[seed % 3]))
+    t = world.features.joints.t
+    off = np.outer(np.clip(0.02 * (t - 5.0), 0.0, None), np.arange(3) == seed % 3)
+    joints = replace(world.features.joints, values=world.features.joints.values + off)
+    drifting, step = replace(world.features, joints=joints), stepped(world.features, seed % 3, 0.03, 7.0)
+    for features in (world.features, step, drifting):
+        assert not cameras(features, world.body)
+
+
+def test_of_two_cameras_the_one_that_moved_is_named():
+    world = drawn(102, Drawn("reach", noise=0.01))
+    names = ("effector", "side/effector")
+    track = world.features.tracks["effector"]
+    shaken = np.random.default_rng(0).normal(0.0, 0.4, track.values.shape)
+    tracks = dict(zip(names, (track, replace(track, values=track.values + shaken)), strict=True))
+    body = replace(world.body, senses=dict.fromkeys(names, world.body.senses["effector"]))
+    (fault,) = cameras(moved(replace(world.features, tracks=tracks), 10.0, 2.0, names=names[1:]), body)
+    assert (fault.name, fault.kind) == ("side", "moved")
+
+
+def test_it_may_move_twice():
+    world = drawn(103, Drawn("sines", noise=0.01, duration=24.0))
+    faults = cameras(moved(moved(world.features, 12.0, 0.3), 9.0, 2.0, since=16.0), world.body)
+    assert sorted(round(fault.since) for fault in faults) == [8, 16]
+
+
+def test_the_evidence_is_told_and_what_a_model_knows_stays_known():
+    world = drawn(104, Drawn("reach", noise=0.01))
+    verdict = detect(screened(world.features, world.body, Estimation()), world.body)
+    ((hypothesis),) = verdict.hypotheses
+    assert hypothesis.name == "camera moved" and hypothesis.nats < 0.0 and not hypothesis.chosen
+    plain, x = Explored(), np.array([[-0.9, -0.9, 1.0]])
+    unsure = Unsure(plain, np.array([0.1, 0.2]))
+    assert unsure.samples is plain.samples and unsure.outputs == plain.outputs
+    np.testing.assert_allclose(unsure.predict(x)[2] - plain.predict(x)[2], [[0.1, 0.2]])

@@ -1,0 +1,126 @@
+"""Variances typed in the settings: used as they are, by every method, live and in batches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import Estimator
+from bodylog.config import merge, toml
+from bodylog.errors import ConfigError, UsageError
+from bodylog.estimation import estimate
+from bodylog.estimation.methods.grid import plan_for
+from bodylog.settings import Estimation, Settings, plain
+from tests.estimation.conftest import strokes
+
+SIGMA, PROCESS, PIXEL = {"pan": 1e-4, "lift": 4e-4, "elbow": 9e-4}, 0.2, 0.5
+
+
+def asked(half=1.0, **others):
+    """Typed in full, so that nothing is left to be learned."""
+    encoders = {name: half * value for name, value in SIGMA.items()}
+    typed = {"sigma_encoders": encoders, "sigma_vision": PIXEL, "process": PROCESS}
+    return Estimation(precision="model", bias="off", **{**typed, **others})
+
+
+@pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
+@pytest.mark.parametrize("half", [1.0, 0.5])
+def test_the_belief_is_kalmans_with_the_variances_that_are_typed(world, reference, linear_model, method, half):
+    drawn = world(3, duration=6.0, model=linear_model, encoder_std=0.005)  # within the gate
+    found = estimate(drawn.features, drawn.body, asked(half, method=method))
+    encoder = half * np.array(list(SIGMA.values()))
+    book = reference(drawn, np.full(3, PROCESS), encoder, PIXEL)
+    mean, cov = (book.smooth, book.smooth_cov) if method == "smoother" else (book.mean, book.cov)
+    rows = np.searchsorted(book.t, found.joints.t)
+    np.testing.assert_allclose(found.joints.values, mean[rows, :3], atol=1e-9, rtol=0)
+    np.testing.assert_allclose(found.cov, cov[rows, :3, :3], rtol=1e-5, atol=1e-12)
+    assert found.settings["encoder"] == encoder.tolist() and found.settings["process"] == [PROCESS] * 3
+
+
+def test_half_the_variance_of_an_encoder_draws_the_belief_to_it(world):
+    drawn = world(4, duration=6.0, encoder_std=0.005)
+    joints = drawn.features.joints
+    values = joints.values[:, [joints.names.index(name) for name in drawn.body.joints]]
+    off = [
+        np.square(estimate(drawn.features, drawn.body, asked(half)).joints.values - values).mean()
+        for half in (1.0, 0.5, 0.05)
+    ]
+    assert off[0] > 1.1 * off[1] > 2.0 * off[2]
+
+
+def test_a_live_filter_uses_them_too(world):
+    drawn = world(5, duration=2.0, encoder_std=0.005)
+    settings = asked()
+    batch, live = estimate(drawn.features, drawn.body, settings), Estimator(drawn.body, settings)
+    joints, track = drawn.features.joints, drawn.features.tracks["effector"]
+    rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
+    told = [(t, {"joints": row}) for t, row in zip(joints.t, rows, strict=True)]
+    told += [(t, {"effector": (*place, 9.0, 9.0)}) for t, place in zip(track.t, track.values, strict=True)]
+    beliefs = {t: live.step(t, **one) for t, one in sorted(told, key=lambda one: one[0])}
+    np.testing.assert_allclose([beliefs[t].x for t in batch.joints.t], batch.joints.values, atol=1e-9, rtol=0)
+
+
+def test_what_is_learned_of_a_log_leaves_alone_what_is_typed(world):
+    drawn = world(6, duration=6.0)
+    typed = Estimation(sigma_encoders={"lift": 2.5e-4}, sigma_vision={"effector": 0.3}, process={"pan": 0.7})
+    found = estimate(drawn.features, drawn.body, typed).settings
+    learned = estimate(drawn.features, drawn.body, Estimation()).settings
+    assert found["encoder"][1] == 2.5e-4 and found["encoder"][0] == learned["encoder"][0]
+    assert found["process"][0] == 0.7 and found["process"][1] != 0.7 and found["scale"]["effector"] == 1.0
+
+
+def test_touch_and_the_rate_of_the_prior_are_typed_for_predictive_coding(world):
+    drawn = world(7, duration=12.0)
+    typed = {"sigma_touch": 33.0, "sigma_vision": 7.0, "sigma_encoders": 0.01, "lambda_": 0.3}
+    settings = Estimation(method="predictive-coding", **typed)
+    plan, _, _ = plan_for(strokes(drawn, 1.0), drawn.body, settings)
+    sigma = {sense.name: set(np.unique(sense.sigma)) for sense in plan.senses}
+    assert sigma == {"encoders": {0.01}, "effector": {7.0}, "touch": {33.0}} and plan.learning == 0.3
+    slow, fast = (
+        estimate(drawn.features, drawn.body, replace(settings, lambda_=rate, precision="fixed")).joints.values
+        for rate in (0.01, 3.0)
+    )
+    assert np.abs(slow - fast).max() > 0.005
+
+
+def test_fixed_says_which_variances_were_used(world):
+    drawn = world(8, duration=2.0)
+    said = "variances used are encoders 1 rad², process 0.3 rad²/s³, effector {} px²"
+    typed = f"precision fixed (sigma_vision as typed): {said.format(2)}"
+    for vision, text in ((None, f"precision fixed: {said.format(5)}"), (2.0, typed)):
+        found = estimate(drawn.features, drawn.body, Estimation(precision="fixed", sigma_vision=vision))
+        assert text in [finding.text for finding in found.findings]
+
+
+def test_what_there_is_not_is_refused_and_what_a_method_has_not_is_said(world):
+    drawn = world(9, duration=2.0)
+    joints = "pan, lift, elbow"
+    for key, possible in (("sigma_encoders", joints), ("process", joints), ("sigma_vision", "effector")):
+        with pytest.raises(UsageError, match=f"estimate.{key}: 'wrist' is none of {possible}"):
+            estimate(drawn.features, drawn.body, Estimation(**{key: {"wrist": 1.0}}))
+    (text,) = (
+        finding.text
+        for finding in estimate(drawn.features, drawn.body, Estimation(method="kalman", process=1.0)).findings
+        if "heeded" in finding.text
+    )
+    assert text.startswith("process: 1.0 is not heeded by kalman")
+
+
+def test_they_stand_in_robot_toml_and_come_back(tmp_path):
+    given = {"sigma_encoders": 0.01, "sigma_vision": {"effector": 0.2}, "lambda": 0.5, "process": {"pan": 1}}
+    settings = merge(Settings(), {"estimate": given}, "robot.toml")
+    assert settings.estimate.sigma_encoders == 0.01 and settings.estimate.lambda_ == 0.5
+    assert settings.estimate.process == {"pan": 1.0} and plain(settings)["estimate"]["lambda"] == 0.5
+    again = tmp_path / "robot.toml"
+    again.write_text(toml(settings))
+    from bodylog.config import load
+
+    assert load(again) == settings and "# sigma_touch = (guessed)" in toml(settings)
+    with pytest.raises(ConfigError, match=r"estimate.sigma_encoders is 0.*from 1e-18"):
+        merge(Settings(), {"estimate": {"sigma_encoders": 0.0}}, "robot.toml")
+    with pytest.raises(ConfigError, match=r"estimate.process is .*from 1e-18"):
+        merge(Settings(), {"estimate": {"process": {"pan": -1.0}}}, "robot.toml")
+    with pytest.raises(ConfigError, match="did you mean lambda"):
+        merge(Settings(), {"estimate": {"lamda": 1.0}}, "robot.toml")
+
+
