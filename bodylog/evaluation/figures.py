@@ -11,6 +11,8 @@ SOUGHT = ("encoder_offset", "drifting", "offset")
 """Kinds that only images show, and only to methods that look for them: else there is no saying, NaN."""
 FIRST = 1.0
 """s: an encoder that is certainly off so soon was so before."""
+DISPLACED = "displaced"
+"""Kind of a fault that is a camera's, all of whose tracks are displaced."""
 CAMERA = "camera"
 """Name of the first camera, whose tracks are named plainly."""
 EITHER = " or "
@@ -27,7 +29,7 @@ def _faults(found: Estimate) -> Iterator[Score]:
     yield Score("faults", float(len(found.faults)), "1")
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
     sought = found.can.repairs and any(found.used[name].used for name in tracks)
-    faults = [fault for fault in found.faults if fault.kind != "moved"]
+    faults = [fault for fault in found.faults if fault.kind != DISPLACED]
     for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in faults for n in _names(f)))):
         others = (f.kind for f in faults if name in _names(f))
         for kind in dict.fromkeys((*KINDS, *others)):
@@ -37,8 +39,8 @@ def _faults(found: Estimate) -> Iterator[Score]:
             yield Score(f"fault/{kind}/{name}", float("nan") if open_ else _greatest(own), unit)
     cameras = [name.rpartition("/")[0] or CAMERA for name in tracks]
     for name in dict.fromkeys(cameras):
-        own = [fault for fault in found.faults if (fault.kind, fault.name) == ("moved", name)]
-        yield Score(f"fault/moved/{name}", _greatest(own), "px")
+        own = [fault for fault in found.faults if (fault.kind, fault.name) == (DISPLACED, name)]
+        yield Score(f"fault/{DISPLACED}/{name}", _greatest(own), "px")
 
 
 def _greatest(faults: Sequence[Fault]) -> float:

@@ -14,6 +14,9 @@ import pytest
 from bodylog import body as learning
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate
+from bodylog.estimation.inference import plain
+from bodylog.estimation.inference.instant import Motion, hear
+from bodylog.estimation.inference.scan import Dynamics
 from bodylog.estimation.live.estimator import Belief, Estimator
 from bodylog.estimation.measurements import touch
 from bodylog.settings import Estimation, Settings
@@ -349,3 +352,26 @@ def test_joints_that_come_by_halves_begin_once_all_were_told(world):
             robot.step(0.0, joints=part)
     belief = robot.step(0.01, joints=third)
     np.testing.assert_allclose(belief.x, 0.1, atol=1e-9)
+
+
+@pytest.mark.parametrize("offsets", [False, True])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_instant_in_plain_floats_is_that_of_matrices(seed, offsets):
+    rng = np.random.default_rng(seed)
+    m = 3
+    drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None
+    motion = Motion(Dynamics(rng.uniform(0.1, 1.0, m), drift))
+    k = motion._still.shape[0]
+    root = rng.normal(size=(k, k))
+    z, p, var = rng.normal(size=k), root @ root.T / k, rng.uniform(1e-4, 1e-2, m)
+    said = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 9.0))  # the last is gated
+    moved_z, moved_p = motion.move(z, p, 0.013)
+    found = hear(motion, moved_z, moved_p, said, var, [])
+    process = [float(v) for v in motion._spread[0].diagonal()[m : 2 * m]]
+    ours_z, ours_p = plain.moved(z.tolist(), p.tolist(), 0.013, process, [] if drift is None else drift.tolist())
+    np.testing.assert_allclose(ours_p, moved_p, atol=1e-12, rtol=0)
+    nats, d = plain.heard(ours_z, ours_p, said.tolist(), var.tolist())
+    np.testing.assert_allclose(ours_z, found.z, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(ours_p, found.p, atol=1e-12, rtol=0)
+    np.testing.assert_allclose(d, found.encoder_d, atol=1e-12, rtol=0)
+    assert nats == pytest.approx(found.nats, abs=1e-12)

@@ -31,8 +31,10 @@ FAR, FAST = 0.3, 1e-2
 """rad, rad²/s: the same of one encoder that is faulty outright."""
 LATE = 2e-3
 """s: how late a camera may still be once its delay is taken off."""
-ROUNDS, GATE = 3, 5.0
-"""Rounds in which rows farther off than GATE standard deviations count less, as they do in the filter."""
+GATE, BESIDE = 5.0, 5
+"""Standard deviations beyond which a row counts less, as in the filter, and how many neighbours it is held against."""
+POOR = 4.0
+"""Squares of what moves leave, over their variances, at most: 1 where all is as stated, more where models misfit."""
 MOVES = 3
 """Times at most that one camera is found to have moved."""
 
@@ -79,11 +81,17 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
         for found in displaced(evidence.encoders, [sightings[k] for k in own]):
             hypotheses.append(Hypothesis("camera moved", name, found.nats, NATS, found.nats > NATS))
             if found.nats > NATS:
-                faults.append(Fault("vision", name, "moved", found.t, float(np.hypot(*found.size)), "px"))
+                faults.append(_fault(name, found))
                 for k in own:
                     sightings[k] = anchored(sightings[k], found)
     found_in = replace(evidence, sightings=tuple(sightings))
     return Verdict(found_in, tuple(faults), (), tuple(hypotheses))
+
+
+def _fault(name: str, found: Moved) -> Fault:
+    size = float(np.hypot(*found.size))
+    std = float(np.sqrt(found.size @ found.cov @ found.size)) / size
+    return Fault("vision", name, "displaced", found.t, size, "px", std)
 
 
 def anchored(sighting: Sighting, moved: Moved) -> Sighting:
@@ -127,28 +135,26 @@ def displaced(encoders: Encoders, seen: Sequence[Sighting]) -> list[Moved]:
     rows = _rows(found) if found else None
     if rows is None or not len(rows.t):
         return []
-    cov, moves = _weighed(rows)
+    cov = _weighed(rows)
+    moves = _moves(rows, cov)
     if moves[0].nats > NATS:
         beyond = _beyond_encoders(rows, cov, moves)
         moves = [replace(one, nats=min(one.nats, beyond)) for one in moves]
     return sorted(moves, key=lambda one: one.t)
 
 
-def _weighed(rows: _Rows) -> tuple[Array, list[Moved]]:
-    """The covariance (R,R) with rows far from what the moves explain counting less, and the moves that win NATS each.
-
-    Or the likeliest alone, where none wins.
-    """
-    plain, far = _covariance(rows), np.zeros(len(rows.t))
-    spread = np.sqrt(np.diag(plain))
-    for _ in range(ROUNDS):
-        cov = plain + np.diag(rows.noise * (np.maximum(far, 1.0) ** 2 - 1.0))
-        moves = _moves(rows, cov)
-        if moves[0].nats <= NATS:
-            break
-        off = np.abs(_left(rows, moves)) / spread
-        far = off / (GATE * max(1.0, 1.4826 * float(np.median(off))))
-    return cov, moves
+def _weighed(rows: _Rows) -> Array:
+    """The covariance (R,R) with rows counting less that are far from their neighbours, whatever explains these."""
+    cov, far = _covariance(rows), np.zeros(len(rows.t))
+    spread = np.sqrt(np.diag(cov))
+    for track, output in {*zip(rows.track.tolist(), rows.output.tolist(), strict=True)}:
+        own = np.flatnonzero((rows.track == track) & (rows.output == output))
+        if len(own) >= BESIDE:
+            # a median keeps a step where it is
+            beside = np.lib.stride_tricks.sliding_window_view(np.pad(rows.r[own], BESIDE // 2, "edge"), BESIDE)
+            far[own] = np.abs(rows.r[own] - np.median(beside, axis=1)) / (GATE * spread[own])
+    cov[np.diag_indices_from(cov)] += rows.noise * (np.maximum(far, 1.0) ** 2 - 1.0)
+    return cov
 
 
 def _moves(rows: _Rows, cov: Array) -> list[Moved]:
@@ -179,9 +185,13 @@ def _left(rows: _Rows, moves: list[Moved]) -> Array:
 def _beyond_encoders(rows: _Rows, cov: Array, moves: list[Moved]) -> float:
     """Nats by which moves explain the rows better than encoders that wander, all or one by far, or one that steps.
 
-    As one step is as simple as one move, the first move alone must win against that.
+    −∞ where more than noise is left: an encoder that went far off is not linear any more. As one step is as simple as
+    one move, the first move alone must win against that.
     """
     joints, none = range(rows.x.shape[1]), _cost(rows.r, cov)
+    white = np.linalg.solve(np.linalg.cholesky(cov), _left(rows, moves))
+    if white @ white > POOR * len(white):
+        return -np.inf
     wander = [sum(_wandering(rows, joint, OFFSET, walk) for joint in joints) for walk in WALKS]
     wander += [_wandering(rows, joint, FAR, FAST) for joint in joints]
     moved = none - sum(one.nats for one in moves)

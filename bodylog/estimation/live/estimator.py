@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -10,9 +10,10 @@ from ...errors import LogError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, ForwardModel, Health
 from ..faults.encoder_offset import WALKS
+from ..inference import plain
 from ..inference.instant import Motion, hear
 from ..inference.outset import OFFSET_STD
-from ..inference.reacquisition import START_STD, Watch, forget
+from ..inference.reacquisition import SILENCE, START_STD, VAGUE, Watch, forget
 from ..inference.scan import Dynamics
 from ..methods.table import METHODS
 from ..noise import typed
@@ -65,6 +66,7 @@ class Estimator:
         self._body, self._settings, self._lag = body, settings, lag
         typed.check(settings, body.joints, [name for name in body.senses if name != "encoders"])
         self._precision = typed.precision(carried(body, learned), settings, body.joints)
+        self._stated = self._precision.of(np.ones((len(body.joints),) * 2))
         self._incoming = Incoming(body, settings, tell)
         self._first = np.full(len(body.joints), np.nan)
         self._recent: Recent | None = None
@@ -106,14 +108,14 @@ class Estimator:
             return self._belief(recent.last, 0.0, {})
         then, now, nats = recent.add(t, heard)
         names = {*heard.places, *(("encoders",) if heard.angles is not None else ())}
-        told_of = {name: error for name, error in then.errors.items() if name in names}
+        told_of = {name: np.asarray(error) for name, error in then.errors.items() if name in names}
         return self._belief(now, nats, told_of, then.lost)
 
     def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
-        m = len(self._body.joints)
-        bias = now.z[2 * m :] if len(now.z) > 2 * m else None
-        cov = self._precision.of(now.p[:m, :m])
-        return Belief(now.t, now.z[:m], now.z[m : 2 * m], cov, nats, errors, bias, lost)
+        m, z = len(self._body.joints), np.array(now.z)
+        bias = z[2 * m :] if len(z) > 2 * m else None
+        cov = self._stated * np.array([row[:m] for row in now.p[:m]])
+        return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost)
 
     def _begin(self, readings: Sequence[Array]) -> Recent:
         """No instant yet, and what is known before the first; `readings` (M,) rad of this call."""
@@ -130,10 +132,21 @@ class Estimator:
         models, near = self._incoming.models, precision.near
         like = {n: Likeness(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
         adrift = wont(self._incoming.wanted, precision.process, x)
-        one = _Filter(Motion(dynamics), habit, adrift, precision.encoder, precision.scale, like, models)
+        steady = Steady(
+            precision.process.tolist(), [] if drift is None else drift.tolist(), precision.encoder.tolist()
+        )  # fmt: skip
+        one = _Filter(Motion(dynamics), steady, habit, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
-        return Recent(State(-np.inf, z, np.diag(std**2), Watch.begun(len(x))), self._lag, one.hear)
+        return Recent(State(-np.inf, z.tolist(), np.diag(std**2).tolist(), Watch.begun(len(x))), self._lag, one.hear)
+
+
+class Steady(NamedTuple):
+    """Variances as plain floats: process (M), drift (M, or none), encoders' (M)."""
+
+    process: list[float]
+    drift: list[float]
+    encoder: list[float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +154,7 @@ class _Filter:
     """From one instant to the next."""
 
     motion: Motion
+    steady: Steady
     habit: Habit | None
     wont: Habit | None
     encoder_var: Array
@@ -150,10 +164,34 @@ class _Filter:
 
     def hear(self, before: State, at: Instant) -> State:
         """The state after an instant, from the one before it."""
+        return self._by_encoders(before, at) or self._by_all(before, at)
+
+    def _by_encoders(self, before: State, at: Instant) -> State | None:
+        """The same where encoders alone speak of a belief that all of them bore out of late; else None."""
+        if at.places or self.habit is not None or not at.t - before.borne <= SILENCE:
+            return None
+        process, drift, encoder = self.steady
+        z, p = plain.moved(before.z, before.p, at.t - before.t, process, drift)
+        if max(p[j][j] for j in range(len(process))) > VAGUE**2:
+            return None
+        if at.angles is None:
+            return State(at.t, z, p, before.watch, before.borne)
+        said = at.angles.tolist()
+        try:
+            nats, d = plain.heard(z, p, said, encoder)
+        except ArithmeticError:
+            return None  # which says so in full
+        spoken = [reading == reading for reading in said]
+        all_of_them = all(spoken)
+        borne = np.full(len(said), at.t) if all_of_them else np.where(spoken, at.t, before.watch.borne)
+        watch = Watch(borne, before.watch.seen, before.watch.loose)
+        return State(at.t, z, p, watch, at.t if all_of_them else float(borne.min()), nats, {"encoders": d})
+
+    def _by_all(self, before: State, at: Instant) -> State:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
         said = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
-        loose = before.watch.loose
-        z, p = self.motion.move(before.z, before.p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
+        loose, z, p = before.watch.loose, np.array(before.z), np.array(before.p)
+        z, p = self.motion.move(z, p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
         lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var, bool(at.places))
         if lost is not None:
             forget(z, p, lost, said, dt)
@@ -168,7 +206,8 @@ class _Filter:
         found = hear(motion, z, p, angles, var, list(here.values()), adrift=adrift)
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
         watch = before.watch.after(at.t, borne, here, found.memories)
-        return State(at.t, found.z, found.p, watch, found.nats, errors, lost)
+        oldest = -np.inf if watch.loose.any() else float(watch.borne.min())
+        return State(at.t, found.z.tolist(), found.p.tolist(), watch, oldest, found.nats, errors, lost)
 
     def _sight(self, name: str, t: float, place: Array, var: Array) -> Sight:
         return Sight(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], Memory())

@@ -1,28 +1,31 @@
 """The last instants of a live filter, so that what comes late is heard where it belongs."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ...types import Array
+from ..inference.plain import Rows
 from ..inference.reacquisition import Watch
 from .inputs import Told
 
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """After an instant t (s; −∞ before the first): z (K,), p (K,K), what was heard last · the instant's nats.
+    """After an instant t (s; −∞ before the first): z (K), p (K,K) as lists, what was heard last · the instant's nats.
 
-    errors {sense: standard deviations} of what was heard then · lost (M,) bool: joints the belief began anew with then.
+    borne (s): when the encoder bore the belief out that did so longest ago, −∞ while joints are adrift · errors
+    {sense: standard deviations} of what was heard then · lost (M,) bool: joints the belief began anew with then.
     """
 
     t: float
-    z: Array
-    p: Array
+    z: list[float]
+    p: Rows
     watch: Watch
+    borne: float = -np.inf
     nats: float = 0.0
-    errors: Mapping[str, Array] = field(default_factory=dict)
+    errors: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
     lost: Array | None = None
 
 
@@ -31,7 +34,7 @@ class Instant:
     """What is heard at t (s): angles (M,) rad, NaN where silent, or None, and places; and the state after."""
 
     t: float
-    after: State
+    after: State | None = None
     angles: Array | None = None
     places: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
@@ -55,7 +58,13 @@ class Recent:
     @property
     def last(self) -> State:
         """The state now."""
-        return self._instants[-1].after if self._instants else self._base
+        return self._after(len(self._instants))
+
+    def _after(self, count: int) -> State:
+        """The state after so many of the instants."""
+        after = self._instants[count - 1].after if count else self._base
+        assert after is not None
+        return after
 
     def late(self, t: float) -> bool:
         """Whether t (s) is before all that can be heard again."""
@@ -65,13 +74,14 @@ class Recent:
         """Hear what is told at t (s), and all since then again: the states after t and now, and the nats it cost."""
         index = self._index(t)
         self._instants[index].add(told)
-        before = self._instants[index - 1].after if index else self._base
+        before = self._after(index)
         nats = 0.0
         for instant in self._instants[index:]:
-            known = instant.after.nats
+            known = 0.0 if instant.after is None else instant.after.nats
             instant.after = before = self._hear(before, instant)
             nats += before.nats - known
         then = self._instants[index].after
+        assert then is not None
         self._forget(before.t - self._lag)
         return then, before, nats
 
@@ -81,7 +91,7 @@ class Recent:
         while index and self._instants[index - 1].t >= t:
             index -= 1
         if index == len(self._instants) or self._instants[index].t > t:
-            self._instants.insert(index, Instant(t, replace(self._base, nats=0.0)))
+            self._instants.insert(index, Instant(t))
         return index
 
     def _forget(self, until: float) -> None:
@@ -90,5 +100,5 @@ class Recent:
         while old < len(self._instants) - 1 and self._instants[old].t < until:
             old += 1
         if old:
-            self._base = self._instants[old - 1].after
+            self._base = self._after(old)
             del self._instants[:old]

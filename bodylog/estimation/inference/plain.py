@@ -1,0 +1,71 @@
+"""One instant of encoder readings in plain floats: for few joints numpy's calls take longer than the arithmetic.
+
+The same equations as `instant.Motion.move` and `instant.hear` without sights; a state is a list z (K) and rows p (K,K).
+"""
+
+import math
+from collections.abc import Sequence
+
+from .conditioning import GATE
+
+Rows = list[list[float]]
+"""A covariance (K,K), row by row."""
+_LOG = math.log(2.0 * math.pi)
+
+
+def moved(
+    z: Sequence[float], p: Rows, dt: float, process: Sequence[float], drift: Sequence[float]
+) -> tuple[list[float], Rows]:  # fmt: skip
+    """z (K) and p (K,K) a time dt (s) later, under white acceleration process (M) and drift (M or none) of offsets."""
+    m = len(process)
+    z = [a + dt * b for a, b in zip(z[:m], z[m:], strict=False)] + list(z[m:])
+    rows = [[a + dt * b for a, b in zip(p[i], p[m + i], strict=True)] for i in range(m)] + [row[:] for row in p[m:]]
+    for row in rows:
+        row[:m] = [a + dt * b for a, b in zip(row[:m], row[m:], strict=False)]
+    for i, q in enumerate(process):
+        spread = q * dt
+        half = 0.5 * dt * spread
+        rows[i][i] += dt * half * (2.0 / 3.0)
+        rows[i][m + i] += half
+        rows[m + i][i] += half
+        rows[m + i][m + i] += spread
+    for i, walk in enumerate(drift, 2 * m):
+        rows[i][i] += walk * dt
+    return z, rows
+
+
+def heard(z: list[float], p: Rows, said: Sequence[float], var: Sequence[float]) -> tuple[float, list[float]]:
+    """Condition z (K) and p (K,K), in place, on encoders said (M) rad, NaN where silent, of variances var (M).
+
+    Gated by the prior, so that order is no matter. Nats, and innovations (M) in standard deviations. ArithmeticError
+    where a variance is not above 0.
+    """
+    m, offsets, nats = len(said), len(z) > 2 * len(said), 0.0
+    d, noise = [math.nan] * m, list(var)
+    for j, reading in enumerate(said):
+        if reading == reading:
+            s, nu = p[j][j] + var[j], reading - z[j]
+            if offsets:
+                s, nu = s + p[2 * m + j][2 * m + j] + 2.0 * p[j][2 * m + j], nu - z[2 * m + j]
+            d[j] = nu / math.sqrt(s) if s > 0.0 else math.inf
+            if (over := d[j] * d[j] / (GATE * GATE)) > 1.0:
+                noise[j] += s * (over * over - 1.0)
+    for j, reading in enumerate(said):
+        if reading == reading:
+            ph, nu = p[j], reading - z[j]
+            if offsets:
+                ph, nu = [a + b for a, b in zip(ph, p[2 * m + j], strict=True)], nu - z[2 * m + j]
+            s = ph[j] + noise[j] + (ph[2 * m + j] if offsets else 0.0)
+            if not s > 0.0:
+                raise ArithmeticError(f"the variance {s:.3g} rad² is foretold of encoder {j + 1}")
+            pull, weight = nu / s, 1.0 / s
+            z[:] = [a + pull * b for a, b in zip(z, ph, strict=True)]
+            p[:] = [
+                [a - gain * b for a, b in zip(row, ph, strict=True)]
+                for row, gain in zip(p, [weight * b for b in ph], strict=True)
+            ]
+            nats += 0.5 * (nu * pull + math.log(s) + _LOG)
+    for i, row in enumerate(p):
+        for k in range(i):
+            row[k] = p[k][i] = 0.5 * (row[k] + p[k][i])
+    return nats, d
