@@ -6,9 +6,9 @@ import numpy as np
 
 from ..types import Array
 from .descend import descend
-from .evidence import Hyper, Prior, Spread, _grams, _information, _lapack, _terms, cholesky, hyper, independent, starts
+from .evidence import Hyper, Prior, Spread, _grams, _information, _lapack, _terms, cholesky, hyper, starts
 from .select import spaced
-from .sparse import Basis, sums
+from .sparse import Basis, among, sums
 
 _SCOUTS = 120
 _GUESSES = 8
@@ -26,9 +26,8 @@ class Rows:
     spread: Spread
 
     def some(self, rows: Array) -> "Rows":
-        """Only some rows, without the covariance of noise between samples."""
-        known = independent(self.spread.diagonal[rows][:, None] * self.spread.share)
-        return Rows(self.x[rows], self.residual[rows], self.design[rows], known)
+        """Only some rows."""
+        return Rows(self.x[rows], self.residual[rows], self.design[rows], among(self.spread, rows))
 
 
 def search(data: Rows, prior: Prior, seed: int) -> Hyper:

@@ -7,7 +7,6 @@ import numpy as np
 
 from ..errors import ModelError
 from ..kinematics import identifiability
-from ..kinematics.calibration import Sighted
 from ..kinematics.links import CameraHint, Found, Track, find
 from ..kinematics.urdf import Robot, implausible
 from ..settings import Settings
@@ -19,15 +18,12 @@ from .kinematic_gp import KinematicGP
 from .kinematic_scores import findings, gain, scores, zeros
 from .learning import Learned
 from .lengths import stretched
-from .pairs import Pairs, pairs
-from .residuals import RESIDUAL, Together, model, residual, together
-from .select import farthest
+from .residuals import RESIDUAL, Together, models, residual, together
+from .sightings import Sightings, gathered
 
 UNFIT = 0.1
 """Share of a track's motion that kinematics of the right robot does not leave: a real NAO's leaves 0.03."""
 _LEAST_NOISE = 1e-6
-_CORNERS = 4
-"""Of one thing, the most tracks that are calibrated each by itself: a tag's corners."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +42,6 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     ModelError where no joint that moved is in the URDF.
     """
     names, robot = found.model.joints, given.robot
-    boards = sorted({name for f in features for name, (tracks, _) in f.boards.items() if len(tracks) > _CORNERS})
-    if boards:
-        apart = f"{boards[0]} is a board, whose corners are not calibrated together"
-        return _unused(found, apart, "follow one tag of it")
     missing = [name for name in names if name not in robot.by_name]
     if len(missing) == len(names):
         have = ", ".join(list(robot.by_name)[:12])
@@ -59,14 +51,14 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
         return _unused(found, why)
     tracks = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP) and name != "encoders"}
     order = sorted(tracks, key=lambda name: (name in found.poor, name))
-    parts = {name: pairs(features, name, found.joints, settings.fit.every) for name in order}
-    parts = {name: part.rows(farthest(part.x, settings.fit.samples)) for name, part in parts.items()}
+    parts = gathered(features, order, found.joints, settings.fit.every, settings.fit.samples)
+    poor = {name for name, one in parts.items() if not any(t in tracks and t not in found.poor for t in one.tracks)}
     held, left_out = still(features, names), dict[str, str]()
     for _ in range(len(parts)):
-        seen = {name: _track(name, part) for name, part in parts.items()}
+        seen = {name: _track(name, one) for name, one in parts.items()}
         links = find(robot, names, held, seen, given.hints, given.doubt)
         whys = dict(_unexplained(links, parts))
-        foreign = {name: why for name, why in whys.items() if name in found.poor}
+        foreign = {name: why for name, why in whys.items() if name in poor}
         if not foreign or len(foreign) == len(parts):
             break
         left_out |= foreign
@@ -85,9 +77,9 @@ def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
     return replace(found, model=replace(found.model, senses=senses), findings=(*found.findings, *said))
 
 
-def _track(name: str, part: Pairs) -> Track:
+def _track(name: str, shown: Sightings) -> Track:
     camera, _, marker = name.rpartition("/")
-    return Track(camera, marker, Sighted(part.x, part.y[:, None], part.floor[:, None]))
+    return Track(camera, marker, shown.sighted, shown.points)
 
 
 def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
@@ -106,38 +98,39 @@ def _unused(found: Learned, why: str, advice: str = "give this robot's own with 
     return replace(found, findings=(*found.findings, Finding("warning", text)))
 
 
-def _unexplained(links: Found, parts: Mapping[str, Pairs]) -> Iterator[tuple[str, str]]:
+def _unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[str, str]]:
     """Tracks of which kinematics leaves too much, and how much."""
     calibrated = links.calibrated
-    for (name, part), sight, weight in zip(parts.items(), calibrated.rig.sights, calibrated.weights, strict=True):
-        left, spread = calibrated.noise**0.5, float(np.sqrt(part.y.var(axis=0).mean()))
-        if left > UNFIT * spread or weight.mean() < 0.5:
+    for (name, one), sight, weight in zip(parts.items(), calibrated.rig.sights, calibrated.weights, strict=True):
+        left, spread = calibrated.noise**0.5, one.sighted.spread
+        if left > UNFIT * spread or weight[one.seen].mean() < 0.5:
             ends = f"from {sight.chain.start} to {sight.chain.end}"
             yield name, f"{ends} it leaves {left:.1f} px of {name}, which moved by {spread:.0f} px"
 
 
 def _learned(
-    found: Learned, links: Found, pairs_of: Mapping[str, Pairs], plain: Mapping[str, GP], seed: int
+    found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int
 ) -> Learned:
     calibrated = links.calibrated
     rig, theta, weights = calibrated.rig, calibrated.theta, calibrated.weights
-    parts = {
-        name: residual(rig, k, theta, part, weights[k][:, 0], found.joints, seed)
-        for k, (name, part) in enumerate(pairs_of.items())
-    }
+    each = enumerate(shown.items())
+    parts = {name: residual(rig, k, theta, one, weights[k], found.joints, seed) for k, (name, one) in each}
     for k, part in enumerate(parts.values()):
-        off = stretched(rig, k, theta, part.rows, part.kernel, RESIDUAL)
+        off = stretched(rig, k, theta, part, RESIDUAL)
         if off is not None and off.wrong:
             return _unused(found, off.said)
     both = together(rig, theta, parts)
-    gains = {name: gain(plain[name], part) for name, part in both.parts.items()}
+    gains = {
+        name: gain(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())
+    }
     worst = min(gains, key=lambda name: gains[name])
     if gains[worst] < 0.0:
         return _unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
     covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
     offsets = identifiability.offsets(rig, both.theta, covariance)
-    senses = {name: model(rig, k, both, name) for k, name in enumerate(both.parts)}
-    told = [*(s for name, gp in senses.items() for s in scores(name, gp, both.parts[name])), *zeros(offsets)]
+    senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}
+    told = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
+    found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
     kept = {score.name: score for score in (*found.scores, *told)}
     return replace(
         _with(found, senses, both),
@@ -146,15 +139,33 @@ def _learned(
     )
 
 
-def _with(found: Learned, senses: Mapping[str, KinematicGP], both: Together) -> Learned:
+def _apart(found: Learned, tracks: set[str]) -> Learned:
+    """What was learned without tracks that are one board's, and what it says of them."""
+    model = found.model
+    senses = {name: one for name, one in model.senses.items() if name not in tracks}
+    noise = {name: one for name, one in model.noise.senses.items() if name not in tracks}
+    errors = {name: one for name, one in model.noise.std_error.items() if name not in tracks}
+    model = replace(model, senses=senses, noise=replace(model.noise, senses=noise, std_error=errors))
+    scores = [one for one in found.scores if not _of(one.name.partition(".")[2], tracks)]
+    findings = [one for one in found.findings if one.text.partition(":")[0] not in tracks]
+    return replace(found, model=model, scores=tuple(scores), findings=tuple(findings))
+
+
+def _of(name: str, tracks: set[str]) -> bool:
+    """Whether a score's name is of one of the tracks, or of something of one."""
+    return name in tracks or any(name.startswith(f"{track}.") for track in tracks)
+
+
+def _with(found: Learned, things: Mapping[str, Mapping[str, KinematicGP]], both: Together) -> Learned:
     """The body with these senses and their noise."""
     noise = found.model.noise
     variances, errors = dict(noise.senses), dict(noise.std_error)
-    for name, part in both.parts.items():
-        variance = np.maximum(senses[name].noise + part.pairs.floor.mean(axis=0), _LEAST_NOISE)
-        variances[name] = tuple(float(v) for v in variance)
-        errors[name] = tuple(float(v) for v in variance * np.sqrt(2.0 / len(part.pairs.x)))
+    senses = {track: model for of in things.values() for track, model in of.items()}
+    for name, of in things.items():
+        part = both.parts[name]
+        for track, model in of.items():
+            variance = np.maximum(model.noise + part.tracks[track].floor.mean(axis=0), _LEAST_NOISE)
+            variances[track] = tuple(float(v) for v in variance)
+            errors[track] = tuple(float(v) for v in variance * np.sqrt(2.0 / len(part.pairs.x)))
     noise = replace(noise, senses=variances, std_error=errors)
     return replace(found, model=replace(found.model, senses={**found.model.senses, **senses}, noise=noise))
-
-

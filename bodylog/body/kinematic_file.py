@@ -13,7 +13,7 @@ from ..types import Array
 from .gp import GP
 from .kinematic_gp import KinematicGP
 
-# k steps and one, h steps, p unknowns, q directions of them, c points; digits are sizes
+# k steps and one, h steps, p unknowns, q directions of them; digits are sizes
 SHAPES = {
     "chain": "k44",
     "steps": "h4",
@@ -25,8 +25,7 @@ SHAPES = {
     "root": "pq",
     "lean": "dqn",
     "drift": "d",
-    "points": "c3",
-    "point": "1",
+    "points": "13",
 }
 BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
 """Of a model that knows its robot's base: x steps and one, y steps."""
@@ -56,7 +55,6 @@ def arrays(model: KinematicGP) -> dict[str, Array]:
         "lean": model.lean,
         "drift": model.drift,
         "points": sight.points,
-        "point": np.array([model.point]),
     }
 
 
@@ -87,8 +85,6 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: 
     turns = len(doubt) == 18 + count
     _insist(turns or len(doubt) == 15 + count, "doubt", len(doubt), f"{15 + count} or {18 + count} numbers")
     _insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
-    point = int(found["point"][0])
-    _insist(found["point"][0] == point and 0 <= point < len(found["points"]), "point", point, "one of points")
     chain = _chain(said["start"], said["end"], joints, found["chain"], steps, "steps")
     end = 18 if turns else 15
     rig = Rig(
@@ -98,7 +94,7 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: 
         joints,
         doubt[end:],
     )
-    model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"], point)
+    model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"])
     return replace(model, base=_base(joints, found, said))
 
 

@@ -20,9 +20,9 @@ _STEP = 1e-4
 class KinematicGP(GP):
     """One point of one marker before one camera; the fields of GP are those of the residual, whose mean is zero.
 
-    rig: one camera, one marker, one sight · point: which of the sight's · theta (P,), of greatest posterior · root
-    (P,p): θ's covariance is root rootᵀ · lean (D,p,n): the samples foretell root's columns by it, as weights do the
-    residual · drift (D,) px²: variance of an error that lasts longer than a log · base: how the robot's root carries
+    rig: one camera, one marker, one sight of one point · theta (P,), of greatest posterior · root (P,p): θ's
+    covariance is root rootᵀ · lean (D,p,n): the samples foretell root's columns by it, as weights do the residual ·
+    drift (D,) px²: variance of an error that lasts longer than a log · base: how the robot's root carries
     the marker, or the camera that moves, where a URDF said.
     """
 
@@ -31,14 +31,13 @@ class KinematicGP(GP):
     root: Array
     lean: Array
     drift: Array
-    point: int = 0
     base: Base | None = None
 
     @classmethod
-    def on(cls, plain: GP, rig: Rig, theta: Array, root: Array, lean: Array, drift: Array, point: int = 0) -> Self:
+    def on(cls, plain: GP, rig: Rig, theta: Array, root: Array, lean: Array, drift: Array) -> Self:
         """The model with a residual `plain`."""
         residual: dict[str, Any] = {field.name: getattr(plain, field.name) for field in fields(GP)}
-        return cls(**residual, rig=rig, theta=theta, root=root, lean=lean, drift=drift, point=point)
+        return cls(**residual, rig=rig, theta=theta, root=root, lean=lean, drift=drift)
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
@@ -53,7 +52,7 @@ class KinematicGP(GP):
         value, slope, spread = super().predict(x)
         seen = self._seen(x)
         unknown = np.square(self._unknown(x, seen)).sum(axis=2)
-        return value + seen.image[:, self.point], slope + seen.slope[:, self.point], spread + unknown + self.drift
+        return value + seen.image[:, 0], slope + seen.slope[:, 0], spread + unknown + self.drift
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
@@ -71,15 +70,15 @@ class KinematicGP(GP):
         """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
         value, slope = super().means(x)
         seen = self._seen(x)
-        return value + seen.image[:, self.point], slope + seen.slope[:, self.point]
+        return value + seen.image[:, 0], slope + seen.slope[:, 0]
 
     def kinematics(self, x: Array) -> Array:
         """What kinematics and camera alone foretell (N,D) px at x (N,M) rad."""
-        return np.asarray(self._seen(np.atleast_2d(x)).image[:, self.point])
+        return np.asarray(self._seen(np.atleast_2d(x)).image[:, 0])
 
     def design(self, x: Array) -> Array:
         """How θ moves what kinematics and camera foretell at x (N,M) rad: (N,D,P) px per unit of θ."""
-        return np.asarray(self._seen(np.atleast_2d(x)).design[:, self.point])
+        return np.asarray(self._seen(np.atleast_2d(x)).design[:, 0])
 
     def unknowns(self, x: Array) -> Array:
         """What one standard deviation of each direction of θ (N,D,p) still changes at x (N,M) rad, px."""
@@ -107,7 +106,7 @@ class KinematicGP(GP):
 
     @cached_property
     def _instant(self) -> Instant:
-        return instant(self.rig, self.theta, self.point)
+        return instant(self.rig, self.theta)
 
     @cached_property
     def _rows(self) -> Array:
@@ -122,4 +121,4 @@ class KinematicGP(GP):
         """What one standard deviation of each direction of θ (N,D,p) still changes, px."""
         scales = self.scales[0]
         kernel = se(x / scales, self.centres / scales, self.amplitude[0])
-        return np.asarray(seen.design[:, self.point] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))
+        return np.asarray(seen.design[:, 0] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))

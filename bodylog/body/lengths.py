@@ -8,9 +8,10 @@ import numpy as np
 
 from ..kinematics.rig import Rig
 from ..types import Array
-from .evidence import Hyper, Prior, cholesky
-from .explicit import SEARCHED, Rows, search, solved, thinned
+from .evidence import Prior, cholesky
+from .explicit import SEARCHED, search, solved, thinned
 from .gp import se
+from .residuals import Part
 from .select import spaced
 
 DOUBT = 0.05
@@ -22,7 +23,10 @@ _SURE = 4.0
 
 @dataclass(frozen=True)
 class Stretch:
-    """The link between two joints: by what share ± std it is longer than the URDF says, beside the others."""
+    """The link between two joints: by what share ± std it is longer than the URDF says, beside the others.
+
+    Between no joints it is all links alike, beside what metres the camera's pose or a board's size give.
+    """
 
     before: str
     after: str
@@ -39,25 +43,21 @@ class Stretch:
         """In words."""
         way = "longer" if self.share > 0 else "shorter"
         size = f"{abs(self.share):.1%} ± {self.std:.1%}"
+        if not self.before:
+            return f"all the robot's links are {size} {way} than it says, by the metres that camera or board give"
         link = f"the robot's link between {self.before} and {self.after}"
         return f"{link} is {size} {way} than it says, beside its others"
 
 
-def stretched(rig: Rig, index: int, theta: Array, data: Rows, kernel: Hyper, prior: Prior) -> Stretch | None:
-    """The link that is off by the greatest share, where kinematics is the likelier for links that may be stretched.
-
-    What all links have in common is left out: a camera does not tell it from its own distance.
-    """
-    rows = spaced(len(data.x), SEARCHED)
-    seen = rig.see(rig.sights[index], theta, data.x[rows])
-    chain = rig.sights[index].chain
-    long = np.linalg.norm(chain.fixed[1:-1, :3, 3], axis=1) > 1e-3
-    if long.sum() < 2:
+def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -> Stretch | None:
+    """The link that is off by the greatest share, where kinematics is the likelier for links that may be stretched."""
+    rows = spaced(len(learned.rows.x), SEARCHED)
+    long, spread = _doubt(rig, index)
+    if spread is None:
         return None
-    count = int(long.sum())
-    spread = DOUBT * (np.eye(count) - 1.0 / count)
-    part = thinned(data, SEARCHED)
-    more = replace(part, design=np.concatenate([part.design, seen.stretch[:, 0][..., long] @ spread], axis=2))
+    stretch = learned.view.of(rig.see(rig.sights[index], theta, learned.view.q).stretch)[rows]
+    part, kernel = thinned(learned.rows, SEARCHED), learned.kernel
+    more = replace(part, design=np.concatenate([part.design, stretch[..., long] @ spread], axis=2))
     z = part.x / kernel.scales
     before = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), part).evidence
     kernel = search(more, prior, 0)
@@ -66,10 +66,28 @@ def stretched(rig: Rig, index: int, theta: Array, data: Rows, kernel: Hyper, pri
     if found.evidence < before + np.log(part.residual.size):
         return None
     extra = slice(part.design.shape[2], None)
-    share, root = spread @ found.mean[extra], spread @ found.root[extra]
+    return _worst(rig, index, long, spread @ found.mean[extra], spread @ found.root[extra])
+
+
+def _doubt(rig: Rig, index: int) -> tuple[Array, Array | None]:
+    """Which steps have a length, and what each unknown (count + 1) stretches them by: each apart, and all alike."""
+    long = np.linalg.norm(rig.sights[index].chain.fixed[1:-1, :3, 3], axis=1) > 1e-3
+    count = int(long.sum())
+    if count < 2:
+        return long, None
+    return long, DOUBT * np.column_stack([np.eye(count) - 1.0 / count, np.ones(count)])
+
+
+def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stretch:
+    """The link that is off the most beside the others; all alike where that is sure. share (K,) ± root rootᵀ."""
+    weight = np.linalg.solve(root @ root.T, np.ones(len(share)))
+    weight /= weight.sum()
+    alike = Stretch("", "", float(weight @ share), float(np.linalg.norm(weight @ root)))
+    if alike.wrong:
+        return alike
+    share, root = share - weight @ share, root - weight @ root
     worst = int(np.argmax(np.abs(share)))
-    names = _names(rig, index, long)
-    return Stretch(*names[worst], float(share[worst]), float(np.sqrt(np.square(root[worst]).sum())))
+    return Stretch(*_names(rig, index, long)[worst], float(share[worst]), float(np.linalg.norm(root[worst])))
 
 
 def _names(rig: Rig, index: int, long: Array) -> Sequence[tuple[str, str]]:

@@ -99,7 +99,7 @@ def posterior(base: Basis, total: Sums) -> Sparse:
 
 def held_out(base: Basis, x: Array, y: Array, spread: Spread, blocks: Sequence[Array]) -> tuple[Array, Array]:
     """Residual (n,G) of each sample predicted without its block of rows, and its variance (n,), noise included."""
-    parts = [sums(base, x[rows], y[rows], _rows(spread, rows)) for rows in blocks]
+    parts = [sums(base, x[rows], y[rows], among(spread, rows)) for rows in blocks]
     total = reduce(Sums.plus, parts)
     residual, variance = np.empty(y.shape), spread.diagonal + base.kernel.noise + base.kernel.amplitude
     for rows, part in zip(blocks, parts, strict=True):
@@ -143,10 +143,11 @@ def _cross(base: Basis, x: Array) -> Array:
 def _chunks(spread: Spread) -> Iterator[tuple[slice, Spread]]:
     for start in range(0, len(spread.diagonal), _CHUNK):
         rows = np.arange(start, min(start + _CHUNK, len(spread.diagonal)))
-        yield slice(start, start + len(rows)), _rows(spread, rows)
+        yield slice(start, start + len(rows)), among(spread, rows)
 
 
-def _rows(spread: Spread, rows: Array) -> Spread:
+def among(spread: Spread, rows: Array) -> Spread:
+    """The noise of some rows alone."""
     place = np.full(len(spread.diagonal), -1)
     place[rows] = np.arange(len(rows))
     i, j = place[spread.i], place[spread.j]

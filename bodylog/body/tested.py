@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from ..errors import EvidenceError, ModelError
+from ..sources import group_of
 from ..types import Array, BodyModel, Features, Finding, Score
 from . import encoders
 from .pairs import Pairs, joints, pairs, plausible
@@ -16,7 +17,7 @@ COVERED = 2.0
 def score(
     model: BodyModel, features: Sequence[Features]
 ) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
-    """Scores test_…/TRACK of all logs together; remarks on tracks that could not be scored.
+    """Scores test_…/TRACK of all logs together, and of a board's tracks together; remarks on those not scored.
 
     The angles at a sighting are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the
     body's, ModelError where one lacks its joints.
@@ -36,14 +37,23 @@ def score(
         raise EvidenceError(f"test: no sighting of {', '.join(model.senses)}; tracks: {shown}; give another log")
     unseen = [name for name in model.senses if name not in scored and name != "encoders"]
     remarks += [Finding("warning", f"{name}: not scored, the test logs do not show it") for name in unseen]
-    return tuple(s for name, part in scored.items() for s in _scores(name, part, model)), tuple(remarks)
+    told = {name: _told(name, part, model) for name, part in scored.items()}
+    groups: dict[str, list[str]] = {}
+    for name in told:
+        groups.setdefault(group_of(name), []).append(name)
+    boards = {group: [told[name] for name in names] for group, names in groups.items() if len(names) > 1}
+    joint = {group: tuple(np.concatenate(column) for column in zip(*of, strict=True)) for group, of in boards.items()}
+    return tuple(s for name, one in {**joint, **told}.items() for s in _scores(name, *one)), tuple(remarks)
 
 
-def _scores(name: str, part: Pairs, model: BodyModel) -> Iterator[Score]:
-    """Errors (px) and how they compare with what the body says of them, per axis and together."""
+def _told(name: str, part: Pairs, model: BodyModel) -> tuple[Array, Array]:
+    """Errors (N,2) px of one track and their variances as the body states them (N,2) px²."""
     mean, jac, var = model.senses[name].predict(part.x)
-    error = part.y - mean
-    total = var + _pixels(name, part, model) + np.einsum("ndm,nm->nd", jac**2, part.variance)
+    return part.y - mean, var + _pixels(name, part, model) + np.einsum("ndm,nm->nd", jac**2, part.variance)
+
+
+def _scores(name: str, error: Array, total: Array) -> Iterator[Score]:
+    """Errors (N,2) px and how they compare with what the body says of them, per axis and together."""
     ratio = error**2 / total
     size = np.linalg.norm(error, axis=1)
     yield Score(f"test_rmse/{name}", float(np.sqrt(np.mean(size**2))), "px")

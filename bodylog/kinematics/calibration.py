@@ -1,7 +1,7 @@
 """The unknowns θ from sightings: robust Gauss-Newton (Levenberg-Marquardt) from several starts, and θ's covariance."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,7 @@ _STUCK = 1e9
 _COARSE = 80
 _SCOUT = 12
 _FINALISTS = 2
+_POINTS = 12
 _LEAST = 1e-6
 _FALSE = 1e-3
 """Share of sightings that show something else, before any is weighed."""
@@ -28,6 +29,19 @@ class Sighted:
     q: Array
     image: Array
     variance: Array
+
+
+    @property
+    def seen(self) -> Array:
+        """Which points were seen (N,C)."""
+        return np.asarray(np.isfinite(self.image).all(axis=-1))
+
+    @property
+    def spread(self) -> float:
+        """How far the points moved, px, root mean square over both axes."""
+        seen = self.seen[..., None]
+        middle = np.where(seen, self.image, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+        return float(np.sqrt(np.square(np.where(seen, self.image - middle, 0.0)).sum() / max(2 * seen.sum(), 1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,26 +66,35 @@ def residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
 
 def calibrate(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Calibrated:
     """θ from the best of several starts: coarse loss from each, then finer ones."""
-    few = [_thinned(one) for one in data]
+    sparse, few = thinned(rig, data, _COARSE)
     loss = _arsinh(50.0)
-    coarse = [descend(rig, few, start, loss, 1.0, _SCOUT) for start in starts]
+    coarse = [descend(sparse, few, start, loss, 1.0, _SCOUT) for start in starts]
     coarse.sort(key=lambda found: found[1])
-    coarse = [descend(rig, few, found[0], loss, 1.0) for found in coarse[:_FINALISTS]]
+    coarse = [descend(sparse, few, found[0], loss, 1.0) for found in coarse[:_FINALISTS]]
     best = min(coarse, key=lambda found: found[1])[0]
     for scale in (10.0, 3.0):
-        best = descend(rig, few, best, _soft(scale), 1.0)[0]
+        best = descend(sparse, few, best, _soft(scale), 1.0)[0]
     return refine(rig, data, best)
 
 
 def scout(rig: Rig, data: Sequence[Sighted], start: Array) -> float:
     """What a short descent from one start leaves of the coarse loss."""
-    return descend(rig, data, start, _arsinh(50.0), 1.0, _SCOUT)[1]
+    sparse, few = thinned(rig, data, _COARSE)
+    return descend(sparse, few, start, _arsinh(50.0), 1.0, _SCOUT)[1]
 
 
-def _thinned(data: Sighted) -> Sighted:
-    """At most _COARSE of the rows, evenly spaced."""
-    rows = np.unique(np.linspace(0, len(data.q) - 1, min(len(data.q), _COARSE)).round().astype(int))
-    return Sighted(data.q[rows], data.image[rows], data.variance[rows])
+def thinned(rig: Rig, data: Sequence[Sighted], count: int) -> tuple[Rig, list[Sighted]]:
+    """At most `count` of each sight's pictures and _POINTS of its points, evenly spaced; θ stays what it is."""
+    sights, few = [], []
+    for sight, one in zip(rig.sights, data, strict=True):
+        rows, points = _spaced(len(one.q), count), _spaced(len(sight.points), _POINTS)
+        sights.append(replace(sight, points=sight.points[points]))
+        few.append(Sighted(one.q[rows], one.image[rows][:, points], one.variance[rows][:, points]))
+    return replace(rig, sights=tuple(sights)), few
+
+
+def _spaced(total: int, count: int) -> Array:
+    return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))
 
 
 def refine(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> Calibrated:

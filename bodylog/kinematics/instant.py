@@ -16,14 +16,14 @@ Instant = Callable[[Array], tuple[Array, Array, Array]]
 """From joint angles (M,) rad or m: image (2,) px · slope (2,M) by the joints · design (2,P) by θ, as of `Rig.see`."""
 
 
-def instant(rig: Rig, theta: Array, point: int) -> Instant:
-    """A function from one posture to what the rig's first sight shows of one of its points, for unknowns theta (P,)."""
+def instant(rig: Rig, theta: Array) -> Instant:
+    """A function from one posture to what the rig's first sight shows of its point, for unknowns theta (P,)."""
     sight = rig.sights[0]
     own, mine = theta[rig.of_camera(0)], theta[rig.of_carrier(0)]
     first = rig.camera_pose(0, theta) @ sight.chain.fixed[0]
     fixed = [_plain(first), *(_plain(one) for one in sight.chain.fixed[1:])]
     place = rig.carrier_pose(0, theta)
-    placed = place[:3, :3] @ sight.points[point] + place[:3, 3]
+    placed = place[:3, :3] @ sight.points[0] + place[:3, 3]
     zeros = sight.chain.zero + sight.chain.scale * theta[rig.of_joints][sight.chain.column]
     each = (sight.chain.column, sight.chain.scale, zeros, sight.chain.slides)
     steps = list(zip(*(part.tolist() for part in each), strict=True))

@@ -136,8 +136,7 @@ def _promising(
 
 def _explains(found: Calibrated, data: Sighted) -> bool:
     """Whether a calibration leaves little of how the sightings spread."""
-    spread, seen = float(np.nanmean(np.nanvar(data.image, axis=0))), np.isfinite(data.image[..., 0])
-    return found.noise < EXPLAINED**2 * spread and float(np.mean(found.weights[0][seen])) > 0.5
+    return found.noise < (EXPLAINED * data.spread) ** 2 and float(np.mean(found.weights[0][data.seen])) > 0.5
 
 
 EXPLAINED = 0.1

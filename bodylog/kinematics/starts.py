@@ -14,7 +14,7 @@ _STEP = 0.1
 """m: how far off the link's frame a marker is tried."""
 _KNOWN = 1.0
 """rad: a camera whose turn is known to less than this starts where it is said to be."""
-_FEWEST = 6
+_FEWEST, _CORNERS = 6, 4
 _FARTHEST = 50.0
 """m: no marker is seen from farther off."""
 
@@ -24,7 +24,9 @@ def starts(rig: Rig, data: Sequence[Sighted]) -> tuple[Rig, list[Array]]:
     for index, camera in enumerate(rig.cameras):
         boards = [k for k in _before(rig, index) if rig.carriers[rig.sights[k].carrier].turns]
         if boards and camera.doubt[3:6].max() >= _KNOWN:
-            rig = _aligned(rig, data, boards[0])
+            known = {rig.sights[k].carrier for before in range(index) for k in _before(rig, before)}
+            placed = [k for k in boards if rig.sights[k].carrier in known]
+            rig = _beside(rig, data, placed[0]) if placed else _aligned(rig, data, boards[0])
     first = list(_places(rig))
     for index, camera in enumerate(rig.cameras):
         seen = [k for k in _before(rig, index) if not rig.carriers[rig.sights[k].carrier].turns]
@@ -104,24 +106,41 @@ def resection(points: Array, rays: Array) -> Array | None:
 
 def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     """Camera and board placed by hand-eye alignment of the board's poses before the camera."""
-    sight, one = rig.sights[k], data[k]
-    camera = rig.cameras[sight.camera]
-    poses = [planar(sight.points, normalised(image, camera.lens)) for image in one.image]
-    rows = [n for n, pose in enumerate(poses) if pose is not None]
-    if len(rows) < 3:
+    poses, links = _posed(rig, data, k)
+    if len(poses) < 3:
         return rig
-    arm = sight.chain.at(one.q[rows])
-    link = [transform(r, t) for r, t in zip(arm.rotation, arm.place, strict=True)]
-    found = hand_eye([poses[n] for n in rows if poses[n] is not None], link)  # type: ignore[misc]
+    found = hand_eye(poses, links)
+    sight = rig.sights[k]
     carrier = replace(rig.carriers[sight.carrier], anchor=found[1])
     carriers = tuple(carrier if n == sight.carrier else one for n, one in enumerate(rig.carriers))
     return _anchored(replace(rig, carriers=carriers), sight.camera, found[0])
 
 
+def _beside(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
+    """A further camera placed by a board that stands where the first one has it."""
+    poses, links = _posed(rig, data, k)
+    sight = rig.sights[k]
+    if not poses:
+        return rig
+    board = rig.carriers[sight.carrier].anchor
+    found = [seen @ inverse(link @ board) for seen, link in zip(poses, links, strict=True)]
+    turn = nearest(np.sum([one[:3, :3] for one in found], axis=0))
+    return _anchored(rig, sight.camera, transform(turn, np.median([one[:3, 3] for one in found], axis=0)))
+
+
+def _posed(rig: Rig, data: Sequence[Sighted], k: int) -> tuple[list[Array], list[Array]]:
+    """Of each picture that tells it, the board's pose (4,4) in the camera, and its link's in the camera's link."""
+    sight, one = rig.sights[k], data[k]
+    camera, arm = rig.cameras[sight.camera], sight.chain.at(one.q)
+    poses = [planar(sight.points, normalised(image, camera.lens)) for image in one.image]
+    rows = [n for n, pose in enumerate(poses) if pose is not None]
+    return [pose for pose in poses if pose is not None], [transform(arm.rotation[n], arm.place[n]) for n in rows]
+
+
 def planar(points: Array, rays: Array) -> Array | None:
     """The pose (4,4) of a flat board with corners (C,3) m seen at directions (C,2); None where too few are seen."""
     seen = np.isfinite(rays).all(axis=-1)
-    if seen.sum() < _FEWEST:
+    if seen.sum() < _CORNERS:
         return None
     corners, rays = points[seen], rays[seen]
     centre = corners.mean(axis=0)

@@ -118,7 +118,6 @@ def test_a_file_keeps_it_to_the_last_bit(learned, tmp_path):
 BROKEN = {
     "steps": lambda steps: np.where(np.arange(4) == 0, 7.0, steps),
     "doubt": lambda doubt: doubt[:-1],
-    "point": lambda point: point + 3,
     "root": lambda root: root * np.nan,
 }
 
@@ -260,10 +259,3 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, bodylog, caps
     capsys.readouterr()
     assert bodylog("offsets", tmp_path / "plain.npz") == 65
     assert "type: bodylog fit LOG --urdf" in capsys.readouterr().err
-
-
-def test_a_board_of_corners_is_learned_without_the_urdf_and_named(plain):
-    board = replace(features(), boards={"effector": (tuple(f"effector.{k}" for k in range(5)), np.zeros((5, 3)))})
-    found = learn([board], Settings(), plain, given())
-    assert found.model is plain.model
-    assert "effector is a board, whose corners are not calibrated together" in found.findings[-1].text

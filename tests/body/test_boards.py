@@ -1,0 +1,125 @@
+"""Boards: all points of one share a camera, a pose and the joints' zeros; one sense for each point."""
+
+import numpy as np
+import pytest
+
+from bodylog import body
+from bodylog.body import model as files
+from bodylog.body import tested
+from bodylog.body.kinematic import learn
+from bodylog.body.kinematic_gp import KinematicGP
+from bodylog.body.offsets import learned as offsets
+from bodylog.settings import Settings
+from bodylog.types import Features, Series
+from tests.body.test_kinematic import DEGREE, OFFSETS, _bent, given
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM, JOINTS
+
+STEP = 1e-6
+RARE = 7
+
+
+def image(q, rig=None):
+    rig = robots.board() if rig is None else rig
+    theta = rig.prior[0].copy()
+    theta[rig.of_joints] = [OFFSETS.get(name, 0.0) for name in JOINTS]
+    return rig.see(rig.sights[0], theta, q).image + _bent(q, 2.0)[:, None]
+
+
+def features(q, seed=1, camera="", turned=None) -> Features:
+    """Still poses with a board on the tool: corners hidden at random, one of them nearly always."""
+    draw = np.random.default_rng(seed)
+    places = image(q) + draw.normal(0.0, 0.1, (len(q), 12, 2))
+    places[draw.random((len(q), 12)) < 0.2] = np.nan
+    places[4:, RARE] = np.nan
+    t = np.arange(len(q), dtype=float)
+    ns = (t * 1e9).astype(np.int64)
+    names = tuple(f"{camera}board.{k}" for k in range(12))
+    tracks = {name: Series(t, places[:, k], ("u", "v"), "px", ns) for k, name in enumerate(names)}
+    read = q if turned is None else q + turned
+    joints = Series(t, read, JOINTS, "rad", ns)
+    boards = {f"{camera}board": (names, robots.board().sights[0].points)}
+    return Features(joints, tracks, None, (), (), {}, (), (640, 480), poses=True, boards=boards)
+
+
+@pytest.fixture(scope="module")
+def explored():
+    return features(robots.angles(40))
+
+
+@pytest.fixture(scope="module")
+def learned(explored):
+    return learn([explored], Settings(), body.learn([explored], Settings(), {}, None, True), given())
+
+
+def test_corners_are_foretold_by_one_calibration(learned):
+    q = robots.angles(200, seed=8)
+    names = list(learned.model.senses)
+    found = list(learned.model.senses.values())
+    assert len(names) == 4 and f"board.{RARE}" not in names  # one in each part of the board
+    assert all(isinstance(one, KinematicGP) for one in found)
+    assert all(np.array_equal(one.theta, found[0].theta) for one in found)
+    error = np.stack([one.predict(q)[0] for one in found], axis=1) - image(q)[:, [int(n[6:]) for n in names]]
+    assert np.sqrt(np.square(error).mean()) < 0.7 and np.median(np.hypot(*np.moveaxis(error, -1, 0))) < 0.6
+    ratio = np.square(error) / np.stack([one.predict(q)[2] + one.noise for one in found], axis=1)
+    assert ratio.mean() < 1.6 and (ratio < 4).mean() > 0.9
+
+
+def test_zeros_are_told_and_a_joint_that_is_turned_moves_its_own_alone(learned, explored):
+    told = {one.joint: one for one in offsets(learned.model)}
+    assert not told["pan"].identifiable and not told["wrist"].identifiable
+    for name in ("lift", "elbow"):
+        assert told[name].identifiable and told[name].std < 0.6 * DEGREE
+        assert abs(told[name].value - OFFSETS[name]) < 3 * told[name].std
+    turned = features(robots.angles(40), turned=np.array([0.0, 0.0, DEGREE, 0.0]))
+    plain = body.learn([turned], Settings(), {}, None, True)
+    after = {one.joint: one for one in offsets(learn([turned], Settings(), plain, given()).model)}
+    assert after["elbow"].value - told["elbow"].value == pytest.approx(-DEGREE, abs=0.15 * DEGREE)
+    assert after["lift"].value == pytest.approx(told["lift"].value, abs=0.15 * DEGREE)
+
+
+def test_what_is_said_is_of_the_board_and_not_of_each_corner(learned):
+    names = {score.name for score in learned.scores}
+    assert "held_out.board" in names and "kinematics_alone.board" in names
+    assert not any(name.startswith("held_out.board.") for name in names)
+    assert not any(one.text.startswith("board.") for one in learned.findings)
+    assert any(one.text.startswith("board: camera on base, marker on ") for one in learned.findings)
+
+
+def test_a_file_keeps_each_corner_to_the_last_bit(learned, tmp_path):
+    files.save(learned.model, tmp_path / "body.npz")
+    found, x = files.load(tmp_path / "body.npz"), robots.angles(5, seed=4)
+    for name, sense in learned.model.senses.items():
+        for one, other in zip(found.senses[name].predict(x), sense.predict(x), strict=True):
+            assert np.array_equal(one, other)
+    for one, other in zip(offsets(found), offsets(learned.model), strict=True):
+        assert one == other
+
+
+def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
+    gp, x = next(iter(learned.model.senses.values())), robots.angles(4, seed=3)
+    value, slope, spread = gp.predict(x)
+    numeric = [(gp.predict(x + s)[0] - gp.predict(x - s)[0]) / (2 * STEP) for s in STEP * np.eye(4)]
+    np.testing.assert_allclose(slope, np.stack(numeric, axis=-1), atol=1e-3)
+    for k in range(4):
+        for one, many in zip(gp.predict_one(x[k]), (value[k], slope[k], spread[k]), strict=True):
+            np.testing.assert_allclose(one, many, rtol=1e-8, atol=1e-8)
+
+
+def test_a_board_is_scored_on_other_poses_as_one(learned):
+    other = features(robots.angles(30, seed=21), seed=5)
+    scores = {score.name: score.value for score in tested.score(learned.model, [other])[0]}
+    each = [k for k in range(12) if f"test_sightings/board.{k}" in scores]
+    assert scores["test_sightings/board"] == sum(scores[f"test_sightings/board.{k}"] for k in each)
+    assert scores["test_rmse/board"] < 1.0 and 80.0 < scores["test_coverage/board"] <= 100.0
+
+
+SCALED = ARM.replace("0 -0.05 0.4", "0 -0.0525 0.42").replace("0 0 0.35", "0 0 0.3675").replace("0 0.1 0", "0 0.105 0")
+"""The arm with its links between joints longer by 5 %."""
+
+
+def test_links_that_are_all_too_long_are_found_by_the_boards_metres(explored):
+    plain = body.learn([explored], Settings(), {}, None, True)
+    found = learn([explored], Settings(), plain, given(SCALED))
+    assert found.model is plain.model
+    assert "all the robot's links are " in found.findings[-1].text and " shorter " in found.findings[-1].text
