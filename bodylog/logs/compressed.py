@@ -17,6 +17,8 @@ from ..types import Array
 _PNG, _NEEDED = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"IDAT")
 _EOI, _TAIL = b"\xff\xd9", 64
 _STDERR = Lock()
+_SILENT = 0
+"""OpenCV's level of a log of nothing."""
 """Held while standard error is another file."""
 
 
@@ -62,7 +64,8 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
 
     if data[:8] == _PNG:
         _check_png(data, form)
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    silence = cv2.utils.logging.setLogLevel if hasattr(cv2.utils, "logging") else cv2.setLogLevel  # OpenCV 5, 4
+    silence(_SILENT)
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
         with _unheard() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
