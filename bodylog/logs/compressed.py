@@ -64,8 +64,7 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
 
     if data[:8] == _PNG:
         _check_png(data, form)
-    silence = cv2.utils.logging.setLogLevel if hasattr(cv2.utils, "logging") else cv2.setLogLevel  # OpenCV 5, 4
-    silence(_SILENT)
+    getattr(cv2.utils, "logging", cv2).setLogLevel(_SILENT)  # OpenCV 5, or 4
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
         with _unheard() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
