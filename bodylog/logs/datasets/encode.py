@@ -60,6 +60,8 @@ def encode(path: Path, how: Codec, images: Images, t: Array, size: tuple[int, in
 
 def _write(path: Path, how: Codec, images: Images, pts: Array, size: tuple[int, int]) -> None:
     av = needed("av", path)
+    if how.encoder not in av.codecs_available:
+        raise UsageError(f"{path.name}: this PyAV has no {how.encoder}; type: pip install -U av, or another --codec")
     with av.open(str(path), "w", format="mp4", options={"fflags": "+bitexact"}) as container:
         stream = container.add_stream(how.encoder, rate=Fraction(_TICKS, _step(pts)), options=dict(how.options))
         stream.width, stream.height = size

@@ -12,7 +12,7 @@ parquet = pytest.importorskip("pyarrow.parquet")
 av = pytest.importorskip("av", reason="PyAV is not installed: pip install 'bodylog[datasets]'")
 h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install 'bodylog[datasets]'")
 
-FPS, SIZE = 20, (64, 48)
+FPS, SIZE = 20, (64, 64)
 JOINTS = ("shoulder", "elbow", "gripper")
 CAMERA = "observation.images.top"
 
@@ -24,7 +24,7 @@ def angles(rows: int, seed: int = 0) -> np.ndarray:
 
 
 def images(rows: int, seed: int = 0) -> np.ndarray:
-    """Images (rows,48,64,3) BGR: a bright square that moves over noise."""
+    """Images (rows,64,64,3) BGR: a bright square that moves over noise."""
     rng = np.random.default_rng(seed)
     found = rng.integers(60, 120, (rows, SIZE[1], SIZE[0], 3), np.uint8)
     for row in range(rows):
@@ -67,7 +67,7 @@ def info(folder: Path, version: str, lengths: list[int], **more: object) -> None
         "observation.state": {"dtype": "float32", "shape": [3], "names": names},
         "action": {"dtype": "float32", "shape": [3], "names": names},
         "next.done": {"dtype": "bool", "shape": [1], "names": None},
-        CAMERA: {"dtype": "video", "shape": [48, 64, 3], "names": ["height", "width", "channels"]},
+        CAMERA: {"dtype": "video", "shape": [64, 64, 3], "names": ["height", "width", "channels"]},
         **{name: {"dtype": "int64", "shape": [1], "names": None} for name in ("frame_index", "episode_index", "index")},
         "timestamp": {"dtype": "float32", "shape": [1], "names": None},
         "task_index": {"dtype": "int64", "shape": [1], "names": None},

@@ -35,7 +35,7 @@ def test_a_sound_dataset_has_no_finding(source, tmp_path):
 @pytest.mark.parametrize("codec", ["libx264", "libsvtav1", "mpeg4"])
 def test_a_black_camera_is_named(codec, tmp_path):
     rng = np.random.default_rng(0)
-    dark = rng.integers(0, 12, (60, 48, 64, 3), np.uint8)
+    dark = rng.integers(0, 12, (60, 64, 64, 3), np.uint8)
     (text,) = texts(_dataset(tmp_path / "set", dark, codec))
     assert text.endswith("set#0: /top/image: the camera is black in all 60 images")
 
@@ -103,7 +103,7 @@ def test_each_episode_is_examined_by_itself(tmp_path):
     folder = drawn.v30(tmp_path / "set", [60, 40])
     drawn.film(
         folder / f"videos/{drawn.CAMERA}/chunk-000/file-000.mp4",
-        np.concatenate([drawn.images(60), np.zeros((40, 48, 64, 3), np.uint8)]),
+        np.concatenate([drawn.images(60), np.zeros((40, 64, 64, 3), np.uint8)]),
         "libsvtav1",
     )
     assert texts(folder) == [f"{folder}#1: /top/image: the camera is black in all 40 images"]

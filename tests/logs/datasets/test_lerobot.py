@@ -262,7 +262,7 @@ def test_a_video_of_large_images_is_not_decoded(copied):
 
     with open_log(copied, limits=Input(max_image_mpx=0.001)) as log:
         assert [topic.name for topic in log.topics if "image" in topic.name] == []
-        assert "images of 64 x 48; set [input] max_image_mpx" in log.findings[-1].text
+        assert "images of 64 x 64; set [input] max_image_mpx" in log.findings[-1].text
 
 
 def test_a_text_is_not_taken_for_a_video(copied):

@@ -74,10 +74,10 @@ def _link(path: Path) -> None:
 
 
 def _external(path: Path) -> None:
-    (path.parent / "secret").write_bytes(bytes(20 * 48 * 64 * 3))
+    (path.parent / "secret").write_bytes(bytes(20 * 64 * 64 * 3))
     with h5py.File(path, "a") as file:
         del file["observations/images/top"]
-        shape = (20, 48, 64, 3)
+        shape = (20, 64, 64, 3)
         outside = [(str(path.parent / "secret"), 0, h5py.h5f.UNLIMITED)]
         file.create_dataset("observations/images/top", shape, np.uint8, external=outside)
 
