@@ -23,13 +23,16 @@ def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings |
 def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
     """The files read with these logs, from here or beside them: videos and tables that settings name, poses' images."""
     from .logs.cameras import is_video
+    from .logs.datasets.tables import table_beside
     from .logs.pose_log import image_files
 
-    videos = (name for name in settings.topics.cameras if is_video("camera", name))
+    videos = [name for name in settings.topics.cameras if is_video("camera", name)]
     tables = (source.table for source in settings.features.values() if isinstance(source, TableSource))
     logs = tuple(logs)
     for name in (*videos, *tables):
         yield from (Path(name), *(log.parent / name for log in logs))
+    films = (path for name in videos for path in (Path(name), *(log.parent / name for log in logs)))
+    yield from (table for film in films if (table := table_beside(film)) is not None)
     for log in logs:
         yield from image_files(log)
 

@@ -80,7 +80,7 @@ def _episodes(path: Path) -> list[Path]:
 
     try:
         numbers = kinds.numbers(path)
-    except BodylogError:
+    except (BodylogError, OSError):
         return [path]
     return [episodes.named(path, number) for number in numbers] or [path]
 

@@ -144,7 +144,7 @@ def _films(
 ) -> dict[str, Callable[[], Iterator[Frame]]]:
     """The pictures of every camera, by its role."""
     start = settings.topics.start
-    first_s = 0.0 if start is None else (round(start * 1e9) - start_ns) / 1e9
+    first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
     limits = replace(settings.input, strict=strict)
     beside = {key: video.frames(sidecar, first_s, start_ns) for key, sidecar in sidecars.items()}
     return beside | {

@@ -456,6 +456,17 @@ def test_a_video_beside_the_log_is_a_camera(tmp_path):
     shifted = read(log, later).frames
     assert shifted is not None
     np.testing.assert_allclose([f.t for f in shifted()], 2.5 + np.arange(10) / 20)
+    times = T0 / 1e9 + 0.5 + np.arange(10) / 10 + 0.03 * (np.arange(10) % 2)
+    (tmp_path / "cam_timestamps.csv").write_text("\n".join(["unix_s", *(f"{t:.6f}" for t in times)]))
+    dated = read(log, settings(topics=Topics(camera="cam.avi"))).frames
+    assert dated is not None
+    np.testing.assert_allclose([f.t for f in dated()], times - T0 / 1e9, atol=1e-6)
+    moved = read(log, settings(topics=Topics(camera="cam.avi", start=T0 / 1e9 + 2.5))).frames
+    assert moved is not None
+    np.testing.assert_allclose([f.t for f in moved()], 2.5 + times - times[0], atol=1e-6)
+    (tmp_path / "cam_timestamps.csv").write_text("unix_s\n1\n2\n")
+    with pytest.raises(LogError, match=r"cam_timestamps.csv: 2 rows for the 10 frames of cam.avi"):
+        read(log, settings(topics=Topics(camera="cam.avi")))
     with pytest.raises(LogError, match="no such file, here or beside the log"):
         read(log, settings(topics=Topics(camera="gone.mp4")))
     (tmp_path / "no.mp4").write_bytes(b"not a video")

@@ -55,6 +55,8 @@ def numbers(path: Path) -> tuple[int, ...]:
 
     if path.is_dir():
         return lerobot_layout.layout(path).present() if is_dataset(path) else ()
+    if not path.is_file():  # a pipe would be waited for
+        return ()
     with path.open("rb") as stream:
         is_hdf5 = stream.read(8) == hdf5_file.MAGIC
     return hdf5_file.numbers(path) if is_hdf5 else ()

@@ -115,7 +115,8 @@ def _features(
     if recording.skin is not None:
         skin = recording.skin
         found["observation.skin"] = Feature(skin.values, skin.names, stamps(skin.t, recording.start_ns))
-    used, left, task = set(recording.roles.values()), list[str](), ""
+    paths, left, task = list(recording.roles.values()), list[str](), ""
+    used = {t.name for t in recording.topics for path in paths if path == t.name or path.startswith(f"{t.name}.")}
     with OpenLog(path) as log:
         if recording.joints is not None and len(recording.joints.t):
             found = {about.get(FEATURE, STATE): _joints(log, recording, about)} | found

@@ -62,9 +62,26 @@ def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epis
     if episodes.split(path)[1] is not None:
         raise LogError(f"{path}: a video holds no episodes; leave out the #")
     film, remarks = video.survey(path, limits.max_image_mpx), list[Finding]()
-    beside = (path.with_name(f"{path.stem}{ending}{suffix}") for ending in _ENDINGS for suffix in SUFFIXES)
-    tables = [one for file in beside if file.is_file() for one in _table(file, path.parent, remarks)][:1]
+    table = table_beside(path)
+    tables = [] if table is None else list(_table(table, path.parent, remarks))
     return EpisodeLog(path, _episode(path, tables, [film], remarks, "video"), strict)
+
+
+def table_beside(film: Path) -> Path | None:
+    """The table beside a video that dates its frames, by its name: side.csv, side_timestamps.csv of side.mp4."""
+    names = (film.with_name(f"{film.stem}{ending}{suffix}") for ending in _ENDINGS for suffix in SUFFIXES)
+    return next((path for path in names if path.is_file()), None)
+
+
+def times_beside(film: Path) -> Array | None:
+    """The times (N,) s of the table beside a video; None without one, LogError where it dates nothing."""
+    table, remarks = table_beside(film), list[Finding]()
+    if table is None:
+        return None
+    found = next(iter(_table(table, film.parent, remarks)), None)
+    if found is None:
+        raise LogError(f"{film.parent / remarks[-1].text}; rename it, or type: [topics] rate")
+    return found.t
 
 
 def _films(files: Sequence[Path], limits: Input, remarks: list[Finding]) -> list[video.Video]:

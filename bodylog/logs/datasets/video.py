@@ -100,6 +100,8 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
     with container:
         if not container.streams.video:
             raise LogError(f"{path}: the file holds no video")
+        if container.streams.video[0].codec_context is None:
+            raise LogError(f"{path}: the video's codec is unknown; is the file damaged?")
         yield container, container.streams.video[0]
 
 
