@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 METHOD = (ROOT / "docs" / "method.md").read_text()
 EQUATIONS = METHOD.split("## From equation to function")[1].split("\n## ")[0]
 ROWS = [line for line in EQUATIONS.splitlines() if line.startswith("|") and not re.match(r"\|\s*(equation|-)", line)]
-NAMED = sorted({pair for row in ROWS for pair in re.findall(r"`(\w+/\w+\.py)` `([\w.]+)`", row)})
+NAMED = sorted({pair for row in ROWS for pair in re.findall(r"`([\w/]+\.py)` `([\w.]+)`", row)})
 
 
 def _defined(path: Path) -> set[str]:
@@ -28,7 +28,7 @@ def _defined(path: Path) -> set[str]:
 
 @pytest.mark.parametrize("row", ROWS)
 def test_every_equation_names_its_function(row):
-    assert re.search(r"`\w+/\w+\.py` `[\w.]+`", row)
+    assert re.search(r"`[\w/]+\.py` `[\w.]+`", row)
 
 
 @pytest.mark.parametrize(("file", "name"), NAMED)

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from threading import Lock
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -64,7 +65,8 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
 
     if data[:8] == _PNG:
         _check_png(data, form)
-    getattr(cv2.utils, "logging", cv2).setLogLevel(_SILENT)  # OpenCV 5, or 4
+    home: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5, or 4
+    home.setLogLevel(_SILENT)
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
         with _unheard() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
