@@ -12,7 +12,7 @@ from .errors import UsageError
 from .files import sha256
 from .joints_only import joints_alone, without_body
 from .outputs import Output
-from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable
+from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable, to_learn
 from .remarks import named, sightings, untold
 from .scoring import against, bounded, judge, with_true_poses
 from .settings import LIMITS, Input, Settings, plain, wanted
@@ -131,13 +131,14 @@ def fit(
     distinct([*logs, *test, *(() if update is None else (update,)), *robots.named(settings)], [Output(out)], settings)
     known = None if update is None else model.load(update)
     settings = settings if known is None else sought.of_body(known, settings)
+    robots.check(logs, settings)
     digests, observed, remarks = [], [], list[Finding]()
     for log in logs:
         with Copy(log) as read_too:
             observed.append(observe(log, settings, progress, guess=True))
             digests.append((log, read_too.digest()))
         settings = sought.of_log(observed[-1][0], settings)
-    features = [found for _, found in observed]
+    features = to_learn([found for _, found in observed], settings)
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
         teachable(log, found, settings)

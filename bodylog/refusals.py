@@ -3,9 +3,10 @@
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
-from .errors import EvidenceError, InputError, LogError, ModelError
+from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
 from .files import lasting
 from .outputs import Output, guard
 from .settings import Colours, Settings
@@ -51,6 +52,24 @@ def teachable(log: Path, found: Features, settings: Settings) -> None:
         raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
     needed = {"effector", *settings.features} - {"hand"}
     insist(log, {n: h for n, h in found.health.items() if feature_of(n) in needed}, found, settings)
+
+
+def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]:
+    """The features without tracks that [fit] without names; ConfigError for a name of which there is no track."""
+    left = set(settings.fit.without)
+    tracks = sorted({name for one in features for name in one.tracks})
+    names = {*tracks, *map(group_of, tracks), *map(feature_of, tracks)}
+    if unknown := sorted(left - names):
+        raise ConfigError(f"[fit] without: found {unknown[0]!r}, possible: {', '.join(tracks) or 'none, no track'}")
+    gone = {name for name in tracks if {name, group_of(name), feature_of(name)} & left}
+    return [
+        replace(
+            one,
+            tracks={name: track for name, track in one.tracks.items() if name not in gone},
+            boards={name: board for name, board in one.boards.items() if not gone & set(board[0])},
+        )
+        for one in features
+    ]
 
 
 def insist(

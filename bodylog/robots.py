@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import LogError
+from .errors import LogError, ModelError
 from .settings import Settings
 from .types import Array, BodyModel, Features
 
@@ -49,6 +49,22 @@ def robot(logs: Sequence[Path], features: Sequence[Features], settings: Settings
     else:
         raise LogError(_NO_URDF.format(logs[0]))
     return Robotics(found, _hints(found, told, features), radians(chosen.offset_prior))
+
+
+def check(logs: Sequence[Path], settings: Settings) -> None:
+    """Refuse a URDF before images are read: FormatError where it cannot be read, ModelError where it is of no joint."""
+    chosen = settings.kinematics
+    if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
+        return
+    from .kinematics import urdf
+    from .logs.described import described
+
+    found = urdf.load(Path(str(chosen.urdf)))
+    for log in logs:
+        names = described(log, settings.input).joints
+        if names and not set(names) & set(found.by_name):
+            have = ", ".join(list(found.by_name)[:12]) or "none"
+            raise ModelError(f"{chosen.urdf}: none of the joints of {log} ({', '.join(names)}) is in it; it has {have}")
 
 
 def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":

@@ -114,12 +114,16 @@ LIMITS = Input()
 
 @dataclass(frozen=True)
 class Fit:
-    """[fit]: preset default or paper · most samples kept · use every n-th frame · seed of restarts."""
+    """[fit]: preset default or paper · most samples kept · use every n-th frame · seed of restarts.
+
+    without: tracks, or features with all their tracks, that are not learned.
+    """
 
     preset: str = "default"
     samples: int = 2000
     every: int = 1
     seed: int = 0
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

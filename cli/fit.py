@@ -13,6 +13,7 @@ from .options import PATH, Common, clock_option, common_options, delay_option, l
 @click.option("--preset", help="paper: the printed constants and 46 samples.")
 @click.option("--joints", help="Learn over these joints, e.g. pan,lift,elbow; default: those that move.")
 @click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
+@click.option("--without", metavar="TRACKS", help="Leave these tracks out, e.g. published,elbow.")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
 @click.option("--test", type=PATH, multiple=True, metavar="LOG", help="Score the body on this log; may be repeated.")
 @click.option("--urdf", metavar="ROBOT.urdf|log", help="Learn with this URDF; log: the log's /robot_description.")
@@ -27,6 +28,7 @@ def fit(
     preset: str | None,
     joints: str | None,
     every: int | None,
+    without: str | None,
     update: Path | None,
     test: tuple[Path, ...],
     urdf: str | None,
@@ -42,7 +44,9 @@ def fit(
 
     kinematics = {"urdf": urdf, "use": None if no_urdf is None else not no_urdf, "offset_prior": offset_prior}
     chosen = common.settings(
-        fit={"preset": preset, "every": every}, body={"joints": listed(joints)}, kinematics=kinematics
+        fit={"preset": preset, "every": every, "without": listed(without)},
+        body={"joints": listed(joints)},
+        kinematics=kinematics,
     )
     with progress("fit") as tick:
         result = pipeline.fit(logs, out, chosen, tick, update, test)

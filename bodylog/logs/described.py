@@ -37,11 +37,15 @@ class CameraInfo:
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """urdf: the text of /robot_description · transforms {child: (parent, pose (4,4) m)} · cameras {topic: its info}."""
+    """urdf: the text of /robot_description · transforms {child: (parent, pose (4,4) m)} · cameras {topic: its info}.
+
+    joints: the names in the first message of each topic of joint states.
+    """
 
     urdf: str | None
     transforms: Mapping[str, tuple[str, Array]]
     cameras: Mapping[str, CameraInfo]
+    joints: tuple[str, ...] = ()
 
 
 def described(path: Path, limits: Input = LIMITS) -> Described:
@@ -56,7 +60,10 @@ def described(path: Path, limits: Input = LIMITS) -> Described:
             transforms |= _transforms(columns)
     cameras = {topics[id_].name: _camera(c) for id_, c in found.items() if _kind(topics[id_]) == "camera"}
     urdf = next((str(text.reshape(-1)[-1]) for text in texts if len(text)), None)
-    return Described(urdf, transforms, {name: camera for name, camera in cameras.items() if camera is not None})
+    known = {name: camera for name, camera in cameras.items() if camera is not None}
+    names = [c.column("name") for id_, c in found.items() if _kind(topics[id_]) == "joints"]
+    joints = dict.fromkeys(str(name) for part in names if len(part) for name in np.ravel(part[0]) if name is not None)
+    return Described(urdf, transforms, known, tuple(joints))
 
 
 def _kind(topic: Topic) -> str | None:
@@ -64,6 +71,8 @@ def _kind(topic: Topic) -> str | None:
         return "description"
     if topic.type in _TF and topic.name.endswith("tf_static"):
         return "transforms"
+    if topic.type == "sensor_msgs/msg/JointState":
+        return "joints"
     return "camera" if topic.type == "sensor_msgs/msg/CameraInfo" else None
 
 
@@ -92,6 +101,8 @@ def _fields(topic: Topic) -> Sequence[str]:
     kind = _kind(topic)
     if kind == "description":
         return ("data",)
+    if kind == "joints":
+        return ("name",)
     if kind == "transforms":
         names = ("transforms[:].header.frame_id", "transforms[:].child_frame_id")
         return (*names, *_FIELDS["translation"], *_FIELDS["rotation"])

@@ -1,0 +1,49 @@
+"""Tracks that are not learned, and URDFs that are refused before images are read."""
+
+import json
+
+import numpy as np
+import pytest
+
+from bodylog.errors import ConfigError, ModelError
+from bodylog.refusals import to_learn
+from bodylog.robots import check
+from bodylog.settings import Fit, Kinematics, Settings
+from tests.body.test_boards import features
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM, JOINTS
+
+
+def table(path, names=JOINTS, count=40):
+    rig, q = robots.rig(known=False), robots.angles(count)
+    image = rig.see(rig.sights[0], robots.truth(rig), q).image[:, 0]
+    rows = np.hstack([q, image, image + 5.0])
+    head = ",".join([*names, "tip_u", "tip_v", "published_u", "published_v"])
+    np.savetxt(path, rows, delimiter=",", header=head, comments="")
+    return path
+
+
+def test_a_track_left_out_is_not_learned(tmp_path, bodylog, capsys):
+    log = table(tmp_path / "poses.csv")
+    (tmp_path / "arm.urdf").write_text(ARM)
+    for name, more in (("all", ()), ("some", ("--without", "published"))):
+        assert bodylog("fit", log, "-o", tmp_path / f"{name}.npz", "--json", *more) == 0
+        said = json.loads(capsys.readouterr().out)
+        senses = set((said[0] if isinstance(said, list) else said)["body"]["senses"])
+        assert senses == ({"tip", "published"} if name == "all" else {"tip"})
+
+
+def test_a_feature_is_left_out_with_all_its_tracks_and_a_wrong_name_is_refused():
+    one = features(robots.angles(5))
+    (kept,) = to_learn([one], Settings(fit=Fit(without=("board",))))
+    assert not kept.tracks and not kept.boards and one.tracks
+    with pytest.raises(ConfigError, match=r"\[fit\] without: found 'bord', possible: board.0, "):
+        to_learn([one], Settings(fit=Fit(without=("bord",))))
+
+
+def test_a_urdf_of_other_joints_is_refused_before_images_are_read(tmp_path):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    chosen = Settings(kinematics=Kinematics(urdf=str(tmp_path / "arm.urdf")))
+    check([table(tmp_path / "poses.csv")], chosen)
+    with pytest.raises(ModelError, match=r"none of the joints of .*other.csv \(a, b, c, d\) is in it; it has pan, lift"):
+        check([table(tmp_path / "other.csv", "abcd")], chosen)
