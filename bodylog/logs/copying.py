@@ -1,7 +1,10 @@
 """A log read once, in the background, while it is looked at: digested, and what stays of it copied."""
 
+import fcntl
 import hashlib
 import os
+import struct
+import sys
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from pathlib import Path
 from threading import Event
@@ -12,6 +15,9 @@ from .episode_files import files_of
 
 _PIECE = 16 << 20
 _BLOCK = 4096
+_FICLONERANGE = 0x4020940D
+"""Linux's request that two files share a range of blocks until one of them is written to (btrfs, XFS, bcachefs, …)."""
+
 _LONG = 128 << 20
 """Bytes that take about a tenth of a second: what is shorter can wait for a core that nobody else needs."""
 
@@ -68,14 +74,16 @@ class Copy:
         return digest
 
     def _pass(self, target: "_Target | None") -> tuple[str, int]:
-        """The digest, and how many bytes there were; each piece is written while it is digested."""
+        """The digest, and how many bytes there were; each piece is written while it is digested, but what is shared."""
         digest, read = hashlib.sha256(), 0
+        shared = 0 if target is None else target.share(self._source, self._end)
         parts = files_of(self._source) if target is None else (self._source,)
         for piece in (piece for part in parts for piece in pieces(part, _PIECE)):
             if self._stopped.is_set():
                 raise CancelledError
             if target is not None:
-                target.write(piece[: max(0, self._end - read)], read)
+                low, high = max(0, shared - read), max(0, self._end - read)
+                target.write(piece[low:high], read + low)
             digest.update(piece)
             read += len(piece)
         return digest.hexdigest(), read
@@ -92,6 +100,18 @@ class _Target:
             self._direct = None
         self._pool = ThreadPoolExecutor(1)
         self._writing: Future[None] | None = None
+
+    def share(self, source: Path, end: int) -> int:
+        """How many of the first `end` bytes this file now shares with `source`: whole blocks, where its disk can."""
+        size = end // _BLOCK * _BLOCK
+        if sys.platform != "linux" or not size:
+            return 0
+        with source.open("rb") as stream:
+            try:
+                fcntl.ioctl(self._plain, _FICLONERANGE, struct.pack("=qQQQ", stream.fileno(), 0, size, 0))
+            except OSError:
+                return 0
+        return size
 
     def write(self, piece: memoryview, at: int) -> None:
         """Begin to write a piece, if it has any bytes, at byte `at` when the one before is written."""

@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import os
+import struct
 import threading
 import time
 from concurrent.futures import CancelledError
@@ -175,3 +176,27 @@ def test_what_was_not_finished_takes_nobodys_place(tmp_path, log, done):
         if done != "nothing":
             under_way.add(outgoing())
     assert list(tmp_path.iterdir()) == [log]
+
+
+def test_a_disk_that_shares_blocks_is_asked_to(log, tmp_path, monkeypatch):
+    """Where it can, nothing but what is over after the last whole block is written."""
+    written, plain, asked = [], copying._Target.write, []
+
+    def shared(handle, request, told):
+        source, offset, size, at = struct.unpack("=qQQQ", told)
+        asked.append((request, offset, size, at))
+        os.pwrite(handle, os.pread(source, size, offset), at)
+
+    def write(self, piece, at):
+        written.append(len(piece))
+        plain(self, piece, at)
+
+    monkeypatch.setattr(copying.fcntl, "ioctl", shared)
+    monkeypatch.setattr(copying._Target, "write", write)
+    out, end = tmp_path / "out.mcap", log.stat().st_size - 5
+    out.touch()
+    with Copy(log, out, end) as copy:
+        assert copy.digest() == sha256(log)
+    assert out.read_bytes() == log.read_bytes()[:end]
+    assert asked == [(copying._FICLONERANGE, 0, end // 4096 * 4096, 0)]
+    assert sum(written) == end % 4096
