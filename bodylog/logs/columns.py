@@ -59,6 +59,8 @@ class Columns:
         if not arrays:
             return np.empty(0)
         order = np.argsort(np.concatenate([part.rows for part in self.parts]), kind="stable")
+        if any(array.dtype.kind == "U" for array in arrays):  # of texts that are not there nothing tells the kind
+            arrays = [array if array.size else array.astype(np.str_) for array in arrays]
         if len({array.shape[1:] for array in arrays}) > 1:
             arrays = [array if array.ndim == 2 else array[:, None] for array in arrays]
             arrays = [_padded(array, max(other.shape[1] for other in arrays)) for array in arrays]
@@ -66,7 +68,7 @@ class Columns:
 
 
 def _spread(values: Array | tuple[str, ...], count: int) -> Array:
-    return values if isinstance(values, np.ndarray) else np.broadcast_to(np.array(values), (count, len(values)))
+    return values if isinstance(values, np.ndarray) else np.broadcast_to(np.array(values, np.str_), (count, len(values)))
 
 
 def _padded(array: Array, width: int) -> Array:
