@@ -68,7 +68,9 @@ class Columns:
 
 
 def _spread(values: Array | tuple[str, ...], count: int) -> Array:
-    return values if isinstance(values, np.ndarray) else np.broadcast_to(np.array(values, np.str_), (count, len(values)))
+    if isinstance(values, np.ndarray):
+        return values
+    return np.broadcast_to(np.array(values, np.str_), (count, len(values)))
 
 
 def _padded(array: Array, width: int) -> Array:

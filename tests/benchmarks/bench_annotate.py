@@ -74,8 +74,9 @@ def main(megabytes: int = 300) -> None:
         said = f"mcap's reader piped to its writer, {mcap:.2f} s"
         at_least("annotating, times faster than writing anew", mcap / ours, 4, "", said)
         log.unlink()
-        worst, sizes = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (30, 300))
-        at_most("peak memory of reading, annotating, ingesting a log ten times as long", worst, 1.1, "times", sizes)
+        worst, sizes = _memory(Path(folder), (200, 2000) if megabytes >= 1000 else (150, 600))
+        # Both longer than what stays mapped behind the place that is read.
+        at_most("peak memory of reading, annotating, ingesting a log many times as long", worst, 1.1, "times", sizes)
 
 
 def record(path: Path, megabytes: int, chunked: bool = True) -> float:
