@@ -43,25 +43,24 @@ _MOST_WIDE = 100_000
 def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """An episode of a LeRobot folder: of DATASET#N number N, of DATASET the first that is there."""
     folder, number = episodes.split(path)
-    known = layout(folder)
-    there = known.present()
-    remarks: list[Finding] = []
+    known, remarks = layout(folder), list[Finding]()
     if number is None:
+        there = known.present()
         if not there:
             raise LogError(f"{folder}: none of the {len(known.rows)} episodes it lists has its table there")
         number = there[0]
         if len(there) > 1:
             some = f"episode {number}, the first of {_ranges(there)}; for another, type: --episode {there[1]}"
             remarks.append(Finding("info", some))
-    if number not in there:
-        raise LogError(f"{folder}: no episode {number}; there are {_ranges(there) or 'none'}")
+    if not known.holds(number):
+        raise LogError(f"{folder}: no episode {number}; there are {_ranges(known.present()) or 'none'}")
     return EpisodeLog(path, _episode(known, number, remarks, limits), strict)
 
 
 def files(folder: Path, number: int | None) -> tuple[Path, ...]:
     """The files that an episode is read from (None: the first), those that are there."""
     known = layout(folder)
-    number = next(iter(known.present()), 0) if number is None else number
+    number = next(filter(known.holds, sorted(known.rows)), 0) if number is None else number
     cameras = [name for name, about in known.features.items() if about.get("dtype") == "video"]
     found = [folder / "meta" / "info.json"]
     if number in known.rows:

@@ -66,11 +66,12 @@ class Layout:
 
     def present(self) -> tuple[int, ...]:
         """The episodes whose tables are there."""
-        return tuple(number for number in sorted(self.rows) if self._there(number))
+        return tuple(number for number in sorted(self.rows) if self.holds(number))
 
-    def _there(self, episode: int) -> bool:
+    def holds(self, episode: int) -> bool:
+        """Whether an episode is listed and its table is there."""
         try:
-            return self.table(episode).is_file()
+            return episode in self.rows and self.table(episode).is_file()
         except FormatError:
             return False
 
