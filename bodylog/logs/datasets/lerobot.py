@@ -32,7 +32,8 @@ from .episode_log import (
 from .lerobot_layout import Layout, layout, tasks
 from .units import unit
 
-_STATE = ("observation.state", "observation.qpos", "observation.joint_positions")
+_STATE = ("observation.state", "observation.qpos", "observation.joint_positions", "state")
+_ACTIONS = ("action", "actions")
 _STAMP = ".stamp_ns"
 """Ends the names of features that hold the times of another feature (int64, ns): what `convert` writes."""
 _BOOKKEEPING = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
@@ -138,7 +139,7 @@ def _signal(
     metadata = {FEATURE: name, DTYPE: str(about["dtype"]), **_robot(known, name)}
     state = next((one for one in _STATE if known.features.get(one)), None)
     topic, kind = f"/{escape(name.replace('.', '/'))}", VECTOR
-    if name in (state, "action"):
+    if name in (state, *_ACTIONS):
         topic, kind = (JOINTS if name == state else ACTION), JOINT_STATE
         of = unit(about, names, values)
         metadata |= of.metadata

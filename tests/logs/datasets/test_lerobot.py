@@ -157,6 +157,21 @@ def test_info_decodes_no_image(old, monkeypatch):
     assert recording.info(old, Settings())["roles"] == {"joints": "/joint_states", "camera": "/top/image"}
 
 
+def test_other_names_of_state_and_action_are_known(copied):
+    info = json.loads((copied / "meta/info.json").read_text())
+    features = info["features"]
+    features["state"], features["actions"] = features.pop("observation.state"), features.pop("action")
+    features["state"]["names"] = {"motors": list(drawn.JOINTS)}
+    (copied / "meta/info.json").write_text(json.dumps(info))
+    table = drawn.columns(0, 12)
+    table["state"], table["actions"] = table.pop("observation.state"), table.pop("action")
+    drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
+    with logs.open(copied) as log:
+        np.testing.assert_array_equal(log["/joint_states"].position, drawn.angles(12))
+        np.testing.assert_array_equal(log["/action"].name[0], drawn.JOINTS)
+        assert len(log["/action"]) == 12
+
+
 def test_images_in_the_table_are_passed_on(copied):
     import cv2
 
