@@ -145,13 +145,13 @@ def fit(
         remarks += same_camera(log, cameras, read, found)
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
-    robot = robots.robot(logs, features, settings)
+    robot, unfit = robots.robot(logs, features, settings)
     with about(logs[0], findings, len(logs) - 1):
         learned = dates.learned(features, settings, provenance, known, robot)
     learned = replace(learned, model=robots.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     model.save(learned.model, out)
-    said = (*findings, *remarks, *learned.findings, *more)
+    said = (*findings, *remarks, *unfit, *learned.findings, *more)
     return Result(out, (*learned.scores, *tested), _merged(observed), said, plain(settings))
 
 

@@ -5,9 +5,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import LogError, ModelError
+from .errors import FormatError, LogError, ModelError
 from .settings import Settings
-from .types import Array, BodyModel, Features
+from .types import Array, BodyModel, Features, Finding
 
 if TYPE_CHECKING:
     from .body.kinematic import Robotics
@@ -26,29 +26,40 @@ def named(settings: Settings) -> tuple[Path, ...]:
     return () if urdf in (None, FROM_LOG) else (Path(str(urdf)),)
 
 
-def robot(logs: Sequence[Path], features: Sequence[Features], settings: Settings) -> "Robotics | None":
-    """What is known of the robot, or None where no URDF is asked for. FormatError where it cannot be read.
+def robot(
+    logs: Sequence[Path], features: Sequence[Features], settings: Settings
+) -> "tuple[Robotics | None, tuple[Finding, ...]]":
+    """What is known of the robot, or None where there is no URDF or none is to be used; a remark on one that is unfit.
 
-    LogError where the log's own is asked for and it has none.
+    A log's own URDF is used unasked. FormatError where one that is asked for cannot be read, LogError where the log's
+    own is asked for and it has none.
     """
     chosen = settings.kinematics
-    if not chosen.use or chosen.urdf is None or settings.fit.preset == "paper":
-        return None
+    if not chosen.use or settings.fit.preset == "paper":
+        return None, ()
     from math import radians
 
     from .body.kinematic import Robotics
     from .kinematics import urdf
     from .logs.described import described
 
-    told = [described(log) for log in logs]
+    told = [described(log, settings.input) for log in logs]
     texts = [(log, one.urdf) for log, one in zip(logs, told, strict=True) if one.urdf]
-    if chosen.urdf != FROM_LOG:
-        found = urdf.load(Path(chosen.urdf))
+    if chosen.urdf not in (None, FROM_LOG):
+        found = urdf.load(Path(str(chosen.urdf)))
     elif texts:
-        found = _from_log(*texts[0])
+        try:
+            found = _from_log(*texts[0])
+        except (FormatError, ModelError) as problem:
+            if chosen.urdf is not None:
+                raise
+            return None, (Finding("warning", f"{problem}; the log's URDF is not used"),)
+    elif chosen.urdf is None:
+        return None, ()
     else:
         raise LogError(_NO_URDF.format(logs[0]))
-    return Robotics(found, _hints(found, told, features), radians(chosen.offset_prior))
+    asked = chosen.urdf is not None
+    return Robotics(found, _hints(found, told, features), radians(chosen.offset_prior), asked), ()
 
 
 def check(logs: Sequence[Path], settings: Settings) -> None:
@@ -110,7 +121,9 @@ def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features
 
     held = still(features, body.joints)
     senses = {
-        name: replace(one, base=based(known.robot, one.rig, one.theta, held)) if isinstance(one, KinematicGP) else one
+        name: replace(one, base=based(known.robot, one.rig, one.theta, held))
+        if isinstance(one, KinematicGP) and one.base is None
+        else one
         for name, one in body.senses.items()
     }
     return replace(body, senses=senses)

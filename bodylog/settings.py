@@ -128,7 +128,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """[kinematics]: the robot's URDF ("log": its /robot_description), whether to use it, σ of joint offsets, °."""
+    """[kinematics]: the URDF (None: the log's own, if any; "log": it must have one), whether to use it, σ of offsets, °."""
 
     urdf: str | None = None
     use: bool = True

@@ -16,8 +16,8 @@ from .options import PATH, Common, clock_option, common_options, delay_option, l
 @click.option("--without", metavar="TRACKS", help="Leave these tracks out, e.g. published,elbow.")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
 @click.option("--test", type=PATH, multiple=True, metavar="LOG", help="Score the body on this log; may be repeated.")
-@click.option("--urdf", metavar="ROBOT.urdf|log", help="Learn with this URDF; log: the log's /robot_description.")
-@click.option("--no-urdf", is_flag=True, default=None, help="Learn without the URDF that robot.toml names.")
+@click.option("--urdf", metavar="ROBOT.urdf|log", help="Learn with this URDF; default: the log's own, if any.")
+@click.option("--no-urdf", is_flag=True, default=None, help="Learn without a URDF.")
 @click.option("--offset-prior", type=float, metavar="DEG", help="Expected size of joint offsets; default 5, 0: none.")
 @clock_option
 @delay_option

@@ -37,14 +37,30 @@ def with_kinematics(
 ) -> "Learned":
     """`kinematic.learn` of a body learned without a URDF; that body itself where there is none, or it is unfit.
 
+    A body to update keeps its own chain unless a URDF is asked for.
     Tracks that only kinematics could have explained are then refused, as they are where there is no URDF.
     """
-    if robot is None:
-        return found
-    from . import kinematic
-
-    with_it = kinematic.learn(features, settings, found, robot)
+    with_it = _with_kinematics(features, settings, found, robot, update)
     if with_it.model is not found.model or not found.poor:
         return with_it
     plain = learn(features, settings, found.model.provenance, update)
     return replace(plain, findings=(*plain.findings, *with_it.findings[len(found.findings) :]))
+
+
+def _with_kinematics(
+    features: Sequence[Features],
+    settings: Settings,
+    found: "Learned",
+    robot: "Robotics | None",
+    update: BodyModel | None,
+) -> "Learned":
+    if settings.kinematics.use and (robot is None or not robot.asked) and update is not None:
+        from . import kinematic_update
+
+        if kinematic_update.chained(update):
+            return kinematic_update.learn(features, settings, found, update)
+    if robot is None:
+        return found
+    from . import kinematic
+
+    return kinematic.learn(features, settings, found, robot)

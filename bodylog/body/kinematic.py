@@ -28,44 +28,45 @@ _LEAST_NOISE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Robotics:
-    """What is known of a robot: its URDF · hints by camera name · doubt: σ of its joints' zeros, rad."""
+    """What is known of a robot: its URDF · hints by camera name · doubt: σ of its joints' zeros, rad · asked for."""
 
     robot: Robot
     hints: Mapping[str, CameraHint]
     doubt: float
+    asked: bool = True
 
 
 @one_thread("scipy.linalg")
 def learn(features: Sequence[Features], settings: Settings, found: Learned, given: Robotics) -> Learned:
     """The body learned without a URDF, with kinematics as its tracks' mean; as it was, with a remark, if that is unfit.
 
-    ModelError where no joint that moved is in the URDF.
+    ModelError where no joint that moved is in a URDF that was asked for.
     """
     names, robot = found.model.joints, given.robot
     missing = [name for name in names if name not in robot.by_name]
-    if len(missing) == len(names):
+    if len(missing) == len(names) and given.asked:
         have = ", ".join(list(robot.by_name)[:12])
         raise ModelError(f"{robot.source}: none of the joints that moved ({', '.join(names)}) is in it; it has {have}")
     why = f"joint {missing[0]!r} moved and is not in it" if missing else implausible(robot)
     if why:
-        return _unused(found, why)
+        return unused(found, why)
     tracks = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP) and name != "encoders"}
     order = sorted(tracks, key=lambda name: (name in found.poor, name))
     parts = gathered(features, order, found.joints, settings.fit.every, settings.fit.samples)
     poor = {name for name, one in parts.items() if not any(t in tracks and t not in found.poor for t in one.tracks)}
     held, left_out = still(features, names), dict[str, str]()
     for _ in range(len(parts)):
-        seen = {name: _track(name, one) for name, one in parts.items()}
+        seen = {name: track(name, one) for name, one in parts.items()}
         links = find(robot, names, held, seen, given.hints, given.doubt)
-        whys = dict(_unexplained(links, parts))
+        whys = dict(unexplained(links, parts))
         foreign = {name: why for name, why in whys.items() if name in poor}
         if not foreign or len(foreign) == len(parts):
             break
         left_out |= foreign
         parts = {name: part for name, part in parts.items() if name not in foreign}
     if whys:
-        return _unused(found, next(iter(whys.values())))
-    return _learned(_without(found, left_out), links, parts, tracks, settings.fit.seed)
+        return unused(found, next(iter(whys.values())))
+    return learned(_without(found, left_out), links, parts, tracks, settings.fit.seed)
 
 
 def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
@@ -77,7 +78,8 @@ def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
     return replace(found, model=replace(found.model, senses=senses), findings=(*found.findings, *said))
 
 
-def _track(name: str, shown: Sightings) -> Track:
+def track(name: str, shown: Sightings) -> Track:
+    """A thing's sightings, by its camera and marker."""
     camera, _, marker = name.rpartition("/")
     return Track(camera, marker, shown.sighted, shown.points)
 
@@ -93,12 +95,13 @@ def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float
     return found
 
 
-def _unused(found: Learned, why: str, advice: str = "give this robot's own with --urdf") -> Learned:
+def unused(found: Learned, why: str, advice: str = "give this robot's own with --urdf") -> Learned:
+    """The body without a URDF, and a remark on why."""
     text = f"the URDF is not used: {why}; {advice}, or type --no-urdf"
     return replace(found, findings=(*found.findings, Finding("warning", text)))
 
 
-def _unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[str, str]]:
+def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[str, str]]:
     """Tracks of which kinematics leaves too much, and how much."""
     calibrated = links.calibrated
     for (name, one), sight, weight in zip(parts.items(), calibrated.rig.sights, calibrated.weights, strict=True):
@@ -108,9 +111,10 @@ def _unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple
             yield name, f"{ends} it leaves {left:.1f} px of {name}, which moved by {spread:.0f} px"
 
 
-def _learned(
+def learned(
     found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int
 ) -> Learned:
+    """The body with calibrated links as its tracks' mean; as it was, with a remark, where that is unfit."""
     calibrated = links.calibrated
     rig, theta, weights = calibrated.rig, calibrated.theta, calibrated.weights
     each = enumerate(shown.items())
@@ -118,14 +122,14 @@ def _learned(
     for k, part in enumerate(parts.values()):
         off = stretched(rig, k, theta, part, RESIDUAL)
         if off is not None and off.wrong:
-            return _unused(found, off.said)
+            return unused(found, off.said)
     both = together(rig, theta, parts)
     gains = {
         name: gain(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())
     }
     worst = min(gains, key=lambda name: gains[name])
     if gains[worst] < 0.0:
-        return _unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
+        return unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
     covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
     offsets = identifiability.offsets(rig, both.theta, covariance)
     senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}

@@ -1,0 +1,67 @@
+"""A body learned with a URDF that is learned on keeps its chain, and all that it saw before."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import body
+from bodylog.body import kinematic_update
+from bodylog.body.kinematic import learn
+from bodylog.body.kinematic_gp import KinematicGP
+from bodylog.errors import EvidenceError
+from bodylog.kinematics import urdf
+from bodylog.kinematics.pose import based
+from bodylog.settings import Kinematics, Settings
+from tests.body.test_kinematic import OFFSETS, features, given
+from tests.kinematics import robots
+from tests.kinematics.robots import ARM
+
+
+@pytest.fixture(scope="module")
+def known():
+    model = learn([features(25)], Settings(), body.learn([features(25)], Settings(), {}), given()).model
+    sense = model.senses["effector"]
+    return replace(
+        model, senses={"effector": replace(sense, base=based(urdf.parse(ARM, "arm"), sense.rig, sense.theta, {}))}
+    )
+
+
+def _updated(known, more, settings=None):
+    settings = settings or Settings()
+    plain = body.learn([more], settings, {}, known)
+    return plain, body.with_kinematics([more], settings, plain, None, known)
+
+
+def test_it_keeps_chain_and_base_and_knows_more(known):
+    _, found = _updated(known, features(25, seed=7))
+    before, after = known.senses["effector"], found.model.senses["effector"]
+    assert isinstance(after, KinematicGP) and len(after.samples) == 50
+    assert after.base is before.base and after.rig.sights[0].chain.end == before.rig.sights[0].chain.end
+    zeros = {s.name: s.value for s in found.scores if s.name.startswith("offset")}
+    for name, true in OFFSETS.items():
+        index = after.rig.of_joints.start + after.rig.joints.index(name)
+        assert zeros[f"offset_std.{name}"] < 0.9 * np.sqrt(np.square(before.root[index]).sum())
+        assert abs(zeros[f"offset.{name}"] - true) < 3 * zeros[f"offset_std.{name}"]
+    q = robots.angles(200, seed=9)
+    rig = robots.rig(known=False)
+    true = rig.see(rig.sights[0], robots.truth(rig, OFFSETS), q).image[:, 0]
+    errors = [np.sqrt(np.square(sense.kinematics(q) - true).mean()) for sense in (before, after)]
+    assert errors[1] < 1.2 * errors[0]
+
+
+def test_without_a_urdf_on_purpose_it_is_learned_without(known):
+    plain, found = _updated(known, features(25, seed=7), Settings(kinematics=Kinematics(use=False)))
+    assert found is plain
+
+
+def test_a_camera_that_was_moved_is_named_and_the_chain_not_used(known):
+    more = features(60, seed=7)
+    track = more.tracks["effector"]
+    turned = replace(track, values=track.values[:, ::-1] * [1.3, -1.0] + [40.0, 300.0])
+    moved = replace(more, tracks={"effector": turned})
+    hopeful = body.learn([moved], Settings(), {}, known, hopeful=True)
+    found = kinematic_update.learn([moved], Settings(), hopeful, known)
+    assert found.model is hopeful.model and "the URDF is not used" in found.findings[-1].text
+    with pytest.raises(EvidenceError, match="no track teaches a body"):
+        body.with_kinematics([moved], Settings(), hopeful, None, known)

@@ -1,0 +1,73 @@
+"""Which URDF a body is learned with: the one that is asked for, else the log's own, unless none is wanted."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from bodylog import body, robots
+from bodylog.body.kinematic import learn
+from bodylog.errors import FormatError, LogError
+from bodylog.logs import described
+from bodylog.logs.described import Described
+from bodylog.settings import Fit, Kinematics, Settings
+from tests.body.test_kinematic import features, given
+from tests.kinematics.robots import ARM, JOINTS
+
+LOG = Path("log.mcap")
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """told(text): what the log says of its robot."""
+
+    def says(text):
+        monkeypatch.setattr(described, "described", lambda *_: Described(text, {}, {}))
+
+    return says
+
+
+def _robot(**chosen):
+    return robots.robot([LOG], [features(5)], Settings(kinematics=Kinematics(**chosen)))
+
+
+def test_the_logs_own_is_used_unasked_and_not_when_it_is_not_wanted(told):
+    told(ARM)
+    known, remarks = _robot()
+    assert set(JOINTS) <= set(known.robot.by_name) and not known.asked and remarks == ()
+    assert _robot(urdf="log")[0].asked
+    assert _robot(use=False) == (None, ())
+    paper = Settings(fit=Fit(preset="paper"))
+    assert robots.robot([LOG], [features(5)], paper) == (None, ())
+
+
+def test_a_file_that_is_named_wins(told, tmp_path):
+    told(ARM)
+    (tmp_path / "other.urdf").write_text(ARM.replace('name="wrist"', 'name="hinge"'))
+    known, _ = _robot(urdf=str(tmp_path / "other.urdf"))
+    assert "hinge" in known.robot.by_name and known.asked
+
+
+def test_a_log_without_one_is_learned_without_unless_it_is_asked_for(told):
+    told(None)
+    assert _robot() == (None, ())
+    with pytest.raises(LogError, match="no /robot_description in it; give the URDF's file"):
+        _robot(urdf="log")
+
+
+def test_one_that_cannot_be_read_is_named_and_refused_only_if_asked_for(told):
+    told("<robot><joint/></robot>")
+    known, (remark,) = _robot()
+    assert known is None and remark.severity == "warning"
+    assert "log.mcap: /robot_description" in remark.text and remark.text.endswith("the log's URDF is not used")
+    with pytest.raises(FormatError):
+        _robot(urdf="log")
+
+
+def test_one_of_another_robot_is_named_and_not_used_if_nobody_asked_for_it():
+    text = ARM
+    for name in JOINTS:
+        text = text.replace(f'name="{name}"', f'name="left_{name}"')
+    plain = body.learn([features()], Settings(), {})
+    found = learn([features()], Settings(), plain, replace(given(text), asked=False))
+    assert found.model is plain.model and "the URDF is not used: joint 'pan' moved" in found.findings[-1].text
