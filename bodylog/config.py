@@ -12,7 +12,7 @@ from typing import Any
 
 from . import toml_file
 from .errors import ConfigError
-from .settings import Estimation, Settings, spell
+from .settings import Estimation, Settings, counts, spell
 from .sources import check_colour, parse, spelled
 from .toml_file import shown
 
@@ -107,7 +107,7 @@ def _names(options: tuple[Any, ...]) -> str:
 
 
 ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = {
-    ("body", "unit"): ("rad", "deg"),
+    ("body", "unit"): ("rad", "deg", "4096 counts", "4096 counts from 2048"),
     ("time", "joints"): ("auto", "header", "log"),
     ("time", "camera"): ("auto", "header", "log"),
     ("time", "skin"): ("auto", "header", "log"),
@@ -154,6 +154,8 @@ LATEST = 3600.0
 
 def _allowed(section: str, key: str, value: Any, where: str) -> None:
     possible = ALLOWED.get((section, key))
+    if (section, key) == ("body", "unit") and counts(str(value)) is not None:
+        return
     if possible and value not in possible:
         near = difflib.get_close_matches(str(value)[:99], possible, 1, 0.0)
         raise ConfigError(

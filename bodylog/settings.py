@@ -1,5 +1,6 @@
 """Every setting with its default, one record per section of robot.toml; config.py resolves them."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -8,7 +9,7 @@ from .sources import Colour, ColourSource, Source, spelled
 
 __all__ = [
     "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Input", "Kinematics", "Settings", "Skin", "Source",
-    "Time", "Topics", "plain", "wanted",
+    "Time", "Topics", "counts", "plain", "wanted",
 ]  # fmt: skip
 
 
@@ -38,10 +39,23 @@ class Topics:
 
 @dataclass(frozen=True)
 class Body:
-    """[body]: joint names in the order wanted (None: those that move), and the unit the log speaks, rad or deg."""
+    """[body]: joint names in the order wanted (None: those that move), and the unit the log speaks.
+
+    That is rad, deg, or encoder counts: "4096 counts" of one turn, "4096 counts from 2048" where 2048 is 0 rad.
+    """
 
     joints: tuple[str, ...] | None = None
     unit: str = "rad"
+
+
+_COUNTS = re.compile(r"([0-9]{1,9}(?:\.[0-9]{1,9})?) counts(?: from (-?[0-9]{1,12}(?:\.[0-9]{1,9})?))?")
+
+
+def counts(unit: str) -> tuple[float, float] | None:
+    """Counts of one turn and the count at 0 rad of a [body] unit; None where it is no such unit."""
+    found = _COUNTS.fullmatch(unit)
+    turn, zero = (0.0, 0.0) if found is None else (float(found[1]), float(found[2] or 0.0))
+    return (turn, zero) if turn > 0.0 else None
 
 
 @dataclass(frozen=True)
@@ -128,7 +142,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """[kinematics]: the URDF (None: the log's own, if any; "log": it must have one), whether to use it, σ of offsets, °."""
+    """[kinematics]: the URDF (None: the log's own, if any; "log": insist on it), whether to use it, σ of offsets, °."""
 
     urdf: str | None = None
     use: bool = True

@@ -4,6 +4,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from ..settings import counts
+
 UNIT, TURN = "bodylog.unit", "bodylog.turn"
 """Metadata of a topic of joints: rad, deg, counts or unknown; how many of these make one whole turn."""
 SOURCE_UNIT = "bodylog.source_unit"
@@ -15,18 +17,22 @@ _RAD = {"rad": 1.0, "deg": math.pi / 180.0}
 class JointUnit:
     """What readings are in · by how much they are multiplied · in what they then are · one whole turn of it, or None.
 
-    Encoder counts and readings of unknown unit stay as they are.
+    `zero`: the reading at 0 rad. Encoder counts and readings of unknown unit stay as they are, unless [body] unit says
+    what a turn is.
     """
 
     read: str
     factor: float
     unit: str
     turn: float | None
+    zero: float = 0.0
 
 
 def joint_unit(about: Mapping[str, str], settings_unit: str) -> JointUnit:
     """The unit of joints by their topic's metadata; `settings_unit` where these name none, or an unknown one is deg."""
-    read = about.get(UNIT, settings_unit)
+    read, given = about.get(UNIT, settings_unit), counts(settings_unit)
+    if given is not None and read not in _RAD:
+        return JointUnit("counts", 2.0 * math.pi / given[0], "rad", 2.0 * math.pi, given[1])
     if read == "unknown" and settings_unit == "deg":
         read = "deg"
     if read in _RAD:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import BodylogError, ConfigError, FormatError, LogError
 from ..settings import Settings
+from ..settings import counts as counted
 from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import images, signals
 from .clocks import Dated, date, largest_gap, median, seconds
@@ -118,9 +119,12 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     by_name = role.role in ("joints", "truth", "reference")
     dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
     values, idle, beyond, wraps = signal.values[dated.rows], 0, 0, dict[str, int]()
-    unit = joint_unit(role.topics[0].metadata, settings.body.unit)
+    # what is true is told in rad or degrees, never in an encoder's counts
+    said = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
+    unit = joint_unit(role.topics[0].metadata, said)
     if by_name:
-        keep, values, idle = signals.merged(dated.t_ns, values if unit.factor == 1.0 else values * unit.factor)
+        told = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
+        keep, values, idle = signals.merged(dated.t_ns, told)
         dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
         values, beyond, turns = signals.angles(values[keep], None if independent(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
