@@ -45,5 +45,5 @@ def test_a_urdf_of_other_joints_is_refused_before_images_are_read(tmp_path):
     (tmp_path / "arm.urdf").write_text(ARM)
     chosen = Settings(kinematics=Kinematics(urdf=str(tmp_path / "arm.urdf")))
     check([table(tmp_path / "poses.csv")], chosen)
-    with pytest.raises(ModelError, match=r"none of the joints of .*other.csv \(a, b, c, d\) is in it; it has pan, lift"):
+    with pytest.raises(ModelError, match=r"none of the joints of .*other.csv \(a, b, c, d\) is in it; it has"):
         check([table(tmp_path / "other.csv", "abcd")], chosen)
