@@ -33,12 +33,13 @@ def compared(features: Features, body: BodyModel, found: Estimate, settings: Est
 
 
 def _usable(features: Features, found: Estimate) -> Features:
-    """Tracks that were used, dated as the estimate dates them, until an encoder began to lie otherwise."""
+    """Tracks that were used, dated as the estimate dates them, until an encoder or a camera began to lie otherwise."""
     from .estimation.timing import correction
 
     delays = found.settings.get("delay", {})
     timely = correction.earlier(features, delays) if isinstance(delays, Mapping) else features
-    later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _constant(fault)]
+    seen = [fault.since for fault in found.faults if fault.sense == "vision" and fault.since >= FIRST]
+    later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _constant(fault)] + seen
     end = min(later, default=float("inf"))
     tracks = {}
     for name, track in timely.tracks.items():

@@ -119,6 +119,17 @@ def test_a_slip_that_the_filter_names_is_left_to_it(known):
     assert told.faults == found.faults and len(found.faults) == 1
 
 
+def test_nothing_is_laid_to_joints_of_what_a_camera_shows_once_it_was_pushed(known):
+    features = run(duration=14.0)
+    found, _ = _estimate(features, known)
+    track = features.tracks["effector"]
+    pushed = replace(track, values=track.values + 12.0 * (track.t >= 7.0)[:, None])
+    features = replace(features, tracks={"effector": pushed})
+    assert change.changes(features, known)
+    displaced = replace(found, faults=(Fault("vision", "camera", "displaced", 7.0, 17.0, "px", 0.2),))
+    assert changed.compared(features, known, displaced, Estimation()).faults == displaced.faults
+
+
 def test_who_asks_for_no_offset_is_told_of_none(known):
     found, told = _estimate(run(offset={"elbow": 3 * DEGREE}), known, bias="off")
     assert told is found and not told.faults
