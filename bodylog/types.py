@@ -284,12 +284,10 @@ class Noise:
 
 @dataclass(frozen=True)
 class TouchConstants:
-    """g_t = a1 exp(−b1 |g_v − o_v|²) · a2 exp(−b2 δ²): b1 in 1/px², b2 in 1/s² (paper eq. touch)."""
+    """g_t = a1 exp(−b1 |g_v − o_v|²) · f_t: b1 in 1/px² (paper eq. touch); f_t is a pair's `Synchrony.weight`."""
 
     a1: float
     b1: float
-    a2: float
-    b2: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,4 +71,4 @@ def test_an_arm_with_a_green_ball_is_followed_as_ever(arm: Path) -> None:
 
 
 def _model() -> BodyModel:
-    return BodyModel((), {}, Noise((), {}, ()), TouchConstants(1, 1, 1, 1), {})
+    return BodyModel((), {}, Noise((), {}, ()), TouchConstants(1, 1), {})

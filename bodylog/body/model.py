@@ -52,9 +52,10 @@ _UNITS = {
     "encoder": "rad^2",
     "process": "rad^2/s^3",
     "b1": "1/px^2",
-    "b2": "1/s^2",
     "cells": "px",
 }
+_UNUSED = {"b2": "1/s^2"}
+"""Bodies of before have it, with a2 and b2 among their touch constants, which nothing used."""
 _POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude", "doubt"), ("noise", "spread", "drift")
 _LEAST, _LARGEST = 1e-30, 1e30
 """Of what must be positive, and of any number: squares and products of four of these are finite and not 0."""
@@ -114,7 +115,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
     header = _parse(path, archive)
     try:
         joints = _joints(header["joints"])
-        noise, touch = _noise(header["noise"]), TouchConstants(**header["touch"])
+        noise, touch = _noise(header["noise"]), _touch(header["touch"])
         cells = {int(cell): _floats(f"cells.{cell}", place) for cell, place in header.get("cells", {}).items()}
         senses = {text(n): _about(n, sense) for n, sense in header["senses"].items()}
         linked = {text(n): s for n, s in header["senses"].items() if s.get("kind") == _WITH}
@@ -129,6 +130,11 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
     learned = {name: _sense(path, archive, name, *about, joints, links.get(name)) for name, about in senses.items()}
     places = {cell: (u, v, spread) for cell, (u, v, spread) in cells.items()}
     return BodyModel(joints, learned, noise, touch, provenance, places)
+
+
+def _touch(told: Mapping[str, Any]) -> TouchConstants:
+    """Without those of `_UNUSED`."""
+    return TouchConstants(**{name: value for name, value in told.items() if name not in ("a2", "b2")})
 
 
 def _about(name: str, sense: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
@@ -154,7 +160,7 @@ def _parse(path: Path, archive: zipfile.ZipFile) -> Mapping[str, Any]:
     if header.get("version") != VERSION:
         raise ModelError(f"{path}: field version: found {header.get('version')!r}, possible: {VERSION}; fit it again")
     units = header.get("units", _UNITS)
-    if units != _UNITS:
+    if units not in (_UNITS, _UNITS | _UNUSED):
         raise ModelError(f"{path}: field units: found {str(units)[:200]}, possible: {json.dumps(_UNITS)}; fit it again")
     return header
 

@@ -8,7 +8,6 @@ import numpy as np
 from ..types import Array, Features, Finding, TouchConstants
 from .gp import GP
 
-_LATE_S = 0.05
 _APART_PX = 12.0
 _NEAR_S = 0.5
 _ASSUMED = 5
@@ -35,16 +34,17 @@ def learned(
 ) -> tuple[TouchConstants, Cells, tuple[Finding, ...]]:
     """Constants and cells' places from touches paired with strokes, and the remark on where they come from.
 
-    Both forms share the constants: a = 1, so that g_t is 1 at its peak, and b = 1/(2 variance) of delay or distance.
-    The variance starts from 0.05 s (gone beyond 0.1 s, as the illusion is) and 12 px, which count as five touches.
+    Both forms share the constants: a1 = 1, so that g_t is 1 at its peak, and b1 = 1/(2 variance) of the distance, which
+    starts from 12 px as if of five touches. f_t has one constant, `perception/synchrony.py` B2: a log whose touches are
+    all in time tells how it was recorded, not how late a touch may be seen and still be felt as one.
     """
     delays = np.array([s.delay for f in features for s in f.synchrony if np.isfinite(s.delay)])
     delays = delays[np.abs(delays) < _NEAR_S]
     felt = [] if effector is None else [one for f in features for one in _felt(f, joints, effector)]
-    late = _blended(_LATE_S, len(delays), float(1.4826 * np.median(np.abs(delays))) if len(delays) else 0.0)
+    late = float(1.4826 * np.median(np.abs(delays))) if len(delays) else 0.0
     sound = _sound(felt)
     px = _blended(_APART_PX, len(sound), float(np.sqrt(np.mean([f.square for f in sound]))) if sound else 0.0)
-    constants = TouchConstants(1.0, 1.0 / (2.0 * px**2), 1.0, 1.0 / (2.0 * late**2))
+    constants = TouchConstants(1.0, 1.0 / (2.0 * px**2))
     found = cells(sound)
     return constants, found, _remarks(len(delays), len(sound), late, px, len(found))
 

@@ -265,7 +265,7 @@ def test_learning_on_keeps_what_was_given_and_felt(explored) -> None:
     features = explored(0, 0.003, 15.0).features
     once = learn([features], Settings(), {}).model
     read = Polynomial(once.joints, np.tile([0.0, 1.0], (3, 1)))
-    felt = TouchConstants(1.0, 0.001, 1.0, 400.0)
+    felt = TouchConstants(1.0, 0.001)
     known = replace(once, senses={**once.senses, "encoders": read}, touch=felt, cells={7: (0.0, -30.0, 9.0)})
     again = learn([features], Settings(), {}, known).model
     assert again.senses["encoders"] is read and set(again.senses) == {"effector", "encoders"}

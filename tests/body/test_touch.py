@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -38,10 +39,10 @@ def _features(
 @pytest.mark.parametrize("seed", range(4))
 def test_many_touches_give_back_their_own_spread(seed: int) -> None:
     constants, _, said = learned([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
-    assert constants.a1 == constants.a2 == 1.0
-    assert np.sqrt(1 / (2 * constants.b2)) == pytest.approx(0.03, rel=0.15)
+    assert constants.a1 == 1.0
     assert np.sqrt(1 / (2 * constants.b1)) == pytest.approx(6.0, rel=0.15)
-    assert "300 delays" in said[0].text
+    told = float(re.search(r"300 delays, spread ([\d.]+) s", said[0].text)[1])
+    assert told == pytest.approx(0.03, rel=0.15)
 
 
 def test_a_log_that_keeps_delays_but_no_strokes_teaches_the_same() -> None:
@@ -52,14 +53,13 @@ def test_a_log_that_keeps_delays_but_no_strokes_teaches_the_same() -> None:
 
 def test_few_touches_move_the_assumption_only_a_little() -> None:
     constants, _, _ = learned([_features(0, 3, 1e-4, 1e-3)], ("pan",), _Still())
-    assert 0.03 < np.sqrt(1 / (2 * constants.b2)) < 0.05
     assert 8.0 < np.sqrt(1 / (2 * constants.b1)) < 12.0
 
 
-def test_without_touches_the_illusion_fades_beyond_a_tenth_of_a_second() -> None:
+def test_without_touches_what_is_assumed_stands() -> None:
     features = replace(_features(0, 1, 0.0, 0.0), touches=None, synchrony=())
     constants, _, said = learned([features], ("pan",), _Still())
-    assert said == () and np.exp(-constants.b2 * 0.1**2) < 0.2 < np.exp(-constants.b2 * 0.05**2)
+    assert said == () and np.sqrt(1 / (2 * constants.b1)) == pytest.approx(12.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -99,5 +99,5 @@ def test_strokes_seen_late_or_far_away_say_nothing_of_the_limb() -> None:
 def test_pairs_half_a_second_apart_are_no_pairs() -> None:
     features = _features(0, 50, 0.02, 5.0)
     far = tuple(replace(s, delay=0.6) for s in features.synchrony)
-    constants, _, _ = learned([replace(features, synchrony=far)], ("pan",), _Still())
-    assert np.sqrt(1 / (2 * constants.b2)) == pytest.approx(0.05)
+    _, cells, said = learned([replace(features, synchrony=far)], ("pan",), _Still())
+    assert cells == {} and said == ()

@@ -93,7 +93,7 @@ def draw(
     track = Series(frames, seen, ("u", "v"), "px", frames_ns, np.full(seen.shape, pixel_std))
     features = Features(joints, {"effector": track}, None, (), (), {})
     noise = Noise((encoder_std**2,) * 3, {"effector": (pixel_std**2,) * 2}, (0.3,) * 3)
-    body = BodyModel(JOINTS, {"effector": model}, noise, TouchConstants(1.0, 0.005, 1.0, 50.0), {})  # type: ignore[dict-item]
+    body = BodyModel(JOINTS, {"effector": model}, noise, TouchConstants(1.0, 0.005), {})  # type: ignore[dict-item]
     return World(features, Series(t, truth, JOINTS, "rad", ns), body)
 
 

@@ -44,7 +44,7 @@ def drawn(seed: int, how: Drawn) -> World:
     joints = Series(t[keep], read[keep], JOINTS, "rad", ns[keep])
     track = Series(frames, seen, ("u", "v"), "px", frames_ns, np.full(seen.shape, how.pixel))
     noise = Noise((0.003**2,) * 3, {"effector": (how.pixel**2,) * 2}, (0.3,) * 3)
-    body = BodyModel(JOINTS, {"effector": Arm()}, noise, TouchConstants(1.0, 0.005, 1.0, 50.0), {})
+    body = BodyModel(JOINTS, {"effector": Arm()}, noise, TouchConstants(1.0, 0.005), {})
     return World(Features(joints, {"effector": track}, None, (), (), {}), Series(t, truth, JOINTS, "rad", ns), body)
 
 

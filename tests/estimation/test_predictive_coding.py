@@ -116,7 +116,7 @@ def test_the_literal_touch_gradient_is_the_derivative(world):
     drawn = world(0, duration=1.0)
     model, x = drawn.body.senses["effector"], drawn.truth.values[0]
     hand = model.predict(x[None])[0] + 5.0
-    touch = Literal(model, TouchConstants(0.9, 0.004, 1.0, 50.0), np.array([True]), hand, np.array([0.8]))
+    touch = Literal(model, TouchConstants(0.9, 0.004), np.array([True]), hand, np.array([0.8]))
     e, slope = touch.pull(0, x)
     for joint in range(3):
         step = 1e-6 * np.eye(3)[joint]

@@ -33,7 +33,7 @@ READ = (
 def accused(joints: Series) -> list[str]:
     """Faults of joints by themselves."""
     m = len(joints.names)
-    body = BodyModel(joints.names, {}, Noise((1e-4,) * m, {}, (0.3,) * m), TouchConstants(1.0, 0.005, 1.0, 50.0), {})
+    body = BodyModel(joints.names, {}, Noise((1e-4,) * m, {}, (0.3,) * m), TouchConstants(1.0, 0.005), {})
     found = estimate(Features(joints, {}, None, (), (), {}), body, Estimation())
     return [f"{fault.name} {fault.kind} {fault.since:.2f} s" for fault in found.faults]
 

@@ -33,7 +33,7 @@ def scene():
     seen[9] = np.nan
     track = series(t, seen, ("u", "v"), "px", np.full((40, 2), 0.5))
     body = BodyModel(("a", "b"), {"effector": Twice()}, Noise((1.0,) * 2, {"effector": (0.25, 0.25)}, (1.0,) * 2),
-                     TouchConstants(1.0, 0.1, 1.0, 0.1), {})  # fmt: skip
+                     TouchConstants(1.0, 0.1), {})  # fmt: skip
     return Features(None, {"effector": track}, None, (), (), {}), body
 
 

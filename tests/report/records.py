@@ -152,7 +152,7 @@ def body(**changes: Any) -> BodyModel:
         "joints": JOINTS,
         "senses": {"effector": Bowl(x)},
         "noise": Noise((1e-4,) * 3, {"effector": (1.0, 1.0)}, (1e-3,) * 3),
-        "touch": TouchConstants(1.0, 1e-3, 1.0, 50.0),
+        "touch": TouchConstants(1.0, 1e-3),
         "provenance": {},
     }
     return BodyModel(**(fields | changes))

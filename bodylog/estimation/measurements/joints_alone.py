@@ -27,7 +27,7 @@ def joints_body(joints: Series, wanted: tuple[str, ...] | None) -> BodyModel:
         raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(heard)}; type: bodylog info LOG")
     names = tuple(wanted or heard)
     noise = Noise((STEP**2 / 12.0,) * len(names), {}, (PROCESS,) * len(names))
-    return BodyModel(names, {}, noise, TouchConstants(1.0, 0.005, 1.0, 50.0), {})
+    return BodyModel(names, {}, noise, TouchConstants(1.0, 0.005), {})
 
 
 def unlearned_body(cameras: Sequence[str]) -> Iterator[Finding]:

@@ -38,5 +38,5 @@ def literal(features: Features, body: BodyModel, t: Array, dt: float) -> Literal
         return None
     rows = np.maximum(np.searchsorted(hand.t, t + 1e-9, "right") - 1, 0)
     seen = np.isfinite(hand.values[rows]).all(axis=1) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
-    temporal = body.touch.a2 * weights(features, t)
+    temporal = weights(features, t)
     return Literal(model, body.touch, seen & (temporal > 0), hand.values[rows], temporal)
