@@ -1,17 +1,37 @@
 """bodylog reproduce."""
 
+from collections.abc import Callable
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
 import click
 
-from .options import FOLDER
+from .options import FOLDER, PATH
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from bodylog.experiments import Claim, Setting
+    from bodylog.experiments.readings import Reading
 
-    from bodylog.experiments import Claim
+
+class Numbers(click.ParamType[tuple[float, ...]]):
+    """Numbers between two bounds, separated by commas."""
+
+    name = "NUMBERS"
+
+    def __init__(self, low: float, high: float) -> None:
+        """Both bounds are possible."""
+        self.low, self.high = low, high
+
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Ascending, each once."""
+        try:
+            found = sorted({float(part) for part in str(value).split(",")})
+        except ValueError:
+            found = []
+        if not found or not all(self.low <= one <= self.high for one in found):
+            self.fail(f"{value!r}: numbers from {self.low:g} to {self.high:g} are expected, as 0,0.1,0.3", param, ctx)
+        return tuple(found)
 
 
 @click.command(epilog="Example: bodylog reproduce E1 E3 -o out --seeds 10 --jobs 2")
@@ -19,11 +39,27 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", "out", type=FOLDER, required=True, help="The folder for the page and its parts.")
 @click.option("--seeds", type=click.IntRange(min=1), default=10, show_default=True, help="How often each is run.")
 @click.option("--jobs", type=click.IntRange(min=1), default=2, show_default=True, help="Runs at a time.")
+@click.option(
+    "--reading",
+    "told",
+    multiple=True,
+    metavar="CONSTANT=VALUE",
+    help="Judge in this reading alone, as sigma_n=noise; repeatable.",
+)
+@click.option("--asynchrony", type=Numbers(0.0, 5.0), help="rubber-hand: how late the hand is seen, s.")
+@click.option("--displacement", type=Numbers(0.01, 5.0), help="rubber-hand: how far aside, in the recorded 16 cm.")
+@click.option("--noise", type=Numbers(0.0, 3.0), help="rubber-hand: noise added to the encoders, rad.")
+@click.option("--data", type=PATH, help="real: the folder with real robots' measurements (docs/real.md).")
 @click.option("--json", "as_json", is_flag=True, help="Print the claims as JSON on standard output.")
-def reproduce(experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, as_json: bool) -> None:
+def reproduce(
+    experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, told: tuple[str, ...], data: Path | None,
+    as_json: bool,
+    **swept: tuple[float, ...] | None,
+) -> None:  # fmt: skip
     """The paper's experiments from simulated logs, its claims judged, on one page (out/index.html).
 
-    E1 to E6, PixelAI and Errata; all when none is named. What a run left in the folder is not run again.
+    Data, E1 to E6, Rubber-hand, PixelAI, Baselines and Errata; all when none is named. Real needs --data. What the
+    paper leaves open is read in several ways (docs/method.md). What a run left in the folder is not run again.
     """
     from dataclasses import asdict
 
@@ -31,14 +67,32 @@ def reproduce(experiments: tuple[str, ...], out: Path, seeds: int, jobs: int, as
     from bodylog.experiments import reproduce as run
     from bodylog.pipeline import Result
 
-    from .output import as_data, data, line
+    from .output import as_data, line
+    from .output import data as print_data
 
-    claims = run(Reproduction(out, experiments, seeds, jobs), _teller())
+    wish = Reproduction(out, experiments, seeds, jobs, reading=_reading(told), setting=_setting(swept), data=data)
+    claims = run(wish, _teller())
     if as_json:
-        data(as_data(Result(out / "index.html")) | {"claims": [asdict(claim) for claim in claims]})
+        print_data(as_data(Result(out / "index.html")) | {"claims": [asdict(claim) for claim in claims]})
     else:
         _table(claims)
         line(f"wrote {out / 'index.html'}", err=True)
+
+
+def _reading(told: tuple[str, ...]) -> "Reading | None":
+    """The reading typed; None where none is."""
+    from bodylog.experiments import readings
+
+    return readings.parsed(",".join(told)) if told else None
+
+
+def _setting(swept: dict[str, tuple[float, ...] | None]) -> "Setting":
+    """What the rubber hand sweeps: as typed, else as it is documented."""
+    from dataclasses import replace
+
+    from bodylog.experiments import Setting
+
+    return replace(Setting(), **{name: found for name, found in swept.items() if found is not None})
 
 
 def _teller() -> "Callable[[str, int, int], None]":
@@ -52,6 +106,12 @@ def _teller() -> "Callable[[str, int, int], None]":
 
 
 def _table(claims: "tuple[Claim, ...]") -> None:
-    for claim in claims:
-        figures = " ".join(f"{claim.spread[side][0]:>9.3g}" for side in ("printed", "ours"))
-        click.echo(f"{claim.verdict:<9} {claim.experiment:<7} {figures} {claim.bound:>8}  {claim.text}")
+    from bodylog.experiments.tables import KINDS
+
+    for kind, title in KINDS.items():
+        found = [claim for claim in claims if claim.kind == kind]
+        if found:
+            click.echo(f"{title}:")
+        for claim in found:
+            figures = [one.median for one in claim.outcomes.values()][:1] or [float("nan")]
+            click.echo(f"  {claim.id:<13} {figures[0]:>9.3g} {claim.bound:>8}  {claim.text}: {claim.verdict}")

@@ -28,7 +28,7 @@ OURS = {"bodylog", "bodylog_cli", "tests", "docs", "fixtures"}
 OURS_ALONE = {"test", "bench"}
 """Extras of who works on bodylog: what is tested with, and the peers of the benchmarks."""
 
-COMMANDS = {"mypy", "ruff", "build", "pytest-xdist", "rosbags-image", "uv"}
+COMMANDS = {"ipykernel", "mypy", "ruff", "build", "pytest-xdist", "rosbags-image", "uv"}
 """Test tools that are run, or found by their framework, and not imported."""
 
 

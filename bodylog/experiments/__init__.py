@@ -1,7 +1,9 @@
-"""The paper's experiments: recorded, run as printed and by our default, judged over seeds, and put on one page."""
+"""The paper's experiments: recorded, run in every reading and by our default, judged over seeds, on one page."""
 
-from .records import Claim, Experiment
+from .judging import Claim
+from .records import Experiment
+from .rubber_hand import Setting
 from .run import Reproduction, reproduce
 from .table import EXPERIMENTS
 
-__all__ = ["EXPERIMENTS", "Claim", "Experiment", "Reproduction", "reproduce"]
+__all__ = ["EXPERIMENTS", "Claim", "Experiment", "Reproduction", "Setting", "reproduce"]

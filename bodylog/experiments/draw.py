@@ -1,4 +1,4 @@
-"""The figures of an experiment: one seed over time as in the paper, and every claim's figures over all seeds."""
+"""The figures: the paper's redrawn from one seed, every claim's outcomes by reading, and what was swept."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -7,13 +7,16 @@ from typing import Any
 import numpy as np
 
 from ..report.canvas import LINES, figure
-from .records import Claim, Trial, column
+from .judging import Claim, Outcome
+from .records import Trial, column
 
-SIDES = {"printed": "#d1495b", "ours": "#1f77d0"}
+KEPT, BROKEN = "#2a9d68", "#d1495b"
 WIDE = 30.0
 """Figures whose sizes differ by more are drawn on a logarithmic axis."""
 REAL = ("true ", "truth")
 """How the lines of what really was begin; they are drawn in dashes."""
+NAMED = 10
+"""Lines of a panel that a legend still names."""
 _ACROSS = 2
 
 
@@ -24,19 +27,20 @@ def traces(panels: Sequence[Mapping[str, Any]], out: Path) -> None:
         axes = drawing.subplots(rows, _ACROSS, squeeze=False)
         for axis, shown in zip(axes.flat, panels, strict=False):
             _trace(axis, shown)
-        for axis in list(axes.flat)[len(panels):]:
+        for axis in list(axes.flat)[len(panels) :]:
             axis.set_axis_off()
 
 
 def _trace(axis: Any, shown: Mapping[str, Any]) -> None:
     for index, (name, line) in enumerate(shown["lines"].items()):
         values = [np.nan if v is None else v for v in line]
-        style = "--" if name.startswith(REAL) else "-"
+        style = "--" if name.startswith(REAL) or name.endswith("truth") else "-"
         axis.plot(shown["t"], values, color=LINES[index % len(LINES)], label=name, ls=style)
     axis.set_title(shown["title"])
-    axis.set_xlabel("s")
+    axis.set_xlabel(shown["axis"])
     axis.set_ylabel(shown["unit"])
-    axis.legend(fontsize=7)
+    if len(shown["lines"]) <= NAMED:
+        axis.legend(fontsize=7)
 
 
 def curves(trials: Sequence[Trial], out: Path) -> None:
@@ -53,36 +57,82 @@ def curves(trials: Sequence[Trial], out: Path) -> None:
             sizes = sorted(costs)
             label = f"{what}: exponent {power:.2f}"
             axis.loglog(sizes, [1e6 * costs[n] for n in sizes], "o-", color=LINES[index % len(LINES)], label=label)
-        axis.set_xlabel("samples, senses or joints")
+        axis.set_xlabel("samples, or senses and joints")
         axis.set_ylabel("µs")
         axis.legend(fontsize=7)
 
 
 def spreads(claims: Sequence[Claim], out: Path) -> None:
-    """One strip per claim: a dot per seed, printed above ours, and the bound."""
-    with figure(out, 9.0, 0.75 * len(claims) + 0.6) as drawing:
-        axes = drawing.subplots(len(claims), 1, squeeze=False)
-        for index, (axis, claim) in enumerate(zip(axes.flat, claims, strict=True), 1):
-            _strip(axis, claim, index)
+    """One strip per claim: a dot per reading with its interval, green where the claim is kept, and the bound."""
+    shown = [claim for claim in claims if claim.outcomes]
+    heights = [0.55 + 0.11 * len(claim.outcomes) for claim in shown]
+    with figure(out, 9.0, sum(heights) + 0.4) as drawing:
+        axes = drawing.subplots(len(shown), 1, squeeze=False, gridspec_kw={"height_ratios": heights})
+        for axis, claim in zip(axes.flat, shown, strict=True):
+            _strip(axis, claim)
 
 
-def _strip(axis: Any, claim: Claim, index: int) -> None:
+def _strip(axis: Any, claim: Claim) -> None:
+    found = list(claim.outcomes.values())
+    for row, one in enumerate(found):
+        axis.plot(one.interval, [-row, -row], "-", lw=1.0, color=_ink(one))
+        axis.plot([one.median], [-row], "o", ms=4, color=_ink(one), mew=0)
     limit = float(claim.bound.split()[1])
-    for row, (side, colour) in enumerate(SIDES.items()):
-        values = np.asarray(getattr(claim, side), float)
-        values = values[np.isfinite(values)]
-        axis.plot(values, np.full(len(values), -row), "o", ms=4, alpha=0.6, color=colour, mew=0)
     axis.axvline(limit, color="#20262e", lw=1.0, ls=":")
-    axis.set_yticks([0, -1], ["printed", "ours"])
-    axis.set_ylim(-1.6, 0.6)
-    _scale(axis, np.concatenate([np.asarray([*claim.printed, *claim.ours], float), [limit]]))
+    axis.set_yticks(range(0, -len(found), -1), list(claim.outcomes), fontsize=5)
+    axis.set_ylim(-len(found) + 0.4, 0.6)
+    _scale(axis, np.array([one.median for one in found] + [limit]))
     unit = "" if claim.unit == "1" else f" {claim.unit}"
-    axis.set_title(f"{index}. {claim.measured}: {claim.bound}{unit}", fontsize=8)
+    axis.set_title(f"{claim.id} {claim.measured}: {claim.bound}{unit}", fontsize=8)
+
+
+def sweeps(claims: Sequence[Claim], out: Path) -> None:
+    """A panel per claim and constant it depends on: medians with intervals over the numbers swept, and the bound."""
+    shown = [(claim, name, rows) for claim in claims for name, rows in claim.sweeps.items()]
+    rows = -(-len(shown) // _ACROSS)
+    with figure(out, 9.0, 2.2 * rows + 0.2) as drawing:
+        axes = drawing.subplots(rows, _ACROSS, squeeze=False)
+        for axis, (claim, name, swept) in zip(axes.flat, shown, strict=False):
+            _sweep(axis, claim, name, swept)
+        for axis in list(axes.flat)[len(shown) :]:
+            axis.set_axis_off()
+
+
+def _sweep(axis: Any, claim: Claim, name: str, swept: Sequence[tuple[float, Outcome]]) -> None:
+    from .readings import CONSTANTS
+
+    for number, one in swept:
+        axis.plot([number, number], one.interval, "-", lw=1.0, color=_ink(one))
+        axis.plot([number], [one.median], "o", ms=4, color=_ink(one), mew=0)
+    limit = float(claim.bound.split()[1])
+    axis.axhline(limit, color="#20262e", lw=1.0, ls=":")
+    axis.set_xscale("log")
+    values = np.array([one.median for _, one in swept] + [limit])
+    if _wide(values):
+        axis.set_yscale("symlog", linthresh=_least(values))
+    axis.set_xlabel(f"{CONSTANTS[name].symbol}: {CONSTANTS[name].unit}")
+    axis.set_title(f"{claim.id} {claim.measured}", fontsize=8)
+
+
+def _ink(one: Outcome) -> str:
+    return KEPT if one.keeps else BROKEN
 
 
 def _scale(axis: Any, values: Any) -> None:
     """Logarithmic where the figures span more than WIDE, linear around zero; ticks are plain numbers."""
-    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
-    if len(sizes) and sizes.max() > WIDE * sizes.min():
-        axis.set_xscale("symlog", linthresh=max(float(sizes.min()), 1e-3))
+    if _wide(values):
+        axis.set_xscale("symlog", linthresh=_least(values))
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+
+
+def _sizes(values: Any) -> Any:
+    return np.abs(values[np.isfinite(values) & (values != 0.0)])
+
+
+def _wide(values: Any) -> bool:
+    sizes = _sizes(values)
+    return bool(len(sizes) and sizes.max() > WIDE * sizes.min())
+
+
+def _least(values: Any) -> float:
+    return max(float(_sizes(values).min()), 1e-3)

@@ -1,147 +1,162 @@
-"""E5, the rubber hand: the arm is hidden and stroked, the picture shows a hand stroking another place."""
+"""E5, the rubber hand: the arm is hidden and stroked, the image shows a hand that strokes another place."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..estimation.measurements.touch import LEAST
-from ..types import Array, BodyModel
-from .beliefs import Belief, noisier, ours, printed, shaped, typed
-from .lab import Heard, Lab
-from .records import Bound, Claim, Experiment, Table, Trial, column, judge, medians, panel
+from ..types import Array
+from . import readings
+from .cases import Explored, beside, case, explored, study
+from .drawn import SIZE
+from .e4_refinement import Noises
+from .judging import Bound, Claim, Control, own, paper
+from .lab import NAMES, Heard, Lab
+from .printed import Case, Signals
+from .readings import Reading
+from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
 
 DURATION, CALM = 20.0, 5.0
 """s: how long, and how long nothing touches."""
 RHYTHMS, SIDES = ("synchronous", "asynchronous"), {"left": -1.0, "right": 1.0}
-PLACES = {**SIDES, "centre": 1.0}
-"""Where the hand is seen, and the sign of a drift toward it; at the centre it is where it is felt."""
-TOUCHED, HIDDEN = ("encoders", "touch"), ("encoders",)
-FAINT = 0.001
-"""px: no drift is taken to be less."""
-WIDTHS = (12.0, 25.0, 50.0, 100.0)
-"""px: widths of f_s tried, b_1 = 1/(2 width²)."""
-NOISES = (0.03, 0.1, 0.3)
-"""rad: noise added to the encoders, which have 0.01 of their own."""
+DISPLACEMENT = 0.12 * SIZE[0]
+"""px: how far aside the hand is seen."""
+OWN_NOISE = 0.01
+"""rad: the encoders' noise in these logs."""
+NOTICED = 0.01
+"""Shares of the displacement: a drift of less is none."""
+CONCERNED = ("sigma_n", "integration", "noise", "b_1", "o_v", "s_t", "sigma_t", "a_2", "b_2")
 
 
-def _run(lab: Lab, seed: int) -> Trial:
-    own, paper = lab.body("default", seed, touched=True), lab.body("paper", seed)
+def heard(lab: Lab, seed: int, rhythm: str, side: str) -> Heard:
+    """The log of one seed, rhythm and side."""
+    return lab.heard("rubber-hand", seed, duration=DURATION, variant=rhythm, place=side)
+
+
+def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+    known, body = explored(lab.body("paper", seed)), lab.body("default", seed, touched=True)
     figures: dict[str, float] = {}
-    lines: dict[str, dict[str, Array]] = {"printed": {}, "ours": {}}
+    courses: dict[str, tuple[Array, Array, Array]] = {}
     for rhythm in RHYTHMS:
-        for place, sign in PLACES.items():
-            heard = lab.heard("rubber-hand", seed, duration=DURATION, variant=rhythm, place=place)
-            figures[f"{rhythm} {place} weight"] = float(np.mean([pair.weight for pair in heard.features.synchrony]))
-            drifts = {"printed": _literal(heard, typed(paper)), "ours": _likely(heard, own)}
-            for of, (t, drift) in drifts.items():
-                figures[f"{of} {rhythm} {place}"] = sign * final(t, drift)
-                lines[of][f"{rhythm} {place}"] = np.interp(drifts["printed"][0], t, drift)
-            if place in SIDES:
-                figures |= {
-                    f"width {w:g} {rhythm} {place}": sign * final(*_literal(heard, shaped(own, w))) for w in WIDTHS
-                }
-    figures |= _noisy(lab, own, seed)
-    t = drifts["printed"][0]
-    return {"figures": figures, "panels": [panel(f"{of}: drift of the effector", "px", t, lines[of]) for of in lines]}
+        for side, sign in SIDES.items():
+            log = heard(lab, seed, rhythm, side)
+            figures[f"{rhythm} {side} weight"] = float(np.mean([pair.weight for pair in log.features.synchrony]))
+            logs = Noises(log, OWN_NOISE, beside(body), seed)
+            found = study(told.all, logs.signals, lambda r, s: _cases(known, r, s))
+            for reading in told.all:
+                key = readings.key(reading)
+                made = found[key].x["p+t"], found[key].x["p"]
+                moved = known.map(reading).at(made[0])[:, 0] - known.map(reading).at(made[1])[:, 0]
+                t = found[key].signals.t
+                figures[named(key, f"{rhythm} {side}")] = sign * final(t, moved) / DISPLACEMENT
+                figures[named(key, f"{rhythm} {side} rad")] = _largest(t, made[0] - made[1])
+                if key == told.keys[0]:
+                    courses[f"{rhythm} {side}"] = t, made[0] - made[1], moved
+    return {"figures": figures | _together(figures, told), "panels": _panels(courses)}
 
 
-def _noisy(lab: Lab, body: BodyModel, seed: int) -> dict[str, float]:
-    """Our drift (px) toward a hand on the right in time with the skin, by the noise added to the encoders."""
-    heard = lab.heard("rubber-hand", seed, duration=DURATION, variant="synchronous", place="right")
-    return {f"noise {s:g}": final(*_likely(noisier(heard, s, seed), body)) for s in NOISES}
-
-
-def _literal(heard: Heard, body: BodyModel) -> tuple[Array, Array]:
-    return _drift(printed(heard, body, _senses(heard)), printed(heard, body, HIDDEN), body)
-
-
-def _likely(heard: Heard, body: BodyModel) -> tuple[Array, Array]:
-    return _drift(ours(heard, body, _senses(heard)), ours(heard, body, HIDDEN), body)
-
-
-def _senses(heard: Heard) -> tuple[str, ...]:
-    """With touch, unless no touch counts: the estimate refuses to be asked for a sense that has nothing to say."""
-    return TOUCHED if any(pair.weight > LEAST for pair in heard.features.synchrony) else HIDDEN
-
-
-def _drift(touched: Belief, alone: Belief, body: BodyModel) -> tuple[Array, Array]:
-    """How far touch moves the believed effector sideways: t (N,) s and u with touch minus u without (N,) px."""
-    model = body.senses["effector"]
-    return touched.t, model.predict(touched.x)[0][:, 0] - model.predict(alone.x)[0][:, 0]
+def _cases(known: Explored, reading: Reading, log: Signals) -> dict[str, Case]:
+    return {name: case(known, reading, name, log.true[0]) for name in ("p", "p+t")}
 
 
 def final(t: Array, drift: Array) -> float:
-    """The drift (px) of greatest size after the calm."""
+    """The drift of greatest size after the calm; NaN when the belief diverged."""
     late = drift[t >= CALM]
-    return float(late[np.abs(late).argmax()])
+    return float(late[np.abs(late).argmax()]) if np.isfinite(late).all() else float("nan")
 
 
-def _claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
-    weights = {rhythm: _mean(trials, [f"{rhythm} {side} weight" for side in SIDES]) for rhythm in RHYTHMS}
-    least = _least(trials, "printed"), _least(trials, "ours")
-    ratios = _ratios(trials, "printed"), _ratios(trials, "ours")
-    same = "strokes seen in time with the skin are taken for the same event"
-    other = "strokes seen 0.4 to 1 s late are not"
-    others = f"others report 22 to 31; drifts below 0.001 px count as that; {_ratio_range(trials)}"
+def _largest(t: Array, apart: Array) -> float:
+    """The largest move of a joint (rad) after the calm."""
+    return float(np.abs(apart[t >= CALM]).max())
+
+
+def _together(figures: Mapping[str, float], told: Readings) -> dict[str, float]:
+    """Of each reading: the lesser drift toward the hand of both sides, and the greater one when asynchronous."""
+    found = {}
+    for key in (readings.key(reading) for reading in told.all):
+        both = {r: [figures[named(key, f"{r} {side}")] for side in SIDES] for r in RHYTHMS}
+        found[named(key, "lesser")] = float(np.min(both["synchronous"]))
+        found[named(key, "asynchronous")] = float(np.max(np.abs(both["asynchronous"])))
+    return found
+
+
+def _panels(courses: Mapping[str, tuple[Array, Array, Array]]) -> list[dict[str, Any]]:
+    t = next(iter(courses.values()))[0]
+    panels = [panel("drift of the effector, printed model", "px", t, {k: u for k, (_, _, u) in courses.items()}, "6b")]
+    for i, joint in enumerate(NAMES):
+        panels.append(
+            panel(f"{joint}, moved by touch", "rad", t, {k: x[:, i] for k, (_, x, _) in courses.items()}, "6b")
+        )
+    return panels
+
+
+def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+    figures = by_reading(trials)
+    drifts = Control("lesser drift of both sides, synchronous", "of the displacement", Bound("≥", NOTICED), "lesser")
+    weights = {
+        r: [float(np.mean(row)) for row in zip(*(column(trials, f"{r} {s} weight") for s in SIDES), strict=True)]
+        for r in RHYTHMS
+    }
     return (
-        _weight(same, Bound("≥", 0.7), weights["synchronous"]),
-        _weight(other, Bound("≤", 0.1), weights["asynchronous"]),
-        judge("E5", "the belief drifts toward the seen hand: the drift's sign follows its side",
-              "lesser drift toward the hand of left and right", "px", Bound("≥", 0.01), least,
-              f"{_range(trials)}; {_trust(trials)}"),
-        judge("E5", "hardly so when asynchronous", "synchronous over asynchronous drift", "1",
-              Bound("≥", 20.0), ratios, others),
-    )  # fmt: skip
-
-
-def _ratios(trials: Sequence[Trial], of: str) -> list[float]:
-    """Synchronous over asynchronous drift toward the hand, each the mean of both sides."""
-    with_it, against = (_mean(trials, [f"{of} {rhythm} {side}" for side in SIDES]) for rhythm in RHYTHMS)
-    return [a / max(abs(b), FAINT) for a, b in zip(with_it, against, strict=True)]
-
-
-def _weight(text: str, bound: Bound, found: list[float]) -> Claim:
-    return judge("E5", text, "mean synchrony weight", "1", bound, (found, found), "both models share perception")
-
-
-def _mean(trials: Sequence[Trial], names: list[str]) -> list[float]:
-    return [float(np.mean(row)) for row in zip(*(column(trials, name) for name in names), strict=True)]
-
-
-def _least(trials: Sequence[Trial], of: str) -> list[float]:
-    sides = [column(trials, f"{of} synchronous {side}") for side in SIDES]
-    return [float(np.min(row)) for row in zip(*sides, strict=True)]
-
-
-def _range(trials: Sequence[Trial]) -> str:
-    found = {w: float(np.median(_mean(trials, [f"width {w:g} synchronous {s}" for s in SIDES]))) for w in WIDTHS}
-    told = ", ".join(f"{drift:.2f} px at {w:g} px" for w, drift in found.items())
-    why = "the constants are a_1 = 0.001 and b_1 = 1"
-    return f"{why}: with a_1 = 1 and a learned body, drift by the width 1/√(2 b_1): {told}"
-
-
-def _ratio_range(trials: Sequence[Trial]) -> str:
-    found = {w: float(np.median(_ratios(trials, f"width {w:g}"))) for w in WIDTHS}
-    return "as printed, with a_1 = 1, by the width: " + ", ".join(f"{r:.0f} at {w:g} px" for w, r in found.items())
-
-
-def _trust(trials: Sequence[Trial]) -> str:
-    found = medians(trials, "noise {}", NOISES)
-    told = ", ".join(f"{drift:.2f} px with {s:g} rad more" for s, drift in found.items())
-    return f"ours by the encoders' noise, 0.01 rad being their own: {told}"
+        paper(
+            "E5.1",
+            "with synchronous strokes the belief drifts toward the seen hand, whichever its side",
+            "lesser drift toward the hand of left and right, over the displacement",
+            "1",
+            Bound("≥", NOTICED),
+            "lesser",
+            figures,
+            told.keys,
+            told.swept,
+        ),
+        paper(
+            "E5.2",
+            "with asynchronous strokes it hardly does",
+            "greater drift of both sides, over the displacement",
+            "1",
+            Bound("≤", NOTICED),
+            "asynchronous",
+            figures,
+            told.keys,
+            told.swept,
+            (drifts,),
+        ),
+        own(
+            "E5.3",
+            "perception takes strokes seen in time with the skin for the same event",
+            "mean synchrony weight",
+            "1",
+            Bound("≥", 0.7),
+            weights["synchronous"],
+        ),
+        own(
+            "E5.4",
+            "and strokes seen 0.4 to 1 s late not",
+            "mean synchrony weight",
+            "1",
+            Bound("≤", 0.1),
+            weights["asynchronous"],
+        ),
+    )
 
 
 def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
-    def cell(of: str, rhythm: str, side: str) -> str:
-        return f"{np.median(column(trials, f'{of} {rhythm} {side}')):+.3f}"
+    def cell(name: str) -> str:
+        return f"{np.nanmedian(column(trials, named(shown(trials), name))):+.4f}"
 
-    rows: list[tuple[Any, ...]] = [
-        (rhythm, side, f"{np.median(column(trials, f'{rhythm} {side} weight')):.3f}", cell("printed", rhythm, side),
-         cell("ours", rhythm, side)) for rhythm in RHYTHMS for side in PLACES
-    ]  # fmt: skip
-    head = ("strokes", "hand seen", "synchrony weight", "printed: drift toward it, px", "ours: drift toward it, px")
-    return (Table("Medians over the seeds", head, tuple(rows)),)
+    rows = [
+        (r, s, f"{np.median(column(trials, f'{r} {s} weight')):.3f}", cell(f"{r} {s}"), cell(f"{r} {s} rad"))
+        for r in RHYTHMS
+        for s in SIDES
+    ]
+    head = (
+        "strokes",
+        "hand seen",
+        "synchrony weight",
+        "drift toward it over the displacement",
+        "largest move of a joint, rad",
+    )
+    return (Table("The printed model, medians over the seeds", head, tuple(rows)),)
 
 
-EXPERIMENT = Experiment("E5", "The rubber hand", _run, _claims, _tables)
+EXPERIMENT = Experiment("E5", "The rubber hand", _run, _claims, CONCERNED, _tables)

@@ -1,4 +1,4 @@
-"""Every experiment on every seed, each once: done by processes, kept in a folder, judged, and put on a page."""
+"""Every experiment on every seed in its readings, each once: by processes, kept in a folder, judged, on a page."""
 
 import multiprocessing
 import os
@@ -14,10 +14,13 @@ from ..files import made
 from ..sim import how_to_install
 from ..temporary import remove_killed
 from ..workers import ended, ready, uninterrupted
-from . import page
+from . import page, readings, real, rubber_hand
+from .drawn import SIZE
+from .judging import Claim
 from .lab import EXPLORATION_S, Lab, kept
-from .records import Claim, Trial
-from .table import EXPERIMENTS, TIMED
+from .readings import Reading
+from .records import Readings, Trial
+from .table import ASKED, EXPERIMENTS, TIMED
 
 Task = tuple[str, int]
 """An experiment's name and a seed."""
@@ -28,95 +31,134 @@ Tell = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Reproduction:
-    """What to reproduce and where: experiments by name, seeds, processes, picture size px, exploration s."""
+    """What to reproduce and where: experiments by name, seeds, processes, exploration s.
+
+    reading: judge in this one alone, not in all · setting: what the rubber hand sweeps · data: real robots' folder.
+    """
 
     out: Path
     names: tuple[str, ...] = ()
     seeds: int = 10
     jobs: int = 2
-    size: tuple[int, int] = (320, 240)
     exploration: float = EXPLORATION_S
+    reading: Reading | None = None
+    setting: rubber_hand.Setting = rubber_hand.SETTING
+    data: Path | None = None
+
+    def told(self, name: str) -> Readings:
+        """The readings that an experiment is run in."""
+        concerned = EXPERIMENTS[name].concerned
+        if self.reading is not None:
+            return Readings((self.reading,))
+        return Readings(readings.design(concerned), readings.sweeps(concerned)) if concerned else Readings(({},))
+
+    def run(self, name: str, seed: int) -> Trial:
+        """One seed of an experiment."""
+        told = self.told(name)
+        if name == "Rubber-hand":
+            return rubber_hand.run(self.lab, seed, told, self.setting)
+        if name == "Real" and self.data is not None:
+            return real.run(self.lab, seed, told, self.data)
+        return EXPERIMENTS[name].run(self.lab, seed, told)
+
+    def key(self, name: str) -> str:
+        """What a kept trial depends on beside its experiment and seed."""
+        told: dict[str, Any] = {"readings": [readings.key(reading) for reading in self.told(name).all]}
+        told |= {"setting": repr(self.setting)} if name == "Rubber-hand" else {}
+        told |= {"data": real.fingerprint(self.data)} if name == "Real" and self.data is not None else {}
+        return self.lab.key(told)
+
+    def seeds_of(self, name: str) -> range:
+        """The seeds of an experiment: measurements have none."""
+        return range(1 if name == "Real" else self.seeds)
 
     @property
     def lab(self) -> Lab:
         """Where its logs and bodies are kept."""
-        return Lab(self.out / "work", self.size, self.exploration)
+        return Lab(self.out / "work", SIZE, self.exploration)
 
 
 def reproduce(wish: Reproduction, tell: Tell | None = None) -> tuple[Claim, ...]:
     """Run what is not done yet, write index.html, claims.json and cost.json to `out`, give the claims."""
     names = chosen(wish.names)
-    _ready()
-    tasks = [(name, seed) for name in names for seed in range(wish.seeds)]
+    _ready(names, wish.data)
+    tasks = [(name, seed) for name in names for seed in wish.seeds_of(name)]
     made(wish.lab.folder)
     for done, (name, seed) in enumerate(_finished(wish, tasks), 1):
         if tell:
             tell(f"{name} seed {seed}", done, len(tasks))
-    trials = {name: [trial(wish.lab, name, seed) for seed in range(wish.seeds)] for name in names}
-    return page.write(wish.out, trials, wish.seeds, f"{wish.size[0]}×{wish.size[1]}")
+    trials = {name: [trial(wish, name, seed) for seed in wish.seeds_of(name)] for name in names}
+    told = {name: wish.told(name) for name in names}
+    return page.write(wish.out, trials, told, wish.seeds, f"{SIZE[0]}×{SIZE[1]}")
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
-    """The experiments named, in the table's order, or all; UsageError for an unknown one."""
+    """The experiments named, in the table's order, or all that need no data; UsageError for an unknown one."""
     known = {name.lower(): name for name in EXPERIMENTS}
     for name in names:
         if name.lower() not in known:
             possible = ", ".join(EXPERIMENTS)
             raise UsageError(f"experiment {name!r}: it must be one of {possible}; type: bodylog reproduce E1 -o out")
-    wanted = {known[name.lower()] for name in names} or set(EXPERIMENTS)
+    wanted = {known[name.lower()] for name in names} or set(EXPERIMENTS) - set(ASKED)
     return tuple(name for name in EXPERIMENTS if name in wanted)
 
 
-def _ready() -> None:
-    """UsageError, before minutes are spent, where what is needed at the end is not installed."""
-    for module, command in (("pybullet", how_to_install()), ("matplotlib", "pip install 'bodylog[report]'")):
+def _ready(names: Sequence[str], data: Path | None) -> None:
+    """UsageError, before minutes are spent, where what is needed at the end is not installed or not given."""
+    if "Real" in names:
+        if data is None:
+            raise UsageError(
+                "reproduce real: --data is not given; possible: the measurements' folder; type: --data DIR"
+            )
+        real.fingerprint(data)
+    needed = [("pybullet", how_to_install())] if set(names) - {"Real"} else []
+    for module, command in (*needed, ("matplotlib", "pip install 'bodylog[report]'")):
         if find_spec(module) is None:
             raise UsageError(f"reproduce: {module} is not installed; type: {command}")
 
 
-def trial(lab: Lab, name: str, seed: int) -> Trial:
+def trial(wish: Reproduction, name: str, seed: int) -> Trial:
     """One seed of an experiment, from the folder when it is there."""
-    found: dict[str, Any] = kept(trial_path(lab, name, seed), lambda: EXPERIMENTS[name].run(lab, seed))
+    found: dict[str, Any] = kept(trial_path(wish, name, seed), lambda: wish.run(name, seed))
     return found
 
 
-def trial_path(lab: Lab, name: str, seed: int) -> Path:
+def trial_path(wish: Reproduction, name: str, seed: int) -> Path:
     """Where that is kept."""
-    return lab.folder / "trials" / f"{name}-{seed}-{lab.key({})}.json"
+    return wish.lab.folder / "trials" / f"{name}-{seed}-{wish.key(name)}.json"
 
 
 def _finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
     """Tasks as they are done, those in the folder first; what is timed runs alone, at the end."""
-    lab = wish.lab
-    there = [task for task in tasks if trial_path(lab, *task).exists()]
+    there = [task for task in tasks if trial_path(wish, *task).exists()]
     yield from there
     left = [task for task in tasks if task not in there]
     side_by_side = [task for task in left if task[0] not in TIMED] if wish.jobs > 1 else []
     if len(side_by_side) > 1:
-        yield from _pooled(lab, side_by_side, wish.jobs)
+        yield from _pooled(wish, side_by_side)
         left = [task for task in left if task not in side_by_side]
     for task in left:
-        trial(lab, *task)
+        trial(wish, *task)
         yield task
 
 
-def _worked(lab: Lab, name: str, seed: int) -> Trial:
+def _worked(wish: Reproduction, name: str, seed: int) -> Trial:
     """A trial in a worker, which ends when told to: the pool would take that for an answer and ask for the next."""
     try:
-        return trial(lab, name, seed)
+        return trial(wish, name, seed)
     except SystemExit as told:
         os._exit(int(told.code or 0))
 
 
-def _pooled(lab: Lab, tasks: list[Task], jobs: int) -> Iterator[Task]:
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"), ready)
+def _pooled(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
+    pool = ProcessPoolExecutor(wish.jobs, multiprocessing.get_context("spawn"), ready)
     try:
         with ended():
             with uninterrupted():
-                futures = {pool.submit(_worked, lab, *task): task for task in tasks}
+                futures = {pool.submit(_worked, wish, *task): task for task in tasks}
             for future in as_completed(futures):
                 future.result()
                 yield futures[future]
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
-        remove_killed(lab.folder, *{trial_path(lab, *task).parent for task in tasks})
+        remove_killed(wish.lab.folder, *{trial_path(wish, *task).parent for task in tasks})

@@ -1,4 +1,4 @@
-"""A small reproduction, made once: one experiment, one seed, small pictures, a short exploration."""
+"""A small reproduction, made once: one experiment, one seed, a short exploration."""
 
 import pytest
 
@@ -7,9 +7,11 @@ from bodylog.experiments import Reproduction, reproduce
 
 @pytest.fixture(scope="session")
 def small(tmp_path_factory):
+    """E2 in one reading."""
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     pytest.importorskip("matplotlib", reason="figures need matplotlib: pip install 'bodylog[report]'")
     told = []
-    wish = Reproduction(tmp_path_factory.mktemp("out"), ("E2",), seeds=1, jobs=1, size=(160, 120), exploration=8.0)
+    out = tmp_path_factory.mktemp("out")
+    wish = Reproduction(out, ("E2",), seeds=1, jobs=1, exploration=8.0, reading={"speed": "4"})
     claims = reproduce(wish, lambda *said: told.append(said))
     return wish, claims, told

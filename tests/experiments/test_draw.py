@@ -3,7 +3,8 @@
 import re
 
 from bodylog.experiments import draw
-from bodylog.experiments.records import Bound, judge, panel
+from bodylog.experiments.judging import Bound, paper
+from bodylog.experiments.records import panel
 
 
 def words(path):
@@ -12,10 +13,10 @@ def words(path):
 
 
 def test_costs_are_lines_with_their_exponents(tmp_path):
-    costs = {"learn 400": 1e-3, "learn 800": 8e-3, "predict ours 100": 1e-5, "predict ours 200": 2e-5}
-    trial = {"figures": {**costs, "learn exponent": 3.0, "predict ours exponent": 1.0}}
+    costs = {"learn 400": 1e-3, "learn 800": 8e-3, "sparse step 100": 1e-5, "sparse step 200": 2e-5}
+    trial = {"figures": {**costs, "learn exponent": 3.0, "sparse step exponent": 1.0}}
     draw.curves([trial] * 3, tmp_path / "c.svg")
-    assert {"learn: exponent 3.00", "predict ours: exponent 1.00"} <= words(tmp_path / "c.svg")
+    assert {"learn: exponent 3.00", "sparse step: exponent 1.00"} <= words(tmp_path / "c.svg")
 
 
 def test_truth_is_dashed_and_every_panel_drawn(tmp_path):
@@ -26,9 +27,20 @@ def test_truth_is_dashed_and_every_panel_drawn(tmp_path):
     assert text.count("stroke-dasharray") >= 3
 
 
-def test_a_dot_per_seed_and_the_bound_same_bytes_twice(tmp_path):
-    claim = judge("E0", "text", "what", "rad", Bound("≤", 0.5), ([0.1, 0.2, float("nan")], [0.3, 4.0, 100.0]))
+def claim():
+    by = {"centre": 0.1, "sigma_v=pixels": float("nan"), "sigma_v=widths": 40.0, "sigma_v=20": 0.2, "sigma_v=320": 30.0}
+    swept = [("sigma_v", 20.0, "sigma_v=20"), ("sigma_v", 320.0, "sigma_v=320")]
+    tried = [key for key in by if not key.endswith("0")]
+    return paper("E0.1", "text", "what", "rad", Bound("≤", 0.5), "it", lambda key, name: (by[key],) * 3, tried, swept)
+
+
+def test_a_dot_per_reading_and_the_bound_same_bytes_twice(tmp_path):
     for name in ("a.svg", "b.svg"):
-        draw.spreads([claim], tmp_path / name)
+        draw.spreads([claim()], tmp_path / name)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
-    assert "1. what: ≤ 0.5 rad" in words(tmp_path / "a.svg")
+    assert {"E0.1 what: ≤ 0.5 rad", "centre", "sigma_v=widths"} <= words(tmp_path / "a.svg")
+
+
+def test_what_is_swept_has_its_axis(tmp_path):
+    draw.sweeps([claim()], tmp_path / "s.svg")
+    assert {"E0.1 what", "σ_v: unit in px"} <= words(tmp_path / "s.svg")

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from bodylog.experiments.beliefs import Belief
 from bodylog.experiments.e2_nonlinear import Squared, converged
 
 
@@ -17,6 +16,6 @@ def test_jacobian_of_squares_agrees_with_differences():
 
 def test_convergence_is_the_last_time_a_belief_was_far():
     t, true = np.arange(5.0), np.ones((5, 1))
-    assert converged(Belief(t, np.array([[2.0], [1.0], [2.0], [1.0], [-1.0]]), true)) == 3.0
-    assert np.isnan(converged(Belief(t, 2.0 * true, true)))
-    assert converged(Belief(t, -true, true)) == 0.0
+    assert converged(t, np.array([[2.0], [1.0], [2.0], [1.0], [-1.0]]), true) == 3.0
+    assert np.isnan(converged(t, 2.0 * true, true))
+    assert converged(t, -true, true) == 0.0

@@ -13,7 +13,8 @@ RUN = """
 import sys
 from pathlib import Path
 from bodylog.experiments import Reproduction, reproduce
-reproduce(Reproduction(Path(sys.argv[1]), ("E2",), seeds=1, jobs=1, size=(160, 120), exploration=8.0))
+out = Path(sys.argv[1])
+reproduce(Reproduction(out, ("E2",), seeds=1, jobs=1, exploration=8.0, reading={"speed": "4"}))
 """
 
 
@@ -37,7 +38,7 @@ def test_killed_and_started_again_it_ends_with_the_same_bytes(small, tmp_path):
     wish = replace(whole, out=tmp_path)
     killed(tmp_path)
     kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("work/[a-z]*.mcap")}
-    assert kept and not run.trial_path(wish.lab, "E2", 0).exists()
+    assert kept and not run.trial_path(wish, "E2", 0).exists()
     assert reproduce(wish) == claims
     assert all(path.stat().st_mtime_ns == before for path, before in kept.items()), "recorded again"
     for name in ("index.html", "claims.json"):

@@ -1,10 +1,12 @@
 """The page: self-contained, escaped, and without times that differ from run to run."""
 
+import csv
 import json
 import re
 
-from bodylog.experiments import page
-from bodylog.experiments.records import Bound, judge
+from bodylog.experiments import page, tables
+from bodylog.experiments.judging import Bound, comparison, erratum, own, paper, variants
+from bodylog.experiments.readings import CONSTANTS
 
 
 def test_the_page_needs_nothing_from_outside(small):
@@ -23,13 +25,51 @@ def _words(html):
     return re.sub(r'base64,[^"]*|"[A-Za-z0-9+/=]{40,}"|^// .*$', "", html, flags=re.MULTILINE)
 
 
+def test_claims_name_reading_bound_figure_and_interval(small):
+    wish, _, _ = small
+    for claim in json.loads((wish.out / "claims.json").read_text()):
+        assert {"id", "kind", "bound", "unit", "outcomes"} <= set(claim)
+        for reading, found in claim["outcomes"].items():
+            assert reading in ("speed=4", "default") and len(found["interval"]) == 2 and found["figures"]
+            assert found["interval"][0] <= found["median"] <= found["interval"][1]
+
+
+def test_every_open_constant_stands_on_the_page_with_its_readings(small):
+    wish, _, _ = small
+    html = (wish.out / "index.html").read_text()
+    assert all(f"<td>{name}</td>" in html for name in CONSTANTS)
+
+
+def test_the_numbers_behind_the_figures_are_tables(small):
+    wish, _, _ = small
+    with open(wish.out / "data" / "E2.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["figure"] for row in rows} == {"5a"} and {"truth", "printed"} <= {row["line"] for row in rows}
+    assert all(float(row["at"]) >= 0 for row in rows)
+    with open(wish.out / "data" / "figures.csv", encoding="utf-8", newline="") as file:
+        found = {(row["reading"], row["figure"]) for row in csv.DictReader(file)}
+    assert {("speed=4", "converged"), ("", "ours vision")} <= found
+    with open(wish.out / "data" / "outcomes.csv", encoding="utf-8", newline="") as file:
+        assert {row["kept"] for row in csv.DictReader(file)} <= {"yes", "no"}
+
+
+HOSTILE = "<script>alert(1)</script>"
+LOW = {HOSTILE: [0.0]}
+
+
 def test_whatever_a_claim_says_stays_text():
-    hostile = "<script>alert(1)</script>"
-    claim = judge("E0", hostile, hostile, hostile, Bound("≤", 1.0), ([0.0], [0.0]), hostile)
-    assert "<script" not in page.claim_table([claim])
+    bound = Bound("≤", 1.0)
+    said = (HOSTILE, HOSTILE, HOSTILE, HOSTILE, bound)
+    claims = [own(*said, [0.0], HOSTILE), comparison(*said, LOW, HOSTILE, HOSTILE), erratum(*said, LOW, HOSTILE),
+              variants(*said, {"a": [2.0], HOSTILE: [0.0]}, HOSTILE, HOSTILE),
+              paper(*said, HOSTILE, lambda key, name: (0.0,), ["centre"], explanation=HOSTILE)]  # fmt: skip
+    assert "<script" not in tables.claim_tables(claims)
+    assert "<script" not in "".join(map(tables.outcomes_table, claims))
 
 
-def test_times_are_not_on_the_page():
-    claim = judge("E6", "text", "what", "1", Bound("≤", 1.0), ([0.123456], [0.123456]))
-    table = page.claim_table([page.withheld(claim)])
-    assert "0.123" not in table and "cost.json" in table and "confirmed" in table
+def test_times_are_not_on_the_page_and_counts_are():
+    found = {"timed": [0.123456], "dense, counted": [2.0]}
+    claim = page.withheld(variants("E6.1", "text", "what", "1", Bound("≤", 1.0), found, "that"))
+    table = tables.claim_tables([claim])
+    assert "0.123" not in table and "see cost.json" in table and "depends on that" in table
+    assert claim.outcomes["dense, counted"].figures == (2.0,)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from bodylog.experiments import page
-from bodylog.experiments.records import Bound, Experiment, Table, judge, panel
+from bodylog.experiments.judging import Bound, own
+from bodylog.experiments.records import Experiment, Readings, Table, panel
 from tests.report import browser
 from tests.report.test_html import HOSTILE
 from tests.report.test_page_in_browser import BLANK, DRAWN, RANGES, drag_across
@@ -24,8 +25,10 @@ def window():
 def opened(tmp_path, monkeypatch, window):
     """A page of two experiments, whose names and figures nobody chose kindly."""
     for name in ("first", "second"):
-        monkeypatch.setitem(page.EXPERIMENTS, name, Experiment(name, HOSTILE, lambda lab, seed: {}, _claims, _tables))
-    page.write(tmp_path, {"first": [_trial(20.0)] * 3, "second": [_trial(12.0)] * 3}, 3, "320×240")
+        experiment = Experiment(name, HOSTILE, lambda lab, seed, told: {}, _claims, (), _tables)
+        monkeypatch.setitem(page.EXPERIMENTS, name, experiment)
+    told = dict.fromkeys(("first", "second"), Readings(({},)))
+    page.write(tmp_path, {"first": [_trial(20.0)] * 3, "second": [_trial(12.0)] * 3}, told, 3, "320×240")
     window.open(tmp_path / "index.html")
     return window
 
@@ -36,9 +39,9 @@ def _trial(end):
     return {"figures": {"a": 0.5}, "panels": [panel(HOSTILE, "rad", t, lines), panel("flat", "px", t, {"a": 0 * t})]}
 
 
-def _claims(trials):
+def _claims(trials, told):
     figures = [trial["figures"]["a"] for trial in trials]
-    return (judge(HOSTILE, HOSTILE, HOSTILE, HOSTILE, Bound("≤", 1.0), (figures, figures), HOSTILE),)
+    return (own(HOSTILE, HOSTILE, HOSTILE, HOSTILE, Bound("≤", 1.0), figures, HOSTILE),)
 
 
 def _tables(trials):

@@ -12,15 +12,17 @@ from bodylog.experiments.records import Experiment
 
 def test_the_squared_encoders_hide_the_sign_and_vision_tells_it(small):
     _, claims, told = small
-    assert [claim.experiment for claim in claims] == ["E2"] * 3
-    assert claims[1].verdict == "confirmed"
-    assert claims[2].printed[0] > 1.0 > 0.05 > claims[2].ours[0]
+    assert [claim.id for claim in claims] == [f"E2.{k}" for k in range(1, 6)]
+    by = {claim.id: claim for claim in claims}
+    assert [by[name].verdict for name in ("E2.1", "E2.2", "E2.4")] == ["holds"] * 3
+    assert by["E2.5"].outcomes["default"].median < 0.2 < 1.0 < by["E2.4"].outcomes["default"].median
+    assert list(by["E2.1"].outcomes) == ["speed=4"] and list(by["E2.5"].outcomes) == ["default"]
     assert told == [("E2 seed 0", 1, 1)]
 
 
 def test_a_second_run_computes_nothing_and_gives_the_same_bytes(small, monkeypatch):
     wish, claims, _ = small
-    names = ("index.html", "claims.json")
+    names = ("index.html", "claims.json", "data/E2.csv", "data/figures.csv", "data/outcomes.csv")
     before = [(wish.out / name).read_bytes() for name in names]
     monkeypatch.setitem(run.EXPERIMENTS, "E2", replace(EXPERIMENTS["E2"], run=_never))
     assert reproduce(wish) == claims
@@ -31,7 +33,7 @@ def test_an_interrupted_run_goes_on_where_it_was(small, monkeypatch):
     wish, _, _ = small
     made = []
     monkeypatch.setattr(run.Lab, "log", lambda *args, **options: _never())
-    monkeypatch.setitem(run.EXPERIMENTS, "E9", Experiment("E9", "", _second_fails(made), lambda trials: ()))
+    monkeypatch.setitem(run.EXPERIMENTS, "E9", Experiment("E9", "", _second_fails(made), lambda trials, told: ()))
     monkeypatch.setitem(run.EXPERIMENTS, "E2", EXPERIMENTS["E2"])
     wish = replace(wish, names=("E9",), seeds=3)
     with pytest.raises(KeyboardInterrupt):
@@ -41,7 +43,7 @@ def test_an_interrupted_run_goes_on_where_it_was(small, monkeypatch):
 
 
 def _second_fails(made):
-    def once(lab, seed):
+    def once(lab, seed, told):
         made.append(seed)
         if made == [0, 1]:
             raise KeyboardInterrupt
@@ -61,20 +63,41 @@ def test_what_is_not_installed_is_said_before_anything_runs(tmp_path, monkeypatc
     assert not (tmp_path / "out").exists()
 
 
-def test_another_picture_size_is_another_key(small):
+def test_another_picture_size_reading_or_setting_is_another_trial(small):
     wish, _, _ = small
-    assert wish.lab.key({}) != replace(wish, size=(320, 240)).lab.key({})
-    assert wish.lab.key({"a": 1}) != wish.lab.key({"a": 2})
+    assert wish.lab.key({}) != replace(wish.lab, size=(160, 120)).key({})
+    paths = {run.trial_path(replace(wish, reading=reading), "E2", 0) for reading in (None, {}, {"speed": "4"})}
+    assert len(paths) == 3
+    other = replace(wish, setting=replace(wish.setting, noise=(0.1,)))
+    assert wish.key("Rubber-hand") != other.key("Rubber-hand") and wish.key("E2") == other.key("E2")
+
+
+def test_without_a_reading_all_are_run_and_with_one_that_alone(small):
+    wish, _, _ = small
+    assert len(wish.told("E2").decide) == 1 and not wish.told("E2").sweep
+    every = replace(wish, reading=None)
+    assert len(every.told("E1").decide) >= 15 and every.told("E1").sweep and len(every.told("PixelAI").decide) == 1
 
 
 def test_kept_trials_hold_no_bare_nan(small):
     wish, _, _ = small
-    text = run.trial_path(wish.lab, "E2", 0).read_text()
+    text = run.trial_path(wish, "E2", 0).read_text()
     json.loads(text, parse_constant=lambda found: pytest.fail(found))
 
 
-def test_an_unknown_experiment_names_those_there_are(tmp_path):
-    with pytest.raises(UsageError, match=r"'E7'.*E1, E2, E3, E4, E5, E6, PixelAI, Errata"):
+def test_an_unknown_experiment_names_those_there_are():
+    with pytest.raises(
+        UsageError, match=r"'E7'.*Data, E1, E2, E3, E4, E5, E6, Rubber-hand, PixelAI, Baselines, Errata, Real"
+    ):
         run.chosen(["E7"])
-    assert run.chosen(["e3", "E1"]) == ("E1", "E3")
-    assert run.chosen([]) == tuple(EXPERIMENTS)
+    assert run.chosen(["e3", "E1"]) == ("E1", "E3") and run.chosen(["rubber-hand"]) == ("Rubber-hand",)
+    assert run.chosen([]) == tuple(name for name in EXPERIMENTS if name != "Real")
+
+
+def test_the_command_takes_a_reading_and_says_what_is_wrong_with_one(tmp_path, capsys, bodylog):
+    assert bodylog("reproduce", "E2", "-o", tmp_path, "--reading", "sigma_n=loud") == 2
+    assert "possible: amplitude, noise, learned" in capsys.readouterr().err
+    assert bodylog("reproduce", "rubber-hand", "-o", tmp_path, "--asynchrony", "0,fast") == 2
+    assert "numbers from 0 to 5 are expected" in capsys.readouterr().err
+    assert bodylog("reproduce", "real", "-o", tmp_path / "out") == 2
+    assert "type: --data DIR" in capsys.readouterr().err

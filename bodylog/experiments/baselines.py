@@ -1,0 +1,145 @@
+"""Baselines: our filter and smoother beside encoders alone, the printed model, and what could be known."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..types import Array
+from .beliefs import Belief, ours
+from .cases import case, explored, signals
+from .judging import Bound, Claim, interval, own
+from .lab import ELSEWHERE, JOINTS, Heard, Lab
+from .oracle import Known, Told, known
+from .printed import believed
+from .records import Experiment, Readings, Table, Trial, column
+from .static import kalman
+
+DURATION, SINCE = 20.0, 2.0
+"""s: how long a reach lasts, hidden for two seconds in its middle, and from when on errors count."""
+ENCODER_STD = 0.02
+"""rad, as recorded."""
+ROWS = (
+    "raw encoders",
+    "Kalman filter of the paper, encoders alone",
+    "printed model, centre",
+    "filter, encoders alone",
+    "filter",
+    "smoother, encoders alone",
+    "smoother",
+    "oracle filter, encoders alone",
+    "oracle filter",
+    "oracle smoother, encoders alone",
+    "oracle smoother",
+)
+
+
+def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+    heard = lab.heard("reach", seed + ELSEWHERE, duration=DURATION, noise=ENCODER_STD)
+    body = lab.body("default", seed)
+    log, start = signals(heard), heard.true(JOINTS, heard.truth.t[:1])[0]
+    figures = {
+        "raw encoders": _rms(_raw(heard)),
+        "printed model, centre": log.error(
+            believed(log, [case(explored(lab.body("paper", seed)), {}, "p+v", start)]).x[0], SINCE
+        ),
+    }
+    figures["Kalman filter of the paper, encoders alone"] = log.error(kalman(log, start), SINCE)
+    for method, name in (("laplace", "filter"), ("smoother", "smoother")):
+        figures[f"{name}, encoders alone"] = _of(ours(heard, body, ("encoders",), method=method))
+        figures[name] = _of(ours(heard, body, ("encoders", "vision"), method=method))
+    figures |= _oracles(heard)
+    return {"figures": figures, "panels": []}
+
+
+def _of(belief: Belief) -> float:
+    return belief.rmse(SINCE)
+
+
+def _raw(heard: Heard) -> Array:
+    joints = heard.features.joints
+    assert joints is not None
+    columns = [joints.names.index(name) for name in JOINTS]
+    return np.asarray((joints.values[:, columns] - heard.true(JOINTS, joints.t))[joints.t >= SINCE])
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _oracles(heard: Heard) -> dict[str, float]:
+    figures: dict[str, float] = {}
+    for vision, name in ((False, ", encoders alone"), (True, "")):
+        sensed = told_of(heard, vision)
+        found = known(sensed)
+        figures |= {f"oracle {kind}{name}": _rms(error) for kind, error in _errors(heard, sensed, found).items()}
+        figures[f"order{name}"] = float(found.order)
+    return figures
+
+
+def _errors(heard: Heard, sensed: Told, found: Known) -> dict[str, Array]:
+    late = sensed.t >= SINCE
+    true = heard.true(JOINTS, sensed.t)
+    return {"filter": (found.filtered - true)[late], "smoother": (found.smoothed - true)[late]}
+
+
+def told_of(heard: Heard, vision: bool) -> Told:
+    """What the oracle is told of a log: encoders, and what vision found with the variance it truly has."""
+    from .drawn import place
+
+    joints, track = heard.features.joints, heard.features.effector
+    assert joints is not None and track is not None
+    t = np.unique(np.concatenate([joints.t, track.t])) if vision else np.unique(joints.t)
+    encoders, seen = np.full((len(t), len(JOINTS)), np.nan), np.full((len(t), 2), np.nan)
+    encoders[np.searchsorted(t, joints.t)] = joints.values[:, [joints.names.index(name) for name in JOINTS]]
+    off = track.values - place(heard.true(JOINTS, track.t))
+    if vision:
+        seen[np.searchsorted(t, track.t)] = track.values
+    return Told(t, encoders, seen, ENCODER_STD**2, np.nanmean(off**2, axis=0))
+
+
+def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+    def over(more: str, less: str) -> list[float]:
+        return [a / b for a, b in zip(column(trials, more), column(trials, less), strict=True)]
+
+    return (
+        own(
+            "B.1",
+            "vision takes more off our filter's error than encoders alone do",
+            "error over that of encoders alone",
+            "1",
+            Bound("≤", 1.0),
+            over("filter", "filter, encoders alone"),
+        ),
+        own(
+            "B.2",
+            "the filter errs at most a tenth more than an oracle's",
+            "error over the oracle's",
+            "1",
+            Bound("≤", 1.1),
+            over("filter", "oracle filter"),
+        ),
+        own(
+            "B.3",
+            "the smoother errs at most a fifth more than an oracle's",
+            "error over the oracle's",
+            "1",
+            Bound("≤", 1.2),
+            over("smoother", "oracle smoother"),
+        ),
+    )
+
+
+def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
+    def row(name: str) -> tuple[str, str, str]:
+        values = column(trials, name)
+        low, high = interval(values)
+        return name, f"{np.median(values):.4f}", f"{low:.4f} to {high:.4f}"
+
+    jerk = float(np.mean([order == 3.0 for order in column(trials, "order")]))
+    caption = (
+        f"Error over three joints, rad, over {len(trials)} reaches; the oracle's motion is white jerk in {jerk:.0%}"
+    )
+    return (Table(caption, ("", "median", "95 % interval of the median"), tuple(row(name) for name in ROWS)),)
+
+
+EXPERIMENT = Experiment("Baselines", "Encoders alone, and what could be known", _run, _claims, (), _tables)

@@ -1,0 +1,196 @@
+"""From a reading to runs of the printed model: its map from 46 samples, its units, its touch, on a log's signals."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..types import Array, BodyModel, Features, Synchrony
+from . import readings
+from .drawn import ARM, PIXEL_STD, SIZE, place, px_per_cm
+from .lab import JOINTS, Heard
+from .printed import DT, Case, Map, Signals, Touching, believed
+from .readings import Reading
+
+SCALE, SIGMA = float(np.exp(0.1)), float(np.exp(0.02))
+"""The printed l (rad) and σ_n."""
+A_1 = 0.001
+"""The printed a_1."""
+LATE = 0.2
+"""s: a hand seen longer ago is not seen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explored:
+    """What the printed model learns from: the 46 samples x (46,M) rad and where they were seen, y (46,2) px."""
+
+    x: Array
+    y: Array
+    maps: dict[str, Map]
+
+    @property
+    def home(self) -> Array:
+        """The mean (M,) rad of the explored angles."""
+        return np.asarray(self.x.mean(axis=0))
+
+    @property
+    def scatter(self) -> float:
+        """Standard deviation (px) of the places, both coordinates together."""
+        return float(np.sqrt(self.y.var(axis=0).mean()))
+
+    def map(self, reading: Reading) -> Map:
+        """The forward model in this reading of σ_n."""
+        told = readings.value(reading, "sigma_n")
+        if told not in self.maps:
+            self.maps[told] = (
+                self._learned() if told == "learned" else self._printed(readings.number(reading, "sigma_n"))
+            )
+        return self.maps[told]
+
+    def _printed(self, noise: float | None) -> Map:
+        """l as printed; the mean depends on noise and amplitude by their ratio alone, here that of deviations."""
+        assert noise is not None
+        apart = (self.x[:, None] - self.x) / SCALE
+        k = np.exp(-0.5 * (apart**2).sum(axis=2)) + noise**2 * np.eye(len(self.x))
+        mean = self.y.mean(axis=0)
+        return Map(self.x, np.full(self.x.shape[1], SCALE), np.linalg.solve(k, self.y - mean), mean, self.scatter)
+
+    def _learned(self) -> Map:
+        from ..body.train import samples, train
+
+        gp = train(samples(self.x, self.y), ("u", "v"), "px")
+        return Map(gp.centres, gp.scales[0], gp.amplitude[0] * gp.weights.T, gp.mean, self.scatter)
+
+
+def explored(body: BodyModel) -> Explored:
+    """The samples of a body learned by the paper's preset."""
+    from ..body.gp import GP
+
+    model = body.senses["effector"]
+    assert isinstance(model, GP)
+    return Explored(model.samples, model.targets, {})
+
+
+def drawn_samples(seed: int, moving: tuple[bool, bool, bool] = (True, True, True), count: int = 46) -> Explored:
+    """An exploration drawn without a recording: `count` postures of the explored box, quiet encoders, where seen."""
+    rng = np.random.default_rng([seed, 23])
+    x = np.array(ARM.home[:3]) + np.array(ARM.swing[:3]) * moving * rng.uniform(-1.0, 1.0, (count, 3))
+    seen = place(x) + PIXEL_STD * rng.standard_normal((count, 2))
+    return Explored(x + 0.003 * rng.standard_normal(x.shape), seen, {})
+
+
+def case(
+    known: Explored, reading: Reading, senses: str, start: Array, touch: bool = False, square: bool = False
+) -> Case:
+    """One run of senses such as "p1+p3+v" (p: all encoders) from a start (M,) rad."""
+    parts = set(senses.split("+"))
+    heard = tuple("p" in parts or f"p{i + 1}" in parts for i in range(len(start)))
+    prior = {"belief": start, "home": known.home, "zero": np.zeros(len(start))}[readings.value(reading, "mu_x")]
+    unit, integration = _unit(known, reading, "sigma_v"), readings.value(reading, "integration")
+    felt = _touching(known, reading) if touch or "t" in parts else None
+    return Case(known.map(reading), heard, "v" in parts, unit, integration, start, prior, felt, square)
+
+
+def _unit(known: Explored, reading: Reading, name: str) -> float:
+    """The unit (px) in which a variance or b_1 is read."""
+    of_log = {"standardised": known.scatter, "half-widths": SIZE[0] / 2, "widths": float(SIZE[0]), "cm": px_per_cm()}
+    found = readings.number(reading, name)
+    return of_log[readings.value(reading, name)] if found is None else found
+
+
+def _touching(known: Explored, reading: Reading) -> Touching:
+    a_2, half, relative = (readings.number(reading, name) for name in ("a_2", "b_2", "sigma_t"))
+    assert a_2 is not None and half is not None
+    a = A_1 * a_2
+    sigma = 1.0 if relative is None else relative * a**2
+    b_1 = _unit(known, reading, "b_1") ** -2.0
+    return Touching(a, b_1, float(np.log(2.0)) / half**2, sigma, readings.value(reading, "s_t"))
+
+
+def beside(body: BodyModel) -> Array:
+    """Where touched skin is seen beside the effector (2,) px, the mean of all cells the body knows; zero of none."""
+    places = np.array([place[:2] for place in body.cells.values()])
+    return np.asarray(places.mean(axis=0)) if len(places) else np.zeros(2)
+
+
+def placed(heard: Signals, reading: Reading, by: Array) -> Signals:
+    """The signals with the hand in this reading of o_v, touched skin being seen `by` (2,) px beside the effector."""
+    return heard if readings.value(reading, "o_v") == "hand" else replace(heard, hand=heard.hand - by)
+
+
+def signals(heard: Heard, joints: Sequence[str] = JOINTS) -> Signals:
+    """A log on the printed grid of 20 Hz: nearest encoder reading, place between two frames, the touch under way."""
+    features, encoders = heard.features, heard.features.joints
+    assert encoders is not None
+    t = np.arange(encoders.t[0], encoders.t[-1], DT)
+    columns = [encoders.names.index(name) for name in joints]
+    hand, delay = _felt(features, t)
+    read = encoders.values[_nearest(encoders.t, t)][:, columns]
+    return Signals(t, read, _between(features, t), hand, delay, heard.true(tuple(joints), t))
+
+
+def _nearest(t: Array, at: Array) -> Array:
+    right = np.clip(np.searchsorted(t, at), 1, len(t) - 1)
+    return np.asarray(right - (at - t[right - 1] <= t[right] - at))
+
+
+def _between(features: Features, t: Array) -> Array:
+    """The effector's place (N,2) px on the line between two frames no more than 0.1 s apart; NaN where unseen."""
+    track = features.effector
+    if track is None or len(track.t) < 2:
+        return np.full((len(t), 2), np.nan)
+    right = np.clip(np.searchsorted(track.t, t), 1, len(track.t) - 1)
+    gap = track.t[right] - track.t[right - 1]
+    share = ((t - track.t[right - 1]) / gap)[:, None]
+    found = track.values[right - 1] * (1.0 - share) + track.values[right] * share
+    return np.where((gap < 0.1)[:, None] & (share >= 0.0) & (share <= 1.0), found, np.nan)
+
+
+def _felt(features: Features, t: Array) -> tuple[Array, Array]:
+    """The hand (N,2) px while a touch paired with a stroke is felt, and that pair's delay (N,) s; NaN else."""
+    hand, delay = np.full((len(t), 2), np.nan), np.full(len(t), np.nan)
+    if features.hand is None or not len(features.hand.t):
+        return hand, delay
+    rows = np.maximum(np.searchsorted(features.hand.t, t + 1e-9, "right") - 1, 0)
+    fresh = t - features.hand.t[rows] < LATE
+    for pair in features.synchrony:
+        now = _during(features, pair, t) & fresh
+        hand[now], delay[now] = features.hand.values[rows[now]], pair.delay
+    return hand, delay
+
+
+def _during(features: Features, pair: Synchrony, t: Array) -> Array:
+    touch = (features.touches or ())[pair.touch]
+    return np.asarray((t >= touch.onset) & (t <= touch.offset))
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """What one reading's runs believe: signals · x {name: (N,M) rad} · errors {name: e_p, e_v (N,M+2)}."""
+
+    signals: Signals
+    x: Mapping[str, Array]
+    errors: Mapping[str, Array]
+
+    def error(self, name: str, since: float) -> float:
+        """Root mean square error (rad) of a run from `since` s on; NaN when it diverged."""
+        return self.signals.error(self.x[name], since)
+
+
+def study(
+    told: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Mapping[str, Case]]
+) -> dict[str, Made]:
+    """What every reading's runs believe, by the reading's key; those on one log run at once."""
+    groups: dict[int, list[tuple[str, Signals, Mapping[str, Case]]]] = {}
+    for reading in told:
+        heard = log(reading)
+        groups.setdefault(id(heard), []).append((readings.key(reading), heard, cases(reading, heard)))
+    found: dict[str, Made] = {}
+    for members in groups.values():
+        heard = members[0][1]
+        made = believed(heard, [case for _, _, of in members for case in of.values()])
+        runs = iter(zip(made.x, made.errors, strict=True))
+        for name, _, of in members:
+            mine = {run: next(runs) for run in of}
+            found[name] = Made(heard, {k: x for k, (x, _) in mine.items()}, {k: e for k, (_, e) in mine.items()})
+    return found

@@ -1,0 +1,102 @@
+"""The data of the paper's figure 3: joints and sightings, the learned map, the skin, touches and strokes.
+
+Beside it, the claims of the paper that no simulation can decide.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from .. import pipeline
+from ..settings import Settings
+from ..types import Array, Features, Recording
+from .cases import Explored, explored, signals
+from .drawn import effector
+from .judging import Claim, untestable
+from .lab import NAMES, Heard, Lab
+from .records import Experiment, Readings, Trial, panel
+
+SECONDS = 30.0
+CUTS = 5
+"""Values of shoulder 2 at which the learned map is cut."""
+
+
+def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+    """Drawn for the first seed alone: what it shows is no figure of merit."""
+    if seed:
+        return {"figures": {}, "panels": []}
+    heard = lab.heard("horizontal", seed, duration=lab.exploration)
+    known = explored(lab.body("paper", seed, "horizontal"))
+    read, features = pipeline.observe(lab.log("touch", seed, duration=SECONDS), Settings())
+    return {"figures": {}, "panels": [*_explored(heard), *_map(known), *_skin(read), *_patterns(features)]}
+
+
+def _explored(heard: Heard) -> list[dict[str, Any]]:
+    log = signals(heard)
+    joints = {f"{name}, encoder": log.encoders[:, i] for i, name in enumerate(NAMES)}
+    joints |= {f"{name}, truth": log.true[:, i] for i, name in enumerate(NAMES)}
+    return [
+        panel("joint angles and encoders", "rad", log.t, joints, "3a"),
+        panel("end effector, seen", "px", log.t, {name: log.place[:, i] for i, name in enumerate("uv")}, "3a"),
+        panel("end effector, where it is", "m", log.t, dict(zip("xyz", effector(log.true).T, strict=True)), "3a"),
+    ]
+
+
+def _map(known: Explored) -> list[dict[str, Any]]:
+    """u over shoulder 1 at some angles of shoulder 2, from 46 samples by greatest evidence: mean, and deviation."""
+    from ..body.train import samples, train
+
+    gp = train(samples(known.x, known.y), ("u", "v"), "px")
+    low, high = known.x.min(axis=0), known.x.max(axis=0)
+    across = np.linspace(low[0] - 0.2, high[0] + 0.2, 80)
+    means, spreads = dict[str, Array](), dict[str, Array]()
+    for second in np.linspace(low[1], high[1], CUTS):
+        mean, _, variance = gp.predict(np.column_stack([across, np.full(80, second), np.full(80, known.home[2])]))
+        name = f"shoulder 2 = {second:.2f} rad"
+        means[name], spreads[name] = mean[:, 0], np.sqrt(variance[:, 0])
+    return [
+        panel("learned horizontal place, mean", "px", across, means, "3b", "shoulder 1, rad"),
+        panel("its standard deviation", "px", across, spreads, "3b", "shoulder 1, rad"),
+    ]
+
+
+def _skin(read: Recording) -> list[dict[str, Any]]:
+    """All cells, the most active first."""
+    assert read.skin is not None
+    order = np.argsort(-read.skin.values.max(axis=0), kind="stable")
+    cells = {f"cell {k}": read.skin.values[:, k] for k in order.tolist()}
+    return [panel("skin proximity", "1", read.skin.t, cells, "3c")]
+
+
+def _patterns(features: Features) -> list[dict[str, Any]]:
+    t = np.arange(0.0, SECONDS, 0.02)
+    felt = sum(
+        (((t >= one.onset) & (t <= one.offset)).astype(float) for one in features.touches or ()), np.zeros(len(t))
+    )
+    seen = sum((((t >= one.start) & (t <= one.end)).astype(float) for one in features.strokes), np.zeros(len(t)))
+    panels = [panel("touch pattern, felt and seen", "1", t, {"felt by the skin": felt, "seen as strokes": seen}, "3d")]
+    hand = features.hand
+    if hand is None:
+        return panels
+    return [*panels, panel("the hand's track", "px", hand.t, {n: hand.values[:, i] for i, n in enumerate("uv")}, "3d")]
+
+
+UNTESTABLE = {
+    "the model works on the real TOMM robot's UR-5 arm": (
+        "the paper's recordings are not published; `bodylog reproduce real --data DIR` judges other robots'"
+    ),
+    "a and b agree with data from human participants": (
+        "neither the data nor the fit is printed; readings of a_2 and b_2 stand in"
+    ),
+    "the illusion is like the one humans have": "there are no human participants; Rubber-hand gives the robot's side",
+    "the model is biologically plausible": "no figure is claimed",
+}
+"""Claims of the paper that no simulation can decide, and why."""
+
+
+def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+    return tuple(untestable(f"Data.{k}", text, why) for k, (text, why) in enumerate(UNTESTABLE.items(), 1))
+
+
+EXPERIMENT = Experiment("Data", "What is sensed and learned", _run, _claims)

@@ -1,0 +1,93 @@
+"""The numbers behind figures and verdicts as tables, CSV and (where pyarrow is installed) Parquet."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .. import files
+from ..logs.export import saver
+from ..types import Array
+from .judging import Claim
+from .records import Trial
+
+Columns = Mapping[str, Array]
+
+
+def write(out: Path, trials: Mapping[str, Sequence[Trial]], claims: Sequence[Claim], timed: Sequence[str]) -> None:
+    """Write data/NAME.csv and .parquet: each experiment's figures over time, every seed's figures, every outcome."""
+    folder = out / "data"
+    folder.mkdir(exist_ok=True)
+    tables = {name: series(found[0]["panels"]) for name, found in trials.items() if found[0]["panels"]}
+    tables["figures"] = figures({name: found for name, found in trials.items() if name not in timed})
+    tables["outcomes"] = outcomes(claims)
+    for form in ("csv", "parquet") if find_spec("pyarrow") else ("csv",):
+        save = _csv if form == "csv" else saver(form)
+        for name, table in tables.items():
+            save(table, folder / f"{name}.{form}")
+
+
+def _csv(table: Columns, path: Path) -> None:
+    """Text is quoted where it must be; a number that is none is an empty cell."""
+    columns = [["" if v != v else v for v in column.tolist()] for column in table.values()]
+    with files.replacing(path) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(table)
+        rows.writerows(zip(*columns, strict=True))
+
+
+def series(panels: Sequence[Mapping[str, Any]]) -> Columns:
+    """The first seed's panels: the paper's figure, panel, line, axis, at, unit, value; a row for each point."""
+    rows = [
+        (one["figure"], one["title"], line, one["axis"], at, one["unit"], np.nan if value is None else value)
+        for one in panels for line, values in one["lines"].items() for at, value in zip(one["t"], values, strict=True)
+    ]  # fmt: skip
+    return _columns(("figure", "panel", "line", "axis", "at", "unit", "value"), rows, (4, 6))
+
+
+def figures(trials: Mapping[str, Sequence[Trial]]) -> Columns:
+    """Every figure of every seed: experiment, reading ("" where the paper's model is not run), figure, seed, value."""
+    rows = []
+    for name, found in trials.items():
+        for seed, trial in enumerate(found):
+            for key, value in trial["figures"].items():
+                reading, _, figure = key.rpartition(" | ")
+                rows.append((name, reading, figure, float(seed), np.nan if value is None else float(value)))
+    return _columns(("experiment", "reading", "figure", "seed", "value"), rows, (3, 4))
+
+
+def outcomes(claims: Sequence[Claim]) -> Columns:
+    """Every claim's outcome in every reading and at every number swept, with the bound and the interval."""
+    rows = []
+    for claim in claims:
+        told = [(key, "", np.nan, one) for key, one in claim.outcomes.items()]
+        told += [("", name, number, one) for name, swept in claim.sweeps.items() for number, one in swept]
+        for reading, constant, number, one in told:
+            kept = "yes" if one.keeps else "no"
+            rows.append(
+                (
+                    claim.id,
+                    claim.kind,
+                    reading,
+                    constant,
+                    number,
+                    claim.bound,
+                    one.median,
+                    *one.interval,
+                    one.share,
+                    kept,
+                )
+            )
+    head = ("claim", "kind", "reading", "swept", "number", "bound", "median", "low", "high", "share", "kept")
+    return _columns(head, rows, (4, 6, 7, 8, 9))
+
+
+def _columns(head: Sequence[str], rows: Sequence[Sequence[Any]], numbers: Sequence[int]) -> Columns:
+    parts = list(zip(*rows, strict=True)) or [()] * len(head)
+    return {
+        name: np.array(part, float if k in numbers else str)
+        for k, (name, part) in enumerate(zip(head, parts, strict=True))
+    }

@@ -1,0 +1,129 @@
+"""What could be known: a filter and a smoother that are told arm, camera and noise, the motion's order by evidence.
+
+Joints move with white acceleration or white jerk; order and density are those of greatest evidence of the log, and a
+textbook extended Kalman filter with Rauch, Tung and Striebel's smoother does the rest. `estimation` shares no code.
+"""
+
+from dataclasses import dataclass
+from math import factorial
+
+import numpy as np
+
+from ..types import Array
+from .drawn import place
+
+DENSITIES = {2: np.geomspace(0.003, 3.0, 7), 3: np.geomspace(0.03, 300.0, 9)}
+"""rad²/s³ of white acceleration · rad²/s⁵ of white jerk: tried by order of the motion."""
+PASSES = 2
+"""Times the smoother linearises frames anew at its own path."""
+STEP = 1e-6
+"""rad: of the camera's slopes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What is sensed at times t (E,) s: encoders (E,M) rad, place (E,2) px, NaN where silent; and their variances."""
+
+    t: Array
+    encoders: Array
+    place: Array
+    encoder_var: float
+    pixel_var: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """The best a filter and a smoother believe: (E,M) rad each, and the order of motion that evidence chose."""
+
+    filtered: Array
+    smoothed: Array
+    order: int
+
+
+def known(told: Told) -> Known:
+    """The beliefs by the order and density of greatest evidence."""
+    runs = {order: _forth(told, order, DENSITIES[order], None) for order in DENSITIES}
+    order = max(runs, key=lambda o: float(runs[o].nats.max()))
+    best = DENSITIES[order][[int(runs[order].nats.argmax())]]
+    joints = told.encoders.shape[1]
+    run = _forth(told, order, best, None)
+    filtered, path = run.mean[:, 0, :joints], None
+    for _ in range(PASSES):
+        path = _back(run)[..., :joints]
+        run = _forth(told, order, best, path)
+    return Known(filtered, _back(run)[:, 0, :joints], order)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """A filter's way: move (E,D,D) · prior, mean (E,Q,D) · prior_cov, cov (E,Q,D,D) · evidence (Q,) nats."""
+
+    move: Array
+    prior: Array
+    prior_cov: Array
+    mean: Array
+    cov: Array
+    nats: Array
+
+
+def motion(order: int, dt: float, joints: int) -> tuple[Array, Array]:
+    """Transition (D,D) and noise (D,D) of unit density over dt s, of `order` derivatives driven by white noise."""
+    move = np.array([[dt ** (j - i) / factorial(j - i) if j >= i else 0.0 for j in range(order)] for i in range(order)])
+    up = [order - 1 - i for i in range(order)]
+    noise = [[dt ** (a + b + 1) / ((a + b + 1) * factorial(a) * factorial(b)) for b in up] for a in up]
+    return np.kron(move, np.eye(joints)), np.kron(np.array(noise), np.eye(joints))
+
+
+def _forth(told: Told, order: int, densities: Array, path: Array | None) -> _Run:
+    joints, count = told.encoders.shape[1], len(densities)
+    first = np.array([column[np.isfinite(column)][0] for column in told.encoders.T])
+    z = np.tile(np.concatenate([first, np.zeros((order - 1) * joints)]), (count, 1))
+    p, nats = np.tile(np.eye(order * joints), (count, 1, 1)), np.zeros(count)
+    rows: tuple[list[Array], ...] = ([], [], [], [], [])
+    for k, dt in enumerate(np.diff(told.t, prepend=told.t[0])):
+        move, noise = motion(order, float(dt), joints)
+        z, p = z @ move.T, move @ p @ move.T + densities[:, None, None] * noise
+        prior, prior_cov = z, p
+        at = z[:, :joints] if path is None else path[k]
+        z, p, more = _heard(told, k, z, p, at)
+        nats = nats + more
+        for row, value in zip(rows, (move, prior, prior_cov, z, p), strict=True):
+            row.append(value)
+    moves, priors, prior_covs, means, covs = (np.array(row) for row in rows)
+    return _Run(moves, priors, prior_covs, means, covs, nats)
+
+
+def _heard(told: Told, k: int, z: Array, p: Array, at: Array) -> tuple[Array, Array, Array]:
+    """One update with all that is sensed at an instant, the camera linearised at (Q,M) rad; its evidence (Q,) nats."""
+    joints, (count, size) = told.encoders.shape[1], z.shape
+    use = np.flatnonzero(np.isfinite(told.encoders[k]))
+    h, y = [np.tile(np.eye(size)[use], (count, 1, 1))], [np.tile(told.encoders[k, use], (count, 1))]
+    r = [np.full(len(use), told.encoder_var)]
+    if np.isfinite(told.place[k]).all():
+        steps = STEP * np.eye(joints)
+        near = at[:, None] + np.concatenate([np.zeros((1, joints)), steps, -steps])
+        seen = place(near.reshape(-1, joints)).reshape(count, -1, 2)
+        slope = np.swapaxes(seen[:, 1 : joints + 1] - seen[:, joints + 1 :], 1, 2) / (2.0 * STEP)
+        h.append(np.concatenate([slope, np.zeros((count, 2, size - joints))], axis=2))
+        y.append(told.place[k] - seen[:, 0] + np.einsum("qdm,qm->qd", slope, at))
+        r.append(told.pixel_var)
+    design, noise = np.concatenate(h, axis=1), np.diag(np.concatenate(r))
+    if not len(noise):
+        return z, p, np.zeros(count)
+    off = np.concatenate(y, axis=1) - np.einsum("qdk,qk->qd", design, z)
+    spread = design @ p @ np.swapaxes(design, 1, 2) + noise
+    gain = np.swapaxes(np.linalg.solve(spread, design @ p), 1, 2)
+    keep = np.eye(size) - gain @ design
+    cov = keep @ p @ np.swapaxes(keep, 1, 2) + gain @ noise @ np.swapaxes(gain, 1, 2)
+    scaled = np.linalg.solve(spread, off[..., None])[..., 0]
+    nats = -0.5 * ((off * scaled).sum(axis=1) + np.linalg.slogdet(2.0 * np.pi * spread)[1])
+    return z + np.einsum("qkd,qd->qk", gain, off), cov, nats
+
+
+def _back(run: _Run) -> Array:
+    """The smoothed means (E,Q,D)."""
+    smooth = [run.mean[-1]]
+    for k in range(len(run.mean) - 2, -1, -1):
+        gain = np.swapaxes(np.linalg.solve(run.prior_cov[k + 1], run.move[k + 1] @ run.cov[k]), 1, 2)
+        smooth.append(run.mean[k] + np.einsum("qij,qj->qi", gain, smooth[-1] - run.prior[k + 1]))
+    return np.array(smooth[::-1])

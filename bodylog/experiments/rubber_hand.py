@@ -1,0 +1,188 @@
+"""The rubber hand as an instrument: how far our default drifts, by asynchrony, displacement, encoder trust and side.
+
+The arm is hidden, still and stroked; the image of the stroking hand is delayed and displaced, as with a camera feed.
+What touch does is the belief with touch minus the belief without it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ..estimation.measurements.touch import LEAST
+from ..perception.synchrony import judge as synchrony
+from ..types import Array, BodyModel, Features
+from .beliefs import Belief, noisier, ours
+from .drawn import px_per_cm
+from .e5_rubber_hand import CALM, DISPLACEMENT, SIDES, final, heard
+from .judging import Bound, Claim, own
+from .lab import Heard, Lab
+from .records import Experiment, Readings, Table, Trial, column, panel
+
+NOISE = 0.1
+"""rad: noise added to the encoders in the documented setting: a sense of posture of some degrees, as people have."""
+CURVE = 0.6
+"""s: by when the drift has to be gone."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is swept: asynchronies s · displacements in the recorded one's · noises rad, each about the documented."""
+
+    asynchrony: tuple[float, ...] = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 1.0)
+    displacement: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5)
+    noise: tuple[float, ...] = (0.02, 0.05, 0.1, 0.2, 0.3)
+
+
+SETTING = Setting()
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """What touch moves: t (N,) s · px (N,) sideways · rad (N,M)."""
+
+    t: Array
+    px: Array
+    rad: Array
+
+    @property
+    def most(self) -> float:
+        """The px of greatest size after the calm."""
+        return final(self.t, self.px)
+
+    @property
+    def joint(self) -> float:
+        """The largest move (rad) of a joint after the calm."""
+        return float(np.abs(self.rad[self.t >= CALM]).max())
+
+
+def displaced(log: Heard, delay: float, share: float, side: float) -> Heard:
+    """The log with the image of the hand `delay` s later and `share` times as far aside; side −1 left, 1 right."""
+    features = log.features
+    hand = features.hand
+    assert hand is not None
+    aside = np.array([side * (share - 1.0) * DISPLACEMENT, 0.0])
+    moved = replace(hand, t=hand.t + delay, values=hand.values + aside)
+    strokes = tuple(replace(s, start=s.start + delay, end=s.end + delay) for s in features.strokes)
+    found, _ = synchrony(features.touches or (), strokes)
+    tracks = {**features.tracks, "hand": moved}
+    return replace(log, features=replace(features, tracks=tracks, strokes=strokes, synchrony=found))
+
+
+def heeded(features: Features) -> bool:
+    """Whether any touch counts: the estimate refuses to be asked for a sense that has nothing to say."""
+    return any(pair.weight > LEAST for pair in features.synchrony)
+
+
+def drift(log: Heard, body: BodyModel, alone: Belief) -> Drift:
+    """What touch moves the belief by, `alone` being the belief without it."""
+    touched = ours(log, body, ("encoders", "touch")) if heeded(log.features) else alone
+    model = body.senses["effector"]
+    before = alone.at(touched.t)
+    px = model.predict(touched.x)[0][:, 0] - model.predict(before)[0][:, 0]
+    return Drift(touched.t, px, touched.x - before)
+
+
+def run(lab: Lab, seed: int, told: Readings, setting: Setting = SETTING) -> Trial:
+    """One seed of the instrument."""
+    body = lab.body("default", seed, touched=True)
+    figures: dict[str, float] = {}
+    courses: dict[str, Drift] = {}
+    for side, sign in SIDES.items():
+        log = heard(lab, seed, "synchronous", side)
+        measured = _measuring(log, body, sign, seed)
+        for delay in setting.asynchrony:
+            courses[f"{side}, {delay:g} s late"] = measured(NOISE, delay, 1.0)
+            figures |= _named(f"asynchrony {delay:g} {side}", courses[f"{side}, {delay:g} s late"], sign, 1.0)
+        if side == "right":
+            for share in setting.displacement:
+                figures |= _named(f"displacement {share:g} {side}", measured(NOISE, 0.0, share), sign, share)
+            for noise in setting.noise:
+                figures |= _named(f"noise {noise:g} {side}", measured(noise, 0.0, 1.0), sign, 1.0)
+    return {"figures": figures | _curve(figures, setting), "panels": _panels(courses)}
+
+
+def _measuring(log: Heard, body: BodyModel, sign: float, seed: int) -> Callable[[float, float, float], Drift]:
+    """drift(noise rad, delay s, share of the displacement); what is believed without touch is found once a noise."""
+    alone: dict[float, tuple[Heard, Belief]] = {}
+
+    def measured(noise: float, delay: float, share: float) -> Drift:
+        if noise not in alone:
+            poor = noisier(log, noise, seed)
+            alone[noise] = poor, ours(poor, body, ("encoders",))
+        poor, without = alone[noise]
+        return drift(displaced(poor, delay, share, sign), body, without)
+
+    return measured
+
+
+def _named(name: str, found: Drift, sign: float, share: float) -> dict[str, float]:
+    """Drift toward the hand: share of the displacement, px, cm at the effector's distance, largest move of a joint."""
+    px = sign * found.most
+    return {
+        name: px / (share * DISPLACEMENT),
+        f"{name} px": px,
+        f"{name} cm": px / px_per_cm(),
+        f"{name} rad": found.joint,
+    }
+
+
+def _curve(figures: dict[str, float], setting: Setting) -> dict[str, float]:
+    """Over both sides: the lesser drift in time, the greater at CURVE s or more, the largest rise with asynchrony."""
+    both = {side: [figures[f"asynchrony {d:g} {side}"] for d in setting.asynchrony] for side in SIDES}
+    mean = np.mean(list(both.values()), axis=0)
+    late = [abs(found[k]) for found in both.values() for k, d in enumerate(setting.asynchrony) if d >= CURVE]
+    return {
+        "in time": float(min(found[0] for found in both.values())),
+        "late": float(max(late, default=float("nan"))),
+        "rise": float(np.diff(mean).max(initial=-np.inf)) if len(mean) > 1 else float("nan"),
+    }
+
+
+def _panels(courses: dict[str, Drift]) -> list[dict[str, Any]]:
+    first = next(iter(courses.values()))
+    late = {name: found.px for name, found in courses.items() if name.startswith("right")}
+    sides = {name: found for name, found in courses.items() if name.endswith(" 0 s late")}
+    shares = {name: np.interp(first.t, found.t, np.abs(found.px) / DISPLACEMENT) for name, found in sides.items()}
+    return [
+        panel("drift of the effector, hand on the right", "px", first.t, late),
+        panel("drift in time, over the displacement", "1", first.t, shares),
+    ]
+
+
+def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+    said = f"documented setting: {NOISE:g} rad of noise on the encoders, hand {DISPLACEMENT / px_per_cm():.0f} cm aside"
+    return (
+        own("RH.1", "synchronous strokes drift the belief by at least 15 % of the displacement, toward either side",
+            "lesser drift of both sides over the displacement", "1", Bound("≥", 0.15), column(trials, "in time"), said),
+        own("RH.2", "0.6 s late and later they drift it by at most 2 %", "greatest drift over the displacement", "1",
+            Bound("≤", 0.02), column(trials, "late"), said),
+        own("RH.3", "the drift falls with asynchrony", "largest rise from one asynchrony to the next", "1",
+            Bound("≤", 0.0), column(trials, "rise"), "means of both sides"),
+        own("RH.4", "the drift's sign follows the side of the hand", "share of sides with that sign", "1",
+            Bound("≥", 1.0), [float(v > 0.0) for v in column(trials, "in time")]),
+    )  # fmt: skip
+
+
+def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:
+    head = ("", "share of the displacement", "px", "cm", "largest move of a joint, rad")
+    units = {
+        "asynchrony": "s late",
+        "displacement": f"× {DISPLACEMENT / px_per_cm():.1f} cm aside",
+        "noise": "rad of noise",
+    }
+    tables = []
+    for what, unit in units.items():
+        names = [n for n in trials[0]["figures"] if n.startswith(f"{what} ") and n.endswith(" right")]
+        rows = tuple((f"{name.split()[1]} {unit}", *_cells(trials, name)) for name in names)
+        tables.append(Table(f"Drift toward a hand on the right by {what}, medians over the seeds", head, rows))
+    return tuple(tables)
+
+
+def _cells(trials: Sequence[Trial], name: str) -> tuple[str, ...]:
+    values = [float(np.median(column(trials, found))) for found in (name, f"{name} px", f"{name} cm", f"{name} rad")]
+    return f"{values[0]:.3f}", f"{values[1]:.2f}", f"{values[2]:.2f}", f"{values[3]:.4f}"
+
+
+EXPERIMENT = Experiment("Rubber-hand", "The rubber hand as an instrument", run, _claims, (), _tables)

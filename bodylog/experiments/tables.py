@@ -1,0 +1,162 @@
+"""The page's tables: claims of the paper, our own, comparisons and errata, and the readings they were judged in."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from html import escape
+
+from .judging import Claim, Outcome
+from .readings import CONSTANTS
+from .records import Table
+
+KINDS = {
+    "paper": "The paper's claims",
+    "own": "Our own claims",
+    "comparison": "Beside others' figures",
+    "erratum": "Errata",
+}
+"""A table each, in this order."""
+
+
+def claim_tables(claims: Sequence[Claim]) -> str:
+    """The claims as tables, one for each kind there is."""
+    makers = {"paper": _paper, "own": _own, "comparison": _comparison, "erratum": _erratum}
+    parts = []
+    for kind, title in KINDS.items():
+        found = [claim for claim in claims if claim.kind == kind]
+        if found:
+            parts.append(makers[kind](title, found))
+    return "\n".join(parts)
+
+
+def _paper(title: str, claims: Sequence[Claim]) -> str:
+    head = ("", "claim", "measured", "must be", "readings that keep it", "at the first reading", "verdict")
+    rows = [(*_said(claim), _kept(claim), _first(claim), _verdict(claim)) for claim in claims]
+    return _html(title, head, rows)
+
+
+def _own(title: str, claims: Sequence[Claim]) -> str:
+    head = ("", "claim", "measured", "must be", "ours", "verdict")
+    rows = [(*_said(claim), _first(claim), _verdict(claim)) for claim in claims]
+    return _html(title, head, rows)
+
+
+def _comparison(title: str, claims: Sequence[Claim]) -> str:
+    head = ("", "claim", "measured", "must be", "figures", "alike", "not alike", "verdict")
+    rows = [
+        (
+            escape(claim.id),
+            _text(claim),
+            _measured(claim),
+            escape(claim.bound),
+            _all(claim),
+            escape(claim.alike),
+            escape(claim.unlike),
+            _verdict(claim),
+        )
+        for claim in claims
+    ]
+    return _html(title, head, rows)
+
+
+def _erratum(title: str, claims: Sequence[Claim]) -> str:
+    head = ("", "printed", "measured", "must be", "figures", "derivation")
+    rows = [(*_said(replace(claim, explanation="")), _all(claim), escape(claim.explanation)) for claim in claims]
+    return _html(title, head, rows)
+
+
+def readings_table() -> str:
+    """Every open constant: the paper's words, where, its readings, the centre and why."""
+    head = ("constant", "name", "printed", "where", "readings, the centre first", "why the centre")
+    rows = []
+    for name, constant in CONSTANTS.items():
+        told = "<br>".join(f"<b>{escape(v)}</b>: {escape(text)}" for v, text in constant.values.items())
+        words = (constant.symbol, name, constant.printed, constant.place)
+        rows.append((*map(escape, words), told, escape(constant.why)))
+    return _html("What the paper leaves open", head, rows)
+
+
+def outcomes_table(claim: Claim) -> str:
+    """What each reading said of one claim, and each number swept."""
+    rows = [(escape(key), *_cells(one)) for key, one in claim.outcomes.items()]
+    for name, swept in claim.sweeps.items():
+        rows += [
+            (f"{CONSTANTS[name].symbol} = {number:g} ({escape(CONSTANTS[name].unit)})", *_cells(one))
+            for number, one in swept
+        ]
+    head = ("reading", "median", "95 % interval", "seeds that keep it", "controls hold in", "kept")
+    return _html(f"{escape(claim.id)}: {escape(claim.measured)}, must be {escape(claim.bound)}", head, rows)
+
+
+def plain_table(table: Table) -> str:
+    """A table of an experiment."""
+    return _html(escape(table.caption), tuple(map(escape, table.head)), [tuple(map(escape, row)) for row in table.rows])
+
+
+def _cells(one: Outcome) -> tuple[str, ...]:
+    low, high = one.interval
+    return (
+        f"{one.median:.3g}",
+        f"{low:.3g} to {high:.3g}",
+        f"{one.share:.0%}",
+        f"{one.control:.0%}",
+        "yes" if one.keeps else "no",
+    )
+
+
+def _said(claim: Claim) -> tuple[str, ...]:
+    return escape(claim.id), _text(claim), _measured(claim), escape(claim.bound)
+
+
+def _text(claim: Claim) -> str:
+    soft = [claim.explanation, *(f"control: {control}" for control in claim.controls)]
+    return escape(claim.text) + "".join(f'<br><span class="soft">{escape(line)}</span>' for line in soft if line)
+
+
+def _measured(claim: Claim) -> str:
+    return escape(claim.measured if claim.unit in ("1", "") else f"{claim.measured}, {claim.unit}")
+
+
+def _kept(claim: Claim) -> str:
+    if not claim.outcomes:
+        return ""
+    kept = sum(one.keeps for one in claim.outcomes.values())
+    return f"{kept} of {len(claim.outcomes)}"
+
+
+def _first(claim: Claim) -> str:
+    return _figure(next(iter(claim.outcomes.values()))) if claim.outcomes else ""
+
+
+def _all(claim: Claim) -> str:
+    return "<br>".join(f"{escape(who)}: {_figure(one)}" for who, one in claim.outcomes.items())
+
+
+def _figure(one: Outcome) -> str:
+    if not one.figures:
+        return "see cost.json"
+    low, high = one.interval
+    return f'{one.median:.3g} <span class="soft">({low:.3g} to {high:.3g})</span>'
+
+
+def _verdict(claim: Claim) -> str:
+    soft = f'<br><span class="soft">{escape(claim.turns)}</span>' if claim.turns else ""
+    return f"<b>{escape(claim.verdict)}</b>{soft}"
+
+
+def _html(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table of cells that are HTML already."""
+
+    def row(tag: str, cells: Sequence[str]) -> str:
+        return f"<tr>{''.join(f'<{tag}>{cell}</{tag}>' for cell in cells)}</tr>"
+
+    return f"<table><caption>{caption}</caption>{row('th', head)}{''.join(row('td', cells) for cells in rows)}</table>"
+
+
+def counts(claims: Sequence[Claim]) -> Mapping[str, int]:
+    """How many of the paper's claims have which kind of verdict."""
+    found: dict[str, int] = {}
+    for claim in claims:
+        if claim.kind == "paper":
+            verdict = "depends on a reading" if claim.verdict.startswith("depends") else claim.verdict
+            found[verdict] = found.get(verdict, 0) + 1
+    return found

@@ -1,0 +1,52 @@
+"""What the paper leaves open, listed, typed and told."""
+
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.experiments import EXPERIMENTS
+from bodylog.experiments.readings import CENTRE, CONSTANTS, TOGETHER, about, design, key, number, parsed, sweeps, value
+
+
+def test_every_constant_says_where_it_is_printed_and_has_alternatives():
+    for constant in CONSTANTS.values():
+        assert constant.printed and constant.place and constant.why and len(constant.values) >= 2
+        assert set(constant.at) <= set(constant.values) and (not constant.sweep or constant.unit)
+    concerned = {name for experiment in EXPERIMENTS.values() for name in experiment.concerned}
+    assert concerned == set(CONSTANTS), "every constant is tried by some experiment"
+
+
+@pytest.mark.parametrize("reading", [{}, *TOGETHER, {"speed": "30"}, {"sigma_n": "noise"}])
+def test_a_key_is_read_back(reading):
+    assert key(parsed(key(reading))) == key(reading)
+
+
+def test_the_centre_is_the_centre_however_it_is_typed():
+    assert key(parsed("sigma_n=amplitude,speed=15")) == CENTRE == key({})
+    assert value({}, "sigma_n") == "amplitude" and number({"noise": "0.1"}, "noise") == 0.1
+    assert number({"sigma_v": "widths"}, "sigma_v") is None and number({"sigma_v": "17"}, "sigma_v") == 17.0
+
+
+@pytest.mark.parametrize(
+    ("typed", "told"),
+    [
+        ("sigma=1", "must be one of sigma_n, sigma_v"),
+        ("sigma_n", "type: --reading sigma_n=noise"),
+        ("sigma_n=loud", "possible: amplitude, noise, learned, or a number above 0"),
+        ("integration=3", "possible: printed, equilibrium, implicit; type"),
+        ("speed=-1", "or a number above 0 (period in s)"),
+        ("speed=nan", "or a number above 0"),
+    ],
+)
+def test_what_is_not_possible_is_said(typed, told):
+    with pytest.raises(UsageError) as found:
+        parsed(typed)
+    assert told in str(found.value)
+
+
+def test_a_design_has_the_centre_each_value_and_what_is_together():
+    found = [key(reading) for reading in design(("sigma_n", "sigma_v"))]
+    assert found[0] == CENTRE and len(found) == len(set(found))
+    assert {"sigma_n=noise", "sigma_v=pixels", "sigma_n=noise,sigma_v=widths"} <= set(found)
+    assert not any("integration" in one for one in found)
+    assert [reading for _, _, reading in sweeps(["mu_x"])] == []
+    assert about(design(("sigma_n", "noise")), ["noise"]) == ({}, {"noise": "0.005"}, {"noise": "0.1"})

@@ -1,0 +1,58 @@
+"""Real robots' poses: what is missing is said; where they are at hand they are judged on the published split."""
+
+from pathlib import Path
+
+import pytest
+
+from bodylog.errors import UsageError
+from bodylog.experiments import Reproduction, reproduce
+from bodylog.experiments.judging import OWN_HOLDS
+from bodylog.experiments.real import EXPERIMENT, ROBOTS, complete, fingerprint, nao
+from bodylog.experiments.records import Readings
+
+REAL = Path(__file__).parents[3] / "shared" / "real"
+DOCS = Path(__file__).parents[2] / "docs" / "real.md"
+
+
+def test_a_folder_without_measurements_is_refused_before_anything_runs(tmp_path):
+    with pytest.raises(
+        UsageError, match=r"no robot's measurements in it; possible: nao/left_train\.csv.*docs/real\.md"
+    ):
+        reproduce(Reproduction(tmp_path / "out", ("Real",), data=tmp_path))
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_page_says_where_each_robots_files_are_from():
+    text = DOCS.read_text()
+    assert all(name in text for robot in ROBOTS.values() for name in robot.files)
+
+
+def test_what_is_missing_is_in_the_table_and_not_among_the_claims():
+    trial = {"figures": {"NAO ours": 1.7, "NAO published": 2.13}, "panels": [], "said": {"Panda": "not in here"}}
+    claims = EXPERIMENT.claims([trial], Readings(({},)))
+    assert [claim.id for claim in claims] == ["Real.1"] and claims[0].verdict == OWN_HOLDS
+    assert list(claims[0].outcomes) == ["published", "ours"] and claims[0].alike and claims[0].unlike
+    assert ("Panda", "not judged: not in here") in EXPERIMENT.tables([trial])[0].rows
+
+
+@pytest.fixture
+def measured():
+    if not complete(REAL, ROBOTS["NAO"]):
+        pytest.skip("the measured poses (../shared/real) are not at hand")
+    return REAL
+
+
+def test_a_changed_table_is_another_fingerprint(measured, tmp_path):
+    for name in ROBOTS["NAO"].files:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes((measured / name).read_bytes())
+    before = fingerprint(tmp_path)
+    (tmp_path / "nao" / "nao.urdf").write_text("<robot/>")
+    assert fingerprint(tmp_path) != before
+
+
+@pytest.mark.soak
+def test_the_nao_is_foretold_better_than_by_its_published_calibration(measured, tmp_path):
+    found = nao(measured, tmp_path)
+    assert found["published"] == pytest.approx(2.13, abs=0.01)
+    assert found["ours"] < 1.9 < found["published"] < found["ours, process alone"]

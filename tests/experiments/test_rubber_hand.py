@@ -1,0 +1,41 @@
+"""The rubber hand as an instrument: what is shifted, and on one small robot what the documented setting gives."""
+
+import numpy as np
+import pytest
+
+from bodylog.experiments import Setting, rubber_hand
+from bodylog.experiments.judging import OWN_HOLDS
+from bodylog.experiments.lab import Heard, Lab
+from bodylog.experiments.records import Readings
+from bodylog.types import Features, Series, Stroke, Touch
+
+
+def test_the_image_of_the_hand_is_late_and_displaced_and_synchrony_is_judged_anew():
+    t = np.arange(0.0, 10.0, 0.1)
+    hand = Series(t, np.ones((len(t), 2)), ("u", "v"), "px", t)
+    touches = tuple(Touch(s, s + 0.8, (3,), 0.9, 3, 0) for s in (2.0, 6.0))
+    strokes = tuple(Stroke(s, s + 0.8, (0.0, 0.0), (1.0, 1.0)) for s in (2.0, 6.0))
+    log = Heard(Features(hand, {"hand": hand}, touches, strokes, (), {}), hand)
+    found = rubber_hand.displaced(log, 0.12, 1.5, -1.0).features
+    assert np.allclose(found.hand.t, t + 0.12) and np.allclose(
+        found.hand.values[0], [1 - 0.5 * rubber_hand.DISPLACEMENT, 1]
+    )
+    assert [pair.delay for pair in found.synchrony] == pytest.approx([0.12, 0.12])
+    assert [pair.weight for pair in found.synchrony] == pytest.approx([0.5, 0.5])
+    assert rubber_hand.heeded(found) and not rubber_hand.heeded(rubber_hand.displaced(log, 1.0, 1.0, 1.0).features)
+
+
+@pytest.mark.soak
+def test_on_a_small_robot_it_drifts_in_time_and_not_when_late(tmp_path):
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
+    lab = Lab(tmp_path, (320, 240), 12.0)
+    setting = Setting((0.0, 0.15, 0.6), (0.5,), (0.02, 0.3))
+    trial = rubber_hand.run(lab, 0, Readings(({},)), setting)
+    figures = trial["figures"]
+    assert figures["in time"] >= 0.15 and figures["late"] <= 0.02 and figures["rise"] < 0.0
+    assert figures["noise 0.02 right"] < figures["asynchrony 0 right"] < figures["noise 0.3 right"]
+    assert figures["displacement 0.5 right px"] == pytest.approx(0.5 * figures["asynchrony 0 right px"], rel=0.2)
+    assert figures["asynchrony 0 right cm"] == pytest.approx(figures["asynchrony 0 right px"] / 2.4, rel=0.05)
+    claims = rubber_hand.EXPERIMENT.claims([trial], Readings(({},)))
+    assert [claim.verdict for claim in claims] == [OWN_HOLDS] * 4
+    assert len(rubber_hand.EXPERIMENT.tables([trial])) == 3
