@@ -1,44 +1,171 @@
-"""Write the reproduced table of docs/method.md from what reproduce left in a folder (the argument)."""
+"""Write the tables of the pages on the paper from what reproduce left in a folder (the argument), and the readings."""
 
+import csv
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from statistics import median
 from typing import Any
 
-PAGE = Path(__file__).parent / "method.md"
-MARK = "<!-- claims -->\n"
-HEAD = "| | claim | must be | printed model | ours | verdict |\n|---|---|---|---|---|---|\n"
-APART = ("Errata",)
-"""Experiments the page has a table of its own for."""
+from bodylog.experiments.baselines import ROWS
+from bodylog.experiments.judging import interval
+from bodylog.experiments.readings import CONSTANTS
+
+DOCS = Path(__file__).parent
+PAGE = DOCS / "method.md"
+CLAIMS = ("<!-- claims -->\n", "<!-- end of claims -->\n")
+READINGS = ("<!-- readings -->\n", "<!-- end of readings -->\n")
+ERRATA = ("<!-- errata -->\n", "<!-- end of errata -->\n")
+DRIFT = ("<!-- drift -->\n", "<!-- end of drift -->\n")
+BASELINES = ("<!-- baselines -->\n", "<!-- end of baselines -->\n")
+Row = Mapping[str, Any]
 
 
-def table(claims: list[dict[str, Any]]) -> str:
-    """The claims as rows, numbered within their experiment."""
-    counts: dict[str, int] = {}
-    rows = []
-    for claim in claims:
-        name = claim["experiment"]
-        counts[name] = counts.get(name, 0) + 1
-        if name not in APART:
-            rows.append(_row(f"{name} {counts[name]}", claim))
-    return HEAD + "\n".join(rows) + "\n"
+def readings() -> str:
+    """What the paper leaves open."""
+    rows = [
+        (constant.symbol, f"`{name}`", constant.printed, constant.place, _values(constant.values), constant.why)
+        for name, constant in CONSTANTS.items()
+    ]
+    return table(("", "name", "printed", "where", "readings", "why the first is the centre"), rows)
 
 
-def _row(number: str, claim: dict[str, Any]) -> str:
-    unit = "" if claim["unit"] == "1" else f", {claim['unit']}"
-    said = f"{claim['text']}: {claim['measured']}{unit}"
-    figures = (_spread(claim, side) for side in ("printed", "ours"))
-    return f"| {number} | {said} | {claim['bound']} | {' | '.join(figures)} | **{claim['verdict']}** |"
+def _values(values: Mapping[str, str]) -> str:
+    return "; ".join(f"`{name}`: {text}" for name, text in values.items())
 
 
-def _spread(claim: dict[str, Any], side: str) -> str:
-    if side not in claim["spread"]:
+def claims(found: Sequence[Row]) -> str:
+    """Three tables: the paper's claims, our own, and comparisons."""
+    kinds = {kind: [claim for claim in found if claim["kind"] == kind] for kind in ("paper", "own", "comparison")}
+    head = ("", "claim", "must be", "at the centre", "kept by", "verdict", "turns")
+    parts = ["**The paper's claims**\n\n" + table(head, [_paper(claim) for claim in kinds["paper"]])]
+    own = [(c["id"], _said(c), c["bound"], _first(c), f"**{c['verdict']}**") for c in kinds["own"]]
+    parts.append("**Our own claims**, of our default\n\n" + table(("", "claim", "must be", "found", "verdict"), own))
+    head = ("", "claim", "must be", "figures", "alike", "not alike", "verdict")
+    others = [_comparison(claim) for claim in kinds["comparison"]]
+    return "\n".join([*parts, "**Beside others' figures**\n\n" + table(head, others)])
+
+
+def errata(found: Sequence[Row]) -> str:
+    """The errata that have figures, as rows."""
+    return "".join(_line(_erratum(claim)) for claim in found if claim["kind"] == "erratum")
+
+
+def _erratum(claim: Row) -> tuple[str, ...]:
+    unit = "" if claim["unit"] == "1" else f" {claim['unit']}"
+    printed, run = (
+        (f"{who}: " if "as " not in who else "") + _figure(one) + unit for who, one in claim["outcomes"].items()
+    )
+    return claim["text"], claim["explanation"], f"{claim['measured']}: {printed}", run
+
+
+def _paper(claim: Row) -> tuple[str, ...]:
+    outcomes = list(claim["outcomes"].values())
+    kept = f"{sum(one['keeps'] for one in outcomes)} of {len(outcomes)}" if outcomes else ""
+    control = f" (control: {'; '.join(claim['controls'])})" if claim["controls"] else ""
+    said = claim["text"] + (f": {claim['explanation']}" if not outcomes else f": {_measured(claim)}{control}")
+    return claim["id"], said, claim["bound"], _first(claim), kept, f"**{claim['verdict']}**", claim["turns"]
+
+
+def _comparison(claim: Row) -> tuple[str, ...]:
+    figures = "; ".join(f"{who}: {_figure(one)}" for who, one in claim["outcomes"].items())
+    return (
+        claim["id"],
+        _said(claim),
+        claim["bound"],
+        figures,
+        claim["alike"],
+        claim["unlike"],
+        f"**{claim['verdict']}**",
+    )
+
+
+def _said(claim: Row) -> str:
+    return f"{claim['text']}: {_measured(claim)}"
+
+
+def _measured(claim: Row) -> str:
+    return claim["measured"] + ("" if claim["unit"] == "1" else f", {claim['unit']}")
+
+
+def _first(claim: Row) -> str:
+    """The centre's, or that of the only reading."""
+    found = claim["outcomes"]
+    return _figure(found.get("centre") or next(iter(found.values()))) if found else ""
+
+
+def _figure(one: Row) -> str:
+    if not one["figures"]:
         return "see `cost.json`"
-    middle, least, most = (float("nan") if figure is None else figure for figure in claim["spread"][side])
-    return f"{middle:.3g} ({least:.3g} to {most:.3g})"
+    low, high = one["interval"]
+    return "diverged" if one["median"] is None else f"{one['median']:.3g} ({low:.3g} to {high:.3g})"
+
+
+def figures(folder: Path, experiment: str) -> dict[str, list[float]]:
+    """Every figure of an experiment, a value for each seed."""
+    found: dict[str, list[float]] = {}
+    with (folder / "data" / "figures.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            if row["experiment"] == experiment:
+                found.setdefault(row["figure"], []).append(float(row["value"] or "nan"))
+    return found
+
+
+def drift(found: Mapping[str, Sequence[float]]) -> str:
+    """The rubber hand's drift by what was swept, a table each."""
+    count = len(next(iter(found.values())))
+    units = {"asynchrony": "late by, s", "displacement": "aside by, in 16 cm", "noise": "noise on the encoders, rad"}
+    parts = [f"Medians over {count} seeds, a hand on the right; in brackets the interval of the median.\n"]
+    for what, unit in units.items():
+        names = sorted(
+            (n for n in found if n.startswith(what) and n.endswith(" right")), key=lambda n: float(n.split()[1])
+        )
+        rows = [(n.split()[1], *(_spread(found[f"{n}{kind}"]) for kind in ("", " px", " cm", " rad"))) for n in names]
+        parts.append(table((unit, "share of the displacement", "px", "cm", "largest move of a joint, rad"), rows))
+    return "\n".join(parts)
+
+
+def baselines(found: Mapping[str, Sequence[float]]) -> str:
+    """The error of every method over the logs, and of the oracle."""
+    rows = [(name, _spread(found[name])) for name in ROWS]
+    count = len(found["filter"])
+    return table(
+        (f"error over three joints, {count} reaches of 20 s", "rad: median (95 % interval of the median)"), rows
+    )
+
+
+def _spread(values: Sequence[float]) -> str:
+    low, high = interval(values)
+    digits = ".3g" if abs(median(values)) >= 0.0005 else ".1g"
+    return f"{median(values):{digits}} ({low:{digits}} to {high:{digits}})"
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Rows of text as Markdown."""
+    return _line(head) + "|" + "---|" * len(head) + "\n" + "".join(map(_line, rows))
+
+
+def _line(cells: Sequence[str]) -> str:
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |\n"
+
+
+def between(text: str, marks: tuple[str, str], part: str) -> str:
+    """The text with `part` between two marks."""
+    before, rest = text.split(marks[0])
+    return before + marks[0] + part + marks[1] + rest.split(marks[1])[1]
 
 
 if __name__ == "__main__":
-    before, after = PAGE.read_text(encoding="utf-8").split(MARK)
-    found = json.loads((Path(sys.argv[1]) / "claims.json").read_text(encoding="utf-8"))
-    PAGE.write_text(before + MARK + table(found) + "\n" + after.split("\n\n", 1)[1], encoding="utf-8")
+    out = Path(sys.argv[1])
+    told = json.loads((out / "claims.json").read_text(encoding="utf-8"))
+    parts = {
+        PAGE: {READINGS: readings(), CLAIMS: claims(told), ERRATA: errata(told)},
+        DOCS / "rubber-hand.md": {DRIFT: drift(figures(out, "Rubber-hand"))},
+        DOCS.parent / "README.md": {BASELINES: baselines(figures(out, "Baselines"))},
+    }
+    for path, marked in parts.items():
+        text = path.read_text(encoding="utf-8")
+        for marks, part in marked.items():
+            text = between(text, marks, part)
+        path.write_text(text, encoding="utf-8")
