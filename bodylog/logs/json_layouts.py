@@ -30,21 +30,16 @@ _IS_IN_NUMBER = bytes(int(byte in _IN_NUMBERS) for byte in range(256))
 Follow = Callable[..., Iterator[Item]]
 
 
-def marked(content: bytes) -> bytes:
-    """The same with the exponents' e marked, as far as a sign follows it, which is how writers write them.
+def marked(content: Array) -> bytes:
+    """Payloads (bytes,) uint8 with the exponents' e marked, as far as a sign follows, which is how writers write them.
 
-    Nothing where the mark stands in it already, as in no JSON.
+    Nothing where the mark stands in them already, as in no JSON. `content` is changed.
     """
-    if _POWER in content:
+    if (content == _POWER[0]).any():
         return b""
-    found = np.frombuffer(content, np.uint8)
-    signs = (found[1:] == ord("-")) | (found[1:] == ord("+")) if b"+" in content else found[1:] == ord("-")
-    at = np.flatnonzero(((found[:-1] | _SMALL) == ord("e")) & signs)
-    if not len(at):
-        return content
-    out = bytearray(content)
-    np.frombuffer(out, np.uint8)[at] = _POWER[0]
-    return bytes(out)
+    signs = (content[1:] == ord("-")) | (content[1:] == ord("+"))
+    content[:-1][((content[:-1] | _SMALL) == ord("e")) & signs] = _POWER[0]
+    return content.tobytes()
 
 
 def skeleton(payload: bytes) -> bytes:

@@ -18,6 +18,9 @@ _MOST_LAYOUTS = 64
 _FEW = 4
 """So many messages are read one by one sooner than together."""
 
+_BETWEEN, _WIDEST_GAP = b"\n", 64
+"""What is written over the bytes between payloads that lie close to one another."""
+
 Found = Iterator[tuple[Array, list[Any]]]
 """Indices (m,) of messages in a batch and, by path, their values (m,), (m,K) or texts."""
 
@@ -34,13 +37,15 @@ class JsonAlike:
 
     def take(self, batch: Batch) -> Found:
         """The messages that others are laid out like."""
-        content, begin = _joined(batch)
-        content = marked(content)
-        if len(begin) <= _FEW or not content:
+        if len(batch.offset) <= _FEW:
             return
-        first, size = content[: batch.length[0]], batch.length
-        key = skeleton(first)
-        if skeleton(content) == key * len(begin):
+        joined, begin, between = _joined(batch)
+        content = marked(joined)
+        if not content:
+            return
+        size = batch.length
+        key = skeleton(content[: size[0]])
+        if skeleton(content) + between == (key + between) * len(begin):
             yield from self._read(key, np.arange(len(begin)), content, begin)
             return
         groups: dict[bytes, list[int]] = {}
@@ -55,7 +60,7 @@ class JsonAlike:
 
     def _read(self, key: bytes, index: Array, content: bytes, begin: Array) -> Found:
         """The messages `index` (m,) of a skeleton, which begin at those bytes (m,), if they are alike in all else."""
-        layout = self._layout(key, content[: begin[1]])
+        layout = self._layout(key, content[: begin[1]].rstrip(_BETWEEN))
         values = layout.values(content, begin, self._single) if layout else None
         if values is not None:
             yield index, values
@@ -71,11 +76,19 @@ class JsonAlike:
         return self._known.get(key)
 
 
-def _joined(batch: Batch) -> tuple[bytes, Array]:
-    """All payloads one after another, and where each begins (n,)."""
-    data, starts = batch.data.data, batch.offset.tolist()
-    pieces = [data[a:b] for a, b in zip(starts, (batch.offset + batch.length).tolist(), strict=True)]
-    return b"".join(pieces), np.cumsum(batch.length) - batch.length
+def _joined(batch: Batch) -> tuple[Array, Array, bytes]:
+    """All payloads in a row (bytes,) uint8, where each begins (n,), and what stands between two of them."""
+    ends = batch.offset + batch.length
+    gaps = batch.offset[1:] - ends[:-1]
+    gap = int(gaps[0])
+    if (gaps == gap).all() and 0 <= gap <= _WIDEST_GAP:  # as they lie there, the heads of messages blotted out
+        low = int(batch.offset[0])
+        content = np.array(batch.data[low : int(ends[-1])])
+        content[(ends[:-1] - low)[:, None] + np.arange(gap)] = _BETWEEN[0]
+        return content, batch.offset - low, _BETWEEN * gap
+    data = batch.data.data
+    pieces = [data[a:b] for a, b in zip(batch.offset.tolist(), ends.tolist(), strict=True)]
+    return np.frombuffer(bytearray().join(pieces), np.uint8), np.cumsum(batch.length) - batch.length, b""
 
 
 class ProtobufAlike:
