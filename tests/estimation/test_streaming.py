@@ -370,7 +370,8 @@ def test_an_instant_in_plain_floats_is_that_of_matrices(seed, offsets):
     process = [float(v) for v in motion._spread[0].diagonal()[m : 2 * m]]
     ours_z, ours_p = plain.moved(z.tolist(), p.tolist(), 0.013, process, [] if drift is None else drift.tolist())
     np.testing.assert_allclose(ours_p, moved_p, atol=1e-12, rtol=0)
-    nats, d = plain.heard(ours_z, ours_p, said.tolist(), var.tolist())
+    ours_z, ours_p, nats, d = plain.heard(ours_z, ours_p, said.tolist(), var.tolist())
+    plain.even(ours_p)
     np.testing.assert_allclose(ours_z, found.z, atol=1e-12, rtol=0)
     np.testing.assert_allclose(ours_p, found.p, atol=1e-12, rtol=0)
     np.testing.assert_allclose(d, found.encoder_d, atol=1e-12, rtol=0)

@@ -4,6 +4,7 @@ import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +14,8 @@ from .conditioning import GATE
 from .scan import Dynamics
 
 ITERATIONS = 40
-RESTING = 1e-12
-"""rad: how little the point of linearisation may still move."""
+RESTING = 1e-9
+"""rad: how little the point of linearisation may still move: beliefs move by a tenth of that."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,15 +69,25 @@ class Motion:
         return other
 
 
-@dataclass(frozen=True, eq=False)
-class Lines:
-    """Tracks as straight lines about one point (M,): y (T,2) = jac (T,2,M) x with variance var (T,2); memory of it."""
+class Line(NamedTuple):
+    """A track as D straight lines about a point: y (D,) = jac (D,M) x with independent variances var (D,).
 
-    point: Array
+    nats: what the rows' own scale costs, where they were turned and scaled to be independent · memory of the track.
+    """
+
     y: Array
     jac: Array
     var: Array
-    memories: tuple[Memory, ...]
+    memory: Memory
+    nats: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """All tracks as straight lines about one point (M,)."""
+
+    point: Array
+    tracks: tuple[Line, ...]
 
 
 def hear(
@@ -95,10 +106,12 @@ def hear(
     if whole is None:
         lines, errors = _rested(motion.joints, (z, p), told[:2], sights, resting)
     else:
-        lines = replace(whole, var=_gated(*_news(motion.joints, (z, p), whole), whole.var))
+        m = motion.joints
+        lines = replace(whole, tracks=tuple(_gated(line, z[:m], p[:m, :m]) for line in whole.tracks))
     z, p, seen = _seen(z, p, lines)
     z, p, nats = _encoders(motion, z, p, encoders, encoder_var)
-    return Moment(z, p, seen + nats, lines.point, encoder_d, errors, lines.memories, whole)
+    memories = tuple(line.memory for line in lines.tracks)
+    return Moment(z, p, seen + nats, lines.point, encoder_d, errors, memories, whole)
 
 
 def _gated_encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tuple[Array, Array]:
@@ -143,26 +156,25 @@ def _rested(
 
     And their errors in standard deviations. These and the gate are by the `prior`, so that order is no matter.
     """
-    x, errors = prior[0][:m], np.empty((len(sights), 2))
+    x, first, cov = prior[0][:m], prior[0][:m], prior[1][:m, :m]
+    start, spread, errors = told[0][:m], told[1][:m, :m], tuple[Array, ...]()
     went = last = np.zeros(m)
-    least, best = np.inf, None
+    least, best = math.inf, None
     for iteration in range(ITERATIONS):
-        lines, model_var = _lines(x, sights)
-        lean, nu = _news(m, prior, lines)
+        drawn = [_line(sight, x) for sight in sights]
         if iteration == 0:
-            errors = _apart(lean, nu, sights, model_var)
-        lines = replace(lines, var=_gated(lean, nu, lines.var))
-        ph, cov, left = _foretold(*told, lines)
-        move = told[0][:m] + ph[:m] @ np.linalg.solve(cov, left) - x
-        size = float(np.abs(move).max())
+            errors = tuple(apart for _, apart in (_apart(sight, x, cov) for sight in sights))
+        lines = [_gated(line, first, cov) for line in drawn]
+        move = start + _pulled(start, spread, lines) - x
+        size = max(map(abs, move.tolist()))
         if best is None or size < least:
-            least, best = size, lines
+            least, best = size, Lines(x, tuple(lines))
         if size < resting:
             break
         went, last = _accelerated(move, last, went), move
         x = x + went
     assert best is not None
-    return best, tuple(errors)
+    return best, errors
 
 
 def _secants(
@@ -173,34 +185,37 @@ def _secants(
     What a line misses there is noise: a wide belief's tangent says what no picture shows. Rows are turned such that
     their noise is independent.
     """
-    at, model_var = _lines(prior[0][:m], sights)
-    errors = _apart(*_news(m, prior, at), sights, model_var)
+    errors = tuple(_apart(sight, prior[0][:m], prior[1][:m, :m])[1] for sight in sights)
     x, (var, axes) = told[0][:m], np.linalg.eigh(told[1][:m, :m])
-    steps = np.sqrt(m * np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T
-    y, jac, noise, memories = [], [], [], []
+    steps, tracks = np.sqrt(m * np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T, []
     for sight in sights:
         *_, own, memory = sight.at(x)
         there, back = np.split(sight.model.predict(np.concatenate([x + steps, x - steps]))[0], 2)
         middle, slope = 0.5 * (there + back), np.linalg.solve(steps, 0.5 * (there - back)).T
         missed = middle - middle.mean(axis=0)
-        spread, turn = np.linalg.eigh(missed.T @ missed / m + np.diag(own))
-        y.append(turn.T @ (sight.value - middle.mean(axis=0) + slope @ x))
-        jac.append(turn.T @ slope)
-        noise.append(spread)
-        memories.append(memory)
-    return Lines(x, np.array(y), np.array(jac), np.array(noise), tuple(memories)), tuple(errors)
+        spread, turn = np.linalg.eigh(missed.T @ missed / m + (np.diag(own) if own.ndim == 1 else own))
+        y = turn.T @ (sight.value - middle.mean(axis=0) + slope @ x)
+        tracks.append(Line(y, turn.T @ slope, spread, memory))
+    return Lines(x, tuple(tracks)), errors
 
 
-def _news(m: int, prior: tuple[Array, Array], lines: Lines) -> tuple[Array, Array]:
-    """H P Hᵀ (T,2,2) of the lines, and what they say beyond the prior (T,2)."""
-    z, p = prior
-    return lines.jac @ p[:m, :m] @ lines.jac.transpose(0, 2, 1), lines.y - lines.jac @ z[:m]
+def _line(sight: Sight, x: Array) -> Line:
+    """The track's line about x; rows that err together are turned and scaled to be independent."""
+    mean, jac, _, var, memory = sight.at(x)
+    y = sight.value - mean + jac @ x
+    if var.ndim == 1:
+        return Line(y, jac, var, memory)
+    root = np.linalg.cholesky(var)
+    rows = np.linalg.solve(root, np.column_stack([y, jac]))
+    return Line(rows[:, 0], rows[:, 1:], np.ones(len(y)), memory, float(np.log(np.diagonal(root)).sum()))
 
 
-def _apart(lean: Array, nu: Array, sights: Sequence[Sight], model_var: Array) -> Array:
-    """News nu (T,2) in standard deviations, as perception and the model have these."""
-    pixels = np.array([sight.var for sight in sights])
-    return np.asarray(nu / np.sqrt(np.einsum("tdd->td", lean) + pixels + model_var))
+def _apart(sight: Sight, x: Array, cov: Array) -> tuple[Array, Array]:
+    """News (D,) beyond what x (M,) foretells, with covariance (M,M); the same in standard deviations, as perception and
+    the model have these."""
+    mean, jac, model = sight.foretold(x)
+    news = sight.value - mean
+    return news, news / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model)
 
 
 def _accelerated(move: Array, last: Array, went: Array) -> Array:
@@ -210,31 +225,51 @@ def _accelerated(move: Array, last: Array, went: Array) -> Array:
     return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
 
 
-def _lines(x: Array, sights: Sequence[Sight]) -> tuple[Lines, Array]:
-    """The tracks' lines about x, and the model's variance (T,2) there."""
-    *found, memories = zip(*(sight.at(x) for sight in sights), strict=True)
-    mean, jac, model, var = (np.array(part) for part in found)
-    return Lines(x, np.array([sight.value for sight in sights]) - mean + jac @ x, jac, var, memories), model
+def _gated(line: Line, x: Array, cov: Array) -> Line:
+    """The line with its variances raised if it lies beyond the gate as a whole, by the prior x (M,), cov (M,M)."""
+    total, nu = line.jac @ cov @ line.jac.T, line.y - line.jac @ x
+    if len(nu) == 2:
+        (a, b), (_, c) = total.tolist()
+        (u, v), (first, second) = nu.tolist(), line.var.tolist()
+        a, c = a + first, c + second
+        d2 = (c * u * u - 2.0 * b * u * v + a * v * v) / (a * c - b * b)
+        more = [a, c]
+    else:
+        own = np.einsum("dd->d", total)
+        own += line.var
+        d2, more = float(nu @ np.linalg.solve(total, nu)), own.tolist()
+    over = d2 / (GATE * GATE)
+    return line if not over > 1.0 else line._replace(var=line.var + (over * over - 1.0) * np.array(more))
 
 
-def _gated(lean: Array, nu: Array, var: Array) -> Array:
-    """Variances (T,2) of tracks, each gated as a whole; H P Hᵀ lean (T,2,2), innovations nu (T,2)."""
-    a, b, c = lean[:, 0, 0] + var[:, 0], lean[:, 0, 1], lean[:, 1, 1] + var[:, 1]
-    d2 = (c * nu[:, 0] ** 2 - 2.0 * b * nu[:, 0] * nu[:, 1] + a * nu[:, 1] ** 2) / (a * c - b * b)
-    return np.asarray(var + np.stack([a, c], axis=1) * _excess(d2)[:, None])
+def _pulled(x: Array, cov: Array, lines: Sequence[Line]) -> Array:
+    """How far (M,) the lines draw a belief x (M,), cov (M,M)."""
+    h, y, var = _rows(lines)
+    lean = cov @ h.T
+    s = h @ lean
+    np.einsum("rr->r", s)[:] += var
+    return np.asarray(lean @ np.linalg.solve(s, y - h @ x))
 
 
-def _foretold(z: Array, p: Array, lines: Lines) -> tuple[Array, Array, Array]:
-    """Of all rows R of the lines: P Hᵀ (K,R), H P Hᵀ + R (R,R), innovations (R,)."""
-    m = lines.jac.shape[2]
-    h = lines.jac.reshape(-1, m)
-    ph = p[:, :m] @ h.T
-    return ph, h @ ph[:m] + np.diag(lines.var.ravel()), lines.y.ravel() - h @ z[:m]
+def _rows(lines: Sequence[Line]) -> tuple[Array, Array, Array]:
+    """All rows of lines: jac (R,M), y (R,), var (R,)."""
+    if len(lines) == 1:
+        return lines[0].jac, lines[0].y, lines[0].var
+    return (
+        np.concatenate([line.jac for line in lines]), np.concatenate([line.y for line in lines]),
+        np.concatenate([line.var for line in lines]),
+    )  # fmt: skip
 
 
 def _seen(z: Array, p: Array, lines: Lines) -> tuple[Array, Array, float]:
     """z, p given the lines, and their nats."""
-    ph, s, nu = _foretold(z, p, lines)
-    gain = np.linalg.solve(s, ph.T).T
-    nats = 0.5 * (nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(2.0 * np.pi * s)[1])
-    return z + gain @ nu, p - gain @ ph.T, float(nats)
+    h, y, var = _rows(lines.tracks)
+    m = h.shape[1]
+    ph = p[:, :m] @ h.T
+    s, nu = h @ ph[:m], y - h @ z[:m]
+    np.einsum("rr->r", s)[:] += var
+    known = np.linalg.solve(s, np.column_stack([ph.T, nu]))
+    gain, left = known[:, :-1].T, known[:, -1]
+    own = sum(line.nats for line in lines.tracks)
+    nats = 0.5 * float(nu @ left + np.linalg.slogdet(2.0 * math.pi * s)[1]) + own
+    return z + gain @ nu, p - gain @ ph.T, nats

@@ -19,26 +19,28 @@ def moved(
     """z (K) and p (K,K) a time dt (s) later, under white acceleration process (M) and drift (M or none) of offsets."""
     m = len(process)
     z = [a + dt * b for a, b in zip(z[:m], z[m:], strict=False)] + list(z[m:])
-    rows = [[a + dt * b for a, b in zip(p[i], p[m + i], strict=True)] for i in range(m)] + [row[:] for row in p[m:]]
-    for row in rows:
-        row[:m] = [a + dt * b for a, b in zip(row[:m], row[m:], strict=False)]
+    rows = [[a + dt * b for a, b in zip(p[i], p[m + i], strict=True)] for i in range(m)] + p[m:]
+    rows = [[a + dt * b for a, b in zip(row[:m], row[m:], strict=False)] + row[m:] for row in rows]
     for i, q in enumerate(process):
         spread = q * dt
         half = 0.5 * dt * spread
-        rows[i][i] += dt * half * (2.0 / 3.0)
-        rows[i][m + i] += half
-        rows[m + i][i] += half
-        rows[m + i][m + i] += spread
+        low, high = rows[i], rows[m + i]
+        low[i] += dt * half * (2.0 / 3.0)
+        low[m + i] += half
+        high[i] += half
+        high[m + i] += spread
     for i, walk in enumerate(drift, 2 * m):
         rows[i][i] += walk * dt
     return z, rows
 
 
-def heard(z: list[float], p: Rows, said: Sequence[float], var: Sequence[float]) -> tuple[float, list[float]]:
-    """Condition z (K) and p (K,K), in place, on encoders said (M) rad, NaN where silent, of variances var (M).
+def heard(
+    z: list[float], p: Rows, said: Sequence[float], var: Sequence[float]
+) -> tuple[list[float], Rows, float, list[float]]:
+    """z (K) and p (K,K) given encoders said (M) rad, NaN where silent, of variances var (M); nats, and innovations (M)
+    in standard deviations.
 
-    Gated by the prior, so that order is no matter. Nats, and innovations (M) in standard deviations. ArithmeticError
-    where a variance is not above 0.
+    Gated by the prior, so that order is no matter. ArithmeticError where a variance is not above 0.
     """
     m, offsets, nats = len(said), len(z) > 2 * len(said), 0.0
     d, noise = [math.nan] * m, list(var)
@@ -58,14 +60,16 @@ def heard(z: list[float], p: Rows, said: Sequence[float], var: Sequence[float]) 
             s = ph[j] + noise[j] + (ph[2 * m + j] if offsets else 0.0)
             if not s > 0.0:
                 raise ArithmeticError(f"the variance {s:.3g} rad² is foretold of encoder {j + 1}")
-            pull, weight = nu / s, 1.0 / s
-            z[:] = [a + pull * b for a, b in zip(z, ph, strict=True)]
-            p[:] = [
-                [a - gain * b for a, b in zip(row, ph, strict=True)]
-                for row, gain in zip(p, [weight * b for b in ph], strict=True)
-            ]
+            weight = 1.0 / s
+            pull = nu * weight
+            z = [a + pull * b for a, b in zip(z, ph)]  # noqa: B905
+            p = [[a - gain * b for a, b in zip(row, ph)] for row, gain in zip(p, [weight * b for b in ph])]  # noqa: B905
             nats += 0.5 * (nu * pull + math.log(s) + _LOG)
+    return z, p, nats, d
+
+
+def even(p: Rows) -> None:
+    """Take rounding's asymmetry out of p (K,K), in place, where it would grow without bound."""
     for i, row in enumerate(p):
         for k in range(i):
             row[k] = p[k][i] = 0.5 * (row[k] + p[k][i])
-    return nats, d

@@ -93,8 +93,9 @@ def _write(adrift: tuple[Adrift, ...], fold: Fold, readings: Readings) -> None:
         assert lines is not None
         fold.put(readings.encoders, at, one.said[None])
         fold.put(readings.encoder_var, at, one.var[None])
-        for track, *rows in zip(one.tracks, lines.y, lines.jac, lines.var, strict=True):
-            for folded, row in zip((readings.y, readings.jac, readings.var), rows, strict=True):
+        for track, line in zip(one.tracks, lines.tracks, strict=True):
+            parts = ((readings.y, line.y), (readings.jac, line.jac), (readings.var, line.var))
+            for folded, row in parts:
                 fold.put(folded[:, track], at, row[None])
 
 

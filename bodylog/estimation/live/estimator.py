@@ -178,9 +178,10 @@ class _Filter:
             return State(at.t, z, p, before.watch, before.borne)
         said = at.angles.tolist()
         try:
-            nats, d = plain.heard(z, p, said, encoder)
+            z, p, nats, d = plain.heard(z, p, said, encoder)
         except ArithmeticError:
             return None  # which says so in full
+        plain.even(p)
         spoken = [reading == reading for reading in said]
         all_of_them = all(spoken)
         borne = np.full(len(said), at.t) if all_of_them else np.where(spoken, at.t, before.watch.borne)

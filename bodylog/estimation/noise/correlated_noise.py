@@ -7,8 +7,10 @@ acceleration, q (px²/s³) as pictures see it, a filter that hears noise of dens
 and a share s of it is E when that is s^(−4/3) times as long.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -40,6 +42,11 @@ class Likeness:
     share: float
     stated: Array | float = 1.0
 
+    @cached_property
+    def wander(self) -> Array:
+        """The joints' white acceleration that counts (M,), rad²/s³."""
+        return np.asarray(self.stated**4 * self.share * self.process)
+
     def postures(self, step: Array) -> Array:
         """How alike (…,) the model errs, joints being a step (…,M) rad apart."""
         return np.asarray(np.exp(-0.5 * np.square(step / self.reach).sum(axis=-1)))
@@ -54,7 +61,7 @@ class Likeness:
         (1 + κ) / (1 − κ) is span/dt, dt much shorter.
         """
         error = np.einsum("fd->f", lasting)
-        drift = np.einsum("fdm,m->f", np.square(jac), self.stated**4 * self.share * self.process)
+        drift = np.einsum("fdm,m->f", np.square(jac), self.wander)
         span = np.cbrt(error / np.maximum(drift, 1e-9))
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
@@ -130,7 +137,10 @@ class Memory:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """One track seen at an instant t (s): model, value (D,), pixel variance (D,), what errs alike, memory."""
+    """One track seen at an instant t (s): model, value (D,), its variance (D,), what errs alike, memory.
+
+    cov (D,D): where the rows err together, with `var` its diagonal; None where each errs by itself.
+    """
 
     model: ForwardModel
     t: float
@@ -138,15 +148,43 @@ class Sight:
     var: Array
     like: Likeness
     memory: Memory
+    cov: Array | None = None
+
+    def foretold(self, x: Array) -> tuple[Array, Array, Array]:
+        """At angles x (M,): mean (D,), Jacobian (D,M) and the model's variance (D,)."""
+        one = getattr(self.model, "predict_one", None)
+        if one is not None:
+            return one(x)  # type: ignore[no-any-return]
+        mean, jac, model = self.model.predict(x[None])
+        return mean[0], jac[0], model[0]
 
     def at(self, x: Array) -> tuple[Array, Array, Array, Array, Memory]:
-        """At angles x (M,): mean (D,), Jacobian (D,M), model variance (D,), the whole as `variances` has it, memory."""
-        mean, jac, model = (part[0] for part in self.model.predict(x[None]))
-        last, count, alike = self.memory, np.ones(2), np.zeros(2)
-        if last.place is not None and last.point is not None:
-            dt = np.array([self.t - last.t])
-            alike = np.array([self.like.spots(self.value - last.place), self.like.postures(x - last.point)])
-            fade = float(self.like.fade(dt, (self.var * alike[0] + model * alike[1])[None], jac[None])[0])
-            count += fade * alike * last.count
-        spots, postures = self.like.times(count, alike)
-        return mean, jac, model, self.var * spots + model * postures, Memory(self.t, self.value, x, count)
+        """At angles x (M,): mean (D,), Jacobian (D,M), model variance (D,), the whole as `variances` has it, memory.
+
+        The whole is a covariance (D,D) where rows err together.
+        """
+        mean, jac, model = self.foretold(x)
+        spots, postures, memory = self._alike(x, jac, model)
+        var = self.var * spots + model * postures
+        if self.cov is not None:
+            var = self.cov * spots + np.diag(model * postures)
+        return mean, jac, model, var, memory
+
+    def _alike(self, x: Array, jac: Array, model: Array) -> tuple[float, float, Memory]:
+        """How many times perception's and the model's variance count, and what is remembered then."""
+        last, like, share = self.memory, self.like, LASTING[self.like.share]
+        if last.place is None or last.point is None:
+            return 1.0, 1.0, Memory(self.t, self.value, x, np.ones(2))
+        step, away = (self.value - last.place).tolist(), ((x - last.point) / like.reach).tolist()
+        spot = math.exp(-math.hypot(*step) / like.near) if like.near > 0 else 0.0
+        posture = math.exp(-0.5 * math.hypot(*away) ** 2)
+        error = spot * float(self.var.sum()) + posture * float(model.sum())
+        drift = float((np.square(jac) @ like.wander).sum())
+        span = max((error / max(drift, 1e-9)) ** (1.0 / 3.0), 1e-9)
+        fade = math.exp(-2.0 * (self.t - last.t) / span)
+        by_spot, by_posture = last.count.tolist()
+        counts = 1.0 + fade * spot * by_spot, 1.0 + fade * posture * by_posture
+        spots, postures = (
+            2.0 * count - 1.0 + share * alike / count for count, alike in zip(counts, (spot, posture), strict=True)
+        )
+        return spots, postures, Memory(self.t, self.value, x, np.array(counts))
