@@ -9,7 +9,8 @@ import numpy as np
 from ...errors import ModelError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, ForwardModel, Health
-from ..measurements.gather import chosen, pixel_variance
+from ..measurements.gather import chosen
+from ..measurements.track import pixel_variance
 from ..noise import typed
 
 Angles = Sequence[float] | Array | Mapping[str, float]

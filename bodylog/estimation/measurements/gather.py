@@ -7,10 +7,17 @@ import numpy as np
 
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Features, Finding, ForwardModel, Health, Series
-from . import touch
+from ...types import Array, BodyModel, Features, Finding, Health, Series
+from .contract import Sense
 from .records import Encoders, Evidence, Sighting
+from .touch import Touch
+from .track import Track, ascending, gap
 
+SENSES: Mapping[str, Sense] = {
+    "track": Track(),
+    "touch": Touch(),
+}
+"""Senses beside the encoders, in the order in which they are gathered."""
 FIRST = "camera"
 """Name of the first camera, whose tracks are named plainly."""
 
@@ -20,9 +27,12 @@ def gather(features: Features, body: BodyModel, settings: Estimation, whole: boo
     visual = {name: track for name, track in features.tracks.items() if name in body.senses}
     wanted, joints = chosen(visual, body, settings), features.joints
     encoders, used = _encoders(joints, body.joints, wanted)
-    sightings = [_sighting(name, track, body, used) for name, track in visual.items() if name in wanted]
-    if "touch" in wanted and "effector" in body.senses:
-        sightings.append(_touch(features, body, used, whole))
+    sightings = list[Sighting]()
+    for sense in SENSES.values():
+        for name in (name for name in sense.names(features, body) if name in wanted):
+            found = sense.read(name, features, body, whole)
+            sightings.append(found.sighting)
+            used[name] = found.health
     read = np.empty((0, len(body.joints))) if joints is None else joints.values[:, columns(joints, body.joints)]
     return Evidence(encoders, tuple(sightings), _first(joints, body.joints), used, (), read=read, joints=body.joints)
 
@@ -77,7 +87,7 @@ def _encoders(
     for index in (index for index, name in enumerate(names) if name in wanted):
         reasons[f"without {names[index]}"] = int(np.isnan(values[keep, index]).sum())
     use = int(np.isfinite(values[keep]).any(axis=1).sum())
-    used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, _gap(joints.t[keep]))}
+    used = {"encoders": Health(len(joints.t), use, {k: v for k, v in reasons.items() if v}, gap(joints.t[keep]))}
     return Encoders(joints.t[keep], values[keep], joints.source_ns[keep]), used
 
 
@@ -110,57 +120,6 @@ def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
             finite = column[np.isfinite(column)]
             first[index] = finite[0] if len(finite) else np.nan
     return first
-
-
-def ascending(t: Array) -> Array:
-    """True where a time is later than all before it."""
-    t = np.where(np.isfinite(t), t, -np.inf)
-    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]]) if len(t) else t
-    return t > before
-
-
-def _gap(t: Array) -> float:
-    return float(np.diff(t).max()) if len(t) > 1 else 0.0
-
-
-def _sighting(name: str, track: Series, body: BodyModel, used: dict[str, Health]) -> Sighting:
-    rising = ascending(track.t)
-    seen: Array = np.all(np.isfinite(track.values), axis=1)
-    use = int((rising & seen).sum())
-    reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
-    gap = _gap(track.t[rising & seen])
-    used[name] = Health(len(track.t), use, {k: v for k, v in reasons.items() if v}, gap)
-    model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
-    var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
-    values = np.where(seen[:, None], track.values, np.nan)
-    shared = _common(model, noise)
-    return Sighting(name, model, track.t[rising], values[rising], var[rising], track.source_ns[rising], shared)
-
-
-def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
-    """Variance px² by the word of std (…,D) and what learning found beyond it, or `fallback` (D,) without a word."""
-    if std is None:
-        return fallback
-    beyond = getattr(model, "noise", 0.0)
-    return np.where(np.isfinite(std) & (std > 0), np.square(std) + beyond, fallback)
-
-
-def _common(model: ForwardModel, noise: Array) -> float:
-    """Share of a model's variance that encoders' errors brought in, of its samples' noise; pixels have `noise` (D,)."""
-    spread = float(np.mean(getattr(model, "spread", 0.0)))
-    pixels = float(np.mean(noise - getattr(model, "noise", 0.0)))
-    return max(1.0 - pixels / spread, 0.0) if spread > 0.0 else 0.0
-
-
-def _touch(features: Features, body: BodyModel, used: dict[str, Health], whole: bool) -> Sighting:
-    t, values, var, source_ns, count = touch.sightings(features, body, whole)
-    seen = 0 if features.touches is None else len(features.touches)
-    paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= touch.COUNTS for pair in features.synchrony)
-    reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
-    left = {reason: number for reason, number in reasons.items() if number}
-    used["touch"] = Health(seen, count, left)
-    rising = ascending(t)
-    return Sighting("touch", body.senses["effector"], t[rising], values[rising], var[rising], source_ns[rising])
 
 
 def _check(

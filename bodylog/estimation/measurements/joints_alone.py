@@ -6,7 +6,7 @@ import numpy as np
 
 from ...errors import UsageError
 from ...types import BodyModel, Finding, Noise, Series, TouchConstants
-from .gather import ascending
+from .track import ascending
 
 STEP = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, which one that never moves is taken for."""

@@ -2,12 +2,39 @@
 
 import numpy as np
 
-from ...types import Array, BodyModel, Features
+from ...types import Array, BodyModel, Features, Health
+from .contract import Measured
+from .records import Sighting
+from .track import ascending
 
 LEAST = 1e-9
 """A touch of smaller weight says nothing at all."""
 COUNTS = 1e-3
 """A touch of smaller weight, under a thousandth of a synchronous one, is heard but not counted as used."""
+
+
+class Touch:
+    """The sense: while the skin is touched in time with what is seen, the hand is at the effector."""
+
+    @property
+    def group(self) -> str:
+        """Touch."""
+        return "touch"
+
+    def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
+        """Touch, where the body predicts the effector."""
+        return ("touch",) if "effector" in body.senses else ()
+
+    def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
+        """Where touch says the effector is."""
+        t, values, var, source_ns, count = sightings(features, body, whole)
+        seen = 0 if features.touches is None else len(features.touches)
+        paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= COUNTS for pair in features.synchrony)
+        reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
+        left = {reason: number for reason, number in reasons.items() if number}
+        rising = ascending(t)
+        model, source = body.senses["effector"], source_ns[rising]
+        return Measured(Sighting(name, model, t[rising], values[rising], var[rising], source), Health(seen, count, left))
 
 
 def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Array, Array, Array, Array, int]:

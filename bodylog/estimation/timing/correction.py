@@ -9,8 +9,9 @@ import numpy as np
 from ...errors import ModelError, UsageError
 from ...types import Array, BodyModel, Estimate, Features, Finding, Series
 from ..faults.encoder_faults import screen
-from ..measurements.gather import ascending, camera, columns, pixel_variance
+from ..measurements.gather import camera, columns
 from ..measurements.records import Encoders, Sighting
+from ..measurements.track import ascending, pixel_variance
 from .regression import FARTHEST, Delay, measured
 
 GAIN, FURTHER = 8.0, 3.0

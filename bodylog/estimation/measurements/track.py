@@ -1,0 +1,61 @@
+"""A point that moves with the arm, as images show it: two rows, u and v in px."""
+
+import numpy as np
+
+from ...types import Array, BodyModel, Features, ForwardModel, Health
+from .contract import Measured
+from .records import Sighting
+
+
+class Track:
+    """The sense: every track of the features that the body predicts."""
+
+    @property
+    def group(self) -> str:
+        """Vision."""
+        return "vision"
+
+    def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
+        """The tracks, in the order the log has them."""
+        return tuple(name for name in features.tracks if name in body.senses)
+
+    def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
+        """The places of a track; NaN where it was not seen."""
+        track = features.tracks[name]
+        rising = ascending(track.t)
+        seen: Array = np.all(np.isfinite(track.values), axis=1)
+        reasons = {"time runs backwards": int((~rising).sum()), "out of view": int((rising & ~seen).sum())}
+        rejected = {reason: count for reason, count in reasons.items() if count}
+        health = Health(len(track.t), int((rising & seen).sum()), rejected, gap(track.t[rising & seen]))
+        model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
+        var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
+        values, shared = np.where(seen[:, None], track.values, np.nan), _common(model, noise)
+        source = track.source_ns[rising]
+        return Measured(Sighting(name, model, track.t[rising], values[rising], var[rising], source, shared), health)
+
+
+def ascending(t: Array) -> Array:
+    """True where a time is later than all before it."""
+    t = np.where(np.isfinite(t), t, -np.inf)
+    before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]]) if len(t) else t
+    return t > before
+
+
+def gap(t: Array) -> float:
+    """The longest time (s) between two of t (N,) s."""
+    return float(np.diff(t).max()) if len(t) > 1 else 0.0
+
+
+def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
+    """Variance px² by the word of std (…,D) and what learning found beyond it, or `fallback` (D,) without a word."""
+    if std is None:
+        return fallback
+    beyond = getattr(model, "noise", 0.0)
+    return np.where(np.isfinite(std) & (std > 0), np.square(std) + beyond, fallback)
+
+
+def _common(model: ForwardModel, noise: Array) -> float:
+    """Share of a model's variance that encoders' errors brought in, of its samples' noise; pixels have `noise` (D,)."""
+    spread = float(np.mean(getattr(model, "spread", 0.0)))
+    pixels = float(np.mean(noise - getattr(model, "noise", 0.0)))
+    return max(1.0 - pixels / spread, 0.0) if spread > 0.0 else 0.0

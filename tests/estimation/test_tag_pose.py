@@ -1,0 +1,156 @@
+"""A sense of six rows that err together: a tag's pose, read, predicted and used by the filter."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation.inference.instant import Motion, hear
+from bodylog.estimation.inference.scan import Dynamics
+from bodylog.estimation.measurements.tag_pose import PoseModel, TagPose, solved, unmistakable
+from bodylog.estimation.noise.correlated_noise import PAST, Likeness, Memory, Sight
+from bodylog.kinematics.camera import lens, project
+from bodylog.kinematics.rotations import exponential
+from bodylog.types import BodyModel, Features, Noise, Series, TouchConstants
+from tests.estimation.conftest import JOINTS, motion
+
+LENS = lens(600.0, 640.0, 480.0)
+SIZE = 0.08
+POINTS = 0.5 * SIZE * np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Corner:
+    """A corner of a tag that three joints turn and carry before a camera."""
+
+    number: int
+    outputs: tuple[str, ...] = ("u", "v")
+
+    def place(self, x):
+        pan, lift, elbow = np.moveaxis(np.asarray(x), -1, 0)
+        turns = np.stack([0.5 * (lift + 0.6), pan + 0.4, elbow - 1.0], axis=-1)
+        at = np.stack([0.15 * np.sin(pan + 0.9), 0.15 * np.sin(lift + 0.9), 0.55 + 0.1 * np.cos(elbow)], axis=-1)
+        arms = np.array([exponential(turn) @ POINTS[self.number] for turn in turns])
+        return project(arms + at, LENS)[0]
+
+    def predict(self, x):
+        steps = 1e-6 * np.eye(3)
+        jac = np.stack([(self.place(x + e) - self.place(x - e)) / 2e-6 for e in steps], axis=-1)
+        return self.place(x), jac, np.zeros((len(x), 2))
+
+
+MODELS = tuple(Corner(k) for k in range(4))
+TRACKS = tuple(f"tag.{k}" for k in range(4))
+
+
+PROCESS = 0.002
+
+
+def white(t, rng):
+    """Angles (N,3) under white acceleration of PROCESS rad²/s³."""
+    grid = np.arange(0.0, t.max() + 0.01, 0.001)
+    rate = np.cumsum(rng.normal(0.0, np.sqrt(PROCESS * 0.001), (len(grid), 3)), axis=0)
+    path = np.array([-0.9, -0.9, 1.0]) + np.cumsum(0.001 * rate, axis=0)
+    return np.stack([np.interp(t, grid, column) for column in path.T], axis=1)
+
+
+def drawn(seed, duration=8.0, pixel=0.2, encoder=0.02, hz=50.0, camera=12.0):
+    rng = np.random.default_rng(seed)
+    t, frames = np.arange(0.0, duration, 1 / hz), np.arange(0.003, duration, 1 / camera)
+    both = np.concatenate([t, frames])
+    x = white(both, rng)
+    ns = (frames * 1e9).astype(np.int64)
+    std = np.full((len(frames), 2), pixel)
+    tracks = {
+        name: Series(frames, model.place(x[len(t) :]) + rng.normal(0.0, pixel, std.shape), ("u", "v"), "px", ns, std)
+        for name, model in zip(TRACKS, MODELS, strict=True)
+    }
+    joints = Series(t, x[: len(t)] + rng.normal(0.0, encoder, (len(t), 3)), JOINTS, "rad", (t * 1e9).astype(np.int64))
+    features = Features(joints, tracks, None, (), (), {}, boards={"tag": (TRACKS, POINTS)})
+    noise = Noise((encoder**2,) * 3, dict.fromkeys(TRACKS, (pixel**2,) * 2), (0.3,) * 3)
+    body = BodyModel(JOINTS, dict(zip(TRACKS, MODELS, strict=True)), noise, TouchConstants(1.0, 0.005, 1.0, 50.0), {})
+    return features, body, x[: len(t)], x[len(t) :]
+
+
+def filtered(features, body, process, poses=None):
+    """The belief at each encoder instant, with a tag's pose or without: (N,3), (N,3,3)."""
+    joints, drift = features.joints, None
+    move = Motion(Dynamics(np.full(3, process), drift))
+    like = Likeness(np.full(3, process), np.asarray(np.inf), 0.0, PAST)
+    z, p = np.concatenate([joints.values[0], np.zeros(3)]), np.eye(6)
+    told = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
+    if poses is not None:
+        told += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
+    last, means, covs = joints.t[0], [], []
+    for t, y, row in sorted(told, key=lambda one: one[0]):
+        z, p = move.move(z, p, t - last)
+        last = t
+        sights = () if row is None else (
+            Sight(poses.model, t, poses.values[row], poses.var[row], like, Memory(), poses.cov[row]),
+        )  # fmt: skip
+        found = hear(move, z, p, y, np.array(body.noise.encoder), sights)
+        z, p = found.z, found.p
+        if row is None:
+            means.append(z[:3])
+            covs.append(p[:3, :3])
+    return np.array(means), np.array(covs)
+
+
+def test_the_pose_is_that_of_the_corners_and_its_derivatives_are_true():
+    x = motion(np.arange(0.0, 3.0, 0.5), np.random.default_rng(0), 0.3)
+    model = PoseModel(MODELS, POINTS, LENS)
+    mean, jac, _ = model.predict(x)
+    image = np.stack([one.place(x) for one in MODELS], axis=1)
+    for pose, seen in zip(mean, image, strict=True):
+        again = project(POINTS @ exponential(pose[3:]).T + pose[:3], LENS)[0]
+        np.testing.assert_allclose(again, seen, atol=1e-7)
+    numeric = np.stack([(model.predict(x + e)[0] - model.predict(x - e)[0]) / 2e-5 for e in 1e-5 * np.eye(3)], axis=-1)
+    np.testing.assert_allclose(jac, numeric, atol=2e-5, rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_the_six_rows_err_as_their_covariance_says(seed):
+    features, body, _, at_frames = drawn(seed, duration=10.0, pixel=0.1)
+    ((name,),) = (TagPose(LENS).names(features, body),)
+    poses, health = TagPose(LENS).read(name, features, body)
+    assert poses.name == "tag.pose" and poses.values.shape == (120, 6) and health.used > 100
+    rows = np.isfinite(poses.values[:, 0])
+    error = (poses.values - poses.model.predict(at_frames)[0])[rows]
+    nees = np.einsum("nd,nd->n", error, np.linalg.solve(poses.cov[rows], error[..., None])[..., 0])
+    assert 0.85 < nees.mean() / 6.0 < 1.15
+    # they err together: depth and tilt are told by the same pixels
+    scale = np.sqrt(np.einsum("ndd->nd", poses.cov[rows]))
+    assert np.abs(poses.cov[rows] / (scale[:, :, None] * scale[:, None]) - np.eye(6)).max() > 0.5
+
+
+def test_a_filter_hears_a_pose_and_is_as_sure_as_it_errs():
+    found = {True: [], False: []}
+    for seed in range(6):
+        features, body, truth, _ = drawn(seed, duration=4.0, pixel=0.1, camera=6.0)
+        poses, _ = TagPose(LENS).read("tag", features, body)
+        for seen in found:
+            mean, cov = filtered(features, body, PROCESS, poses if seen else None)
+            error = (mean - truth)[50:]
+            nees = np.mean(error**2 / np.einsum("nii->ni", cov[50:]))
+            found[seen].append((np.sqrt(np.mean(error**2)), nees))
+    (rmse, nees), (without, _) = np.mean(found[True], axis=0), np.mean(found[False], axis=0)
+    assert rmse < 0.7 * without and 0.8 < nees < 1.25
+
+
+def test_of_a_far_tag_that_tells_two_poses_none_is_told():
+    at, turn = np.array([0.0, 0.0, 6.0]), exponential(np.array([0.25, 0.0, 0.0]))
+    corners = project(POINTS @ turn.T + at, LENS)[0]
+    assert unmistakable(corners, np.full(8, 0.04), POINTS, LENS) is None
+    near = project(POINTS @ turn.T + 0.05 * at, LENS)[0]
+    pose = unmistakable(near, np.full(8, 0.04), POINTS, LENS).pose
+    np.testing.assert_allclose(pose, [0.0, 0.0, 0.3, 0.25, 0.0, 0.0], atol=1e-6)
+    assert solved(near, np.full(8, 0.04), POINTS, LENS).cost < 1e-9
+
+
+def test_an_unseen_corner_hides_the_pose():
+    features, body, _, _ = drawn(3, duration=1.0)
+    values = features.tracks["tag.2"].values.copy()
+    values[4] = np.nan
+    hidden = replace(features, tracks={**features.tracks, "tag.2": replace(features.tracks["tag.2"], values=values)})
+    poses, health = TagPose(LENS).read("tag", hidden, body)
+    assert np.isnan(poses.values[4]).all() and health.used <= 11
