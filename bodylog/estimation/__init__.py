@@ -1,7 +1,7 @@
 """Estimation: from features and a learned body to a belief about the joint angles, one file per method."""
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from ..errors import UsageError
 from ..settings import Estimation
@@ -41,6 +41,8 @@ def estimate(
         found = unsure(as_stamped(found, features, timely.features), timely)
         told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
         found = replace(found, settings={**found.settings, **told})
+    weighed = [asdict(one) for one in timely.hypotheses] + list(found.settings.get("hypotheses", ()))
+    found = replace(found, settings={**found.settings, "hypotheses": weighed} if weighed else found.settings)
     remarks = (*timely.findings, *found.findings, *unheeded(settings), *doubts(found, settings))
     return replace(found, findings=remarks)
 

@@ -96,6 +96,10 @@ def test_the_evidence_is_told_and_what_a_model_knows_stays_known():
     ((hypothesis),) = verdict.hypotheses
     assert hypothesis.name == "camera moved" and hypothesis.nats < 0.0 and not hypothesis.chosen
     plain, x = Explored(), np.array([[-0.9, -0.9, 1.0]])
+    told = estimate(world.features, world.body, Estimation()).settings["hypotheses"]
+    assert [(one["name"], one["chosen"], one["threshold"]) for one in told] == [
+        ("camera late", False, 8.0), ("camera moved", False, 20.0),
+    ]  # fmt: skip
     unsure = Unsure(plain, np.array([0.1, 0.2]))
     assert unsure.samples is plain.samples and unsure.outputs == plain.outputs
     np.testing.assert_allclose(unsure.predict(x)[2] - plain.predict(x)[2], [[0.1, 0.2]])

@@ -33,8 +33,8 @@ class Touch:
         reasons = {"not synchronous": min(paired, seen - count), "no stroke seen": max(seen - count - paired, 0)}
         left = {reason: number for reason, number in reasons.items() if number}
         rising = ascending(t)
-        model, source = body.senses["effector"], source_ns[rising]
-        return Measured(Sighting(name, model, t[rising], values[rising], var[rising], source), Health(seen, count, left))
+        t, values, var, source_ns = (part[rising] for part in (t, values, var, source_ns))
+        return Measured(Sighting(name, body.senses["effector"], t, values, var, source_ns), Health(seen, count, left))
 
 
 def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Array, Array, Array, Array, int]:

@@ -1,12 +1,12 @@
 """From beliefs at instants to an Estimate: errors and predictions per sense, free energy per output, names, clocks."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from ...types import Array, BodyModel, Estimate, Fault, Finding, Series
+from ...types import Array, BodyModel, Estimate, Fault, Finding, Hypothesis, Series
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
 
@@ -25,6 +25,7 @@ class Beliefs:
     settings: Mapping[str, Any]
     faults: tuple[Fault, ...] = ()
     findings: tuple[Finding, ...] = field(default_factory=tuple)
+    hypotheses: tuple[Hypothesis, ...] = ()
 
 
 def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
@@ -45,9 +46,15 @@ def estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, b
         per_output(beliefs.nats, at), evidence.used,
         {name: predicted for name, (_, predicted, _) in sights.items() if name != "touch"},
         {name: cov for name, (_, _, cov) in sights.items() if name != "touch"},
-        beliefs.settings, series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
+        {**beliefs.settings, **weighed((*evidence.hypotheses, *beliefs.hypotheses))},
+        series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
         (*evidence.faults, *beliefs.faults), (*evidence.findings, *beliefs.findings),
     )  # fmt: skip
+
+
+def weighed(hypotheses: tuple[Hypothesis, ...]) -> dict[str, Any]:
+    """Settings that list what was weighed, each with the nats it won, its threshold, and whether it was chosen."""
+    return {"hypotheses": [asdict(one) for one in hypotheses]} if hypotheses else {}
 
 
 def sight(sighting: Sighting, events: Array, beliefs: Beliefs) -> tuple[Series, Series, Array]:

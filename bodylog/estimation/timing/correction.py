@@ -7,7 +7,7 @@ from math import isfinite
 import numpy as np
 
 from ...errors import ModelError, UsageError
-from ...types import Array, BodyModel, Estimate, Features, Finding, Series
+from ...types import Array, BodyModel, Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import screen
 from ..measurements.gather import camera, columns
 from ..measurements.records import Encoders, Sighting
@@ -35,6 +35,7 @@ class Dated:
     delays: Mapping[str, float]
     errors: Mapping[str, float]
     findings: tuple[Finding, ...] = ()
+    hypotheses: tuple[Hypothesis, ...] = ()
 
 
 def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> Dated:
@@ -54,9 +55,13 @@ def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] 
             # a camera that is no longer late is better known by that than by the log
             anew = not delays[name] or abs(own) > SURE * rest.std_error
             delays[name], errors[name] = (own, rest.std_error) if anew else (0.0, 0.0)
+    weighed = tuple(
+        Hypothesis("camera late", name, rest.nats, gain, name not in fixed and telling(rest, gain=gain))
+        for name, rest in rests.items()
+    )
     errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
-    return Dated(earlier(features, delays), delays, errors, tuple(told(delays, errors, rests, fixed)))
+    return Dated(earlier(features, delays), delays, errors, tuple(told(delays, errors, rests, fixed)), weighed)
 
 
 def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
