@@ -13,6 +13,8 @@ from bodylog.types import Array
 from tests.perception import tag_scenes
 from tests.perception.tag_scenes import Look
 
+SHIFTED = 0.0 if tuple(map(int, cv2.__version__.split(".")[:2])) >= (4, 14) else 0.5
+"""px: OpenCV before 4.14 gives corners that much too far right and down (its issue 25539)."""
 PANDA = Path(__file__).parents[3] / "shared" / "real" / "panda" / "real_new"
 SIX, FIVE = (CharucoSource(shape, 0.07, 0.04, "4x4_1000") for shape in ("6x5", "5x6"))
 
@@ -101,4 +103,4 @@ def test_of_real_images_every_corner_is_found_that_opencv_finds() -> None:
     ours[:, [int(name.partition(".")[2]) for name in found.names]] = found.values[..., :2]
     both = np.isfinite(theirs[..., 0])
     assert np.isfinite(ours[both]).all() and np.isfinite(ours[..., 0]).sum() > both.sum() > 200
-    assert np.median(np.linalg.norm(ours - theirs, axis=2)[both]) < 0.1
+    assert np.median(np.linalg.norm(ours - (theirs - SHIFTED), axis=2)[both]) < 0.1

@@ -34,6 +34,14 @@ def test_tags_of_every_dictionary_are_read_with_their_corners_in_order(dictionar
         assert np.abs(found.centres[0] - centre).max() < 0.1
 
 
+@pytest.mark.parametrize("name", ["apriltag_16h5", "apriltag_25h9", "apriltag_36h10", "apriltag_36h11", "mip_36h12"])
+def test_as_many_wrong_bits_are_allowed_whatever_opencv_says_can_be_corrected(name: str) -> None:
+    patterns, side = codes(name).patterns, codes(name).side
+    one, all_ = patterns[0, 0], patterns.reshape(-1, side * side)
+    least = np.sort((all_ != one).sum(axis=1))[1]  # the first is the pattern itself
+    assert codes(name).correctable == int(0.6 * ((int(name.rpartition("h")[2]) - 1) // 2)) < least / 2
+
+
 @pytest.mark.parametrize("side", [24.0, 40.0, 70.0])
 def test_stated_deviations_are_those_from_the_truth(side: float) -> None:
     apart, stated = [], []

@@ -150,6 +150,7 @@ def test_frame_id_of_a_topic_with_two_schemas_is_the_first_ones(tmp_path):
     assert present._frame_id(write(tmp_path / "two.mcap", streams), "/cam") == "cam"
 
 
+@there
 def test_of_a_log_cut_short_what_is_sound_is_shown(bodylog, annotated, tmp_path):
     whole = annotated.read_bytes()
     for bytes_left, code in ((len(whole) // 2, 3), (len(whole) - 10, 0)):
