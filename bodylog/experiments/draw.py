@@ -36,7 +36,8 @@ def _trace(axis: Any, shown: Mapping[str, Any]) -> None:
         values = [np.nan if v is None else v for v in line]
         style = "--" if name.startswith(REAL) or name.endswith("truth") else "-"
         axis.plot(shown["t"], values, color=LINES[index % len(LINES)], label=name, ls=style)
-    axis.set_title(shown["title"])
+    figure_of = f"Fig. {shown['figure']} " if shown["figure"] else ""
+    axis.set_title(figure_of + shown["title"])
     axis.set_xlabel(shown["axis"])
     axis.set_ylabel(shown["unit"])
     if len(shown["lines"]) <= NAMED:

@@ -20,10 +20,11 @@ def test_costs_are_lines_with_their_exponents(tmp_path):
 
 
 def test_truth_is_dashed_and_every_panel_drawn(tmp_path):
-    shown = [panel(f"panel {k}", "rad", [0.0, 1.0, 2.0], {"truth": [0, 1, 2], "ours": [0, 1, 1]}) for k in range(3)]
+    lines = {"truth": [0, 1, 2], "ours": [0, 1, 1]}
+    shown = [panel(f"panel {k}", "rad", [0.0, 1.0, 2.0], lines, f"{k}a") for k in range(3)]
     draw.traces(shown, tmp_path / "t.svg")
     text = (tmp_path / "t.svg").read_text()
-    assert {"panel 0", "panel 1", "panel 2", "truth", "ours"} <= words(tmp_path / "t.svg")
+    assert {"Fig. 0a panel 0", "Fig. 1a panel 1", "Fig. 2a panel 2", "truth", "ours"} <= words(tmp_path / "t.svg")
     assert text.count("stroke-dasharray") >= 3
 
 
