@@ -47,6 +47,23 @@ def claims(found: Sequence[Row]) -> str:
     return "\n".join([*parts, "**Beside others' figures**\n\n" + table(head, others)])
 
 
+def seeds(found: Sequence[Row], starts: int) -> str:
+    """How many seeds each experiment's figures are of; PixelAI's, one per joint, are means over `starts` seeds."""
+    counts = dict[str, int]()
+    for claim in found:
+        for one in claim["outcomes"].values():
+            name = claim["id"].partition(".")[0]
+            counts[name] = max(counts.get(name, 0), len(one["figures"]))
+    by: dict[int, list[str]] = {}
+    for name, count in counts.items():
+        if name not in ("E6", "PixelAI"):
+            by.setdefault(count, []).append(name)
+    told = "; ".join(f"{count} ({', '.join(names)})" for count, names in sorted(by.items(), reverse=True))
+    return (
+        f"Seeds by experiment: {told}; PixelAI's figures are one per joint, means over {starts} seeds and all starts.\n"
+    )
+
+
 def errata(found: Sequence[Row]) -> str:
     """The errata that have figures, as rows."""
     return "".join(_line(_erratum(claim)) for claim in found if claim["kind"] == "erratum")
@@ -160,7 +177,11 @@ if __name__ == "__main__":
     out = Path(sys.argv[1])
     told = json.loads((out / "claims.json").read_text(encoding="utf-8"))
     parts = {
-        PAGE: {READINGS: readings(), CLAIMS: claims(told), ERRATA: errata(told)},
+        PAGE: {
+            READINGS: readings(),
+            CLAIMS: claims(told) + "\n" + seeds(told, len(next(iter(figures(out, "PixelAI").values())))),
+            ERRATA: errata(told),
+        },
         DOCS / "rubber-hand.md": {DRIFT: drift(figures(out, "Rubber-hand"))},
         DOCS.parent / "README.md": {BASELINES: baselines(figures(out, "Baselines"))},
     }

@@ -143,11 +143,18 @@ def variants(
 ) -> Claim:  # fmt: skip
     """A claim of the paper about no constant, judged in variants of what it says; `apart` is what they differ in."""
     found = {who: _outcome(bound, values, [True] * len(values)) for who, values in figures.items()}
-    kept = [one.keeps for one in found.values()]
-    verdict = HOLDS if all(kept) else f"{DEPENDS} {apart}" if any(kept) else FAILS if len(kept) >= FEWEST else FEW
+    verdict = _varied([one.keeps for one in found.values()], apart)
     told = "; ".join(f"{'kept' if one.keeps else 'not kept'}: {who}" for who, one in found.items())
     turns = told if DEPENDS in verdict else ""
     return Claim(name, "paper", text, measured, unit, str(bound), verdict, found, turns=turns, explanation=explanation)
+
+
+def _varied(kept: Sequence[bool], apart: str) -> str:
+    if len(kept) == 1:
+        return OWN_HOLDS if kept[0] else OWN_FAILS
+    if all(kept):
+        return HOLDS
+    return f"{DEPENDS} {apart}" if any(kept) else FAILS if len(kept) >= FEWEST else FEW
 
 
 def untestable(name: str, text: str, why: str) -> Claim:
