@@ -66,7 +66,8 @@ def seeds(found: Sequence[Row], starts: int) -> str:
 
 def errata(found: Sequence[Row]) -> str:
     """The errata that have figures, as rows."""
-    return "".join(_line(_erratum(claim)) for claim in found if claim["kind"] == "erratum")
+    rows = [_erratum(claim) for claim in found if claim["kind"] == "erratum"]
+    return table(("printed", "derivation", "as printed", "as run here"), rows)
 
 
 def _erratum(claim: Row) -> tuple[str, ...]:
