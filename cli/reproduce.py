@@ -13,8 +13,13 @@ if TYPE_CHECKING:
     from bodylog.experiments import Claim, Setting
     from bodylog.experiments.readings import Reading
 
+    NumbersType = click.ParamType[tuple[float, ...]]
+else:
+    NumbersType = click.ParamType
+    """Generic in new versions of click only."""
 
-class Numbers(click.ParamType[tuple[float, ...]]):
+
+class Numbers(NumbersType):
     """Numbers between two bounds, separated by commas."""
 
     name = "NUMBERS"
