@@ -26,7 +26,6 @@ _SMALL = 0x20
 """The bit in which a small letter differs from a capital."""
 
 _IN_NUMBERS = b"0123456789+-." + _POWER
-_IS_IN_NUMBER = bytes(int(byte in _IN_NUMBERS) for byte in range(256))
 Follow = Callable[..., Iterator[Item]]
 
 
@@ -37,8 +36,9 @@ def marked(content: Array) -> bytes:
     """
     if (content == _POWER[0]).any():
         return b""
-    signs = (content[1:] == ord("-")) | (content[1:] == ord("+"))
-    content[:-1][((content[:-1] | _SMALL) == ord("e")) & signs] = _POWER[0]
+    letters = np.flatnonzero((content[:-1] | _SMALL) == ord("e"))
+    following = content[letters + 1]
+    content[letters[(following == ord("-")) | (following == ord("+"))]] = _POWER[0]
     return content.tobytes()
 
 
@@ -162,7 +162,10 @@ class JsonLayout:
 
 def _runs(content: bytes) -> Array:
     """Where runs of bytes that numbers are made of begin and end, in turn (2n,); none may touch the ends."""
-    inside = np.frombuffer(content.translate(_IS_IN_NUMBER), np.uint8)
+    found = np.frombuffer(content, np.uint8)
+    # Vectors of bytes are compared faster than looked up: from - to 9 are the point, the slash and the digits.
+    inside = ((found - ord("-")) <= ord("9") - ord("-")) & (found != ord("/"))
+    inside |= (found == ord("+")) | (found == _POWER[0])
     if not len(content) or inside[0] or inside[-1]:
         raise FormatError("it begins or ends with a number")
     return np.flatnonzero(inside[1:] != inside[:-1]) + 1
