@@ -64,8 +64,8 @@ def heard(
             pull = nu * weight
             z = [a + pull * b for a, b in zip(z, ph)]  # noqa: B905
             p = [[a - gain * b for a, b in zip(row, ph)] for row, gain in zip(p, [weight * b for b in ph])]  # noqa: B905
-            nats += 0.5 * (nu * pull + math.log(s) + _LOG)
-    return z, p, nats, d
+            nats += nu * pull + math.log(s) + _LOG
+    return z, p, 0.5 * nats, d
 
 
 def even(p: Rows) -> None:

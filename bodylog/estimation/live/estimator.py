@@ -14,7 +14,7 @@ from ..inference import plain
 from ..inference.instant import Motion, hear
 from ..inference.outset import OFFSET_STD
 from ..inference.reacquisition import SILENCE, START_STD, VAGUE, Watch, forget
-from ..inference.scan import Dynamics
+from ..inference.scan import EVEN, Dynamics
 from ..methods.table import METHODS
 from ..noise import typed
 from ..noise.correlated_noise import PAST, Likeness, Memory, Sight, reach
@@ -138,7 +138,9 @@ class Estimator:
         one = _Filter(Motion(dynamics), steady, habit, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
-        return Recent(State(-np.inf, z.tolist(), np.diag(std**2).tolist(), Watch.begun(len(x))), self._lag, one.hear)
+        watch = Watch.begun(len(x))
+        first = State(-np.inf, z.tolist(), np.diag(std**2).tolist(), watch, watch.borne.tolist())
+        return Recent(first, self._lag, one.hear)
 
 
 class Steady(NamedTuple):
@@ -168,29 +170,32 @@ class _Filter:
 
     def _by_encoders(self, before: State, at: Instant) -> State | None:
         """The same where encoders alone speak of a belief that all of them bore out of late; else None."""
-        if at.places or self.habit is not None or not at.t - before.borne <= SILENCE:
+        t = at.t
+        if at.places or self.habit is not None or not t - before.oldest <= SILENCE:
             return None
         process, drift, encoder = self.steady
-        z, p = plain.moved(before.z, before.p, at.t - before.t, process, drift)
-        if max(p[j][j] for j in range(len(process))) > VAGUE**2:
-            return None
+        z, p = plain.moved(before.z, before.p, t - before.t, process, drift)
+        for j in range(len(process)):
+            if p[j][j] > VAGUE**2:
+                return None
         if at.angles is None:
-            return State(at.t, z, p, before.watch, before.borne)
+            return State(t, z, p, before.watch, before.borne, before.oldest, before.uneven + 1)
         said = at.angles.tolist()
         try:
             z, p, nats, d = plain.heard(z, p, said, encoder)
         except ArithmeticError:
             return None  # which says so in full
-        plain.even(p)
-        spoken = [reading == reading for reading in said]
-        all_of_them = all(spoken)
-        borne = np.full(len(said), at.t) if all_of_them else np.where(spoken, at.t, before.watch.borne)
-        watch = Watch(borne, before.watch.seen, before.watch.loose)
-        return State(at.t, z, p, watch, at.t if all_of_them else float(borne.min()), nats, {"encoders": d})
+        uneven = before.uneven + 1
+        if uneven >= EVEN:
+            plain.even(p)
+            uneven = 0
+        borne = [t if reading == reading else last for reading, last in zip(said, before.borne, strict=True)]
+        return State(t, z, p, before.watch, borne, min(borne), uneven, nats, {"encoders": d})
 
     def _by_all(self, before: State, at: Instant) -> State:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
         said = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
+        before = replace(before, watch=replace(before.watch, borne=np.array(before.borne)))
         loose, z, p = before.watch.loose, np.array(before.z), np.array(before.p)
         z, p = self.motion.move(z, p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
         lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var, bool(at.places))
@@ -208,7 +213,8 @@ class _Filter:
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
         watch = before.watch.after(at.t, borne, here, found.memories)
         oldest = -np.inf if watch.loose.any() else float(watch.borne.min())
-        return State(at.t, found.z.tolist(), found.p.tolist(), watch, oldest, found.nats, errors, lost)
+        z, p, borne = found.z.tolist(), found.p.tolist(), watch.borne.tolist()
+        return State(at.t, z, p, watch, borne, oldest, 0, found.nats, errors, lost)
 
     def _sight(self, name: str, t: float, place: Array, var: Array) -> Sight:
         return Sight(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], Memory())

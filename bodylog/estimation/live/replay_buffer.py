@@ -11,11 +11,12 @@ from ..inference.reacquisition import Watch
 from .inputs import Told
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False, slots=True)
 class State:
     """After an instant t (s; −∞ before the first): z (K), p (K,K) as lists, what was heard last · the instant's nats.
 
-    borne (s): when the encoder bore the belief out that did so longest ago, −∞ while joints are adrift · errors
+    borne (M) s: when each encoder bore the belief out last; oldest (s): the least of these, −∞ while joints are
+    adrift · uneven: instants since rounding's asymmetry was taken out of p · errors
     {sense: standard deviations} of what was heard then · lost (M,) bool: joints the belief began anew with then.
     """
 
@@ -23,7 +24,9 @@ class State:
     z: list[float]
     p: Rows
     watch: Watch
-    borne: float = -np.inf
+    borne: list[float] = field(default_factory=list)
+    oldest: float = -np.inf
+    uneven: int = 0
     nats: float = 0.0
     errors: Mapping[str, Sequence[float] | Array] = field(default_factory=dict)
     lost: Array | None = None
