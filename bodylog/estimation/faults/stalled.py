@@ -14,9 +14,8 @@ from ..measurements.timeline import spans
 from ..noise.quantisation import grain, resolved
 from .frozen import repeats
 from .jumping import LEAST
+from .threshold import NATS
 
-GAIN = 20.0
-"""Nats by which a joint's moving must explain what is seen better than rest, and than any other joint's."""
 PART, SPAN, FEWEST = 0.25, 4.0, 3
 """s of frames that make one place, of a window of the log · and frames in a part at least."""
 STEPS = 4
@@ -56,7 +55,8 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
     least = max(LEAST, 2.0 * grain(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
     beside = max(others, default=0.0)
-    return gain - len(parts) > GAIN and gain - beside > GAIN and left < LEFT * gain + len(parts) and apart > least
+    # beyond rest, and beyond any other joint's moving
+    return gain - len(parts) > NATS and gain - beside > NATS and left < LEFT * gain + len(parts) and apart > least
 
 
 def _explained(

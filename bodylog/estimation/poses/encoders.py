@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array, Fault, Finding
+from ..faults.threshold import NATS
 from .solve import Poses, Solved, solved
 
 WIDE = 0.05
@@ -20,8 +21,6 @@ WIDTH = 2.0
 """Of the logarithm of an encoder's standard deviation: how far from the body's it may well be."""
 PRIOR = 0.3
 """rad: how large an offset may well be."""
-GAIN = 20.0
-"""Nats of evidence that an offset must win; what `bias` asks of a drift."""
 APART = 5.0
 """Nats by which an encoder's offset must explain more than any other's to be laid to it."""
 SIGMAS, LEAST = 4.0, 0.01
@@ -80,7 +79,7 @@ def _rows(poses: Poses, at: Solved, whole: Array) -> _Rows:
 def _chosen(
     rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]
 ) -> Encoding:
-    """Noise and offsets of greatest evidence; with `auto` one offset after the other while each wins GAIN nats.
+    """Noise and offsets of greatest evidence; with `auto` one offset after the other while each wins NATS.
 
     The search for the noise begins at each of `begin`. Tried are the offsets that promise something where noise stays.
     """
@@ -91,7 +90,7 @@ def _chosen(
         also = [*begin, log_var]
         trials = {j: _best(rows, known, free | (np.arange(len(known)) == j), noise, also) for j in likely}
         order = sorted(trials, key=lambda j: -trials[j][0])
-        if not order or trials[order[0]][0] - value < GAIN:
+        if not order or trials[order[0]][0] - value < NATS:
             break
         if len(order) > 1 and trials[order[0]][0] - trials[order[1]][0] < APART:
             alike = [names[j] for j in order if trials[order[0]][0] - trials[j][0] < APART]
