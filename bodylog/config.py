@@ -144,6 +144,7 @@ LIMITS: Mapping[tuple[str, str], tuple[float, float]] = {
     ("fit", "every"): (1, 10**9),
     ("fit", "seed"): (0, 2**63),
     ("kinematics", "offset_prior"): (0, 180),
+    ("kinematics", "scale_prior"): (0, 0.3),  # more is another gear, not a doubt
 }
 """Of numbers, the least and the most."""
 

@@ -59,12 +59,12 @@ def _info_body(path: Path) -> dict[str, Any]:
 
 
 def _zeros(learned: BodyModel) -> dict[str, Any]:
-    """The joints' zeros of a body that was learned with a URDF."""
+    """The joints' zeros and scales of a body that was learned with a URDF."""
     from .body import kinematic_gp, offsets
 
     if not any(isinstance(sense, kinematic_gp.KinematicGP) for sense in learned.senses.values()):
         return {}
-    return {"offsets": offsets.plain(offsets.learned(learned))}
+    return dict(offsets.tables(offsets.learned(learned), offsets.scaled(learned)))
 
 
 def _sense(sense: ForwardModel, joints: Sequence[str]) -> dict[str, Any]:

@@ -59,7 +59,8 @@ def robot(
     else:
         raise LogError(_NO_URDF.format(logs[0]))
     asked = chosen.urdf is not None
-    return Robotics(found, _hints(found, told, features), radians(chosen.offset_prior), asked), ()
+    hints = _hints(found, told, features)
+    return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
 
 
 def check(logs: Sequence[Path], settings: Settings) -> None:

@@ -142,11 +142,15 @@ class Fit:
 
 @dataclass(frozen=True)
 class Kinematics:
-    """[kinematics]: the URDF (None: the log's own, if any; "log": insist on it), whether to use it, σ of offsets, °."""
+    """[kinematics]: the URDF (None: the log's own, if any; "log": insist on it), whether to use it, σ of offsets, °.
+
+    scale_prior: σ of the joints' scales, in shares of one; 0: a joint turns by what it reads.
+    """
 
     urdf: str | None = None
     use: bool = True
     offset_prior: float = 5.0
+    scale_prior: float = 0.0
 
 
 @dataclass(frozen=True)

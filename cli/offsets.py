@@ -13,21 +13,23 @@ from .options import OUT, PATH
 @click.option("--urdf", type=PATH, metavar="ROBOT.urdf", help="The URDF to correct.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def offsets(body: Path, out: Path | None, urdf: Path | None, as_json: bool) -> int:
-    """How far each joint's zero is off, by a body that was learned with a URDF."""
+    """How far each joint's zero is off, and its scale where that was unknown, by a body learned with a URDF."""
     from bodylog import zeros
 
     from .output import data, line
 
-    found = zeros.zeros(body)
+    found, scales = zeros.zeros(body)
     if out is not None:
-        zeros.write(found, out, urdf)
+        zeros.write(found, scales, out, urdf)
     if as_json:
-        data({"output": None if out is None else str(out), "offsets": zeros.plain(found)})
+        data({"output": None if out is None else str(out), **zeros.tables(found, scales)})
         return 0
     width = max(len(one.joint) for one in found)
-    for one in found:
+    for one in (*found, *scales):
         told = one.shown if one.identifiable else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
-        line(f"{one.joint:<{width}}  {told}")
+        line(f"{one.joint:<{width}}  {'scale ' if one.noun == 'scale' else ''}{told}")
     if out is not None:
         line(f"wrote {out}", err=True)
+        if out.suffix == ".urdf" and scales:
+            line("a URDF has no place for joints' scales: it holds the zeros alone", err=True)
     return 0

@@ -134,15 +134,20 @@ def _learned(sense: dict[str, Any]) -> str:
 
 
 def _zeros(told: dict[str, Any]) -> Iterator[str]:
-    """The joints' zeros in degrees and rad, or what they cannot be told from."""
-    for joint, one in told.get("offsets", {}).items():
+    """The joints' zeros in degrees and rad, their scales in percent, or what they cannot be told from."""
+    offsets, scales = told.get("offsets", {}), told.get("scales", {})
+    named = [*((f"offset {k}", one) for k, one in offsets.items()), *((f"scale {k}", s) for k, s in scales.items())]
+    for name, one in named:
         if one["value"] is None:
-            yield f"offset {joint}: not identifiable: {' and '.join(one['confused_with']) or 'not seen'}"
+            yield f"{name}: not identifiable: {' and '.join(one['confused_with']) or 'not seen'}"
+            continue
+        if one["unit"] == "1":
+            yield f"{name}: {100.0 * one['value']:+.2f} % ± {100.0 * one['std']:.2f} %"
             continue
         factor, unit = (math.degrees(1.0), "°") if one["unit"] == "rad" else (1e3, " mm")
         value, std = (factor * one[key] for key in ("value", "std"))
         plain = f"{one['value']:.5f} ± {one['std']:.2g} {one['unit']}"
-        yield f"offset {joint}: {value:+.2f}{unit} ± {std:.2f}{unit} ({plain})"
+        yield f"{name}: {value:+.2f}{unit} ± {std:.2f}{unit} ({plain})"
 
 
 def _noise(told: dict[str, Any]) -> Iterator[str]:

@@ -28,12 +28,16 @@ _LEAST_NOISE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Robotics:
-    """What is known of a robot: its URDF · hints by camera name · doubt: σ of its joints' zeros, rad · asked for."""
+    """What is known of a robot: its URDF · hints by camera name · doubt: σ of its joints' zeros, rad · asked for.
+
+    scale: σ of its joints' scales, in shares of one; 0: they are right.
+    """
 
     robot: Robot
     hints: Mapping[str, CameraHint]
     doubt: float
     asked: bool = True
+    scale: float = 0.0
 
 
 @one_thread("scipy.linalg")
@@ -57,7 +61,7 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
     held, left_out = still(features, names), dict[str, str]()
     for _ in range(len(parts)):
         seen = {name: track(name, one) for name, one in parts.items()}
-        links = find(robot, names, held, seen, given.hints, given.doubt)
+        links = find(robot, names, held, seen, given.hints, given.doubt, given.scale)
         whys = dict(unexplained(links, parts))
         foreign = {name: why for name, why in whys.items() if name in poor}
         if not foreign or len(foreign) == len(parts):
@@ -131,7 +135,8 @@ def learned(
     if gains[worst] < 0.0:
         return unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
     covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
-    offsets = identifiability.offsets(rig, both.theta, covariance)
+    zeroed = identifiability.offsets(rig, both.theta, covariance)
+    offsets = (*zeroed, *identifiability.scales(rig, both.theta, covariance))
     senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}
     told = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
     found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})

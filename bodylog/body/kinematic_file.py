@@ -30,6 +30,8 @@ SHAPES = {
 BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
 """Of a model that knows its robot's base: x steps and one, y steps."""
 _BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
+_SCALED = "scales"
+"""Named where each joint's scale is one more unknown: "unknown"."""
 _THINGS = ("marker", "camera")
 _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
 
@@ -67,7 +69,8 @@ def names(model: KinematicGP) -> dict[str, str]:
     if base is not None:
         told = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
         carried = dict(zip(_BASE_NAMES, told, strict=True))
-    return dict(zip(_NAMES, values, strict=True)) | carried
+    scaled = {_SCALED: "unknown"} if len(rig.scale_doubt) else dict[str, str]()
+    return dict(zip(_NAMES, values, strict=True)) | carried | scaled
 
 
 def _steps(chain: Chain) -> Array:
@@ -82,8 +85,9 @@ def shapes(said: Mapping[str, Any]) -> dict[str, str]:
 def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> KinematicGP:
     """The model of a residual, arrays as SHAPES and names; ValueError for what contradicts itself."""
     steps, doubt, count = found["steps"], found["doubt"], len(joints)
-    turns = len(doubt) == 18 + count
-    _insist(turns or len(doubt) == 15 + count, "doubt", len(doubt), f"{15 + count} or {18 + count} numbers")
+    own = 2 * count if _SCALED in said else count
+    turns = len(doubt) == 18 + own
+    _insist(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
     _insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
     chain = _chain(said["start"], said["end"], joints, found["chain"], steps, "steps")
     end = 18 if turns else 15
@@ -92,7 +96,8 @@ def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: 
         (Carrier(said["marker"], said["marker_link"], found["marker"], doubt[12:end]),),
         (Sight(said["sight"], 0, 0, chain, found["points"]),),
         joints,
-        doubt[end:],
+        doubt[end : end + count],
+        doubt[end + count :],
     )
     model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"])
     return replace(model, base=_base(joints, found, said))
@@ -118,12 +123,15 @@ def checked(said: Any) -> dict[str, str]:
     """The names of a header; ValueError where one is missing."""
     if not isinstance(said, dict) or not all(isinstance(said.get(name), str) for name in _NAMES):
         raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_NAMES)}")
+    scaled = {_SCALED: "unknown"} if _SCALED in said else dict[str, str]()
+    if said.get(_SCALED, "unknown") != "unknown":
+        raise ValueError(f"kinematics.{_SCALED}: found {str(said[_SCALED])[:80]!r}, possible: unknown")
     if _BASE_NAMES[0] not in said:
-        return {name: said[name] for name in _NAMES}
+        return {name: said[name] for name in _NAMES} | scaled
     carried = all(isinstance(said.get(name), str) for name in _BASE_NAMES)
     if not carried or said[_BASE_NAMES[-1]] not in _THINGS:
         raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}")
-    return {name: said[name] for name in (*_NAMES, *_BASE_NAMES)}
+    return {name: said[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
 
 
 def _insist(sound: Any, field: str, found: object, possible: str) -> None:

@@ -77,11 +77,12 @@ def scores(name: str, models: Mapping[str, KinematicGP], part: Part) -> Iterator
 
 
 def zeros(found: Sequence[Offset]) -> Iterator[Score]:
-    """The zeros that are identifiable, rad or m, and their standard deviations."""
+    """The zeros (rad or m) and scales (1) that are identifiable, and their standard deviations."""
     for one in found:
         if one.identifiable:
-            yield Score(f"offset.{one.joint}", one.value, one.unit)
-            yield Score(f"offset_std.{one.joint}", one.std, one.unit)
+            name = "scale" if one.noun == "scale" else "offset"
+            yield Score(f"{name}.{one.joint}", one.value, one.unit)
+            yield Score(f"{name}_std.{one.joint}", one.std, one.unit)
 
 
 def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) -> Iterator[Finding]:
@@ -98,6 +99,6 @@ def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) 
         yield Finding("info", f"{name}: {nats:.0f} nats likelier with the URDF")
     for one in found:
         if one.identifiable and abs(one.value) > 2.0 * one.std:
-            yield Finding("info", f"{one.joint}: its zero is off by {one.shown}")
+            yield Finding("info", f"{one.joint}: its {one.noun} is off by {one.shown}")
     for text in said(found):
         yield Finding("info", text)

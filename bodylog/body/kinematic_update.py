@@ -70,7 +70,7 @@ def _whole(senses: Mapping[str, KinematicGP]) -> tuple[Rig, Array]:
     seen_by, seen = tuple(one for one, _ in cameras.values()), tuple(one for one, _ in carriers.values())
     rig = replace(first.rig, cameras=seen_by, carriers=seen, sights=tuple(sights))
     parts = [*(theta for _, theta in cameras.values()), *(theta for _, theta in carriers.values())]
-    return rig, np.concatenate([*parts, first.theta[first.rig.of_joints]])
+    return rig, np.concatenate([*parts, first.theta[first.rig.of_joints.start :]])
 
 
 def _based(model: BodyModel, known: Mapping[str, KinematicGP]) -> BodyModel:

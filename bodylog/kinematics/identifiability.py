@@ -1,4 +1,4 @@
-"""Which joints' zeros the sightings tell, and of the others what they cannot be told from, in words."""
+"""Which joints' zeros and scales the sightings tell, and of the others what they cannot be told from, in words."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -10,13 +10,18 @@ from .rig import Rig
 
 LEAST = 1.0 / 3.0
 """A zero is told when its standard deviation has come down to this share of what was held beforehand."""
+SHOWN = {"rad": (float(np.degrees(1.0)), "°"), "m": (1e3, " mm"), "1": (100.0, " %")}
+"""Of each unit what it is shown in: a factor and its sign."""
 _TOGETHER = 0.5
 _ALONG = 0.9
 
 
 @dataclass(frozen=True)
 class Offset:
-    """One joint's zero: value ± std in `unit`, rad or m · beforehand: σ of its prior · what it cannot be told from."""
+    """One joint's zero: value ± std in `unit`, rad or m · beforehand: σ of its prior · what it cannot be told from.
+
+    A joint's scale has the unit "1": the joint moves by 1 + value times what it reads.
+    """
 
     joint: str
     value: float
@@ -31,30 +36,43 @@ class Offset:
         return self.std <= LEAST * self.beforehand
 
     @property
+    def noun(self) -> str:
+        """What it is of the joint: zero or scale."""
+        return "scale" if self.unit == "1" else "zero"
+
+    @property
     def shown(self) -> str:
-        """Value and standard deviation in degrees or millimetres."""
-        factor, unit = (np.degrees(1.0), "°") if self.unit == "rad" else (1e3, " mm")
+        """Value and standard deviation in degrees or millimetres, of a scale in percent."""
+        factor, unit = SHOWN[self.unit]
         return f"{factor * self.value:+.2f}{unit} ± {factor * self.std:.2f}{unit}"
 
 
 def offsets(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
     """Each joint's zero for θ (P,) ± covariance (P,P)."""
-    std, found = np.sqrt(np.diag(covariance)), []
-    for m, name in enumerate(rig.joints):
-        index = rig.of_joints.start + m
-        unit = "m" if rig.slides(m) else "rad"
-        plain = Offset(name, float(theta[index]), float(std[index]), float(rig.prior[1][index]), unit)
-        words = () if plain.identifiable else tuple(_confused(rig, covariance, index))[:2]
-        found.append(replace(plain, confused=words))
-    return tuple(found)
+    units = ["m" if rig.slides(m) else "rad" for m in range(len(rig.joints))]
+    return tuple(_told(rig, theta, covariance, rig.of_joints.start + m, units[m]) for m in range(len(rig.joints)))
+
+
+def scales(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
+    """Each joint's scale for θ (P,) ± covariance (P,P); none where they are taken to be right."""
+    return tuple(_told(rig, theta, covariance, index, "1") for index in range(rig.of_scales.start, rig.of_scales.stop))
+
+
+def _told(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) -> Offset:
+    """What is known of one joint's zero or scale, which stands at `index` of θ."""
+    joint = rig.joints[(index - rig.of_joints.start) % len(rig.joints)]
+    std = float(np.sqrt(covariance[index, index]))
+    plain = Offset(joint, float(theta[index]), std, float(rig.prior[1][index]), unit)
+    words = () if plain.identifiable else tuple(_confused(rig, covariance, index))[:2]
+    return replace(plain, confused=words)
 
 
 def said(found: Sequence[Offset]) -> Iterator[str]:
-    """In a line each: joints whose zeros are not identifiable, and why."""
+    """In a line each: joints whose zeros or scales are not identifiable, and why."""
     for one in found:
         if not one.identifiable:
             with_ = " and ".join(one.confused) or "nothing the sightings show"
-            yield f"{one.joint}: its zero cannot be told from {with_}"
+            yield f"{one.joint}: its {one.noun} cannot be told from {with_}"
 
 
 def _confused(rig: Rig, covariance: Array, index: int) -> Iterator[str]:
@@ -84,6 +102,8 @@ def _groups(rig: Rig) -> Iterator[tuple[int, int, str]]:
             yield part.start + 3, part.stop, f"{carrier.name}'s turn"
     for m, name in enumerate(rig.joints):
         yield rig.of_joints.start + m, rig.of_joints.start + m + 1, f"{name}'s zero"
+    for name, index in zip(rig.joints, range(rig.of_scales.start, rig.of_scales.stop), strict=False):
+        yield index, index + 1, f"{name}'s scale"
 
 
 def _axis(rig: Rig, rows: Sequence[int], lean: Array) -> str:

@@ -26,6 +26,7 @@ def instant(rig: Rig, theta: Array) -> Instant:
     placed = place[:3, :3] @ sight.points[0] + place[:3, 3]
     zeros = sight.chain.zero + sight.chain.scale * theta[rig.of_joints][sight.chain.column]
     each = (sight.chain.column, sight.chain.scale, zeros, sight.chain.slides)
+    scaled, gain = len(rig.scale_doubt) > 0, rig.gain(theta)
     steps = list(zip(*(part.tolist() for part in each), strict=True))
     by_turn, turn = placed - mine[:3], tuple(left_jacobian(own[3:6]).T.reshape(-1).tolist())
     marker = (-skew(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist() if len(mine) == 6 else None
@@ -34,7 +35,7 @@ def instant(rig: Rig, theta: Array) -> Instant:
     way = tuple(range(len(steps) - 1, -1, -1))
 
     def at(x: Array) -> tuple[Array, Array, Array]:
-        angles = x.tolist()
+        angles = (gain * x if scaled else x).tolist()
         turned = [(0.0, 0.0, 0.0, 0.0)] * len(steps)
         px, py, pz = _applied(last, end_point)
         for k in way:
@@ -60,6 +61,9 @@ def instant(rig: Rig, theta: Array) -> Instant:
             more = () if marker is None else _weighed(marker, *g)
             design.append((*row, *by_turning, *by, *g, *more, *slope))
         result = np.array(design)
+        if scaled:
+            by_angle = result[:, joint_part]
+            return np.array(image), by_angle * gain, np.concatenate([result, by_angle * x], axis=1)
         return np.array(image), result[:, joint_part], result
 
     return at

@@ -73,12 +73,14 @@ def find(
     tracks: Mapping[str, Track],
     hints: Mapping[str, CameraHint],
     doubt: float,
+    scale: float = 0.0,
 ) -> Found:
     """The likeliest links of the camera and the marker of each track, all calibrated together; sure tracks come first.
 
-    joints: names of the data's columns · still: angles of joints that did not move · doubt: σ of joints' zeros, rad.
+    joints: names of the data's columns · still: angles of joints that did not move · doubt: σ of joints' zeros, rad ·
+    scale: σ of their scales, in shares of one; 0: they are right.
     """
-    space = Space(robot, tuple(joints), still, doubt)
+    space = Space(robot, tuple(joints), still, doubt, scale)
     placed: dict[str, str] = {name: hint.link for name, hint in hints.items() if hint.link is not None}
     markers, margin, best = dict[str, str](), None, None
     for track in tracks.values():
@@ -151,6 +153,7 @@ class Space:
     joints: tuple[str, ...]
     still: Mapping[str, float]
     doubt: float
+    scale: float = 0.0
 
     def chain(self, camera: str, marker: str) -> Chain:
         """From the camera's link to the marker's, joints that did not move, or that the log lacks, held."""
@@ -214,7 +217,8 @@ class Space:
             for track in tracks
         )
         doubt = np.array([self.doubt * (_SLIDE if self._slides(name) else 1.0) for name in self.joints])
-        return Rig(cameras, carriers, sights, self.joints, np.maximum(doubt, 1e-9))
+        scales = np.full(len(self.joints) if self.scale else 0, max(self.scale, 1e-9))
+        return Rig(cameras, carriers, sights, self.joints, np.maximum(doubt, 1e-9), scales)
 
     def _slides(self, name: str) -> bool:
         return name in self.robot.by_name and self.robot.by_name[name].kind == "prismatic"

@@ -65,7 +65,7 @@ def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array)
     At angles q (N,M) ± cov (N,M,M), rad or m, for unknowns theta (P,) whose covariance is root rootᵀ. The covariance is
     of place, m, and then of a small turn about the base's axes, rad.
     """
-    poses = base.chain.at(q + theta[rig.of_joints])
+    poses = base.chain.at(rig.angles(theta, q))
     on_link, by_theta = _on_link(base, rig, theta)
     place = poses.place + poses.rotation @ on_link[:3, 3]
     rotation = poses.rotation @ on_link[:3, :3]
@@ -77,6 +77,9 @@ def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array)
     by = np.zeros((len(q), 6, len(theta)))
     by[:, :3], by[:, 3:] = poses.rotation @ by_theta[:3], poses.rotation @ by_theta[3:]
     by[..., rig.of_joints] += by_joints
+    if len(rig.scale_doubt):
+        by[..., rig.of_scales] += by_joints * q[:, None]
+    by_joints = by_joints * rig.gain(theta)
     unknown = by @ root
     spread = by_joints @ cov @ by_joints.transpose(0, 2, 1) + unknown @ unknown.transpose(0, 2, 1)
     return place, rotation, spread

@@ -58,7 +58,8 @@ class Sight:
 class Rig:
     """Cameras, markers, who sees whom, the joints (M,) with σ of their offsets (M,) rad or m: what θ (P,) stands for.
 
-    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and turn (6), each joint's offset.
+    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and turn (6), each joint's offset δ, and
+    each joint's scale s where `scale_doubt` is (M,) and not empty: a joint that reads q is at (1 + s) q + δ.
     """
 
     cameras: tuple[Camera, ...]
@@ -66,6 +67,7 @@ class Rig:
     sights: tuple[Sight, ...]
     joints: tuple[str, ...]
     doubt: Array
+    scale_doubt: Array = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
@@ -73,7 +75,8 @@ class Rig:
         mean = [np.concatenate([np.zeros(6), one.lens]) for one in self.cameras]
         mean += [np.zeros(len(one.doubt)) for one in self.carriers]
         std = [*(one.doubt for one in self.cameras), *(one.doubt for one in self.carriers)]
-        return np.concatenate([*mean, np.zeros(len(self.joints))]), np.concatenate([*std, self.doubt])
+        zeros = np.zeros(len(self.joints) + len(self.scale_doubt))
+        return np.concatenate([*mean, zeros]), np.concatenate([*std, self.doubt, self.scale_doubt])
 
     def of_camera(self, index: int) -> slice:
         """Where the 12 of a camera stand in θ."""
@@ -87,7 +90,22 @@ class Rig:
     @property
     def of_joints(self) -> slice:
         """Where the joints' offsets stand in θ."""
-        return slice(len(self.prior[0]) - len(self.joints), len(self.prior[0]))
+        end = len(self.prior[0]) - len(self.scale_doubt)
+        return slice(end - len(self.joints), end)
+
+    @property
+    def of_scales(self) -> slice:
+        """Where the joints' scales stand in θ; empty where they are taken to be right."""
+        return slice(self.of_joints.stop, len(self.prior[0]))
+
+    def angles(self, theta: Array, q: Array) -> Array:
+        """Where joints that read q (N,M) are, rad or m."""
+        return np.asarray(self.gain(theta) * q + theta[self.of_joints])
+
+    def gain(self, theta: Array) -> Array:
+        """How far each joint turns (M,) as its reading grows by one."""
+        scales = theta[self.of_scales]
+        return 1.0 + scales if len(scales) else np.ones(len(self.joints))
 
     def see(self, sight: Sight, theta: Array, q: Array) -> "Seen":
         """What a sight shows at joint angles q (N,M), rad or m, for unknowns theta (P,)."""
@@ -101,7 +119,7 @@ class Rig:
     def alone(self, index: int) -> tuple["Rig", Array]:
         """The rig of one sight alone, and which of θ (P,) it keeps."""
         sight = self.sights[index]
-        parts = self.of_camera(sight.camera), self.of_carrier(sight.carrier), self.of_joints
+        parts = self.of_camera(sight.camera), self.of_carrier(sight.carrier), self.of_joints, self.of_scales
         used = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         camera, carrier = self.cameras[sight.camera], self.carriers[sight.carrier]
         one = replace(sight, camera=0, carrier=0)
@@ -137,18 +155,21 @@ def _moved(unknowns: Array) -> Array:
 def _see(rig: Rig, sight: Sight, theta: Array, q: Array) -> Seen:
     camera, carrier = rig.cameras[sight.camera], rig.carriers[sight.carrier]
     own, mine = theta[rig.of_camera(sight.camera)], theta[rig.of_carrier(sight.carrier)]
-    poses = sight.chain.at(q + theta[rig.of_joints])
+    poses = sight.chain.at(rig.angles(theta, q))
     marker, by_marker = _shifted(sight.points @ carrier.anchor[:3, :3].T + carrier.anchor[:3, 3], mine)
     linked = marker @ poses.rotation.transpose(0, 2, 1) + poses.place[:, None]
     placed = linked @ camera.anchor[:3, :3].T + camera.anchor[:3, 3]
     inside, by_pose = _shifted(placed, own[:6])
     image, by_point, by_lens = project(inside, own[6:])
     turn = by_point @ (exponential(own[3:6]) @ camera.anchor[:3, :3])
-    slope = turn @ sight.chain.slopes(poses, linked)
+    by_angle = turn @ sight.chain.slopes(poses, linked)
     design = np.zeros((*image.shape, len(theta)))
     design[..., rig.of_camera(sight.camera)] = np.concatenate([by_point @ by_pose, by_lens], axis=-1)
     design[..., rig.of_carrier(sight.carrier)] = (turn @ poses.rotation[:, None]) @ by_marker
-    design[..., rig.of_joints] = slope
+    design[..., rig.of_joints] = by_angle
+    if len(rig.scale_doubt):
+        design[..., rig.of_scales] = by_angle * q[:, None, None]
+    slope = by_angle * rig.gain(theta)
     return Seen(image, slope, design, turn @ poses.strides.transpose(0, 2, 1)[:, None])
 
 

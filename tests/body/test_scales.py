@@ -1,0 +1,97 @@
+"""A joint whose counts of a turn are not what was typed: its scale is learned, kept, printed and written."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+from bodylog import body, pipeline
+from bodylog.body import kinematic_update, offsets
+from bodylog.body import model as files
+from bodylog.errors import ModelError
+from bodylog.settings import Body, Kinematics, Settings
+from tests.body.test_kinematic import features
+from tests.kinematics.robots import ARM, JOINTS, angles
+
+SCALE, JOINT = 0.03, 1
+UNIT = "4096 counts from 2048"
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    """From 120 poses in counts, of which lift makes 3 % fewer to the turn than the others; the body's file."""
+    folder, seen = tmp_path_factory.mktemp("scales"), features(120, bend=0.5)
+    (folder / "arm.urdf").write_text(ARM)
+    counts = 2048 + seen.joints.values * 4096 / (2 * np.pi) / (1 + SCALE * (np.arange(4) == JOINT))
+    rows = np.column_stack([counts, seen.tracks["effector"].values])
+    text = "\n".join(",".join(repr(float(v)) for v in row) for row in rows)
+    (folder / "poses.csv").write_text(",".join((*JOINTS, "effector_u", "effector_v")) + "\n" + text + "\n")
+    kinematics = Kinematics(urdf=str(folder / "arm.urdf"), scale_prior=0.05)
+    settings = Settings(body=Body(unit=UNIT), kinematics=kinematics)
+    result = pipeline.fit([folder / "poses.csv"], folder / "body.npz", settings)
+    return folder, result
+
+
+def test_the_scale_is_found_with_its_uncertainty_and_said(learned):
+    folder, result = learned
+    told = {one.joint: one for one in offsets.scaled(files.load(folder / "body.npz"))}
+    lift = told["lift"]
+    assert lift.identifiable and abs(lift.value - SCALE) < 2 * lift.std and lift.value > 2 * lift.std
+    text = [one.text for one in result.findings]
+    assert any(one.startswith("lift: its scale is off by +") and one.endswith("%") for one in text)
+    assert all(abs(one.value) < 2 * one.std for one in told.values() if one.identifiable and one is not lift)
+
+
+def test_it_is_printed_and_written(learned, bodylog, capsys):
+    folder, _ = learned
+    for name in ("zeros.yaml", "zeros.json"):
+        assert bodylog("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
+        said = json.loads(capsys.readouterr().out)
+        assert yaml.safe_load((folder / name).read_text()) == {key: said[key] for key in ("offsets", "scales")}
+        assert said["scales"]["lift"]["unit"] == "1" and said["scales"]["lift"]["identifiable"]
+    assert bodylog("offsets", folder / "body.npz", "-o", folder / "new.urdf", "--urdf", folder / "arm.urdf") == 0
+    both = capsys.readouterr()
+    assert "lift   scale +" in both.out and "holds the zeros alone" in both.err
+    assert bodylog("info", folder / "body.npz") == 0
+    assert "scale lift: +" in capsys.readouterr().out
+
+
+def test_a_file_keeps_it_to_the_last_bit_and_names_what_contradicts_itself(learned, monkeypatch):
+    folder, _ = learned
+    found = files.load(folder / "body.npz")
+    sense, x = found.senses["effector"], angles(5, 4)
+    many, value = sense.predict(x), sense.means(x)[0]
+    assert sense.rig.of_scales.stop == len(sense.theta) and np.array_equal(many[0], value)
+    for k in range(5):
+        for one, row in zip(sense.predict_one(x[k]), many, strict=True):
+            np.testing.assert_allclose(one, row[k], rtol=1e-8, atol=1e-8)
+    files.save(found, folder / "again.npz")
+    assert (folder / "again.npz").read_bytes() == (folder / "body.npz").read_bytes()
+    from bodylog.body import kinematic_file
+
+    names = kinematic_file.names
+    def named(scaled):
+        return lambda one: {k: v for k, v in (names(one) | {"scales": scaled}).items() if v is not None}
+
+    for scaled in ("known", None):
+        monkeypatch.setattr(kinematic_file, "names", named(scaled))
+        files.save(found, folder / "bad.npz")
+        with pytest.raises(ModelError, match="kinematics.scales" if scaled else "doubt"):
+            files.load(folder / "bad.npz")
+
+
+def test_learning_on_begins_with_it(learned):
+    sense = files.load(learned[0] / "body.npz").senses["effector"]
+    rig, theta = kinematic_update._whole({"effector": sense})
+    assert np.array_equal(theta, sense.theta) and len(rig.prior[0]) == len(theta)
+
+
+def test_without_a_doubt_scales_are_taken_to_be_right(learned, bodylog, capsys):
+    folder, _ = learned
+    (folder / "robot.toml").write_text("[kinematics]\nscale_prior = 0.5\n")
+    typed = ("fit", folder / "poses.csv", "-o", folder / "no.npz", "--config", folder / "robot.toml")
+    assert bodylog(*typed) == 2 and "0 to 0.3" in capsys.readouterr().err
+    plain = body.learn([features(30)], Settings(), {}).model
+    with pytest.raises(ModelError, match="without a URDF"):
+        offsets.scaled(plain)
