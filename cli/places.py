@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +28,9 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
             guard(_inputs(ctx.command.params, given), outputs)
             for output in outputs:
                 writable(output.path, output.folder)
-        return command(**{name: _fetched(value, ctx) for name, value in given.items()})
+        # A context of click 8.1 does not tell what it holds how the command ended; messages then name the copies.
+        with ExitStack() as fetched:
+            return command(**{name: _fetched(value, fetched) for name, value in given.items()})
 
     return checked
 
@@ -63,14 +66,14 @@ def _each(value: Any) -> Iterator[Any]:
         yield from value if isinstance(value, tuple) else (value,)
 
 
-def _fetched(value: Any, ctx: click.Context) -> Any:
+def _fetched(value: Any, fetched: ExitStack) -> Any:
     """Logs behind URLs as files that last as long as the command."""
     if isinstance(value, tuple):
-        return tuple(_fetched(one, ctx) for one in value)
+        return tuple(_fetched(one, fetched) for one in value)
     if not isinstance(value, Url):
         return value
     from tempfile import gettempdir
 
     from bodylog import stores
 
-    return ctx.with_resource(stores.local(value, Path(gettempdir())))
+    return fetched.enter_context(stores.local(value, Path(gettempdir())))
