@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from bodylog.estimation.methods import whole_log
 from bodylog.types import Array, BodyModel, Features, Noise, Series, Synchrony, Touch, TouchConstants
 
 JOINTS = ("pan", "lift", "elbow")
@@ -179,3 +180,9 @@ def dense(world: World, process: Array, encoder: Array, pixel: float) -> Dense:
 @pytest.fixture
 def reference() -> Callable[..., Dense]:
     return dense
+
+
+@pytest.fixture
+def swept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Logs are solved sweep by sweep, as those are in which encoders fall silent."""
+    monkeypatch.setattr(whole_log, "possible", lambda *_: False)

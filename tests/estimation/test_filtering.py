@@ -62,7 +62,7 @@ def test_order_of_simultaneous_senses_does_not_matter(world):
     np.testing.assert_allclose(one.cov, two.cov, atol=1e-12, rtol=0)
 
 
-def test_a_still_arm_states_the_noise_that_is_let_through_and_no_motion(world):
+def test_a_still_arm_states_the_noise_that_is_let_through_and_no_motion(world, swept):
     ratios, shares = [], []
     for seed in range(6):
         drawn = world(seed, speed=0.0)

@@ -59,7 +59,7 @@ def test_of_motion_that_much_is_left_of_the_steady_variance(power):
 
 
 @pytest.mark.parametrize(("moved", "gain"), [("sines", 0.95), ("white", 1.04)])
-def test_a_smoother_errs_less_than_by_greatest_evidence_and_says_how_much(world, monkeypatch, moved, gain):
+def test_a_smoother_errs_less_than_by_greatest_evidence_and_says_how_much(world, monkeypatch, swept, moved, gain):
     if moved == "white":
         monkeypatch.setattr(conftest, "motion", white)
     drawn = [world(seed, duration=30.0) for seed in range(4)]
@@ -70,7 +70,7 @@ def test_a_smoother_errs_less_than_by_greatest_evidence_and_says_how_much(world,
     assert 0.8 < np.mean(found[:, 1]) < 1.2
 
 
-def test_given_variances_are_heard_as_they_are(world):
+def test_given_variances_are_heard_as_they_are(world, swept):
     drawn = world(0, duration=5.0)
     given = estimate(drawn.features, drawn.body, Estimation(method="smoother", precision="model"))
     np.testing.assert_array_equal(given.settings["process"], [0.3] * 3)

@@ -211,7 +211,7 @@ def paused(features, since, gap):
 
 @pytest.mark.parametrize("gap", [3600.0, 1e7, 1.7e9])
 @pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
-def test_nothing_crosses_a_pause_however_long(world, method, gap):
+def test_nothing_crosses_a_pause_however_long(world, swept, method, gap):
     drawn = world(3, duration=8.0)
     t = drawn.features.joints.t
     found = estimate(paused(drawn.features, 4.0, gap), drawn.body, Estimation(method=method))

@@ -27,7 +27,7 @@ def white(seed, noise, process, t):
 
 def likeliest(t, y):
     """Noise and process of one joint."""
-    noise, process = encoder_noise.likeliest([(t, y)])
+    noise, process, _ = encoder_noise.likeliest([(t, y)])
     return noise[0], process[0]
 
 
@@ -65,7 +65,7 @@ def test_joints_learned_side_by_side_are_as_learned_alone():
     rng = np.random.default_rng(0)
     t = np.cumsum(0.02 + rng.uniform(-0.004, 0.004, 1000))
     pieces = [(t[:900], white(0, 1e-4, 0.05, t[:900])), (t[::2], white(1, 4e-4, 0.1, t[::2]))]
-    together = np.transpose(encoder_noise.likeliest(pieces))
+    together = np.transpose(encoder_noise.likeliest(pieces)[:2])
     np.testing.assert_allclose(together, [likeliest(*piece) for piece in pieces], rtol=1e-9)
 
 
@@ -73,7 +73,8 @@ def test_a_constant_or_silent_joint_keeps_what_the_body_says_of_one_reading():
     t = np.arange(0.0, 4.0, 0.02)
     values = np.stack([np.zeros_like(t), np.full_like(t, np.nan)], axis=1)
     given = np.array([1e-4, 1e-4]), np.array([0.2, 0.3])
-    encoder, process = encoder_noise.learn(Encoders(t, values, t.astype(np.int64)), *given)
+    learned = encoder_noise.learn(Encoders(t, values, t.astype(np.int64)), *given)
+    encoder, process = learned.encoder, learned.process
     # that all repeat one value is one error of it, not many
     np.testing.assert_allclose(encoder, given[0] * [t[-1] / quantisation.ONE, 1.0])
     np.testing.assert_array_equal(process, given[1])
@@ -103,7 +104,7 @@ def test_the_bodys_own_and_the_papers_variances(world):
 
 
 def test_a_joint_that_pictures_do_not_tell_moves_as_its_encoder_has_it_and_the_others_as_all_senses_have_it(
-    world, monkeypatch
+    world, monkeypatch, swept
 ):
     monkeypatch.setattr(evidence_search, "least", lambda part, told: (part.precision.process, 1.0))
     blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
@@ -118,7 +119,7 @@ def test_a_joint_that_pictures_do_not_tell_moves_as_its_encoder_has_it_and_the_o
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, seed):
+def test_stretches_that_nearly_rest_are_enough_to_tune_by(world, monkeypatch, swept, seed):
     drawn = world(seed, duration=30.0, encoder_hz=100.0, camera_hz=20.0, pixel_std=0.6)
     settings = Estimation(method="smoother", bias="off")
     nearly = estimate(drawn.features, drawn.body, settings).settings

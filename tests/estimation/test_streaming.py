@@ -139,7 +139,7 @@ def test_whatever_is_the_faster(world, encoder_hz):
     check(drawn.features, drawn.body, replace(MODEL, rate=None if encoder_hz < 100 else 100.0))
 
 
-def test_variances_that_a_log_taught_are_heard_beside_a_robot(world):
+def test_variances_that_a_log_taught_are_heard_beside_a_robot(world, swept):
     for seed, speed in ((0, 0.5), (1, 0.0)):
         drawn = world(seed, duration=6.0, speed=speed, blunder=0.05)
         batch = estimate(drawn.features, drawn.body, Estimation(bias="off"))
@@ -150,6 +150,18 @@ def test_variances_that_a_log_taught_are_heard_beside_a_robot(world):
     one, whole = (estimate(drawn.features, drawn.body, Estimation(m, bias="off")) for m in ("laplace", "smoother"))
     beliefs = step(Estimator(drawn.body, MODEL, learned=whole.settings), told(drawn.features, drawn.body))
     assert_same(beliefs, one)
+
+
+def test_a_log_solved_as_one_says_what_a_live_filter_hears_by(world):
+    drawn = world(0, duration=12.0)
+    alone = Estimation("smoother", senses=("encoders",))
+    settings = json.loads(json.dumps(estimate(drawn.features, drawn.body, alone).settings))
+    assert settings["order"] == 3
+    messages, learned = told(drawn.features, drawn.body), (settings, settings["live"])
+    whole, part = (step(Estimator(drawn.body, MODEL, learned=one), messages) for one in learned)
+    for belief, same in zip(whole, part, strict=True):
+        np.testing.assert_array_equal(belief.x, same.x)
+    assert np.sqrt(settings["live"]["encoder"]) == pytest.approx([0.02] * 3, rel=0.1)
 
 
 @pytest.mark.parametrize("encoder", [None, "loud", [1.0], [1e-4, 1e-4, 0.0], [1e-4, 1e-4, float("nan")]])

@@ -70,7 +70,7 @@ def test_that_the_way_forth_of_a_smoother_lags_is_no_offset(world, learned, monk
         assert not estimate(drawn.features, learned, Estimation(method="smoother")).faults
 
 
-def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, monkeypatch):
+def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, monkeypatch, swept):
     promised = []
     monkeypatch.setattr(encoder_offset, "promise", lambda *given: promised.append(promise(*given)) or promised[-1])
     for seed in (2, 3):

@@ -7,12 +7,11 @@ import numpy as np
 
 from ...types import Array, Fault
 from ..inference.gauss_newton import Problem, Solution
+from ..inference.offsets import WALKS
 from ..measurements.records import Encoders
 from ..noise.quantisation import grain
 from .offset_score import promise
 
-WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
-"""rad²/s: how fast an offset may wander, the first tried first; the last is a joint homed differently, and stays."""
 GAIN = 20.0
 """Nats of evidence that one more offset must win."""
 MOST = 2000

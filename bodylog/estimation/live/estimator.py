@@ -9,9 +9,9 @@ import numpy as np
 from ...errors import LogError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, ForwardModel, Health
-from ..faults.encoder_offset import WALKS
 from ..inference import plain
 from ..inference.instant import Motion, hear
+from ..inference.offsets import WALKS
 from ..inference.outset import OFFSET_STD
 from ..inference.reacquisition import SILENCE, START_STD, VAGUE, Watch, forget
 from ..inference.scan import EVEN, Dynamics

@@ -1,6 +1,7 @@
 """The filters as methods: pose the log as a problem, solve it, ask whether an encoder lies, write the beliefs down."""
 
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -13,6 +14,7 @@ from ..faults import encoder_offset
 from ..faults.screening import screened
 from ..inference.gauss_newton import Problem, Restless, Solution, solve
 from ..inference.reacquisition import named
+from ..inference.solver import DidNotConverge
 from ..inference.walk import led, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
@@ -20,7 +22,7 @@ from ..noise import encoder_noise, typed
 from ..noise.evidence_search import ROUGHLY, tune
 from ..noise.noise_model import resolve, warned, weighed
 from ..noise.posture_prior import habit
-from . import results
+from . import results, whole_log
 from .contract import Method
 from .results import Beliefs
 
@@ -42,7 +44,11 @@ EKF = Method(ekf, Capabilities())
 
 
 def _filtered(features: Features, body: BodyModel, settings: Estimation, method: str, at: str) -> Estimate:
-    problem, warm, faults = pose(features, body, settings)
+    problem, faults = gathered(features, body, settings)
+    if at == "posterior" and whole_log.possible(problem, settings):
+        with suppress(DidNotConverge, np.linalg.LinAlgError):
+            return whole_log.estimate(method, body, problem, settings, faults)
+    problem, warm = tuned(problem, settings)
     stepwise = at == "posterior" and problem.stepwise
     solver = (lambda posed, _: walk(posed)) if stepwise else partial(solve, at=at)
     problem, solution = settled(problem, warm, settings, solver, walk)
@@ -60,6 +66,12 @@ def pose(
     features: Features, body: BodyModel, settings: Estimation
 ) -> tuple[Problem, Solution | None, tuple[Fault, ...]]:
     """The log as a problem with its precisions, a solution to begin from, and the encoders that lie outright."""
+    problem, faults = gathered(features, body, settings)
+    return *tuned(problem, settings), faults
+
+
+def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple[Problem, tuple[Fault, ...]]:
+    """The log as a problem with its encoders' own precisions, and the encoders that lie outright."""
     evidence = warned(screened(features, body, settings), body, settings)
     faults = tuple(fault for fault in evidence.faults if fault.sense == "encoders")
     evidence = replace(evidence, sightings=typed.sightings(evidence.sightings, settings))
@@ -71,7 +83,7 @@ def pose(
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
     allowed = encoder_offset.allowed(settings.bias, body.joints, faults)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
-    return *tuned(led(problem), settings), faults
+    return led(problem), faults
 
 
 def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
@@ -138,7 +150,7 @@ def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution |
     encoders, precision = problem.evidence.encoders, problem.precision
     if settings.precision != "auto" or encoders is None:
         return problem, None
-    _, evident = encoder_noise.learn(encoders, precision.encoder, precision.process)
+    evident = encoder_noise.learn(encoders, precision.encoder, precision.process).process
     held = typed.precision(precision.held(evident, encoders), settings, problem.evidence.joints)
     return tuned(replace(problem, precision=held), settings)
 

@@ -4,6 +4,7 @@ Linearising all frames at the smoothed angles until they rest gives the maximum 
 Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,12 +17,13 @@ from ..inference.folds import Fold, fold_for
 from ..inference.gauss_newton import SWEEPS, Problem, Progress, Restless, Solution, begun, far
 from ..inference.outset import handed_over, starts
 from ..inference.scan import Readings, Trace, rescan
+from ..inference.solver import DidNotConverge
 from ..inference.tangents import Tangents
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
-from . import results
+from . import results, whole_log
 from .contract import Method
-from .filtering import drifts, lost, pose, settled
+from .filtering import drifts, gathered, lost, settled, tuned
 from .results import Beliefs
 
 FORTH = 1
@@ -53,7 +55,11 @@ class Smooth(Path):
 
 def estimate(features: Features, body: BodyModel, settings: Estimation) -> Estimate:
     """Smoothed belief: at each output time, all that the whole log says about it."""
-    problem, warm, faults = pose(features, body, settings)
+    problem, faults = gathered(features, body, settings)
+    if whole_log.possible(problem, settings):
+        with suppress(DidNotConverge, np.linalg.LinAlgError):
+            return whole_log.estimate("smoother", body, problem, settings, faults)
+    problem, warm = tuned(problem, settings)
     solver = (lambda posed, _: once(posed)) if problem.stepwise else solve
     problem, smooth = settled(problem, warm, settings, solver, once)
     unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision

@@ -1,4 +1,8 @@
-"""Encoder noise and white acceleration of each joint, from the evidence of its own readings under constant velocity."""
+"""Encoder noise and how each joint moves, by white acceleration or jerk, from the evidence of its own readings."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import factorial
 
 import numpy as np
 
@@ -8,8 +12,22 @@ from ..measurements.records import Encoders
 from .quantisation import dithered, repeated
 from .sudden_motion import followed
 
-SPREAD = (31, 9)
-"""Ratios tried at first, over all magnitudes, and then between the best one's neighbours."""
+TRIED = 45
+"""Ratios tried, over all magnitudes: the parabola through the best of them tells it to less than evidence does."""
+RANGE = {2: (1e-9, 1e6), 3: (1e-11, 1e6)}
+"""Ratios of process and noise, per reading, by the motion's order."""
+SPREADS = {
+    order: [
+        (i, j, 2 * order - 1 - i - j, (2 * order - 1 - i - j) * factorial(order - 1 - i) * factorial(order - 1 - j))
+        for i in range(order) for j in range(order)
+    ]
+    for order in (2, 3)
+}  # fmt: skip
+"""Rows, columns, powers of time and divisors of the covariance that unit white noise in the last rate brings."""
+LAGGING = 4.0
+"""Standard deviations: three readings in a row that are farther off are a motion that the filter lags behind."""
+RAISED = 2.0
+"""Factor by which a density is raised at a time until the filter keeps up."""
 VAGUE = 1e8
 """Noise variances: how little a filter that starts anew knows."""
 SPACING = 0.01
@@ -18,7 +36,7 @@ MOST = 6000
 """Averages used at most, from the middle of the log: more would not sharpen two numbers per joint."""
 STRETCH = 512
 """Averages filtered one after the other, many such stretches side by side: short ones cannot tell slow motion."""
-SKIP = 3
+SKIP = 10
 """Readings per stretch that only start the filter and do not count."""
 FEWEST = 30
 """Readings of a joint that say nothing certain of its noise."""
@@ -32,12 +50,30 @@ LEAST = 1e-12
 """rad²: no encoder errs by less than a microradian, a twentieth of the step of a 19-bit one."""
 
 
-def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Array]:
-    """Encoder variances (M,) rad² and acceleration densities (M,) rad²/s³; a joint too silent keeps what is given.
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """encoder (M,) rad² · process (M,) of motion of an order · evidence (nats) of all joints · beside (N,): variances
+    of other senses' readings.
+    """
+
+    order: int
+    encoder: Array
+    process: Array
+    evidence: float
+    beside: Array
+
+
+def learn(
+    encoders: Encoders, encoder: Array, process: Array, order: int = 2, beside: Sequence[tuple[Array, Array]] = ()
+) -> Learned:
+    """Encoder variances and noise densities of the motion by evidence; a joint too silent keeps what is given.
 
     Readings that are counted in steps are spread over them to learn from, and are as noisy as these at least.
+    beside: times and readings of other senses, whose noise is learned as well.
     """
-    encoder, process, joints, heard, coarse = encoder.copy(), process.copy(), [], [], []
+    encoder, process, joints, nats = encoder.copy(), process.copy(), list[int](), 0.0
+    heard, coarse = list[tuple[Array, Array]](), list[list[float]]()
+    other = np.empty(0)
     for joint, column in enumerate(encoders.values.T):
         known = np.flatnonzero(np.isfinite(column))
         most = MOST * _fellows(encoders.t[known])
@@ -50,12 +86,17 @@ def learn(encoders: Encoders, encoder: Array, process: Array) -> tuple[Array, Ar
             coarse.append(own)
         elif len(known):
             encoder[joint] *= repeated(encoders.t[known], column[known])
+    if joints or beside:
+        count, (found, density, won) = len(joints), likeliest([*heard, *beside], order)
+        found, other, density, nats = found[:count], found[count:], density[:count], float(won[:count].sum())
     if joints:
-        (found, density), (added, least) = likeliest(heard), np.transpose(coarse)
+        added, least = np.transpose(coarse)
         encoder[joints] = np.maximum(found - added, least)
         noise = np.maximum(found, encoder[joints])
-        process[joints] = [_followed(*one) for one in zip(heard, noise, density, strict=True)]
-    return encoder, process
+        if order == 2:
+            density = np.array([_followed(*one) for one in zip(heard, noise, density, strict=True)])
+        process[joints] = density
+    return Learned(order, encoder, process, nats, other)
 
 
 def _followed(heard: tuple[Array, Array], noise: float, process: float) -> float:
@@ -80,19 +121,29 @@ def floor(encoders: Encoders, encoder: Array) -> Array:
     return np.asarray(encoder * step / MEMORY**4)
 
 
-def likeliest(heard: list[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Noise variances and acceleration densities (M,) that maximise the evidence of each joint's times and readings."""
+def likeliest(heard: list[tuple[Array, Array]], order: int = 2) -> tuple[Array, Array, Array]:
+    """Noise variances and densities (M,) that maximise the evidence (M,) of each joint's times and readings."""
     fellows = np.array([_fellows(t) for t, _ in heard])
     means = [_averaged(t, y, k) for (t, y), k in zip(heard, fellows, strict=True)]
     told = _side_by_side(means)
     step = np.array([float(np.median(np.diff(t))) for t, *_ in means])
     # process / noise variance, scaled so that 1 is balanced per reading
-    ratios = np.geomspace(1e-9, 1e6, SPREAD[0])[:, None] / step**3
-    best, joints = evidence(*told, ratios)[0].argmax(axis=0), np.arange(len(heard))
-    low, high = (ratios[np.clip(best + side, 0, len(ratios) - 1), joints] for side in (-1, 1))
-    ratios = np.geomspace(low, high, SPREAD[1])
-    ratio, noise = _peak(ratios, *evidence(*told, ratios))
-    return noise * fellows, noise * ratio
+    ratios = np.geomspace(*RANGE[order], TRIED)[:, None] / step ** (2 * order - 1)
+    score, noise, lag = evidence(*told, ratios, order)
+    nats = np.asarray(score.max(axis=0))
+    ratio, variance = _peak(ratios, score, noise)
+    if (lag[score.argmax(axis=0), np.arange(len(heard))] > LAGGING).any():
+        ratio = _followed_by(told, ratio, variance, order)
+    return variance * fellows, variance * ratio, nats
+
+
+def _followed_by(told: tuple[Array, Array, Array], ratio: Array, variance: Array, order: int) -> Array:
+    """Ratios (M,), at least those given, with which a filter of such a noise variance (M,) keeps up with all motion."""
+    raised = ratio * RAISED ** np.arange(24)[:, None]
+    _, noise, lag = evidence(*told, raised, order)
+    off = lag * np.sqrt(noise / variance)
+    keeps: Array = np.asarray(off <= LAGGING)
+    return np.asarray(raised[np.where(keeps.any(axis=0), keeps.argmax(axis=0), len(raised) - 1), np.arange(len(ratio))])
 
 
 def _peak(ratios: Array, score: Array, noise: Array) -> tuple[Array, Array]:
@@ -135,30 +186,54 @@ def _side_by_side(heard: list[tuple[Array, Array, Array]]) -> tuple[Array, Array
     return fold.fold(dt, 0.0), fold.fold(y, np.nan), fold.fold(fresh, 1.0) > 0
 
 
-def evidence(dt: Array, y: Array, fresh: Array, ratios: Array) -> tuple[Array, Array]:
-    """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio."""
+def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -> tuple[Array, Array, Array]:
+    """Log evidence (R,M) per ratio process/noise (R,M), with the noise variance that maximises it given the ratio.
+
+    And the most standard deviations (R,M) by which three readings in a row are off, their median; of order 3 alone.
+    """
     shape, q = (*ratios.shape, y.shape[2]), ratios[:, :, None]
-    x, v, pxx, pxv, pvv, squares, logs = np.zeros((7, *shape))
+    x, p, (squares, logs, lag) = np.zeros((order, *shape)), np.zeros((order, order, *shape)), np.zeros((3, *shape))
+    recent = np.zeros((3, *shape))
     finite, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
     counts = np.asarray(finite & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
     begins = np.asarray(fresh.any(axis=(1, 2)))
+    steps = np.array([np.median(own[own > 0]) for own in dt.swapaxes(0, 1)])[:, None] if order > 2 else 1.0
+    vague = np.zeros(p.shape)
+    for state in range(order):
+        vague[state, state] = VAGUE / steps ** (2 * state)
     for i, h in enumerate(dt):
-        qh, cross = q * h, h * pvv
-        x, pxx = x + h * v, pxx + h * (pxv + pxv + cross + qh * (h / 3.0))
-        pxv, pvv = pxv + cross + qh * (0.5 * h), pvv + qh
+        _carry(x, h)
+        _carry(p, h)
+        _carry(p.swapaxes(0, 1), h)
+        for row, column, power, scale in SPREADS[order]:
+            p[row, column] += q * (h**power / scale)
         if begins[i]:
-            x, v, pxv = np.where(fresh[i], y[i], x), np.where(fresh[i], 0.0, v), np.where(fresh[i], 0.0, pxv)
-            pxx, pvv = np.where(fresh[i], VAGUE, pxx), np.where(fresh[i], VAGUE, pvv)
-        s, nu = pxx + 1.0, np.where(finite[i], y[i] - x, 0.0)
-        gx, gv = pxx / s, pxv / s
+            x[0], x[1:] = np.where(fresh[i], y[i], x[0]), np.where(fresh[i], 0.0, x[1:])
+            p = np.where(fresh[i], vague, p)
+        s, nu = p[0, 0] + 1.0, np.where(finite[i], y[i] - x[0], 0.0)
+        gain = p[0] / s
         squares += nu * nu * (counts[i] / s)
         logs += counts[i] * np.log(s)
-        x, v = x + gx * nu, v + gv * nu
-        pvv, pxv, pxx = pvv - gv * pxv, pxv - gx * pxv, gx
+        if order > 2:
+            recent[i % 3] = counts[i] * nu * nu / s
+            one, two, three = recent
+            np.maximum(lag, np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three)), out=lag)
+        x += gain * nu
+        p -= gain[:, None] * p[0].copy()[None]
+        p[0] = p[:, 0] = gain
     n, misfit = np.maximum(counts.sum(axis=(0, 2)), 1.0), squares.sum(axis=2)
     noise = np.maximum(misfit / n, LEAST)
-    return -0.5 * (n * np.log(noise) + misfit / noise + logs.sum(axis=2)), noise
+    score = -0.5 * (n * np.log(noise) + misfit / noise + logs.sum(axis=2))
+    return np.where(np.isfinite(score), score, -np.inf), noise, np.sqrt(lag.max(axis=2) / noise)
+
+
+def _carry(a: Array, h: Array) -> None:
+    """States a (S,…) a time h later, in place."""
+    for state in range(len(a) - 1):
+        a[state] += h * a[state + 1]
+        if state + 2 < len(a):
+            a[state] += (0.5 * h * h) * a[state + 2]
 
 
 def _breaks(t: Array, y: Array) -> Array:

@@ -12,6 +12,7 @@ from ...types import Array, BodyModel, Finding
 from ..measurements.records import Encoders, Evidence
 from . import encoder_noise
 from .correlated_noise import NEAR
+from .encoder_noise import Learned
 from .quantisation import relative
 
 
@@ -21,7 +22,8 @@ class Precision:
 
     near {sighting: px} within which its errors are alike; other sightings' errors are white · stated: what share of
     the covariance under white acceleration is stated, () or (M,) · fewer {tracks in view: process (M,)} where these are
-    not all · likeliest: process (M,) of a filter, where a smoother's is another · evident: process (M,) before `held`.
+    not all · likeliest: process (M,) of a filter, where a smoother's is another · evident: process (M,) before `held` ·
+    white: what was learned for white acceleration.
     """
 
     encoder: Array
@@ -33,6 +35,7 @@ class Precision:
     fewer: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
     likeliest: Array | None = None
     evident: Array | None = None
+    white: Learned | None = None
 
     def plain(self) -> dict[str, Any]:
         """As plain numbers, to be written beside the estimate."""
@@ -77,8 +80,9 @@ def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precis
     near = {name: NEAR for name in scale if name != "touch"}
     if evidence.encoders is None:
         return Precision(encoder, process, None, scale, near)
-    encoder, evident = encoder_noise.learn(evidence.encoders, encoder, process)
-    return Precision(encoder, process, None, scale, near).held(evident, evidence.encoders)
+    found = encoder_noise.learn(evidence.encoders, encoder, process)
+    held = Precision(found.encoder, process, None, scale, near).held(found.process, evidence.encoders)
+    return replace(held, white=found)
 
 
 def weighed(evidence: Evidence, precision: Precision, settings: Estimation) -> Evidence:
@@ -101,6 +105,7 @@ def carried(body: BodyModel, found: Mapping[str, Any] | None) -> Precision:
     """
     if found is None:
         return Precision(np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {})
+    found = found.get("live", found)
     if "likeliest" in found:  # a smoother's process variances are not a filter's
         found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
     encoder, process, stated = (_positive(found, name, len(body.joints)) for name in ("encoder", "process", "stated"))

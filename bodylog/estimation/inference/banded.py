@@ -1,0 +1,153 @@
+"""Block tridiagonal information over knots: factored by LAPACK's banded Cholesky, read forwards as a filter.
+
+A knot's K = M S states stand joint by joint, so that motion, which knows joints one by one, keeps the band narrow.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+from .bridge import Information
+from .small import outer, spd_inverse
+
+CHUNK = 512
+"""Knots inverted at a time: as many as stay in the processor's cache."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fading:
+    """Of unit states u' = κ u + √(1 − κ²) w: information before and across (N,B−1), right-hand side before (N,B−1)."""
+
+    before: Array
+    across: Array
+    pull: Array
+
+    @staticmethod
+    def of(kappa: Array, units: Array) -> tuple["Fading", Array, Array]:
+        """By shares κ (N,B−1) about nominal states (N,B); and about the knots after: information, right-hand side."""
+        inverse = 1.0 / (1.0 - kappa * kappa)
+        miss = (kappa * units[:, :-1] - units[:, 1:]) * inverse
+        return Fading(kappa * kappa * inverse, -kappa * inverse, -kappa * miss), inverse, miss
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Of B knots: own information (K,K,B), right-hand side `pull` (K,B), what the intervals after them say `ahead`.
+
+    The first M S states are the joints', and what is left, N of K, unit states that fade by κ (N,B−1) each by itself.
+    """
+
+    own: Array
+    pull: Array
+    ahead: Information
+    fade: Fading
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """States S of M joints."""
+        return len(self.ahead.across), self.ahead.across.shape[2]
+
+
+def joints_apart(own: Array, states: int) -> Array:
+    """The view (S,S,M,B) of (K,K,B) where joints meet themselves."""
+    m, knots = len(own) // states, own.shape[-1]
+    return np.asarray(np.einsum("jajbk->abjk", own.reshape(m, states, m, states, knots)))
+
+
+def system(ahead: Information, joints: int, kappa: Array, units: Array) -> System:
+    """What motion and encoders say of the knots; images and the prior are yet to be added to `own` and `pull`."""
+    s, knots, first = len(ahead.across), ahead.across.shape[-1] + 1, len(ahead.across) * joints
+    size = first + len(kappa)
+    own, pull = np.zeros((size, size, knots)), np.zeros((size, knots))
+    alone, each = joints_apart(own[:first, :first], s), pull[:first].reshape(joints, s, knots).swapaxes(0, 1)
+    alone[..., :-1] += ahead.before
+    alone[..., 1:] += ahead.after
+    each[..., :-1] += ahead.pull_before
+    each[..., 1:] += ahead.pull_after
+    fade, after, pull_after = Fading.of(kappa, units)
+    for row, state in enumerate(range(first, size)):
+        own[state, state, :-1] += fade.before[row]
+        own[state, state, 1:] += after[row]
+    pull[first:, :-1] += fade.pull
+    pull[first:, 1:] += pull_after
+    return System(own, pull, ahead, fade)
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Upper band of the Cholesky factor (kd+1, B K) of a system, and the forward solution (B K,)."""
+
+    system: System
+    band: Array
+    forward: Array
+
+    @property
+    def logdet(self) -> float:
+        """ln of the determinant of the information."""
+        return 2.0 * float(np.log(self.band[-1]).sum())
+
+    def solution(self) -> Array:
+        """Means (K,B) given all the log."""
+        from scipy.linalg.blas import dtbsv
+
+        k, knots = self.system.pull.shape
+        return np.ascontiguousarray(dtbsv(len(self.band) - 1, self.band, self.forward).reshape(knots, k).T)
+
+    def filtered(self) -> tuple[Array, Array]:
+        """Means (K,B) and covariances (K,K,B) of the knots given what was measured up to each."""
+        k, knots = self.system.pull.shape
+        s, m = self.system.shape
+        width, ahead, fade = len(self.band) - 1, self.system.ahead, self.system.fade
+        upper, forward = self.band.T.reshape(knots, k, width + 1), self.forward.reshape(knots, k)
+        mean, cov = np.empty((k, knots)), np.empty((k, k, knots))
+        for begin in range(0, knots, CHUNK):
+            part = slice(begin, min(begin + CHUNK, knots))
+            schur, pull = _schur(upper[part], forward[part])
+            rest = slice(begin, min(begin + CHUNK, knots - 1))
+            few = rest.stop - begin
+            joints_apart(schur[: m * s, : m * s], s)[..., :few] -= ahead.before[..., rest]
+            pull[: m * s].reshape(m, s, -1).swapaxes(0, 1)[..., :few] -= ahead.pull_before[..., rest]
+            for row, state in enumerate(range(m * s, k)):
+                schur[state, state, :few] -= fade.before[row, rest]
+            pull[m * s :, :few] -= fade.pull[:, rest]
+            cov[..., part] = spd_inverse(schur)[0]
+            mean[:, part] = (cov[..., part] * pull[None]).sum(axis=1)
+        return mean, cov
+
+
+def _schur(upper: Array, forward: Array) -> tuple[Array, Array]:
+    """Uᵀ U (K,K,N) and Uᵀ y (K,N) of the factor's diagonal blocks, in band storage (N,K,kd+1), and y (N,K)."""
+    knots, k, band = upper.shape
+    schur, pull = np.zeros((k, k, knots)), np.zeros((k, knots))
+    for row in range(k):
+        u = np.ascontiguousarray(np.stack([upper[:, c, band - 1 - (c - row)] for c in range(row, min(k, row + band))]))
+        reach = slice(row, row + len(u))
+        schur[reach, reach] += outer(u, u)
+        pull[reach] += u * forward[:, row]
+    return schur, pull
+
+
+def factored(given: System) -> Factor:
+    """The system's factor; LinAlgError where it is not positive definite."""
+    from scipy.linalg.blas import dtbsv
+    from scipy.linalg.lapack import dpbtrf
+
+    k, knots = given.pull.shape
+    s, m = given.shape
+    width = k + s - 1
+    band = np.zeros((knots, k, width + 1))
+    for row in range(k):
+        for column in range(row, k):
+            band[:, column, width - (column - row)] = given.own[row, column]
+    for j in range(m):
+        for a in range(s):
+            for b in range(s):
+                band[1:, j * s + b, s - 1 - b + a] = given.ahead.across[a, b, j]
+    for row, state in enumerate(range(m * s, k)):
+        band[1:, state, s - 1] = given.fade.across[row]
+    found, failed = dpbtrf(band.reshape(knots * k, width + 1).T, lower=0, overwrite_ab=1)
+    if failed:
+        raise np.linalg.LinAlgError(f"state {failed % k} of knot {failed // k} is not determined")
+    forward = dtbsv(width, found, np.ascontiguousarray(given.pull.T).ravel(), trans=1)
+    return Factor(given, found, np.asarray(forward))

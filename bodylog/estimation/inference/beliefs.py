@@ -1,0 +1,67 @@
+"""What a solved log believes at all its instants: given the past alone, or all of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+from .interior import between, smoothed, smoothed_cov
+from .marginals import marginals
+from .solver import Solved
+
+
+@dataclass(frozen=True, eq=False)
+class Instants:
+    """At E instants: states (E,M,S) and angles' cov (E,M,M); before them, angles and cov; nats (E,), encoder errors.
+
+    error (E,M): encoders' innovations in standard deviations, NaN where silent · offset, offset_var (E,M): of encoders,
+    given the past, where these have any.
+    """
+
+    states: Array
+    cov: Array
+    before: Array
+    before_cov: Array
+    nats: Array
+    error: Array
+    offset: Array
+    offset_var: Array
+
+
+def given_past(solved: Solved) -> Instants:
+    """The filter's beliefs."""
+    forth, knots = solved.forth, solved.log.chain.knots
+    m, s = solved.log.chain.motion.joints, solved.log.chain.motion.states
+    k, (mean, cov) = m * s, solved.past
+    states, spread = knots.unfold(forth.state), knots.unfold(forth.cov)
+    states[knots.events] = np.moveaxis(mean[:k, 1:], -1, 0).reshape(-1, m, s)
+    spread[knots.events] = np.moveaxis(cov[:k:s, :k:s, 1:], -1, 0)
+    prior, prior_cov = knots.unfold(forth.prior)[:, :, 0], knots.unfold(forth.prior_cov)
+    return Instants(states, spread, prior, prior_cov, *_told(solved))
+
+
+def given_all(solved: Solved) -> Instants:
+    """The smoother's beliefs."""
+    chain = solved.log.chain
+    m, s, knots = chain.motion.joints, chain.motion.states, chain.knots
+    k, count = m * s, knots.count
+    own, across = (
+        np.ascontiguousarray(np.moveaxis(part[:, :k, :k], 0, -1)).reshape(m, s, m, s, -1)
+        for part in marginals(solved.factor.system)
+    )
+    path, at = between(chain.motion, chain.slots, solved.bridge), solved.nominal[:k].reshape(m, s, count)
+    states = knots.unfold(smoothed(path, at))
+    cov = knots.unfold(smoothed_cov(path, own, across))
+    return Instants(states, cov, states[:, :, 0], cov, *_told(solved))
+
+
+def _told(solved: Solved) -> tuple[Array, Array, Array, Array]:
+    """Nats (E,), encoder errors, offsets and their variances (E,M) of all instants."""
+    forth, log = solved.forth, solved.log
+    knots = log.chain.knots
+    nats = knots.unfold(forth.nats)
+    for one, sight in zip(log.images, solved.sights, strict=True):
+        np.add.at(nats, one.events, sight.nats)
+    total = forth.total - log.chain.slots.var + log.slots_var
+    error = knots.unfold(forth.innovation / np.sqrt(total))
+    return nats, error, knots.unfold(forth.state)[:, :, -1], knots.unfold(forth.offset_var)

@@ -1,0 +1,105 @@
+"""What encoders read between two knots, joint by joint and exactly, as information about the states at both.
+
+Given the state at a knot, joints know nothing of each other until the next image. So one joint's readings are one
+element of Särkkä & García-Fernández (2021): z' = A z + b + noise C, and information η, J about z.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...types import Array
+from .motion_model import MotionModel
+from .small import outer, product, spd_inverse, transposed_product
+
+
+@dataclass(frozen=True, eq=False)
+class Slots:
+    """What happens in each interval, slot by slot: dt (L,B) s · encoders, var (L,M,B), NaN if silent · more (L,M,B)."""
+
+    dt: Array
+    encoders: Array
+    var: Array
+    more: Array | None = None
+
+    def part(self, some: slice) -> "Slots":
+        """Of some intervals."""
+        more = None if self.more is None else self.more[..., some]
+        return Slots(self.dt[:, some], self.encoders[..., some], self.var[..., some], more)
+
+    def grown(self, motion: MotionModel, slot: int) -> Array:
+        """Noise (S,S,M,B) of the motion up to a slot."""
+        return motion.spread(self.dt[slot], 1.0 if self.more is None else self.more[slot])
+
+
+@dataclass(frozen=True, eq=False)
+class Bridge:
+    """Over each interval: move A (S,S,M,B), shift b (S,M,B), noise C (S,S,M,B); info J (S,S,M,B), pull η (S,M,B), nats.
+
+    prefix: the same A, b, C before and after each slot's reading, where they were asked for.
+    """
+
+    move: Array
+    shift: Array
+    noise: Array
+    info: Array
+    pull: Array
+    nats: Array
+    prefix: list[tuple[tuple[Array, Array, Array], tuple[Array, Array, Array]]] = field(default_factory=list)
+
+
+def bridge(motion: MotionModel, slots: Slots, remember: bool = False) -> Bridge:
+    """All intervals' elements; `remember` keeps those of every slot, which a smoother goes back by."""
+    s, m, b = motion.states, motion.joints, slots.dt.shape[1]
+    move, shift, noise = np.zeros((s, s, m, b)), np.zeros((s, m, b)), np.zeros((s, s, m, b))
+    np.einsum("ssjb->sjb", move)[:] = 1.0
+    info, pull, nats = np.zeros((s, s, m, b)), np.zeros((s, m, b)), np.zeros((m, b))
+    prefix = []
+    for slot, (dt, y, var) in enumerate(zip(slots.dt, slots.encoders, slots.var, strict=True)):
+        motion.carry(move, dt)
+        motion.carry(shift, dt)
+        motion.carry(noise, dt)
+        motion.carry(noise.swapaxes(0, 1), dt)
+        noise += slots.grown(motion, slot)
+        before = (move.copy(), shift.copy(), noise.copy()) if remember else None
+        heard = np.isfinite(y)
+        if heard.any():
+            slope, reach = motion.observe(move), motion.observe(noise)
+            total = motion.observe(reach) + var
+            weight = heard / total
+            nu = np.where(heard, y - motion.observe(shift), 0.0)
+            info += outer(slope * weight, slope)
+            pull += slope * (weight * nu)
+            nats += 0.5 * (nu * nu * weight + np.log(np.where(heard, 2.0 * np.pi * total, 1.0)))
+            gain = reach * weight
+            move -= outer(gain, slope)
+            shift += gain * nu
+            noise -= outer(gain, reach)
+        if before is not None:
+            prefix.append((before, (move.copy(), shift.copy(), noise.copy())))
+    return Bridge(move, shift, noise, info, pull, nats, prefix)
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """Of all intervals: about the knot before (S,S,M,B), the one after, across; and their right-hand sides (S,M,B)."""
+
+    before: Array
+    after: Array
+    across: Array
+    pull_before: Array
+    pull_after: Array
+    logdet: float
+
+
+def information(found: Bridge, low: Array, high: Array) -> Information:
+    """Information about deviations from nominal states `low` and `high` (S,M,B) at both ends."""
+    inverse, logdet = spd_inverse(found.noise)
+    leant = transposed_product(found.move, inverse)
+    miss = found.shift + (found.move * low[None]).sum(axis=1) - high
+    pull = found.pull - (found.info * low[None]).sum(axis=1)
+    after = (inverse * miss[None]).sum(axis=1)
+    return Information(
+        found.info + product(leant, found.move), inverse, -leant, pull - (leant * miss[None]).sum(axis=1), after,
+        float(logdet.sum()),
+    )  # fmt: skip

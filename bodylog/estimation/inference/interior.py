@@ -1,0 +1,183 @@
+"""Beliefs at every instant from those at the knots: forwards through all intervals at once, or between both ends."""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ...types import Array
+from .banded import CHUNK, joints_apart
+from .bridge import Bridge, Slots
+from .motion_model import MotionModel
+from .small import product, spd_inverse
+
+
+@dataclass(frozen=True, eq=False)
+class Forward:
+    """Each slot's state (L,M,S,B) and angles' covariance (L,M,M,B), before its readings and after; nats (L,B).
+
+    innovation, total (L,M,B): of each encoder, with its variance, NaN where silent · offset_var (L,M,B): of its offset
+    · end (K,K+1,B): covariance and mean at the knots after the intervals, but for what images there say.
+    """
+
+    prior: Array
+    prior_cov: Array
+    state: Array
+    cov: Array
+    nats: Array
+    innovation: Array
+    total: Array
+    offset_var: Array
+    end: Array
+
+
+def forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: Array) -> Forward:
+    """Through all intervals from the knots before them: mean (K,B), cov (K,K,B) given what was measured by then.
+
+    kappa (N,B): what is left of the last N of K states, unit ones, at the knots after.
+    """
+    parts = [
+        _forward(motion, slots.part(some), mean[:, some], cov[..., some], kappa[:, some])
+        for some in (slice(begin, begin + CHUNK) for begin in range(0, mean.shape[1], CHUNK))
+    ]
+    whole = {one.name: np.concatenate([getattr(part, one.name) for part in parts], axis=-1) for one in fields(Forward)}
+    return Forward(**whole)
+
+
+def _forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: Array) -> Forward:
+    """Through some intervals."""
+    (length, m, b), s = slots.encoders.shape, motion.states
+    # one array of covariance and, last in each row, mean: P Hᵀ and what H foretells are one product
+    belief, k = np.concatenate([cov, mean[:, None]], axis=1), m * s
+    rows, columns = belief[:k].reshape(m, s, -1, b), belief[:, :k].reshape(len(belief), m, s, b)
+    alone, angles = joints_apart(belief[:k, :k], s), slice(0, k, s)
+    prior, state = np.empty((2, length, m, s, b))
+    prior_cov, own = np.empty((2, length, m, m, b))
+    nats, (innovation, total, offset_var) = np.zeros((length, b)), np.full((3, length, m, b), np.nan)
+    for i, dt in enumerate(slots.dt):
+        motion.carry(rows.swapaxes(0, 1), dt)
+        motion.carry(np.moveaxis(columns, 2, 0), dt)
+        alone += slots.grown(motion, i)
+        prior[i], prior_cov[i] = rows[:, :, -1], belief[angles, angles]
+        nats[i], innovation[i], total[i] = heard(motion, belief, slots.encoders[i], slots.var[i])
+        state[i], own[i], offset_var[i] = rows[:, :, -1], belief[angles, angles], alone[-1, -1]
+    belief[k:] *= kappa[:, None]
+    belief[:, k:-1] *= kappa[None]
+    np.einsum("nnb->nb", belief[k:, k:-1])[:] += 1.0 - kappa * kappa
+    return Forward(prior, prior_cov, state, own, nats, innovation, total, offset_var, belief)
+
+
+def heard(motion: MotionModel, belief: Array, y: Array, var: Array) -> tuple[Array, Array, Array]:
+    """Condition the belief (K,K+1,B) in place on encoders y (M,B), NaN where silent; nats (B,).
+
+    And innovations (M,B) by the belief before any of them, with their variances.
+    """
+    nats, spoken = np.zeros(y.shape[1]), np.isfinite(y).any(axis=1)
+    if not spoken.any():
+        return nats, np.full(y.shape, np.nan), np.full(y.shape, np.nan)
+    reaches = [_reach(motion, belief, j) for j in range(len(y))]
+    total = np.stack([_own(motion, reach, j) for j, reach in enumerate(reaches)]) + var
+    innovation = y - np.stack([reach[-1] for reach in reaches])
+    for j in np.flatnonzero(spoken):
+        nats += _condition(motion, belief, int(j), y[j], var[j])
+    return nats, innovation, np.where(np.isfinite(y), total, np.nan)
+
+
+def _reach(motion: MotionModel, belief: Array, joint: int) -> Array:
+    """P Hᵀ (K,B) and, last, what is foretold of one encoder."""
+    first, s = joint * motion.states, motion.states
+    return belief[first] if motion.walk is None else np.asarray(belief[first] + belief[first + s - 1])
+
+
+def _own(motion: MotionModel, reach: Array, joint: int) -> Array:
+    """H P Hᵀ (B,) of P Hᵀ (K+1,B)."""
+    first, s = joint * motion.states, motion.states
+    return reach[first] if motion.walk is None else np.asarray(reach[first] + reach[first + s - 1])
+
+
+def _condition(motion: MotionModel, belief: Array, joint: int, y: Array, var: Array) -> Array:
+    """Condition the belief in place on one encoder's readings y (B,); their nats (B,)."""
+    spoken, reach = np.isfinite(y), _reach(motion, belief, joint).copy()
+    total = _own(motion, reach, joint) + var
+    weight, left = spoken / total, np.where(spoken, y - reach[-1], 0.0)
+    gain = reach[:-1] * weight
+    reach[-1] = -left
+    belief -= gain[:, None] * reach[None]
+    return np.asarray(0.5 * (left * left * weight + np.log(np.where(spoken, 2.0 * np.pi * total, 1.0))))
+
+
+def foretold(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[Array, Array]:
+    """By the belief (K,K+1,F): innovations (D,F) of rows y (D,F) = h (D,A,F) of some states, and their covariance."""
+    few = belief[index][:, [*index, -1]]
+    reach = np.einsum("daf,akf->dkf", h, few)
+    total = np.einsum("daf,eaf->def", h, reach[:, :-1])
+    np.einsum("ddf->df", total)[:] += var
+    return y - reach[:, -1], total
+
+
+def seen(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[Array, Array, Array]:
+    """Condition the belief (K,K+1,F) on rows y (D,F) = h (D,A,F) of the states `index` (A,), of variance var (D,F).
+
+    The belief after; and by the one before: innovations (D,F) and their covariance (D,D,F).
+    """
+    reach = np.einsum("daf,akf->dkf", h, belief[index])
+    total = np.einsum("daf,eaf->def", h, reach[:, index])
+    np.einsum("ddf->df", total)[:] += var
+    left = y - reach[:, -1]
+    reach[:, -1] = -left
+    gain = np.einsum("def,dkf->ekf", spd_inverse(total)[0], reach[:, :-1])
+    return belief - np.einsum("ekf,elf->klf", gain, reach), left, total
+
+
+@dataclass(frozen=True, eq=False)
+class Between:
+    """Each slot's states by those at both ends: low (L,S,S,M,B) z + high z' + shift (L,S,M,B), and what varies still.
+
+    rest (L,M,B): variance of the angle given both ends.
+    """
+
+    low: Array
+    high: Array
+    shift: Array
+    rest: Array
+
+
+def between(motion: MotionModel, slots: Slots, found: Bridge) -> Between:
+    """By Rauch, Tung & Striebel's recursion within each interval, given the state at its beginning."""
+    length, (s, _, m, b) = len(slots.dt), found.move.shape
+    low, high, shift = np.zeros((length, s, s, m, b)), np.zeros((length, s, s, m, b)), np.zeros((length, s, m, b))
+    rest, spread = np.zeros((length, m, b)), np.zeros((s, s, m, b))
+    np.einsum("ssjb->sjb", high[-1])[:] = 1.0
+    for i in range(length - 2, -1, -1):
+        _, (move, given, noise) = found.prefix[i]
+        (next_move, next_given, next_noise), _ = found.prefix[i + 1]
+        leant = noise.copy()
+        motion.carry(leant.swapaxes(0, 1), slots.dt[i + 1])
+        gain = product(leant, spd_inverse(next_noise)[0])
+        low[i] = move + product(gain, low[i + 1] - next_move)
+        high[i] = product(gain, high[i + 1])
+        shift[i] = given + (gain * (shift[i + 1] - next_given)[None]).sum(axis=1)
+        spread = noise + product(product(gain, spread - next_noise), gain.swapaxes(0, 1))
+        rest[i] = spread[0, 0]
+    return Between(low, high, shift, rest)
+
+
+def smoothed(path: Between, mean: Array) -> Array:
+    """States (L,M,S,B) of the slots from those (M,S,B+1) of the knots, given all the log."""
+    low, high = (np.moveaxis(part, 0, 1) for part in (mean[..., :-1], mean[..., 1:]))
+    found = np.einsum("labjk,bjk->ljak", path.low, low) + np.einsum("labjk,bjk->ljak", path.high, high)
+    return np.asarray(found + path.shift.swapaxes(1, 2))
+
+
+def smoothed_cov(path: Between, own: Array, across: Array) -> Array:
+    """Angles' covariances (L,M,M,B) from those of the knots (M,S,M,S,B+1), and of each with the next (M,S,M,S,B)."""
+    low, high = path.low[:, 0], path.high[:, 0]
+    length, _, m, b = low.shape
+    found = np.zeros((length, m, m, b))
+    for i in range(length):
+        left = np.einsum("ajk,jabck->jbck", low[i], own[..., :-1])
+        found[i] = np.einsum("jbck,cbk->jbk", left, low[i])
+        cross = np.einsum("jbck,cbk->jbk", np.einsum("ajk,jabck->jbck", low[i], across), high[i])
+        found[i] += cross + cross.swapaxes(0, 1)
+        found[i] += np.einsum("jbck,cbk->jbk", np.einsum("ajk,jabck->jbck", high[i], own[..., 1:]), high[i])
+    np.einsum("ljjk->ljk", found)[:] += path.rest
+    return found

@@ -1,0 +1,29 @@
+"""Outliers: a measurement is an inlier with probability 1 − ε, else anywhere in its sense's range, with density 1/V.
+
+−ln[(1 − ε) N(ν; 0, S) + ε/V] grows with |ν| everywhere, so that no cost is saved by pushing an outlier further out.
+"""
+
+import numpy as np
+
+from ...types import Array
+
+RATE = 1e-3
+"""ε: how many measurements are outliers, before any evidence."""
+
+
+def inlier(distance: Array, logdet: Array, rows: int, density: float) -> tuple[Array, Array]:
+    """How likely each is an inlier, and its cost in nats, which is the Gaussian's where it surely is one.
+
+    distance: νᵀ S⁻¹ ν · logdet: ln|S| · rows: D · density: 1/V of outliers, in the measurement's own units.
+    """
+    gaussian = 0.5 * (distance + logdet + rows * np.log(2.0 * np.pi))
+    worse = np.log1p(-RATE) - gaussian - np.log(RATE * density)
+    # the constant −ln(1 − ε) is left out, so that a sound log costs what a Kalman filter's does
+    cost = np.where(worse > 0.0, gaussian - np.log1p(np.exp(-np.abs(worse))), 0.0)
+    far = np.log1p(-RATE) - np.log(RATE * density) - np.log1p(np.exp(-np.abs(worse)))
+    return np.asarray(1.0 / (1.0 + np.exp(-np.clip(worse, -700.0, 700.0)))), np.where(worse > 0.0, cost, far)
+
+
+def raised(var: Array, total: Array, weight: Array) -> Array:
+    """Noise `var` of an innovation of variance `total` such that its pull falls by `weight`."""
+    return np.asarray(var + total * (1.0 / np.maximum(weight, 1e-12) - 1.0))
