@@ -14,7 +14,7 @@ import numpy as np
 import bodylog.logs as logs
 from bodylog import config, pipeline
 from bodylog.body import model
-from bodylog.settings import Settings
+from bodylog.settings import Kinematics, Settings
 
 _ELSEWHERE = 100
 """Added to the seeds of the logs that a body is tested on."""
@@ -106,11 +106,11 @@ def _recorded(scenario: str, seconds: float, case: Case, seed: int, work: Path) 
 
 
 def _settings(case: Case, work: Path) -> Settings:
-    """The defaults; for a tag, which one it is."""
+    """The defaults without the log's URDF; for a tag, which one it is."""
     if case.feature != "tag":
-        return Settings()
+        return Settings(kinematics=Kinematics(use=False))
     (work / "robot.toml").write_text(_TAGGED)
-    return config.load(work / "robot.toml")
+    return config.load(work / "robot.toml", {"kinematics": {"use": False}})
 
 
 def body_error(log: Path, body: Path) -> float:
