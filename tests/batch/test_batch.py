@@ -111,9 +111,9 @@ def test_what_a_batch_left_among_the_logs_is_none_of_them(tmp_path, capsys, robo
     assert found == [["reach.mcap"]] * 3
     assert bodylog("batch", tmp_path / "out" / "reach.mcap" / "annotated.mcap", "-o", tmp_path / "more", *body) == 0
     before = _tree(tmp_path)
-    for out in (tmp_path, tmp_path / "reach.mcap"):
+    for out, code in ((tmp_path, 2), (tmp_path / "reach.mcap", 73)):
         capsys.readouterr()
-        assert bodylog("batch", tmp_path / "reach.mcap", "-o", out, *body) == 2
+        assert bodylog("batch", tmp_path / "reach.mcap", "-o", out, *body) == code
         assert f"{tmp_path / 'reach.mcap'}" in capsys.readouterr().err
     assert _tree(tmp_path) == before
 

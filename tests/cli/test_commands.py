@@ -149,7 +149,7 @@ def _wrong(robot, tmp_path):
         "unknown sense": (2, "encoders", ("estimate", reach, *estimate, "--with", "smell")),
         "unheard sense": (65, "touch", ("estimate", reach, *estimate, "--with", "encoders,touch")),
         "unknown scenario": (2, "babble", ("record", "dance", "-o", out)),
-        "absent folder": (2, "mkdir", ("record", "babble", "-o", tmp_path / "no" / "out.mcap", "--duration", 1)),
+        "absent folder": (73, "mkdir", ("record", "babble", "-o", tmp_path / "no" / "out.mcap", "--duration", 1)),
         "no estimate": (65, "bodylog estimate", ("evaluate", reach)),
         "onto itself": (2, "is also an input", ("estimate", reach, "-o", reach, "--body", body)),
         "unknown option": (2, "--help", ("estimate", reach, "--bodi", body)),

@@ -68,7 +68,7 @@ def drawn(seed, duration=8.0, pixel=0.2, encoder=0.02, hz=50.0, camera=12.0):
     joints = Series(t, x[: len(t)] + rng.normal(0.0, encoder, (len(t), 3)), JOINTS, "rad", (t * 1e9).astype(np.int64))
     features = Features(joints, tracks, None, (), (), {}, boards={"tag": (TRACKS, POINTS)})
     noise = Noise((encoder**2,) * 3, dict.fromkeys(TRACKS, (pixel**2,) * 2), (0.3,) * 3)
-    body = BodyModel(JOINTS, dict(zip(TRACKS, MODELS, strict=True)), noise, TouchConstants(1.0, 0.005, 1.0, 50.0), {})
+    body = BodyModel(JOINTS, dict(zip(TRACKS, MODELS, strict=True)), noise, TouchConstants(1.0, 0.005), {})
     return features, body, x[: len(t)], x[len(t) :]
 
 

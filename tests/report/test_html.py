@@ -64,7 +64,7 @@ def hostile_parts():
             findings=(Finding(name, name),),
             settings={name: name, "offsets": {name: {"value": None, "std": 1.0, "confused_with": [name]}}},
             kinematic={name: estimate().predicted["effector"]},
-            predicted={name: estimate().predicted["effector"]},
+            predicted={name: estimate().predicted["effector"], "effector": estimate().predicted["effector"]},
         ),
         "features": features(tracks={name: features().tracks["effector"]}, findings=(Finding("lost", name),)),
         "recording": replace(log, roles={name: name}, health={name: Health(1, 0, {name: 1})}, format=name),

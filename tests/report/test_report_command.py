@@ -19,6 +19,7 @@ def touched(bodylog, robot):
 def test_page_and_figures(bodylog, touched, tmp_path):
     assert bodylog("report", touched, "-o", tmp_path / "r.html", "--figures", tmp_path / "figures") == 0
     kinds = {"recording.png", "recording.svg", "estimate.png", "estimate.svg", "overlay.png"}
+    kinds |= {"reprojection.png", "reprojection.svg"}  # the simulator's logs carry a URDF
     assert {path.name for path in (tmp_path / "figures").iterdir()} == kinds
     page = (tmp_path / "r.html").read_text()
     assert len(page.encode()) < LIMIT
@@ -41,7 +42,9 @@ def test_features_alone_tell_as_much_as_the_pictures(bodylog, touched, robot, tm
         typed = ("--body", robot / "body.npz", "-o", tmp_path / "out.mcap", "--json")
         assert bodylog("estimate", log, *typed) == 0
         files = {path.name: path.read_text() for path in tables.iterdir()}
-        told.append((files, json.loads(capsys.readouterr().out)["scores"]))
+        scores = json.loads(capsys.readouterr().out)["scores"]
+        # features hold no true poses
+        told.append((files, [s for s in scores if not s["name"].startswith(("effector_position", "effector_turn"))]))
     assert told[0][0]["strokes.csv"].count("\n") > 2 and told[0][0].keys() == told[1][0].keys()
     assert told[0][1] == told[1][1]
     for name in told[0][0]:
