@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-import yaml
+from ruamel.yaml import YAML
 
 from bodylog import body, pipeline
 from bodylog.body import kinematic_update, offsets
@@ -48,7 +48,7 @@ def test_it_is_printed_and_written(learned, bodylog, capsys):
     for name in ("zeros.yaml", "zeros.json"):
         assert bodylog("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
         said = json.loads(capsys.readouterr().out)
-        assert yaml.safe_load((folder / name).read_text()) == {key: said[key] for key in ("offsets", "scales")}
+        assert YAML(typ="safe").load((folder / name).read_text()) == {key: said[key] for key in ("offsets", "scales")}
         assert said["scales"]["lift"]["unit"] == "1" and said["scales"]["lift"]["identifiable"]
     assert bodylog("offsets", folder / "body.npz", "-o", folder / "new.urdf", "--urdf", folder / "arm.urdf") == 0
     both = capsys.readouterr()
@@ -71,6 +71,7 @@ def test_a_file_keeps_it_to_the_last_bit_and_names_what_contradicts_itself(learn
     from bodylog.body import kinematic_file
 
     names = kinematic_file.names
+
     def named(scaled):
         return lambda one: {k: v for k, v in (names(one) | {"scales": scaled}).items() if v is not None}
 
