@@ -136,5 +136,6 @@ def _noise(width: float) -> float:
 
 
 def _kernel(a: Array, b: Array) -> Array:
-    square = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1) - 2 * a @ b.T
-    return np.asarray(np.exp(-0.5 / _LENGTH**2 * np.maximum(square, 0)))
+    # by differences: of far angles the squares' expansion leaves rounding alone, and no matrix that has a factor
+    square = sum(np.square(np.subtract.outer(x, y)) for x, y in zip(a.T, b.T, strict=True))
+    return np.asarray(np.exp(-0.5 / _LENGTH**2 * square))
