@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .body.model import load as load_body
+    from .body.storage import load as load_body
     from .config import load as load_settings
     from .errors import BodylogError
     from .estimation.live.estimator import Belief

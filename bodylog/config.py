@@ -10,11 +10,11 @@ from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from . import toml_file
 from .errors import ConfigError
+from .io import toml_file
+from .io.toml_file import shown
 from .settings import Estimation, Settings, counts, spell
 from .sources import check_colour, parse, spelled
-from .toml_file import shown
 
 
 def load(path: Path | None, overrides: Mapping[str, Mapping[str, Any]] | None = None) -> Settings:

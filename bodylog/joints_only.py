@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from . import robots
+from . import robot_model
 from .errors import FormatError, LogError
 from .settings import Settings
 from .types import BodyModel, Features, Finding, Recording, Series
@@ -12,7 +12,7 @@ from .types import BodyModel, Features, Finding, Recording, Series
 def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
     """A log's joints without its pictures, and what is odd about how they were read; LogError without joints."""
     from . import estimation
-    from .logs import recording
+    from .recording import recording
 
     read = recording.read(log, settings, settings.input.strict)
     if read.joints is None or not len(read.joints.t):
@@ -28,7 +28,7 @@ def _outside(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]
     from . import estimation
 
     try:
-        yield from estimation.outside(joints, *robots.limits(log, settings))
+        yield from estimation.outside(joints, *robot_model.limits(log, settings))
     except FormatError as problem:
         if settings.kinematics.urdf is not None:
             raise

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from .body import encoders
+from .body.senses import encoder_function
 from .estimation.live import estimator
 from .estimation.live.inputs import Angles, Place, finite
 from .estimation.measurements.gather import camera
@@ -25,8 +25,8 @@ class Estimator(estimator.Estimator):
         learned · `learned`: the settings of an estimate, whose variances are used. UsageError for settings that need
         the whole log, for variances that are not this body's, and where a reading does not tell the angle.
         """
-        tell = encoders.teller(body)  # refuses where a slope vanishes, by which plain divides
-        super().__init__(encoders.plain(body), settings, lag, tell, learned)
+        tell = encoder_function.teller(body)  # refuses where a slope vanishes, by which plain divides
+        super().__init__(encoder_function.plain(body), settings, lag, tell, learned)
         cameras = correction.cameras(body.senses)
         self._delays = correction.as_learned(body) if delay is None else correction.named(delay, cameras)
 

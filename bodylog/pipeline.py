@@ -7,13 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import __version__, changed, in_space, sought
+from . import __version__, change_findings, default_features, effector_poses
+from .checks import about, distinct, insist, same_camera, same_size, something_seen, teachable, to_learn
 from .errors import UsageError
-from .files import sha256
+from .fault_findings import named, sightings, untold
+from .io.atomic_files import sha256
+from .io.outputs import Output
 from .joints_only import joints_alone, without_body
-from .outputs import Output
-from .refusals import about, distinct, insist, same_camera, same_size, something_seen, teachable, to_learn
-from .remarks import named, sightings, untold
 from .scoring import against, bounded, judge, with_true_poses
 from .settings import LIMITS, Input, Settings, plain, wanted
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
@@ -52,7 +52,7 @@ def observe(
     followed; the recording's settings then name it.
     """
     from . import perception
-    from .logs import recording
+    from .recording import recording
 
     def looking() -> Watcher:
         return perception.looking(settings, progress)
@@ -61,7 +61,7 @@ def observe(
     look = _posed if read.poses else _observed
     found = look(read, settings, progress)
     if guess:
-        read, found = sought.guessed(log, read, found, settings, partial(look, progress=progress))
+        read, found = default_features.guessed(log, read, found, settings, partial(look, progress=progress))
     return read, replace(found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside)
 
 
@@ -95,7 +95,8 @@ def extract(
     log: Path, out: Path, settings: Settings, progress: Progress | None = None, tables: Path | None = None
 ) -> Result:
     """Write the log's signals with tracks, touches and synchrony, without its pictures; `tables`: a folder for CSV."""
-    from .logs import annotate, export
+    from .annotating import annotate
+    from .recording import tables as export
 
     distinct([log], [Output(out), *folders("--csv", tables)], settings)
     with annotate.begun(log, out, whole=False, limits=settings.input) as written:
@@ -124,20 +125,22 @@ def fit(
 
     It is scored on the logs to `test` it with, which it does not learn from.
     """
-    from . import dates, robots
-    from .body import model
-    from .logs.copying import Copy
+    from . import camera_delay, robot_model
+    from .annotating.background_copy import Copy
+    from .body import storage
 
-    distinct([*logs, *test, *(() if update is None else (update,)), *robots.named(settings)], [Output(out)], settings)
-    known = None if update is None else model.load(update)
-    settings = settings if known is None else sought.of_body(known, settings)
-    robots.check(logs, settings)
+    distinct(
+        [*logs, *test, *(() if update is None else (update,)), *robot_model.named(settings)], [Output(out)], settings
+    )
+    known = None if update is None else storage.load(update)
+    settings = settings if known is None else default_features.of_body(known, settings)
+    robot_model.check(logs, settings)
     digests, observed, remarks = [], [], list[Finding]()
     for log in logs:
         with Copy(log) as read_too:
             observed.append(observe(log, settings, progress, guess=True))
             digests.append((log, read_too.digest()))
-        settings = sought.of_log(observed[-1][0], settings)
+        settings = default_features.of_log(observed[-1][0], settings)
     features = to_learn([found for _, found in observed], settings)
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
@@ -145,12 +148,12 @@ def fit(
         remarks += same_camera(log, cameras, read, found)
     provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
-    robot, unfit = robots.robot(logs, features, settings)
+    robot, unfit = robot_model.robot(logs, features, settings)
     with about(logs[0], findings, len(logs) - 1):
-        learned = dates.learned(features, settings, provenance, known, robot)
-    learned = replace(learned, model=robots.based(learned.model, robot, features))
+        learned = camera_delay.learned(features, settings, provenance, known, robot)
+    learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
-    model.save(learned.model, out)
+    storage.save(learned.model, out)
     said = (*findings, *remarks, *unfit, *learned.findings, *more)
     return Result(out, (*learned.scores, *tested), _merged(observed), said, plain(settings))
 
@@ -159,7 +162,7 @@ def _tested(
     learned: BodyModel, logs: Sequence[Path], settings: Settings, progress: Progress | None
 ) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
     """A body's scores on logs it did not learn from, dated as it knows its cameras, and what was found in them."""
-    from .body import tested
+    from .body import test_scores as tested
     from .estimation.timing import correction
 
     observed = [(log, *observe(log, settings, progress)) for log in logs]
@@ -174,14 +177,14 @@ def _tested(
 
 def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
     """Replay a log against a learned body and write it back with the estimate in it; without one, its joints alone."""
-    from . import estimation, robots
-    from .body import model
-    from .logs import annotate, annotated
+    from . import estimation, robot_model
+    from .annotating import annotate, read_back
+    from .body import storage
 
-    distinct([log, *(robots.named(settings) if body is None else [body])], [Output(out)], settings)
-    known = None if body is None else model.load(body)
+    distinct([log, *(robot_model.named(settings) if body is None else [body])], [Output(out)], settings)
+    known = None if body is None else storage.load(body)
     if known is not None:
-        settings = sought.of_body(known, settings)
+        settings = default_features.of_body(known, settings)
         estimation.check(known, settings.estimate)
     with annotate.begun(log, out, limits=settings.input) as written:
         read, features = observe(log, settings, progress) if body else joints_alone(log, settings)
@@ -194,7 +197,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         read = with_true_poses(log, found, read)
         scores = judge(found, read)
         origin = _provenance([(log, written.digest())], read.settings)
-        written.about(origin | ({} if body is None else {"body_sha256": sha256(body)}) | annotated.describe(found))
+        written.about(origin | ({} if body is None else {"body_sha256": sha256(body)}) | read_back.describe(found))
     remarks = (*read.findings, *features.findings, *cameras, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
     return Result(out, scores, health, remarks, dict(found.settings), found.faults, bounded(found, scores))
@@ -203,8 +206,8 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """`infer`, its refusals told of the log, with what that lost."""
     with about(log, read.findings):
-        found = changed.compared(features, learned, infer(features, learned, settings), settings.estimate)
-        found = in_space.added(learned, found)
+        found = change_findings.compared(features, learned, infer(features, learned, settings), settings.estimate)
+        found = effector_poses.added(learned, found)
     insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
 
@@ -212,12 +215,12 @@ def _estimated(log: Path, read: Recording, features: Features, learned: BodyMode
 def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """Where the body was, from what was found in a log and a learned body."""
     from . import estimation
-    from .body import encoders
+    from .body.senses import encoder_function
     from .evaluation.scores import READ
 
     estimation.check(learned, settings.estimate)
     coding = estimation.METHODS[settings.estimate.method].encoder_model
-    understood = encoders.understood(features, learned, settings.estimate, coding)
+    understood = encoder_function.understood(features, learned, settings.estimate, coding)
     found = estimation.estimate(*understood, settings.time.delay)
     if "encoders" not in learned.senses or features.joints is None:
         return found
@@ -227,10 +230,11 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
 
 def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result:
     """Score the estimate an annotated log carries; `truth`: a table, arrays or a log that has the true angles."""
-    from .logs import annotated, recording
+    from .annotating import read_back
+    from .recording import recording
 
     read = recording.read(log, settings, settings.input.strict)
-    found = annotated.read_estimate(log, read.start_ns)
+    found = read_back.read_estimate(log, read.start_ns)
     read = with_true_poses(log, found, read)
     if truth is not None:
         read = against(truth, found, read, settings)
@@ -243,8 +247,8 @@ def ingest(
     log: Path, out: Path, settings: Settings, tables: Mapping[str, Path] | None = None, **window: float | None
 ) -> Result:
     """Write any log as one tidy MCAP with its roles named; `tables`: folders for its signals by form (csv, parquet)."""
-    from .logs import export, recording
-    from .logs import ingest as tidy
+    from .recording import recording, tidy
+    from .recording import tables as export
 
     tables = tables or {}
     distinct([log], [Output(out), *(Output(folder, f"--{form}", True) for form, folder in tables.items())], settings)
@@ -265,14 +269,14 @@ def convert(
     form: mcap, lerobot or lerobot-2.1 · how: a dataset's videos, lossless, h264 or av1 · topics: only these, of an
     MCAP · task: what the robot does, of a dataset · window: start, end (s since the log's start).
     """
-    from .logs import conversion
-    from .logs.datasets import lerobot_write
+    from .logs.conversion import extract as conversion
+    from .recording import lerobot_writer
 
     distinct(logs, [Output(out)], settings)
-    if form not in ("mcap", *lerobot_write.FORMS):
-        raise UsageError(f"--to {form}: possible are mcap, {', '.join(lerobot_write.FORMS)}")
+    if form not in ("mcap", *lerobot_writer.FORMS):
+        raise UsageError(f"--to {form}: possible are mcap, {', '.join(lerobot_writer.FORMS)}")
     if form != "mcap":
-        return Result(out, findings=lerobot_write.write(logs, out, settings, form, how, task, **window))
+        return Result(out, findings=lerobot_writer.write(logs, out, settings, form, how, task, **window))
     if len(logs) != 1:
         raise UsageError(f"{len(logs)} logs: an MCAP is made of one; a dataset of several, with --to lerobot")
     return Result(out, findings=conversion.convert(logs[0], out, topics, **window))
@@ -280,7 +284,7 @@ def convert(
 
 def doctor(log: Path, repair: Path | None = None, strict: bool = False, limits: Input = LIMITS) -> Result:
     """What is wrong with a log; with `repair`, what is sound of it is written there; `strict`: LogError at a loss."""
-    from .logs import doctor as logs_doctor
+    from .logs.conversion import examination as logs_doctor
 
     if repair is not None:
         distinct([log], [Output(repair, "--repair")])
@@ -297,20 +301,20 @@ def folders(option: str, *paths: Path | None) -> tuple[Output, ...]:
 
 def count(log: Path) -> int:
     """Messages a log declares."""
-    from .logs.containers import open_log
+    from .logs.formats import open_log
 
     with open_log(log) as opened:
         return sum(topic.messages for topic in opened.topics)
 
 
 def _feature_messages(read: Recording, features: Features) -> list[Outgoing]:
-    from .logs import messages
+    from .annotating import messages
 
     return messages.from_features(features, read.start_ns)
 
 
 def _estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
-    from .logs import messages
+    from .annotating import messages
 
     return [*_feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns)]
 

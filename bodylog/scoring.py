@@ -24,7 +24,7 @@ def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
     """The recording with the effector's true poses, where the estimate has poses and the log carries true ones."""
     if found.effector is None:
         return read
-    from .logs import pose_topics
+    from .logs.tables import pose_topics
 
     return replace(read, truth_pose=pose_topics.true_poses(log, read.start_ns))
 
@@ -61,7 +61,7 @@ def _comparable_poses(path: Path, found: Estimate, read: Recording) -> Recording
 def _beside(path: Path, read: Recording, settings: Settings) -> Series:
     """The true angles in a file beside the log, t in s since the recording's start."""
     from .evaluation import truth
-    from .logs import recording
+    from .recording import recording
 
     if path.suffix in (".csv", ".npz"):
         return truth.load(path, read.start_ns, read.joints)

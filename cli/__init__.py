@@ -19,19 +19,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and exit with the contract's code: 0, 1, 2, 3, 4, 65, 73 or 74; 128 + n for signal n."""
     code, told = 0, None
     try:
-        from bodylog import stopping
+        from bodylog.runtime import signals
 
-        told = stopping.told
+        told = signals.told
         _heed()
-        from bodylog import memory, torn
+        from bodylog.runtime import malloc, sigbus
 
-        memory.keep()
-        torn.endure()
+        malloc.keep()
+        sigbus.endure()
         if hasattr(sys.stdout, "reconfigure"):
             sys.stdout.reconfigure(errors="backslashreplace")  # a log may name what this terminal cannot write
         gc.set_threshold(_RARELY)
         code = run(arguments)
-        if torn.filled() and code in (0, 3, 4):
+        if sigbus.filled() and code in (0, 3, 4):
             code = _unread()
     except BaseException as problem:
         if not (told and told()) and not isinstance(problem, KeyboardInterrupt):
@@ -39,17 +39,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         code = 128 + signal.SIGINT
     if told and told():
         code = 128 + told()
-        stopping.clean()
+        signals.clean()
     gc.freeze()  # what is left is looked through once more on the way out, for nothing
     sys.exit(code)
 
 
 def _heed() -> None:
     """Signals end the command as they should, but for those that whoever started it has it ignore."""
-    from bodylog import stopping
+    from bodylog.runtime import signals
 
     plain = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
-    stopping.heed(*(number for number, default in plain.items() if signal.getsignal(number) is default))
+    signals.heed(*(number for number, default in plain.items() if signal.getsignal(number) is default))
 
 
 def _unread() -> int:
@@ -67,7 +67,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     import click
 
     from bodylog.errors import BodylogError, InputError, WriteError
-    from bodylog.files import FULL
+    from bodylog.io.atomic_files import FULL
 
     from .commands import Unheard, bodylog
     from .output import line, say

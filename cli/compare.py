@@ -10,7 +10,7 @@ from . import options
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from bodylog.comparison import Row
+    from bodylog.compare import Row
 
 COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out")
 
@@ -28,7 +28,7 @@ def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int
     log_evidence is about what a row heard: hold it against rows of the same senses. seconds are of the processor, for
     the estimate alone.
     """
-    from bodylog import comparison
+    from bodylog import compare as comparison
     from bodylog.pipeline import Result
 
     from .output import as_data, data, lost, progress, talk

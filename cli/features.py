@@ -8,7 +8,7 @@ import click
 from .options import OUT, Common, common_options, log_argument
 
 if TYPE_CHECKING:
-    from bodylog.present import Offered
+    from bodylog.views import Offered
 
 
 @click.command(epilog="Example: bodylog features run.bag -o sheet.png")
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 @common_options
 def features(log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool) -> int:
     """Tags and colours a log shows: how often, how much of their motion joints explain, and the line to paste."""
-    from bodylog import present
+    from bodylog import views
     from bodylog.pipeline import Result
 
     from .output import as_data, data, lost, talk
 
-    found = present.features(log, out, common.settings(), _place(effector))
+    found = views.features(log, out, common.settings(), _place(effector))
     talk(found.findings)
     if as_json:
         data(as_data(Result(out, findings=found.findings)) | {"candidates": found.candidates, "images": found.images})

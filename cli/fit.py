@@ -38,7 +38,7 @@ def fit(
     as_json: bool,
 ) -> int:
     """Learn the robot's body from exploration logs: what each sense is expected to read at any joint angles."""
-    from bodylog import inventory, pipeline
+    from bodylog import info, pipeline
 
     from .output import body, progress, show
 
@@ -50,7 +50,7 @@ def fit(
     )
     with progress("fit") as tick:
         result = pipeline.fit(logs, out, chosen, tick, update, test)
-    learned = inventory.info(out, chosen)
+    learned = info.info(out, chosen)
     code = show(result, as_json, body=learned)
     if not as_json:
         body(learned)

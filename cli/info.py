@@ -14,7 +14,7 @@ from .options import ANYWHERE, Common, common_options, episodic
 @common_options
 def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
     """What is in a log (topics, types, counts, rates, clocks, which topic plays which role) or a body model."""
-    from bodylog import inventory
+    from bodylog import info as inventory
 
     from .output import data, each
 

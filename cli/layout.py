@@ -13,8 +13,8 @@ from .options import Common, common_options, log_argument, out_option
 @common_options
 def layout(log: Path, out: Path, common: Common, as_json: bool) -> int:
     """A Foxglove or Lichtblick layout for an annotated log: picture with overlay, belief, errors, free energy."""
-    from bodylog import present
+    from bodylog import views
 
     from .output import show
 
-    return show(present.layout(log, out, common.settings()), as_json, quiet=True)
+    return show(views.layout(log, out, common.settings()), as_json, quiet=True)

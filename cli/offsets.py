@@ -14,15 +14,15 @@ from .options import OUT, PATH
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def offsets(body: Path, out: Path | None, urdf: Path | None, as_json: bool) -> int:
     """How far each joint's zero is off, and its scale where that was unknown, by a body learned with a URDF."""
-    from bodylog import zeros
+    from bodylog import joint_zeros
 
     from .output import data, line
 
-    found, scales = zeros.zeros(body)
+    found, scales = joint_zeros.zeros(body)
     if out is not None:
-        zeros.write(found, scales, out, urdf)
+        joint_zeros.write(found, scales, out, urdf)
     if as_json:
-        data({"output": None if out is None else str(out), **zeros.tables(found, scales)})
+        data({"output": None if out is None else str(out), **joint_zeros.tables(found, scales)})
         return 0
     width = max(len(one.joint) for one in found)
     for one in (*found, *scales):

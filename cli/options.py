@@ -45,9 +45,9 @@ class Log(Named):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Path, or the URL."""
-        from bodylog import stores
+        from bodylog.io import remote
 
-        if not isinstance(value, str) or not stores.is_url(value):
+        if not isinstance(value, str) or not remote.is_url(value):
             return super().convert(value, param, ctx)
         return value if self._late else Url(value)
 
@@ -136,7 +136,7 @@ def _episode(_context: click.Context, _option: click.Parameter, text: str | None
 
 def _episodes(given: Any, text: str | None) -> Any:
     """The logs with the episode that was asked for; of one argument that takes several logs, ranges as single ones."""
-    from bodylog import episodes
+    from bodylog.logs import episodes
 
     if isinstance(given, tuple):
         return tuple(one for log in given for one in _several(log, text))
@@ -151,7 +151,7 @@ def _named(log: Any, text: str | None) -> Any:
 
 
 def _several(log: Any, text: str | None) -> tuple[Any, ...]:
-    from bodylog import episodes
+    from bodylog.logs import episodes
 
     named = _named(log, text)
     return episodes.expanded(named) if isinstance(named, Path) else (named,)

@@ -52,9 +52,9 @@ def each(logs: Sequence[T], look: Callable[[T], R]) -> tuple[dict[str, R], int]:
 
 def say(problem: Exception) -> None:
     """A refusal, in one line on standard error; nothing where the process was told to end, which is why."""
-    from bodylog import stopping
+    from bodylog.runtime import signals
 
-    if not stopping.told():
+    if not signals.told():
         line(f"bodylog: {' '.join(str(problem).split())}", err=True)
 
 

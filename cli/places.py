@@ -11,7 +11,7 @@ import click
 from .options import Folder, Named, OutputFile, OutputLog, Url
 
 if TYPE_CHECKING:
-    from bodylog.outputs import Output
+    from bodylog.io.outputs import Output
 
 
 def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -22,8 +22,8 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
         ctx = click.get_current_context()
         outputs = list(_outputs(ctx.command.params, given))
         if outputs:
-            from bodylog.files import writable
-            from bodylog.outputs import guard
+            from bodylog.io.atomic_files import writable
+            from bodylog.io.outputs import guard
 
             guard(_inputs(ctx.command.params, given), outputs)
             for output in outputs:
@@ -36,7 +36,7 @@ def guarded(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _outputs(params: list[click.Parameter], given: dict[str, Any]) -> "Iterator[Output]":
-    from bodylog.outputs import Output
+    from bodylog.io.outputs import Output
 
     for param in params:
         if isinstance(param.type, OutputFile | Folder):
@@ -50,12 +50,12 @@ def _inputs(params: list[click.Parameter], given: dict[str, Any]) -> Iterator[Pa
 
     The folders that a batch searches are no inputs; the logs found in them are, which it says itself.
     """
-    from bodylog import stores
+    from bodylog.io import remote
 
     for param in params:
         if isinstance(param.type, Named) and not isinstance(param.type, OutputFile | Folder):
             for value in _each(given[param.name or ""]):
-                path = stores.file_behind(value) if isinstance(value, str) and stores.is_url(value) else Path(value)
+                path = remote.file_behind(value) if isinstance(value, str) and remote.is_url(value) else Path(value)
                 if path is not None and not (isinstance(value, str) and path.is_dir()):
                     yield path
 
@@ -74,6 +74,6 @@ def _fetched(value: Any, fetched: ExitStack) -> Any:
         return value
     from tempfile import gettempdir
 
-    from bodylog import stores
+    from bodylog.io import remote
 
-    return fetched.enter_context(stores.local(value, Path(gettempdir())))
+    return fetched.enter_context(remote.local(value, Path(gettempdir())))

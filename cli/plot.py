@@ -15,10 +15,10 @@ from .options import OUT, PATH, Common, clock_option, common_options, episodic
 @common_options
 def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
     """Draw a log (joints, pixels, skin, touches, trajectories), or a body model's mean and variance."""
-    from bodylog import present
+    from bodylog import views
 
     from .output import progress, show
 
     with progress("plot") as tick:
-        result = present.plot(source, out, common.settings(), tick)
+        result = views.plot(source, out, common.settings(), tick)
     return show(result, as_json)

@@ -14,8 +14,8 @@ from .options import FOLDER, Common, common_options, log_argument, out_option
 @common_options
 def report(log: Path, out: Path, figures: Path | None, common: Common, as_json: bool) -> int:
     """One self-contained HTML page on an annotated log."""
-    from bodylog import present
+    from bodylog import views
 
     from .output import show
 
-    return show(present.report(log, out, common.settings(), figures), as_json, quiet=True)
+    return show(views.report(log, out, common.settings(), figures), as_json, quiet=True)

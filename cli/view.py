@@ -13,8 +13,8 @@ from .options import OUT, Common, common_options, log_argument
 @common_options
 def view(log: Path, out: Path | None, common: Common, as_json: bool) -> int:
     """Look at a log in Rerun: pictures with what was seen and predicted drawn on them, belief, errors, events."""
-    from bodylog import present
+    from bodylog import views
 
     from .output import show
 
-    return show(present.view(log, out, common.settings()), as_json, quiet=True)
+    return show(views.view(log, out, common.settings()), as_json, quiet=True)

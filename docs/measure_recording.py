@@ -13,7 +13,7 @@ import numpy as np
 
 import bodylog.logs as logs
 from bodylog import config, pipeline
-from bodylog.body import model
+from bodylog.body import storage
 from bodylog.settings import Kinematics, Settings
 
 _ELSEWHERE = 100
@@ -115,7 +115,7 @@ def _settings(case: Case, work: Path) -> Settings:
 
 def body_error(log: Path, body: Path) -> float:
     """Root mean square distance in px between where the body expects the feature and where it truly is."""
-    learned = model.load(body)
+    learned = storage.load(body)
     with logs.open(log) as read:
         joints, pixels = read["/truth/joint_states"], read["/truth/effector_pixel"]
         names, t, q = list(joints.name[0]), joints.header.stamp, joints.position

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog import body, dates
+from bodylog import body, camera_delay
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate
 from bodylog.settings import Estimation, Settings, Time
@@ -12,7 +12,7 @@ from tests.estimation.test_delay import delayed
 
 
 def learned(*features, delay="auto", known=None):
-    return dates.learned(features, Settings(time=Time(delay=delay)), {"version": "0"}, known)
+    return camera_delay.learned(features, Settings(time=Time(delay=delay)), {"version": "0"}, known)
 
 
 def said(found, severity="warning"):

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import OutputError, WriteError
-from bodylog.files import made, replacing, sha256, text
-from bodylog.temporary import FOREIGN_S, PART, held, machine, remove_stale, scratch
+from bodylog.io.atomic_files import made, replacing, sha256, text
+from bodylog.io.temporary import FOREIGN_S, PART, held, machine, remove_stale, scratch
 
 WRITER = """
 import sys

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog import Estimator, body
-from bodylog.body.encoders import Polynomial, understood
+from bodylog.body.senses.encoder_function import Polynomial, understood
 from bodylog.errors import LogError, UsageError
 from bodylog.estimation import estimate
 from bodylog.settings import Estimation, Settings

@@ -70,13 +70,13 @@ def test_a_log_without_joints_is_named_when_a_body_shall_be_learned(tmp_path, mo
 
 
 def test_pictures_of_another_width_than_learned_are_refused_unless_they_are_not_heard(tmp_path, arm, arm_body) -> None:
-    from bodylog.body import model
-    from bodylog.comparison import compare
+    from bodylog.body import storage
+    from bodylog.compare import compare
     from bodylog.errors import ModelError
     from bodylog.settings import Estimation
 
-    body, known = tmp_path / "wide.npz", model.load(arm_body)
-    model.save(replace(known, provenance={**known.provenance, "image_width": 640}), body)
+    body, known = tmp_path / "wide.npz", storage.load(arm_body)
+    storage.save(replace(known, provenance={**known.provenance, "image_width": 640}), body)
     out, log = tmp_path / "out.mcap", arm / "reach.mcap"
     for run in (lambda: pipeline.estimate(log, body, out, Settings()), lambda: compare(log, body, Settings())):
         with pytest.raises(ModelError, match=r"320 px wide, 640 px where .* --without vision,touch"):
@@ -87,7 +87,7 @@ def test_pictures_of_another_width_than_learned_are_refused_unless_they_are_not_
 
 
 def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
-    from bodylog.remarks import named
+    from bodylog.fault_findings import named
     from bodylog.types import Fault
 
     told = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))

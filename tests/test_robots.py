@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from bodylog import body, robots
-from bodylog.body.kinematic import learn
+from bodylog import body, robot_model
+from bodylog.body.kinematic.learn import learn
 from bodylog.errors import FormatError, LogError
-from bodylog.logs import described
-from bodylog.logs.described import Described
+from bodylog.recording import robot_description
+from bodylog.recording.robot_description import Described
 from bodylog.settings import Fit, Kinematics, Settings
 from tests.body.test_kinematic import features, given
 from tests.kinematics.robots import ARM, JOINTS
@@ -22,13 +22,13 @@ def told(monkeypatch):
     """told(text): what the log says of its robot."""
 
     def says(text):
-        monkeypatch.setattr(described, "described", lambda *_: Described(text, {}, {}))
+        monkeypatch.setattr(robot_description, "described", lambda *_: Described(text, {}, {}))
 
     return says
 
 
 def _robot(**chosen):
-    return robots.robot([LOG], [features(5)], Settings(kinematics=Kinematics(**chosen)))
+    return robot_model.robot([LOG], [features(5)], Settings(kinematics=Kinematics(**chosen)))
 
 
 def test_the_logs_own_is_used_unasked_and_not_when_it_is_not_wanted(told):
@@ -38,7 +38,7 @@ def test_the_logs_own_is_used_unasked_and_not_when_it_is_not_wanted(told):
     assert _robot(urdf="log")[0].asked
     assert _robot(use=False) == (None, ())
     paper = Settings(fit=Fit(preset="paper"))
-    assert robots.robot([LOG], [features(5)], paper) == (None, ())
+    assert robot_model.robot([LOG], [features(5)], paper) == (None, ())
 
 
 def test_a_file_that_is_named_wins(told, tmp_path):

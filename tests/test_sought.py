@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from bodylog import pipeline, sought
-from bodylog.body import model
-from bodylog.logs import recording
+from bodylog import default_features, pipeline
+from bodylog.body import storage
+from bodylog.recording import recording
 from bodylog.settings import Colours, Settings, plain
 from bodylog.sources import ColourSource, TagSource
 from bodylog.types import BodyModel, Noise, Recording, TouchConstants
@@ -30,10 +30,10 @@ def test_the_tag_that_moves_as_the_joints_do_is_followed_where_green_is_not_the_
     assert "effector: not followed: " in second and "yellow: it stands still" in second and "the hand's" in second
     assert read.settings.features == {"effector": TagSource(7, "apriltag_36h11")}
     assert found.health["effector"].used > 110 and found.effector is not None
-    assert sought.of_log(read, Settings()).features == read.settings.features
+    assert default_features.of_log(read, Settings()).features == read.settings.features
     known = json.dumps({"settings": json.dumps(plain(read.settings))})
     learned = replace(_model(), provenance=json.loads(known))
-    assert sought.of_body(learned, Settings()).features == read.settings.features
+    assert default_features.of_body(learned, Settings()).features == read.settings.features
 
 
 def test_what_is_configured_is_not_guessed(film: Recording) -> None:
@@ -41,7 +41,7 @@ def test_what_is_configured_is_not_guessed(film: Recording) -> None:
     assert not read.settings.features and not any("is not the arm's" in one.text for one in found.findings)
     body = json.dumps({"features": {"effector": {"tag": 9, "dictionary": "4x4_50"}}, "colours": {}})
     own = Settings(features={"effector": ColourSource("blue")})
-    assert sought.of_body(replace(_model(), provenance={"settings": body}), own) is own
+    assert default_features.of_body(replace(_model(), provenance={"settings": body}), own) is own
 
 
 @pytest.mark.soak
@@ -50,8 +50,8 @@ def test_a_body_is_learned_from_a_tag_among_clutter_and_used_without_configurati
     assert bodylog("record", "babble", "-o", tmp_path / "explore.mcap", "--duration", 30, "--seed", 4, *typed) == 0
     assert bodylog("record", "reach", "-o", tmp_path / "reach.mcap", "--duration", 6, "--seed", 5, *typed) == 0
     assert bodylog("fit", tmp_path / "explore.mcap", "-o", tmp_path / "body.npz") == 0
-    learned = model.load(tmp_path / "body.npz")
-    assert sought.of_body(learned, Settings()).features == {"effector": TagSource(7, "apriltag_36h11")}
+    learned = storage.load(tmp_path / "body.npz")
+    assert default_features.of_body(learned, Settings()).features == {"effector": TagSource(7, "apriltag_36h11")}
     typed = ("estimate", tmp_path / "reach.mcap", "--body", tmp_path / "body.npz", "-o", tmp_path / "out.mcap")
     assert bodylog(*typed) == 0
     assert pipeline.observe(tmp_path / "out.mcap", Settings())[1].health["effector"].used > 60
@@ -60,7 +60,7 @@ def test_a_body_is_learned_from_a_tag_among_clutter_and_used_without_configurati
 @pytest.mark.parametrize("settings", ["{}", "no JSON", '{"features": 3}', '{"features": {"a": {"tag": -1}}}'])
 def test_provenance_that_names_no_source_leaves_the_default(settings: str) -> None:
     learned = replace(_model(), provenance={"settings": settings})
-    assert sought.of_body(learned, Settings()) == Settings()
+    assert default_features.of_body(learned, Settings()) == Settings()
 
 
 def test_an_arm_with_a_green_ball_is_followed_as_ever(arm: Path) -> None:

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from bodylog import inventory, stores
+from bodylog import info
 from bodylog.errors import BodylogError, LogError, UsageError
+from bodylog.io import remote
 from bodylog.settings import Settings
 from tests.logs.writing import T0, Stream, write
 
@@ -75,8 +76,8 @@ def _named(told, path, url):
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_a_glimpse_says_of_any_mcap_what_the_file_says(path):
     url = path.resolve().as_uri()
-    here = _told(lambda: inventory.info(path, Settings()))
-    assert _told(lambda: inventory.info(url, Settings())) == _named(here, str(path), url)
+    here = _told(lambda: info.info(path, Settings()))
+    assert _told(lambda: info.info(url, Settings())) == _named(here, str(path), url)
 
 
 def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
@@ -86,14 +87,14 @@ def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
         Stream("/blob", "std_msgs/msg/UInt8MultiArray", b"uint8[] data", pictures),
         Stream("/words", "std_msgs/msg/String", b"string data", words),
     ], chunk=1 << 22)  # fmt: skip
-    brought, part = [], stores.part
+    brought, part = [], remote.part
 
     def counted(url, start, end):
         brought.append(end - start)
         return part(url, start, end)
 
-    monkeypatch.setattr(stores, "part", counted)
-    told = inventory.info(log.as_uri(), Settings())
+    monkeypatch.setattr(remote, "part", counted)
+    told = info.info(log.as_uri(), Settings())
     assert [topic["messages"] for topic in told["topics"]] == [48, 1]
     assert log.stat().st_size > 48 << 20
     assert sum(brought) < 4 << 20
@@ -105,7 +106,7 @@ def test_info_over_http_is_what_the_file_says_and_a_bag_is_fetched(served, robot
     bag = Path(__file__).parents[1] / "fixtures" / "containers" / "lz4.bag"
     shutil.copy(bag, folder / "lz4.bag")
     for path in folder.iterdir():
-        told, here = inventory.info(f"{address}/{path.name}", Settings()), inventory.info(path, Settings())
+        told, here = info.info(f"{address}/{path.name}", Settings()), info.info(path, Settings())
         assert told.pop("path") == f"{address}/{path.name}"
         here.pop("path")
         assert told == here
@@ -141,7 +142,7 @@ def test_what_a_store_cannot_give_is_one_line(served, tmp_path):
     _, address = served
     for url in (f"{address}/none.mcap", f"file://{tmp_path}/none.mcap", "quux://x/y.mcap", "http://127.0.0.1:1/y.mcap"):
         with pytest.raises((LogError, UsageError)) as caught:
-            inventory.info(url, Settings())
+            info.info(url, Settings())
         assert url in str(caught.value)
         assert "\n" not in str(caught.value)
 
@@ -153,16 +154,16 @@ def test_what_is_wrong_with_a_fetched_log_names_its_url(tmp_path, robot, bodylog
 
 
 def test_names_from_urls_are_safe():
-    assert stores.name_of("https://host/a/..") == "log"
-    assert stores.name_of("s3://bucket/run 1.mcap?versionId=3") == "run_1.mcap"
-    assert stores.name_of("http://host/%2e%2e%2fetc%2fpasswd") == "passwd"
-    assert not stores.is_url("C:/logs/run.mcap")
+    assert remote.name_of("https://host/a/..") == "log"
+    assert remote.name_of("s3://bucket/run 1.mcap?versionId=3") == "run_1.mcap"
+    assert remote.name_of("http://host/%2e%2e%2fetc%2fpasswd") == "passwd"
+    assert not remote.is_url("C:/logs/run.mcap")
 
 
 def test_glimpse_leaves_no_descriptor_open():
     url = FILES[0].resolve().as_uri()
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(3):
-        inventory.info(url, Settings())
+        info.info(url, Settings())
     gc.collect()
     assert len(os.listdir("/proc/self/fd")) <= before

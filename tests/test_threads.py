@@ -13,9 +13,9 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from bodylog.body import learn
 from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate
-from bodylog.perception import colour
+from bodylog.perception.colours import colour_tracker
+from bodylog.runtime.blas_threads import later, one_thread
 from bodylog.settings import Estimation, Settings
-from bodylog.threads import later, one_thread
 from bodylog.types import Features, Frame, Series
 
 
@@ -51,7 +51,7 @@ def test_opencv_has_no_threads_of_its_own_while_pictures_are_looked_at_and_as_ma
             return np.zeros((48, 64, 3), np.uint8)
 
         with pytest.raises(RuntimeError, match="enough"):
-            colour.track(lambda: (Frame(0.0, 0, look) for _ in range(9)), {"effector": "green"})
+            colour_tracker.track(lambda: (Frame(0.0, 0, look) for _ in range(9)), {"effector": "green"})
         assert set(seen) == {1}
         assert cv2.getNumThreads() == 3
     finally:

@@ -8,8 +8,8 @@ import time
 
 import pytest
 
-from bodylog import files, toml_file
 from bodylog.errors import ConfigError
+from bodylog.io import atomic_files, toml_file
 
 BOMBS = {
     "dotted": "a." * 500_000 + "a = 1",
@@ -64,7 +64,7 @@ def test_keys_are_counted_where_they_are_keys():
 
 def test_a_pipe_that_nobody_writes_to_is_refused(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "robot.toml")
-    monkeypatch.setattr(files, "PATIENCE", 0.2)
+    monkeypatch.setattr(atomic_files, "PATIENCE", 0.2)
     with pytest.raises(ConfigError, match="did not come to its end"):
         toml_file.read(tmp_path / "robot.toml")
 

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bodylog import values
+from bodylog.io import values
 
 
 @pytest.mark.parametrize(

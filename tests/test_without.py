@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from bodylog.checks import to_learn
 from bodylog.errors import ConfigError, ModelError
-from bodylog.refusals import to_learn
-from bodylog.robots import check
+from bodylog.robot_model import check
 from bodylog.settings import Fit, Kinematics, Settings
 from tests.body.test_boards import features
 from tests.kinematics import robots

@@ -4,10 +4,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from .. import stores
 from ..errors import UsageError
-from ..files import writable
-from ..outputs import Output, guard
+from ..io import remote
+from ..io.atomic_files import writable
+from ..io.outputs import Output, guard
 from ..settings import Settings
 from . import folders, jobs, local, results, resume, work
 from .jobs import Job, Row
@@ -111,17 +111,17 @@ def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
 
 def _path(log: str) -> Path | None:
     """Where a log lies on this machine, if it does."""
-    return stores.file_behind(log) if stores.is_url(log) else Path(log)
+    return remote.file_behind(log) if remote.is_url(log) else Path(log)
 
 
 def _check(body: Path, settings: Settings, checked: set[object]) -> None:
     """ModelError or UsageError for a body that is none, or a method or sense that it does not know; each once."""
     from .. import estimation
-    from ..body import model
+    from ..body import storage
 
     asked = (body, repr(settings.estimate))
     if asked not in checked:
-        estimation.check(model.load(body), settings.estimate)
+        estimation.check(storage.load(body), settings.estimate)
         checked.add(asked)
 
 

@@ -3,8 +3,8 @@
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from .. import memory
 from ..errors import UsageError
+from ..runtime import malloc
 from . import work
 from .jobs import Job, Row
 
@@ -44,7 +44,7 @@ def do(job: Job) -> Row:
     """One job on a worker, which Dask tells to give memory back at once: bodylog asks for the same again and again."""
     import cv2
 
-    memory.keep()
+    malloc.keep()
     cv2.setNumThreads(1)
     return work.run(job)
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import OutputError, UsageError
-from ..files import made
+from ..io.atomic_files import made
 
 BATCH = ".bodylog-batch"
 """Marks a folder that holds the results of a batch."""

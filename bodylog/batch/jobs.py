@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import episodes, stores
 from ..errors import BodylogError, LogError, UsageError
-from ..outputs import Key, key
+from ..io import remote
+from ..io.outputs import Key, key
+from ..logs import episodes
 from ..settings import Settings
 from . import folders
 
@@ -61,8 +62,8 @@ def find(given: str) -> Iterator[str]:
 
     What a batch left is found only where it is named.
     """
-    if stores.is_url(given):
-        yield from stores.behind(given, SUFFIXES)
+    if remote.is_url(given):
+        yield from remote.behind(given, SUFFIXES)
         return
     if not Path(given).exists() and (some := episodes.expanded(Path(given))) and episodes.split(some[0])[1] is not None:
         yield from map(str, some)
@@ -127,4 +128,4 @@ def is_rosbag2(folder: Path) -> bool:
 
 
 def _file_name(log: str) -> str:
-    return stores.name_of(log) if stores.is_url(log) else Path(log).name
+    return remote.name_of(log) if remote.is_url(log) else Path(log).name

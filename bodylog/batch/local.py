@@ -6,11 +6,11 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-from .. import stores
 from ..errors import BodylogError
+from ..io import remote
+from ..io.temporary import remove_killed
 from ..logs.episode_files import files_of
-from ..temporary import remove_killed
-from ..workers import ready, stop, uninterrupted
+from ..runtime.workers import ready, stop, uninterrupted
 from . import work
 from .jobs import Job, Row
 
@@ -39,8 +39,8 @@ def _here(queue: Sequence[Job], keep_going: bool) -> Iterator[Row]:
 def size(log: str) -> int:
     """Bytes of a log: file, folder or URL; 0 when it cannot be read."""
     try:
-        if stores.is_url(log):
-            return stores.size(log)
+        if remote.is_url(log):
+            return remote.size(log)
         parts = files_of(Path(log))
         every = (p for part in parts for p in (part.rglob("*") if part.is_dir() else [part]))
         return sum(p.stat().st_size for p in every if not p.is_dir())

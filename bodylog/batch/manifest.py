@@ -6,11 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from .. import stores, toml_file
 from ..config import merge
 from ..errors import ConfigError
+from ..io import remote, toml_file
+from ..io.toml_file import shown
 from ..settings import Settings
-from ..toml_file import shown
 from . import Group, folders
 
 LONGEST = 200
@@ -83,7 +83,7 @@ def _group(path: Path, table: Mapping[str, Any], name: str, settings: Settings) 
         raise ConfigError(f"{path}: a group is called {shown(name)}: too long, or taken; give another name")
     return Group(
         name=safe,
-        logs=tuple(log if stores.is_url(log) else str(base / log) for log in table["logs"]),
+        logs=tuple(log if remote.is_url(log) else str(base / log) for log in table["logs"]),
         settings=settings,
         body=base / table["body"] if "body" in table else None,
         train=tuple(base / log for log in table.get("train", ())),

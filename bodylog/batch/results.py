@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..files import replacing
+from ..io.atomic_files import replacing
 from . import folders, resume
 from .jobs import Job, Row
 from .resume import ODD

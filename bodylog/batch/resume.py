@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import __version__, episodes, pipeline, stores
+from .. import __version__, pipeline
 from ..errors import BodylogError, LogError, ModelError, UsageError
-from ..files import replacing, sha256
+from ..io import remote
+from ..io.atomic_files import replacing, sha256
+from ..logs import episodes
 from ..logs.episode_files import digest
 from ..settings import Settings, plain
 from .folders import RESULT, ROW, mark
@@ -22,7 +24,7 @@ ODD = "backslashreplace"
 
 def key(job: Job) -> str:
     """Digest of what the outputs depend on: log (what its store says of a URL), body, settings, bounds, version."""
-    log = stores.identity(job.log) if stores.is_url(job.log) else digest(Path(job.log))
+    log = remote.identity(job.log) if remote.is_url(job.log) else digest(Path(job.log))
     parts = [log, sha256(job.body), plain(job.settings), list(job.bounds), __version__]
     return _digest(parts)
 
@@ -131,10 +133,10 @@ def _leave_mark(path: Path, value: Any) -> None:
 
 
 def _loads(body: Path) -> bool:
-    from ..body import model
+    from ..body import storage
 
     try:
-        model.load(body)
+        storage.load(body)
     except ModelError:
         return False
     return True

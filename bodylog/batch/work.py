@@ -8,12 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from .. import pipeline, present, stores, torn
+from .. import pipeline, views
 from ..config import toml
 from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
-from ..files import FULL, replacing, sha256
-from ..temporary import PART, remove_stale
+from ..io import remote
+from ..io.atomic_files import FULL, replacing, sha256
+from ..io.temporary import PART, remove_stale
+from ..runtime import sigbus
 from . import folders, resume
 from .folders import OUTPUTS
 from .jobs import Job, Row
@@ -33,7 +35,7 @@ STATUS = {
 
 def run(job: Job) -> Row:
     """Do one job and leave its row beside its outputs; every failure becomes a row."""
-    torn.endure()
+    sigbus.endure()
     folders.mark(job.folder, folders.RESULT)
     # a worker that outlived its killed batch may still be at it
     with folders.alone(job.folder, folders.RESULT), _on_one_core():
@@ -44,7 +46,7 @@ def run(job: Job) -> Row:
 @contextmanager
 def _on_one_core() -> Iterator[None]:
     """Logs are what is done side by side: one core each, so that `--jobs` says how many cores a batch takes."""
-    from ..perception.colour import THREADS
+    from ..perception.colours.colour_tracker import THREADS
 
     token = THREADS.set(1)
     try:
@@ -77,9 +79,9 @@ def not_run(job: Job) -> Row:
 def _attempt(job: Job) -> Row:
     key = None
     try:
-        key, before = resume.key(job), torn.filled()
+        key, before = resume.key(job), sigbus.filled()
         done = _estimate(job)
-        if torn.filled() > before:
+        if sigbus.filled() > before:
             raise LogError(f"{job.log}: part of it could not be read; check the disk it is on")
         return _row(job, key, **done)
     except BodylogError as err:
@@ -95,11 +97,11 @@ def _attempt(job: Job) -> Row:
 def _estimate(job: Job) -> dict[str, Any]:
     """Keywords of _row; a broken bound is a row, not a failure."""
     annotated = job.folder / "annotated.mcap"
-    with stores.local(job.log, job.folder) as log:
+    with remote.local(job.log, job.folder) as log:
         result = pipeline.estimate(log, job.body, annotated, job.settings)
         about = tuple(replace(said, text=said.text.replace(str(log), job.log)) for said in result.findings)
         result = replace(result, findings=about)
-    present.report(annotated, job.folder / "report.html", job.settings)
+    views.report(annotated, job.folder / "report.html", job.settings)
     _leave(job.folder / "robot.toml", toml(job.settings))
     lost = any(finding.severity == "lost" for finding in result.findings)
     code, error = (3 if lost else 0), None

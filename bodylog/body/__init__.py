@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 from ..settings import Settings
 from ..types import BodyModel, Features
-from .encoders import Polynomial
+from .senses.encoder_function import Polynomial
 
 if TYPE_CHECKING:
-    from .kinematic import Robotics
+    from .kinematic.learn import Robotics
     from .learning import Learned
 
 __all__ = ["Polynomial", "learn", "with_kinematics"]
@@ -55,12 +55,12 @@ def _with_kinematics(
     update: BodyModel | None,
 ) -> "Learned":
     if settings.kinematics.use and (robot is None or not robot.asked) and update is not None:
-        from . import kinematic_update
+        from .kinematic import update as kinematic_update
 
         if kinematic_update.chained(update):
             return kinematic_update.learn(features, settings, found, update)
     if robot is None:
         return found
-    from . import kinematic
+    from .kinematic import learn as kinematic
 
     return kinematic.learn(features, settings, found, robot)

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 
 from ..errors import EvidenceError, ModelError
+from ..runtime.blas_threads import one_thread
 from ..settings import Fit, Settings
-from ..threads import one_thread
 from ..types import BodyModel, Features, Finding, ForwardModel, Noise, Score
-from . import coverage, encoders, noise, pose_errors, reference, sense, taught, touch
-from .gp import GP
-from .pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, restless, silent
-from .shown import shown
+from . import exploration_report, noise_estimates, pose_errors
+from .data import trainable
+from .data.exploration import shown
+from .data.pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, restless, silent
+from .gp.model import GP
+from .senses import encoder_calibration, encoder_function, touch, track
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,7 @@ def learn(
     """
     features, absurd = plausible(features)
     wanted = settings.body.joints if update is None else _same(features, update)
-    told = [encoders.referred(f, update) for f in features]
+    told = [encoder_function.referred(f, update) for f in features]
     if update is None and not any(name != "hand" for f in features for name in f.tracks):
         raise EvidenceError(_nothing_seen(told))  # before joints are smoothed, which takes long
     heard = joints(told, wanted)
@@ -62,34 +64,36 @@ def learn(
     if not senses:
         raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
-    learned = noise.learned([j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()})
+    learned = noise_estimates.learned(
+        [j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()}
+    )
     learned, repeated = _posed(learned, senses, len(chosen)) if all(f.poses for f in features) else (learned, {})
-    learned = learned if update is None else noise.pooled(learned, update.noise)
+    learned = learned if update is None else noise_estimates.pooled(learned, update.noise)
     constants, cells, touched = touch.learned(told, names, gps.get("effector"))
-    read = reference.learned(features, chosen, learned)
+    read = encoder_calibration.learned(features, chosen, learned)
     given: Mapping[str, ForwardModel] = {}
     if update is not None:
         given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
         constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
-    scores = [s for name, found in senses.items() for s in sense.scores(name, found, names, learned)]
-    scores += [Score(f"explained.{name}", taught.explained(found), "1") for name, found in senses.items()]
+    scores = [s for name, found in senses.items() for s in track.scores(name, found, names, learned)]
+    scores += [Score(f"explained.{name}", trainable.explained(found), "1") for name, found in senses.items()]
     useless = [name for name in poor if name not in senses]
-    few = [Finding("warning", f"{n}: left out: {poor[n]}; {taught.seen(features, n)}") for n in useless]
-    left_out = [f for name, found in senses.items() for f in sense.findings(name, found)]
-    covered = coverage.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
-    gaps, pictures = coverage.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
+    few = [Finding("warning", f"{n}: left out: {poor[n]}; {trainable.seen(features, n)}") for n in useless]
+    left_out = [f for name, found in senses.items() for f in track.findings(name, found)]
+    covered = exploration_report.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
+    gaps, pictures = exploration_report.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
     about = {**pictures, **repeated, **provenance}
     return Learned(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
-        (*coverage.scores(chosen, gps, learned), *scores, *read.scores),
-        (taught.moved(heard, chosen), *covered, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
+        (*exploration_report.scores(chosen, gps, learned), *scores, *read.scores),
+        (trainable.moved(heard, chosen), *covered, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
         tuple(chosen),
         {name: why for name, why in poor.items() if name in senses},
     )
 
 
 def _posed(
-    learned: Noise, senses: Mapping[str, sense.Sense], count: int
+    learned: Noise, senses: Mapping[str, track.Sense], count: int
 ) -> tuple[Noise, dict[str, Any]]:
     """The noise with what still poses tell of their encoders, and that as std (rad) for the provenance."""
     found = pose_errors.learned(senses, count)
@@ -102,18 +106,18 @@ def _posed(
 
 def _senses(
     tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, hopeful: bool
-) -> tuple[dict[str, sense.Sense], dict[str, str]]:
+) -> tuple[dict[str, track.Sense], dict[str, str]]:
     """Each track's model, and why there is none of the others; where `hopeful`, none worth keeping by itself."""
-    found, poor = dict[str, sense.Sense](), dict[str, str]()
+    found, poor = dict[str, track.Sense](), dict[str, str]()
     for name, part in tracks.items():
-        why = taught.unfit(part, [] if hopeful else chosen)
+        why = trainable.unfit(part, [] if hopeful else chosen)
         if why is None:
             try:
-                found[name] = sense.sense(part, chosen, fit)
+                found[name] = track.sense(part, chosen, fit)
             except np.linalg.LinAlgError as problem:
                 why = f"no model of its {len(part.x)} sightings: {problem}"
             else:
-                why = taught.unexplained(found[name])
+                why = trainable.unexplained(found[name])
         if why is not None and fit.preset == "paper" and name in found:
             continue  # the printed constants are asked for, whatever they foretell
         if why is not None:
@@ -133,7 +137,7 @@ def _nothing_seen(features: Sequence[Features]) -> str:
 def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:
     """What there was, why no body can be learned of it, and what to record or type."""
     moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
-    said = "; ".join(f"{name}: {why}, {taught.seen(features, name)}" for name, why in poor.items())
+    said = "; ".join(f"{name}: {why}, {trainable.seen(features, name)}" for name, why in poor.items())
     advice = "type bodylog features LOG to see what else there is, or record a marker that all joints move in view"
     return f"no track teaches a body, though {moved}: {said}; {advice}"
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..types import Array
-from .angles import STILL
-from .sense import Sense
+from .data.angles import STILL
+from .senses.track import Sense
 
 WIDTH = 2.0
 """Of the logarithm of a standard deviation: how far from STILL it may well be."""

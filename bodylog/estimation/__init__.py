@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, replace
 
 from ..errors import UsageError
+from ..runtime.blas_threads import one_thread
 from ..settings import Estimation
-from ..threads import one_thread
 from ..types import BodyModel, Estimate, Features
 from .faults.consistency import doubts
 from .measurements import gather

@@ -4,10 +4,10 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .. import files
 from ..errors import BoundError, InputError, UsageError
+from ..io import atomic_files
+from ..io.values import read_json
 from ..types import Score
-from ..values import read_json
 
 _MOST_BYTES = 256 << 20
 ERRORS = ("joint_rmse",)
@@ -27,7 +27,7 @@ def tolerance(text: str) -> float:
 def load(path: Path) -> dict[str, dict[str, float | None]]:
     """Scores by log name from a results.jsonl; InputError if it is not one."""
     try:
-        rows = [read_json(line) for line in files.text(path, _MOST_BYTES).splitlines()]
+        rows = [read_json(line) for line in atomic_files.text(path, _MOST_BYTES).splitlines()]
         return {row["name"]: dict(row["scores"]) for row in rows}
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise InputError(f"{path}: not a results.jsonl of a batch ({err}); type: bodylog batch LOG... -o DIR") from err

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .. import files
 from ..errors import InputError
+from ..io import atomic_files
 from ..types import Array, Poses, Series
 
 MOST_BYTES = 1 << 30
@@ -75,7 +75,7 @@ def _possible() -> str:
 
 
 def _table(path: Path, start_ns: int) -> Series:
-    rows = list(csv.reader(files.text(path, MOST_BYTES).splitlines()))
+    rows = list(csv.reader(atomic_files.text(path, MOST_BYTES).splitlines()))
     if len(rows) < 2:
         raise ValueError(f"{len(rows)} lines")
     header = [name.strip() for name in rows[0]]

@@ -56,7 +56,7 @@ class Explored:
         return Map(self.x, np.full(self.x.shape[1], SCALE), np.linalg.solve(k, self.y - mean), mean, self.scatter)
 
     def _learned(self) -> Map:
-        from ..body.train import samples, train
+        from ..body.gp.fit import samples, train
 
         gp = train(samples(self.x, self.y), ("u", "v"), "px")
         return Map(gp.centres, gp.scales[0], gp.amplitude[0] * gp.weights.T, gp.mean, self.scatter)
@@ -64,7 +64,7 @@ class Explored:
 
 def explored(body: BodyModel) -> Explored:
     """The samples of a body learned by the paper's preset."""
-    from ..body.gp import GP
+    from ..body.gp.model import GP
 
     model = body.senses["effector"]
     assert isinstance(model, GP)

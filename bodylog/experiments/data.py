@@ -45,7 +45,7 @@ def _explored(heard: Heard) -> list[dict[str, Any]]:
 
 def _map(known: Explored) -> list[dict[str, Any]]:
     """u over shoulder 1 at some angles of shoulder 2, from 46 samples by greatest evidence: mean, and deviation."""
-    from ..body.train import samples, train
+    from ..body.gp.fit import samples, train
 
     gp = train(samples(known.x, known.y), ("u", "v"), "px")
     low, high = known.x.min(axis=0), known.x.max(axis=0)

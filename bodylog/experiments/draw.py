@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..report.canvas import LINES, figure
+from ..report.figures.canvas import LINES, figure
 from .judging import Claim, Outcome
 from .records import Trial, column
 

@@ -14,7 +14,7 @@ from .printed import DT, Map
 from .records import Experiment, Readings, Trial, column
 
 if TYPE_CHECKING:
-    from ..body.gp import GP
+    from ..body.gp.model import GP
 
 LASTING = 60.0
 """s for which the belief is integrated."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import files
-from ..logs.export import saver
+from ..io import atomic_files
+from ..recording.tables import saver
 from ..types import Array
 from .judging import Claim
 from .records import Trial
@@ -33,7 +33,7 @@ def write(out: Path, trials: Mapping[str, Sequence[Trial]], claims: Sequence[Cla
 def _csv(table: Columns, path: Path) -> None:
     """Text is quoted where it must be; a number that is none is an empty cell."""
     columns = [["" if v != v else v for v in column.tolist()] for column in table.values()]
-    with files.replacing(path) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
+    with atomic_files.replacing(path) as beside, beside.open("w", encoding="utf-8", newline="") as stream:
         rows = csv.writer(stream, lineterminator="\n")
         rows.writerow(table)
         rows.writerows(zip(*columns, strict=True))

@@ -7,9 +7,10 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from .. import __version__, files, pipeline
+from .. import __version__, pipeline
+from ..io import atomic_files
+from ..io.temporary import scratch
 from ..settings import Body, Colours, Fit, Settings
-from ..temporary import scratch
 from ..types import Array, BodyModel, Features, Series
 from .records import jsonable
 
@@ -66,7 +67,7 @@ class Lab:
     def body(self, preset: str, seed: int, scenario: str = "babble", joints: tuple[str, ...] = JOINTS,
              touched: bool = False, **options: Any) -> BodyModel:  # fmt: skip
         """The body learned by fit preset `preset` from an exploration, and from a log of touches when `touched`."""
-        from ..body import model
+        from ..body import storage
 
         options = {"duration": self.exploration, **options}
         path = self._path(f"body-{scenario}-{preset}-{seed}", "npz", {**options, "joints": joints, "touched": touched})
@@ -74,7 +75,7 @@ class Lab:
             settings = replace(self._settings(), fit=Fit(preset=preset), body=Body(joints=joints))
             strokes = [self.log("touch", seed + ELSEWHERE)] if touched else []
             pipeline.fit([self.log(scenario, seed, **options), *strokes], path, settings)
-        return model.load(path)
+        return storage.load(path)
 
     def key(self, options: Mapping[str, Any]) -> str:
         """What a kept file depends on beside its name, as 12 hex digits."""
@@ -94,6 +95,6 @@ def kept(path: Path, make: Any) -> Any:
     """The value in a JSON file; made by `make()` and kept there when it is not."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        with files.replacing(path) as beside:
+        with atomic_files.replacing(path) as beside:
             beside.write_text(json.dumps(jsonable(make()), sort_keys=True), encoding="utf-8")
     return json.loads(path.read_text(encoding="utf-8"))

@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__, files
-from ..report.document import document, plots
-from ..report.packing import plain
-from ..report.traces import Panel, Trace
+from .. import __version__
+from ..io import atomic_files
+from ..report.page.data import plain
+from ..report.page.template import document, plots
+from ..report.page.traces import Panel, Trace
 from ..types import Array
 from . import draw, figure_data
 from .draw import REAL
@@ -158,5 +159,5 @@ def _json(value: Any) -> str:
 
 
 def _save(path: Path, text: str) -> None:
-    with files.replacing(path) as beside:
+    with atomic_files.replacing(path) as beside:
         beside.write_text(text, encoding="utf-8", newline="\n")

@@ -12,9 +12,9 @@ import numpy as np
 
 from .. import pipeline
 from ..errors import BodylogError, UsageError
+from ..io.temporary import scratch
 from ..settings import Settings
 from ..sources import CharucoSource
-from ..temporary import scratch
 from .judging import Bound, Claim, comparison
 from .lab import Lab
 from .records import Experiment, Readings, Table, Trial, column

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..estimation.measurements.touch import LEAST
-from ..perception.synchrony import judge as synchrony
+from ..perception.touch.matching import judge as synchrony
 from ..types import Array, BodyModel, Features
 from .beliefs import Belief, noisier, ours
 from .drawn import px_per_cm

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
-from ..files import made
+from ..io.atomic_files import made
+from ..io.temporary import remove_killed
+from ..runtime.workers import ended, ready, uninterrupted
 from ..sim import how_to_install
-from ..temporary import remove_killed
-from ..workers import ended, ready, uninterrupted
 from . import page, readings, real, rubber_hand
 from .drawn import SIZE
 from .judging import Claim

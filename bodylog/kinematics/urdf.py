@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FormatError
-from ..files import text as read_text
+from ..io.atomic_files import text as read_text
 from ..types import Array
 from .rotations import from_rpy, transform
 

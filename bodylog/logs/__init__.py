@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..types import Finding
+    from .decode.table import Table
     from .library import OpenLog
-    from .table import Table
     from .writer import Writer
 
 __all__ = ["Writer", "convert", "examine", "open", "read", "repair"]
@@ -40,7 +40,7 @@ def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Ta
 
 def examine(path: str | Path) -> "tuple[Finding, ...]":
     """Everything wrong with a log, read from end to end."""
-    from .doctor import examine
+    from .conversion.examination import examine
     from .library import located
 
     with located(path) as here:
@@ -49,8 +49,8 @@ def examine(path: str | Path) -> "tuple[Finding, ...]":
 
 def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
     """Write the sound messages of a log to the MCAP `out`; what was wrong is returned."""
+    from .conversion.rewrite import repair
     from .library import located
-    from .rewrite import repair
 
     with located(path) as here:
         return repair(here, Path(out))
@@ -65,13 +65,13 @@ def convert(
     topics: only these · start, end: only what was logged between them, s since the log's start. to: "lerobot" or
     "lerobot-2.1" writes the folder of a dataset with this log as its episode, its images without loss.
     """
-    from .conversion import convert
+    from .conversion.extract import convert
     from .library import located
 
     with located(path) as here:
         if to != "mcap":
+            from ..recording.lerobot_writer import write
             from ..settings import Settings
-            from .datasets.lerobot_write import write
 
             return write([here], Path(out), Settings(), to, start=start, end=end)
         return convert(here, Path(out), topics, start, end)

@@ -3,9 +3,9 @@
 import hashlib
 from pathlib import Path
 
-from .. import episodes
 from ..errors import BodylogError
-from ..files import pieces, sha256
+from ..io.atomic_files import pieces, sha256
+from . import episodes
 
 
 def files_of(path: Path) -> tuple[Path, ...]:

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from .. import stores
 from ..errors import ConfigError, FormatError
+from ..io import remote
 from ..types import Batch, Finding, Frame, Topic
-from .columns import columns_of, definition_of
-from .containers import Log, is_mcap, open_log, payloads, without_images
-from .table import Table, filled, leaf_paths, object_paths
+from .decode.columns import columns_of, definition_of
+from .decode.table import Table, filled, leaf_paths, object_paths
+from .formats import Log, is_mcap, open_log, payloads, without_images
 
 _OBJECTS = ("json", "protobuf")
 _HEADS = ("header", "encoding", "format", "name", "names", "position")
@@ -95,7 +95,7 @@ class OpenLog:
 
     def frames(self, topic: str) -> Iterator[Frame]:
         """The pictures of a topic in file order: `image` (H,W,3) uint8 BGR, t s since start_ns by log time."""
-        from . import images
+        from .images import messages as images
 
         decoders = {one.id: images.decoder(one) for one in self._topics(topic)}
         for batch in self._log.batches(tuple(decoders)):
@@ -148,29 +148,29 @@ class OpenLog:
 @contextmanager
 def located(path: str | Path) -> Iterator[Path]:
     """A log as a path: itself; of an MCAP behind a URL a map that fetches what is touched, of others a copy."""
-    if not stores.is_url(str(path)):
+    if not remote.is_url(str(path)):
         yield Path(path)
         return
     from tempfile import gettempdir
 
-    from . import sparse
+    from .storage import remote_map
 
     url = str(path)
-    size = stores.size(url)
-    if is_mcap(stores.part(url, 0, min(size, 64)) if size else b""):
-        opened = sparse.glimpse(stores.name_of(url), size, partial(stores.part, url))
+    size = remote.size(url)
+    if is_mcap(remote.part(url, 0, min(size, 64)) if size else b""):
+        opened = remote_map.glimpse(remote.name_of(url), size, partial(remote.part, url))
     else:
-        opened = stores.local(url, Path(gettempdir()))
-    with opened as here, stores.naming(here, url):
+        opened = remote.local(url, Path(gettempdir()))
+    with opened as here, remote.naming(here, url):
         yield here
 
 
 def _decoder(topic: Topic) -> Callable[[bytes], Any]:
     """One payload to a message; FormatError when it contradicts its definition."""
     if topic.encoding in _OBJECTS:
-        from .objects import reader
+        from .decode.dynamic import reader
 
         return reader(topic)
-    from .message_objects import decoder
+    from .decode.message_objects import decoder
 
     return decoder(topic)

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..io.values import LATEST_NS, is_time, text, times
 from ..types import Array, Batch, Topic
-from ..values import LATEST_NS, is_time, text, times
-from .ledger import Ledger
+from .diagnostics import Ledger
 
 INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
 """Metadata of a topic of joints whose messages are still poses that say nothing of each other."""

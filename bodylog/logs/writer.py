@@ -10,16 +10,16 @@ from typing import Any, Self
 import numpy as np
 
 from ..errors import ConfigError, FormatError, UsageError
-from ..files import replacing
+from ..io.atomic_files import replacing
 from ..types import Array, Batch, Topic
-from . import cdr
-from .cdr import Payloads
-from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field, parse
-from .mcap_write import Messages, gather
-from .ros1 import known_definition
-from .transcode import LIBRARY, PROFILE
-from .write import Contents
-from .write import Writer as Chunks
+from .conversion.transcode import LIBRARY, PROFILE
+from .decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field, parse
+from .decode.ros1_to_cdr import known_definition
+from .encode import cdr
+from .encode.cdr import Payloads
+from .mcap.encode import Messages, gather
+from .mcap.writer import Contents
+from .mcap.writer import Writer as Chunks
 
 _CDR_NAMES = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
 

@@ -7,11 +7,13 @@ import numpy as np
 from ..settings import Colour, Settings, wanted
 from ..sources import ColourSource, PointSource, Source, board_points, track_names
 from ..types import Board, Features, Finding, Frame, Health, Recording, Series, Stroke
-from . import colour, skin, strokes, synchrony, tracking
-from .candidates import Candidate, Survey, survey
-from .look import Looking, Seen
-from .tracking import points
-from .unconfigured import instead
+from . import tracking
+from .colours import colour_tracker
+from .points import points
+from .touch import detection, matching, strokes
+from .tracking.candidates import Candidate, Survey, survey
+from .tracking.frame_search import Looking, Seen
+from .tracking.unconfigured import instead
 
 __all__ = ["Candidate", "Looking", "Survey", "instead", "looking", "observe", "rigid", "survey"]
 
@@ -23,7 +25,7 @@ Frames = Callable[[], Iterator[Frame]]
 def looking(settings: Settings, progress: Progress | None = None) -> Looking:
     """To watch a log's first camera while the log is read, so that `observe` need not read it again. ConfigError."""
     features = wanted(settings)
-    return colour.looking(_colours(features), progress, settings.colours.fast, tracking.trackers(features))
+    return colour_tracker.looking(_colours(features), progress, settings.colours.fast, tracking.trackers(features))
 
 
 def observe(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
@@ -35,10 +37,10 @@ def observe(recording: Recording, settings: Settings, progress: Progress | None 
     tracks, health = {**tracks, **recording.tracks}, {**health, **recording.track_health}
     touches = None
     if recording.skin is not None:
-        touches, health["touch"], felt = skin.touches(recording.skin, settings.skin)
+        touches, health["touch"], felt = detection.touches(recording.skin, settings.skin)
         findings += felt
     seen: tuple[Stroke, ...] = strokes.strokes(tracks["hand"]) if "hand" in tracks else ()
-    pairs, remarks = synchrony.judge(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
+    pairs, remarks = matching.judge(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
     boards = rigid(wanted(settings), tracks)
     return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks, size, boards=boards)
 
@@ -86,12 +88,12 @@ def _tracks(
 
 
 def _look(frames: Frames, features: Mapping[str, Source], settings: Settings, progress: Progress | None) -> Seen:
-    return colour.look(frames, _colours(features), progress, settings.colours.fast, tracking.trackers(features))
+    return colour_tracker.look(frames, _colours(features), progress, settings.colours.fast, tracking.trackers(features))
 
 
-def _seen(seen: Seen, frames: Frames, features: Mapping[str, Source], joints: Series | None) -> colour.Tracks:
+def _seen(seen: Seen, frames: Frames, features: Mapping[str, Source], joints: Series | None) -> colour_tracker.Tracks:
     """Tracks, health and findings of one camera."""
-    tracks, health, findings = colour.tracks(seen, frames, _colours(features), joints)
+    tracks, health, findings = colour_tracker.tracks(seen, frames, _colours(features), joints)
     more = tracking.series(seen.tracked, seen.t, seen.source_ns, seen.number)
     return tracks | more[0], health | more[1], findings + more[2]
 

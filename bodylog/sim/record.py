@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .. import files
 from ..errors import UsageError
+from ..io import atomic_files
 from .arms import ARMS
 from .film import camera_items, side_items
 from .options import Options, check, check_camera, within
@@ -33,7 +33,7 @@ def record(scenario: str, out: Path, *, progress: Callable[[int], None] | None =
     wished = plan.noise if asked.noise is None else asked.noise
     within("noise", wished, 0.0, 10.0)
     wish = Wish(scenario, asked, ARMS[asked.arm], plan, length, wished)
-    with files.replacing(out) as beside, open_stage(wish) as stage:
+    with atomic_files.replacing(out) as beside, open_stage(wish) as stage:
         _write(beside, stage, progress)
 
 

@@ -245,7 +245,7 @@ def _left(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, int]],
 def _same(file: Path, some: list[Channel]) -> str | None:
     """What bodylog's reader makes of a sound container otherwise than was written, or than other libraries read."""
     from bodylog.errors import BodylogError
-    from bodylog.logs.containers import open_log, payloads
+    from bodylog.logs.formats import open_log, payloads
 
     found: Counter[tuple[str, bytes]] = Counter()
     try:

@@ -17,10 +17,10 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from bodylog.logs import cdr
-from bodylog.logs.annotate import annotate
-from bodylog.logs.messages import from_estimate, from_features
-from bodylog.logs.ros1 import known_definition
+from bodylog.annotating.annotate import annotate
+from bodylog.annotating.messages import from_estimate, from_features
+from bodylog.logs.decode.ros1_to_cdr import known_definition
+from bodylog.logs.encode import cdr
 from bodylog.types import Array, Estimate, Features, Outgoing, Series
 
 from .goals import at_least, at_most

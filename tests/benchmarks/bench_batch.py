@@ -14,9 +14,9 @@ from pathlib import Path
 
 import bodylog_cli
 
-from bodylog import pipeline, present
+from bodylog import pipeline, views
 from bodylog.batch import Group, Plan, batch
-from bodylog.perception.colour import THREADS
+from bodylog.perception.colours.colour_tracker import THREADS
 from bodylog.settings import Settings
 
 LOGS = 16
@@ -91,7 +91,7 @@ def _once(work: Path, log: str) -> None:
 def _alone(work: Path, log: str) -> None:
     THREADS.set(1)
     pipeline.estimate(work / f"{log}.mcap", work / "body.npz", work / "alone.mcap", Settings())
-    present.report(work / "alone.mcap", work / "alone.html", Settings())
+    views.report(work / "alone.mcap", work / "alone.html", Settings())
 
 
 def _batch(work: Path, logs: Path, workers: int, scheduler: str | None = None) -> float:

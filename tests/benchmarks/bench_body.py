@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bodylog.body.evidence import FLAT, ROTATION, evidence, independent
-from bodylog.body.gp import GP, shortened
-from bodylog.body.train import CANDIDATES, Samples, build, fitted, samples
+from bodylog.body.gp.fit import CANDIDATES, Samples, build, fitted, samples
+from bodylog.body.gp.marginal_likelihood import FLAT, ROTATION, evidence, independent
+from bodylog.body.gp.model import GP, shortened
 from bodylog.types import Array
 
 from .goals import unmeasured

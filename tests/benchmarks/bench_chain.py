@@ -21,8 +21,8 @@ import simplejpeg
 from mcap.writer import CompressionType
 
 from bodylog import pipeline
-from bodylog.body import model as models
-from bodylog.files import sha256, sync
+from bodylog.body import storage as models
+from bodylog.io.atomic_files import sha256, sync
 from bodylog.settings import Settings
 from bodylog.types import Array
 from tests.benchmarks import chain_log, chain_peer

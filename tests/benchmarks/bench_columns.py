@@ -9,9 +9,9 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from bodylog.logs.columns import columns
-from bodylog.logs.containers import open_log
-from bodylog.logs.recording import read
+from bodylog.logs.decode.columns import columns
+from bodylog.logs.formats import open_log
+from bodylog.recording.recording import read
 from bodylog.settings import Settings
 from bodylog.types import Array
 

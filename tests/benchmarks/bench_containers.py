@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from bodylog.logs.chunks import chunk_head
-from bodylog.logs.compression import Buffer
-from bodylog.logs.containers import open_log, payloads
-from bodylog.logs.mapping import mapped
-from bodylog.logs.records import CHUNK, HEAD, MAGIC
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap.chunks import chunk_head
+from bodylog.logs.mcap.records import CHUNK, HEAD, MAGIC
+from bodylog.logs.storage.compression import Buffer
+from bodylog.logs.storage.mmapped import mapped
 from tests.benchmarks.goals import at_least, at_most
 from tests.benchmarks.timing import side_by_side
 

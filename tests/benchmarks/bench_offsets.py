@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from bodylog.body.pairs import joints
-from bodylog.body.residuals import residual, together
-from bodylog.body.sightings import gathered
+from bodylog.body.data.pairs import joints
+from bodylog.body.kinematic.residuals import residual, together
+from bodylog.body.kinematic.sightings import gathered
 from bodylog.kinematics import urdf
 from bodylog.kinematics.identifiability import Offset, offsets
 from bodylog.kinematics.links import CameraHint, Track, find

@@ -12,10 +12,11 @@ from mcap.writer import Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
 
 from bodylog import body
-from bodylog.body import model as models
-from bodylog.logs import annotate, cdr, messages
-from bodylog.logs.cdr import Field
-from bodylog.logs.ros1 import known_definition
+from bodylog.annotating import annotate, messages
+from bodylog.body import storage as models
+from bodylog.logs.decode.ros1_to_cdr import known_definition
+from bodylog.logs.encode import cdr
+from bodylog.logs.encode.cdr import Field
 from bodylog.settings import Settings
 from bodylog.types import Array, BodyModel, Outgoing, Series
 from tests.estimation.conftest import Arm, World, draw

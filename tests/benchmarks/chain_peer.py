@@ -11,8 +11,8 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
-from bodylog.logs.vocabulary import definition
-from bodylog.perception import ranges
+from bodylog.annotating.schemas import definition
+from bodylog.perception.colours import hsv_ranges
 from bodylog.types import Array, BodyModel
 
 _EVERY = 5
@@ -95,7 +95,7 @@ class Output:
 
 def run(log: Path, model: BodyModel, out: Path, compression: CompressionType) -> Array:
     """Replay a log in one pass and write it with the belief in it; the last angles (M,) rad."""
-    wanted = {"effector": ranges.resolve("green", "effector"), "hand": ranges.resolve("red", "hand")}
+    wanted = {"effector": hsv_ranges.resolve("green", "effector"), "hand": hsv_ranges.resolve("red", "hand")}
     belief, count = None, 0
     with log.open("rb") as source, out.open("wb") as target:
         output = Output(Writer(target, compression=compression))
@@ -128,7 +128,7 @@ def _put_belief(output: Output, ns: int, model: BodyModel, belief: Filter) -> No
     output.put("/script/joint_covariance", "bodylog_msgs/msg/Covariance", ns, names=names, data=covariance)
 
 
-def _look(output: Output, ns: int, said: Any, wanted: dict[str, ranges.Range], belief: Filter) -> None:
+def _look(output: Output, ns: int, said: Any, wanted: dict[str, hsv_ranges.Range], belief: Filter) -> None:
     for name, place in find(_picture(said), wanted).items():
         point = {"x": float(place[0]), "y": float(place[1]), "z": 0.0}
         output.put(f"/script/{name}", "geometry_msgs/msg/PointStamped", ns, point=point)
@@ -144,11 +144,11 @@ def _picture(said: Any) -> Array:
     return np.asarray(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
 
 
-def find(picture: Array, wanted: dict[str, ranges.Range]) -> dict[str, Array]:
+def find(picture: Array, wanted: dict[str, hsv_ranges.Range]) -> dict[str, Array]:
     """The centroid (2,) px of each colour's largest component, where there is one."""
     hsv, found = cv2.cvtColor(picture, cv2.COLOR_BGR2HSV), {}
     for name, colour in wanted.items():
-        count, _, stats, centroids = cv2.connectedComponentsWithStats(ranges.mask(hsv, colour))
+        count, _, stats, centroids = cv2.connectedComponentsWithStats(hsv_ranges.mask(hsv, colour))
         if count > 1:
             found[name] = centroids[1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))]
     return found

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body import model as files
-from bodylog.body import tested
-from bodylog.body.kinematic import learn
-from bodylog.body.kinematic_gp import KinematicGP
-from bodylog.body.offsets import learned as offsets
+from bodylog.body import storage as files
+from bodylog.body import test_scores
+from bodylog.body.kinematic.learn import learn
+from bodylog.body.kinematic.model import KinematicGP
+from bodylog.body.kinematic.offsets import learned as offsets
 from bodylog.settings import Settings
 from bodylog.types import Features, Series
 from tests.body.test_kinematic import DEGREE, OFFSETS, _bent, given
@@ -108,7 +108,7 @@ def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
 
 def test_a_board_is_scored_on_other_poses_as_one(learned):
     other = features(robots.angles(30, seed=21), seed=5)
-    scores = {score.name: score.value for score in tested.score(learned.model, [other])[0]}
+    scores = {score.name: score.value for score in test_scores.score(learned.model, [other])[0]}
     each = [k for k in range(12) if f"test_sightings/board.{k}" in scores]
     assert scores["test_sightings/board"] == sum(scores[f"test_sightings/board.{k}"] for k in each)
     assert scores["test_rmse/board"] < 1.0 and 80.0 < scores["test_coverage/board"] <= 100.0

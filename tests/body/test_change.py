@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog import body, changed
-from bodylog.body import change
-from bodylog.body.kinematic import Robotics, learn
+from bodylog import body, change_findings
+from bodylog.body.kinematic import change
+from bodylog.body.kinematic.learn import Robotics, learn
+from bodylog.fault_findings import named
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import CameraHint
-from bodylog.remarks import named
 from bodylog.settings import Estimation, Settings
 from bodylog.types import Fault, Features, Series
 from tests.kinematics import robots
@@ -100,7 +100,7 @@ def _estimate(features, known, **settings):
 
     chosen = Settings(estimate=Estimation(**settings))
     found = pipeline.infer(features, known, chosen)
-    return found, changed.compared(features, known, found, chosen.estimate)
+    return found, change_findings.compared(features, known, found, chosen.estimate)
 
 
 def test_an_estimate_names_it_once_with_its_std(known):
@@ -127,7 +127,7 @@ def test_nothing_is_laid_to_joints_of_what_a_camera_shows_once_it_was_pushed(kno
     features = replace(features, tracks={"effector": pushed})
     assert change.changes(features, known)
     displaced = replace(found, faults=(Fault("vision", "camera", "displaced", 7.0, 17.0, "px", 0.2),))
-    assert changed.compared(features, known, displaced, Estimation()).faults == displaced.faults
+    assert change_findings.compared(features, known, displaced, Estimation()).faults == displaced.faults
 
 
 def test_who_asks_for_no_offset_is_told_of_none(known):
@@ -139,7 +139,7 @@ def test_sizes_that_differ_are_both_said(known):
     found, _ = _estimate(run(), known)
     (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
     other = replace(found, faults=(Fault("encoders", "elbow", "drifting", 0.1, 0.2, "rad"),))
-    faults, findings = changed.merged([one], other)
+    faults, findings = change_findings.merged([one], other)
     assert [fault.kind for fault in faults] == ["offset"]
     assert any("by the filter its offset is 0.2 rad" in finding.text for finding in findings)
 
@@ -147,7 +147,7 @@ def test_sizes_that_differ_are_both_said(known):
 def test_what_cannot_be_told_apart_is_named_together(known):
     found, _ = _estimate(run(), known)
     (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
-    (fault,), _ = changed.merged([replace(one, rivals=("camera",))], found)
+    (fault,), _ = change_findings.merged([replace(one, rivals=("camera",))], found)
     assert fault.name == "elbow or camera" and fault.size != fault.size and fault.std is None
 
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bodylog.body.coverage import findings, influence, scores
-from bodylog.body.pairs import joints
-from bodylog.body.train import samples, train
+from bodylog.body.data.pairs import joints
+from bodylog.body.exploration_report import findings, influence, scores
+from bodylog.body.gp.fit import samples, train
 from bodylog.types import Noise
 
 

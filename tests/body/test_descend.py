@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bodylog.body.descend import descend
+from bodylog.body.gp.bfgs import descend
 from bodylog.types import Array
 
 

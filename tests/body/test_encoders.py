@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bodylog.body.encoders import Polynomial
+from bodylog.body.senses.encoder_function import Polynomial
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bodylog.body.evidence import (
+from bodylog.body.gp.marginal_likelihood import (
     FLAT,
     ROTATION,
     Hyper,
@@ -16,7 +16,7 @@ from bodylog.body.evidence import (
     maximise,
     starts,
 )
-from bodylog.body.gp import se
+from bodylog.body.gp.model import se
 from bodylog.types import Array
 
 

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bodylog.body.evidence import Hyper, independent
-from bodylog.body.gp import GP, MISFIT, NEGLIGIBLE, se, shortened
-from bodylog.body.train import Fitted, Samples, assemble, samples, train
+from bodylog.body.gp.fit import Fitted, Samples, assemble, samples, train
+from bodylog.body.gp.marginal_likelihood import Hyper, independent
+from bodylog.body.gp.model import GP, MISFIT, NEGLIGIBLE, se, shortened
 
 
 def _random(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> GP:

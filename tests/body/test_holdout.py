@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from bodylog.body.evidence import Hyper, Spread, independent
-from bodylog.body.gp import se
-from bodylog.body.holdout import residuals
-from bodylog.body.train import Fitted, Samples
+from bodylog.body.gp.cross_validation import residuals
+from bodylog.body.gp.fit import Fitted, Samples
+from bodylog.body.gp.marginal_likelihood import Hyper, Spread, independent
+from bodylog.body.gp.model import se
 
 
 @pytest.mark.parametrize("count", [60, 600])

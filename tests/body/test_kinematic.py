@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body import model as files
-from bodylog.body.evidence import Hyper, cholesky, independent
-from bodylog.body.explicit import Rows, evidence, held_out, solved
-from bodylog.body.gp import GP, se
-from bodylog.body.kinematic import Robotics, learn
-from bodylog.body.kinematic_gp import KinematicGP
+from bodylog.body import storage as files
+from bodylog.body.gp.marginal_likelihood import Hyper, cholesky, independent
+from bodylog.body.gp.model import GP, se
+from bodylog.body.kinematic.explicit import Rows, evidence, held_out, solved
+from bodylog.body.kinematic.learn import Robotics, learn
+from bodylog.body.kinematic.model import KinematicGP
 from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import CameraHint
@@ -124,10 +124,10 @@ BROKEN = {
 
 @pytest.mark.parametrize("field", BROKEN)
 def test_a_file_that_contradicts_itself_is_refused_by_field(learned, tmp_path, field, monkeypatch):
-    from bodylog.body import kinematic_file
+    from bodylog.body.kinematic import storage
 
-    arrays = kinematic_file.arrays
-    monkeypatch.setattr(kinematic_file, "arrays", lambda one: (a := arrays(one)) | {field: BROKEN[field](a[field])})
+    arrays = storage.arrays
+    monkeypatch.setattr(storage, "arrays", lambda one: (a := arrays(one)) | {field: BROKEN[field](a[field])})
     files.save(learned.model, tmp_path / "body.npz")
     with pytest.raises(ModelError, match="field effector"):
         files.load(tmp_path / "body.npz")

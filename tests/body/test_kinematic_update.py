@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body import kinematic_update
-from bodylog.body.kinematic import learn
-from bodylog.body.kinematic_gp import KinematicGP
+from bodylog.body.kinematic import update
+from bodylog.body.kinematic.learn import learn
+from bodylog.body.kinematic.model import KinematicGP
 from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.pose import based
@@ -61,7 +61,7 @@ def test_a_camera_that_was_moved_is_named_and_the_chain_not_used(known):
     turned = replace(track, values=track.values[:, ::-1] * [1.3, -1.0] + [40.0, 300.0])
     moved = replace(more, tracks={"effector": turned})
     hopeful = body.learn([moved], Settings(), {}, known, hopeful=True)
-    found = kinematic_update.learn([moved], Settings(), hopeful, known)
+    found = update.learn([moved], Settings(), hopeful, known)
     assert found.model is hopeful.model and "the URDF is not used" in found.findings[-1].text
     with pytest.raises(EvidenceError, match="no track teaches a body"):
         body.with_kinematics([moved], Settings(), hopeful, None, known)

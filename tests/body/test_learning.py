@@ -7,13 +7,13 @@ import pytest
 
 from bodylog import perception
 from bodylog.body import Polynomial, learn
+from bodylog.body.data.pairs import joints, moves, pairs
 from bodylog.body.learning import Learned
-from bodylog.body.model import load, save
-from bodylog.body.pairs import joints, moves, pairs
-from bodylog.body.sense import sense
+from bodylog.body.senses.track import sense
+from bodylog.body.storage import load, save
 from bodylog.errors import EvidenceError, ModelError
 from bodylog.estimation import estimate
-from bodylog.logs import recording
+from bodylog.recording import recording
 from bodylog.settings import Body, Estimation, Fit, Settings
 from bodylog.types import Array, Features, Series, TouchConstants
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.body.encoders import Polynomial
-from bodylog.body.model import load, save
-from bodylog.body.train import samples, train
+from bodylog.body.gp.fit import samples, train
+from bodylog.body.senses.encoder_function import Polynomial
+from bodylog.body.storage import load, save
 from bodylog.errors import ModelError, OutputError
 from bodylog.types import BodyModel, Noise, TouchConstants
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bodylog.body.noise import learned, pooled
-from bodylog.body.smooth import Motion
-from bodylog.body.train import samples, train
+from bodylog.body.data.angle_smoother import Motion
+from bodylog.body.gp.fit import samples, train
+from bodylog.body.noise_estimates import learned, pooled
 from bodylog.types import Noise
 
 

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.body.pairs import coupled, joints, moves, pairs
+from bodylog.body.data.pairs import coupled, joints, moves, pairs
 from bodylog.errors import ConfigError, LogError
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog import body, pipeline
-from bodylog.body import model
+from bodylog.body import storage
 from bodylog.settings import Body, Settings
 from bodylog.types import Features, Series
 
@@ -38,8 +38,8 @@ def test_what_joints_are_off_by_is_learned_from_what_tracks_err_alike(seed, tmp_
     learned = np.sqrt(found.model.noise.encoder)
     assert np.all(np.abs(np.log(learned / std)) < 0.3)
     assert all(0 < e < v for e, v in zip(found.model.noise.std_error["encoder"], learned**2, strict=True))
-    model.save(found.model, tmp_path / "body.npz")
-    np.testing.assert_allclose(model.load(tmp_path / "body.npz").provenance["pose_std"], learned)
+    storage.save(found.model, tmp_path / "body.npz")
+    np.testing.assert_allclose(storage.load(tmp_path / "body.npz").provenance["pose_std"], learned)
 
 
 def test_what_models_of_too_few_poses_err_alike_is_laid_to_no_encoder():
@@ -66,7 +66,7 @@ def motoman(tmp_path_factory):
     for name, part in {"train": [r for k, r in enumerate(rows) if k % 3 != 2], "test": rows[2::3]}.items():
         (folder / f"{name}.csv").write_text("\n".join([head, *part]) + "\n")
     result = pipeline.fit([folder / "train.csv"], folder / "body.npz", Settings(), test=[folder / "test.csv"])
-    return model.load(folder / "body.npz"), pipeline.observe(folder / "test.csv", Settings())[1], result
+    return storage.load(folder / "body.npz"), pipeline.observe(folder / "test.csv", Settings())[1], result
 
 
 def _shifted(features: Features, names, by: np.ndarray) -> Features:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bodylog.body import learn
-from bodylog.body.encoders import Polynomial, understood
 from bodylog.body.learning import Learned
-from bodylog.body.model import load, save
+from bodylog.body.senses.encoder_function import Polynomial, understood
+from bodylog.body.storage import load, save
 from bodylog.errors import ConfigError, EvidenceError, UsageError
 from bodylog.estimation import METHODS, estimate
 from bodylog.settings import Estimation, Settings

@@ -7,8 +7,8 @@ import pytest
 from ruamel.yaml import YAML
 
 from bodylog import body, pipeline
-from bodylog.body import kinematic_update, offsets
-from bodylog.body import model as files
+from bodylog.body import storage as files
+from bodylog.body.kinematic import offsets, update
 from bodylog.errors import ModelError
 from bodylog.settings import Body, Kinematics, Settings
 from tests.body.test_kinematic import features
@@ -68,15 +68,15 @@ def test_a_file_keeps_it_to_the_last_bit_and_names_what_contradicts_itself(learn
             np.testing.assert_allclose(one, row[k], rtol=1e-8, atol=1e-8)
     files.save(found, folder / "again.npz")
     assert (folder / "again.npz").read_bytes() == (folder / "body.npz").read_bytes()
-    from bodylog.body import kinematic_file
+    from bodylog.body.kinematic import storage
 
-    names = kinematic_file.names
+    names = storage.names
 
     def named(scaled):
         return lambda one: {k: v for k, v in (names(one) | {"scales": scaled}).items() if v is not None}
 
     for scaled in ("known", None):
-        monkeypatch.setattr(kinematic_file, "names", named(scaled))
+        monkeypatch.setattr(storage, "names", named(scaled))
         files.save(found, folder / "bad.npz")
         with pytest.raises(ModelError, match="kinematics.scales" if scaled else "doubt"):
             files.load(folder / "bad.npz")
@@ -84,7 +84,7 @@ def test_a_file_keeps_it_to_the_last_bit_and_names_what_contradicts_itself(learn
 
 def test_learning_on_begins_with_it(learned):
     sense = files.load(learned[0] / "body.npz").senses["effector"]
-    rig, theta = kinematic_update._whole({"effector": sense})
+    rig, theta = update._whole({"effector": sense})
     assert np.array_equal(theta, sense.theta) and len(rig.prior[0]) == len(theta)
 
 

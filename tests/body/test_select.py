@@ -1,7 +1,7 @@
 import numpy as np
 
-from bodylog.body.gp import se
-from bodylog.body.select import farthest, pivots, spaced
+from bodylog.body.data.subsampling import farthest, pivots, spaced
+from bodylog.body.gp.model import se
 
 
 def test_farthest_points_cover_better_than_evenly_spaced_ones() -> None:

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body.pairs import joints, moves
-from bodylog.body.shown import shown
-from bodylog.logs import recording
+from bodylog.body.data.exploration import shown
+from bodylog.body.data.pairs import joints, moves
+from bodylog.recording import recording
 from bodylog.settings import Body, Settings
 from bodylog.types import Features, Series
 

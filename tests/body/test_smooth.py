@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bodylog.body.smooth import Chain, Motion, chain, coupling, fit, posterior
+from bodylog.body.data.angle_smoother import Chain, Motion, chain, coupling, fit, posterior
 from bodylog.types import Array
 
 

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from bodylog.body import sparse
-from bodylog.body.evidence import Hyper, Spread, condition, independent
-from bodylog.body.train import Fitted, Samples, assemble, build, condense, samples
+from bodylog.body.gp import inducing
+from bodylog.body.gp.fit import Fitted, Samples, assemble, build, condense, samples
+from bodylog.body.gp.marginal_likelihood import Hyper, Spread, condition, independent
 from bodylog.types import Array
 
 _KERNEL = Hyper(np.array([0.8, 1.2]), 400.0, 0.05)
@@ -37,8 +37,8 @@ def test_bound_is_below_the_evidence_and_meets_it(seed: int) -> None:
     exact = condition(_KERNEL, x, y, spread).evidence
     bounds = []
     for count in (5, 15, 60, 120):
-        base = sparse.basis(_KERNEL, x[:count])
-        bounds.append(sparse.posterior(base, sparse.sums(base, x, y, spread)).bound)
+        base = inducing.basis(_KERNEL, x[:count])
+        bounds.append(inducing.posterior(base, inducing.sums(base, x, y, spread)).bound)
     assert bounds == sorted(bounds) and bounds[-1] <= exact + 1e-3
     assert bounds[-1] == pytest.approx(exact, abs=0.1)
 
@@ -46,12 +46,12 @@ def test_bound_is_below_the_evidence_and_meets_it(seed: int) -> None:
 def test_held_out_is_a_fit_without_the_block() -> None:
     x, y, spread = _data(4, 200)
     spread = independent(spread.diagonal)
-    base = sparse.basis(_KERNEL, x[:40])
+    base = inducing.basis(_KERNEL, x[:40])
     blocks = np.array_split(np.arange(200), 5)
-    residual, variance = sparse.held_out(base, x, y, spread, blocks)
+    residual, variance = inducing.held_out(base, x, y, spread, blocks)
     kept = np.concatenate(blocks[1:])
-    alone = sparse.posterior(base, sparse.sums(base, x[kept], y[kept], independent(spread.diagonal[kept])))
-    cross = sparse.se(x[blocks[0]] / _KERNEL.scales, base.centres / _KERNEL.scales, _KERNEL.amplitude)
+    alone = inducing.posterior(base, inducing.sums(base, x[kept], y[kept], independent(spread.diagonal[kept])))
+    cross = inducing.se(x[blocks[0]] / _KERNEL.scales, base.centres / _KERNEL.scales, _KERNEL.amplitude)
     assert np.allclose(residual[blocks[0]], y[blocks[0]] - cross @ alone.weights.T - alone.mean, atol=1e-6)
     left = _KERNEL.amplitude - np.square(cross @ alone.factor.T).sum(axis=1)
     assert np.allclose(variance[blocks[0]], left + 0.05 + _KERNEL.noise)

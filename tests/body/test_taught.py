@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body.evidence import Hyper
-from bodylog.body.sparse import inducing
+from bodylog.body.gp.inducing import inducing
+from bodylog.body.gp.marginal_likelihood import Hyper
 from bodylog.errors import EvidenceError
 from bodylog.settings import Settings
 from bodylog.types import Array, Features, Health

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body.tested import score
+from bodylog.body.test_scores import score
 from bodylog.errors import EvidenceError, ModelError
 from bodylog.settings import Settings
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.body.touch import learned
+from bodylog.body.senses.touch import learned
 from bodylog.types import Features, Series, Synchrony, Touch
 
 

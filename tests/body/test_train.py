@@ -4,8 +4,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from bodylog.body.evidence import FLAT, ROTATION, evidence, independent
-from bodylog.body.train import Coupling, Samples, assemble, build, fit, fitted, lifted, samples, train
+from bodylog.body.gp.fit import Coupling, Samples, assemble, build, fit, fitted, lifted, samples, train
+from bodylog.body.gp.marginal_likelihood import FLAT, ROTATION, evidence, independent
 from bodylog.types import Array
 
 

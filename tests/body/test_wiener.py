@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bodylog.body.wiener import banded, covariance, log_determinant, precision, selected_inverse, solve, transition
+from bodylog.body.data.wiener import banded, covariance, log_determinant, precision, selected_inverse, solve, transition
 from bodylog.types import Array
 
 

@@ -33,7 +33,7 @@ def test_error_is_near_what_is_attainable_and_error_bars_are_true(
 
 def test_three_containers_of_one_motion_give_one_estimate(tmp_path, capsys, bodylog, arm, arm_body):
     """The bag, the rosbag2 folder, and the bag carried over into an MCAP."""
-    from bodylog.logs.annotated import read_estimate
+    from bodylog.annotating.read_back import read_estimate
 
     assert bodylog("ingest", arm / "reach.bag", "-o", tmp_path / "reach.mcap") == 0
     beliefs = []

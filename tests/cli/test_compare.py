@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from bodylog import comparison
-from bodylog.body import model
+from bodylog import compare
+from bodylog.body import storage
 from bodylog.estimation import METHODS
 from bodylog.estimation.methods import choices
 from bodylog.settings import Estimation, Settings
@@ -32,9 +32,9 @@ def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, bodylog, rob
 
 
 def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, bodylog, robot):
-    body = model.load(robot / "body.npz")
+    body = storage.load(robot / "body.npz")
     noise = replace(body.noise, senses={}, std_error={k: v for k, v in body.noise.std_error.items() if k != "effector"})
-    model.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
+    storage.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
     rows, said = _ran(capsys, bodylog, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
     assert rows == {(method, ("encoders",)) for method in METHODS}
     assert not any("held_out" in row["scores"] for row in said["rows"])
@@ -68,16 +68,16 @@ def test_a_refused_log_that_was_cut_tells_what_it_lost(tmp_path, capsys, bodylog
 def test_what_is_timed_has_run_before(monkeypatch, robot):
     """The pictures withheld first, then all of them: so no row pays for what the first one imports."""
     asked = []
-    inner = comparison.infer
+    inner = compare.infer
 
     def infer(features, learned, settings):
         asked.append((settings.estimate.senses, int(np.isfinite(features.tracks["effector"].values).sum())))
         return inner(features, learned, settings)
 
-    monkeypatch.setattr(comparison, "infer", infer)
+    monkeypatch.setattr(compare, "infer", infer)
     told = []
     settings = Settings(estimate=Estimation(without=("touch",)))
-    rows, _ = comparison.compare(robot / "reach.mcap", robot / "body.npz", settings, None, told.append)
+    rows, _ = compare.compare(robot / "reach.mcap", robot / "body.npz", settings, None, told.append)
     assert told == rows and len(asked) == 2 * len(rows)
     for first, then in zip(asked[::2], asked[1::2], strict=True):
         assert first[0] == then[0] and first[1] < then[1]
@@ -87,7 +87,7 @@ def test_encoders_that_never_spoke_are_no_sense(robot):
     from bodylog.pipeline import observe
 
     _, features = observe(robot / "reach.mcap", Settings())
-    body = model.load(robot / "body.npz")
+    body = storage.load(robot / "body.npz")
     mute = replace(features, joints=replace(features.joints, values=np.full_like(features.joints.values, np.nan)))
     assert choices.subsets(mute, body, Estimation(without=("touch",)))[0] == [("vision",)]
     assert choices.subsets(mute, body, Estimation(senses=("encoders",)))[0] == []

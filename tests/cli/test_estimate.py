@@ -58,7 +58,7 @@ def test_a_word_that_is_none_of_an_options_is_refused(tmp_path, capsys, bodylog,
 
 
 def test_offsets_are_learned_when_asked_or_when_the_evidence_asks(tmp_path, capsys, bodylog, arm, arm_body, drift):
-    from bodylog.logs.annotated import read_estimate
+    from bodylog.annotating.read_back import read_estimate
 
     out = tmp_path / "out.mcap"
     assert read_estimate(drift).bias is not None and read_estimate(drift).faults
@@ -93,7 +93,7 @@ def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, bodylog, drif
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_leaves_an_estimate_of_its_name(tmp_path, capsys, bodylog, arm, arm_body, method):
-    from bodylog.logs.annotated import read_estimate
+    from bodylog.annotating.read_back import read_estimate
 
     out = tmp_path / "out.mcap"
     _, scores = _estimated(capsys, bodylog, arm / "reach.bag", arm_body, out, "--method", method)
@@ -155,12 +155,12 @@ def test_compare_needs_no_truth(tmp_path, capsys, bodylog, arm, arm_body):
 
 def test_what_a_method_refuses_is_left_out_of_the_comparison_and_said(tmp_path, capsys, bodylog, arm, arm_body):
     """A body whose encoders read the square of the distance from the middle of what was explored."""
-    from bodylog.body import Polynomial, model
+    from bodylog.body import Polynomial, storage
 
-    body = model.load(arm_body)
+    body = storage.load(arm_body)
     middle = np.median(body.senses["effector"].samples, axis=0)
     squares = Polynomial(body.joints, np.column_stack([middle**2, -2.0 * middle, np.ones(3)]))
-    model.save(replace(body, senses={**body.senses, "encoders": squares}), tmp_path / "body.npz")
+    storage.save(replace(body, senses={**body.senses, "encoders": squares}), tmp_path / "body.npz")
     (tmp_path / "start.toml").write_text(f"[estimate]\nstart = {middle.tolist()}\n")
     log = spoil(arm / "reach.bag", tmp_path / "log.bag", _nothing, 1.0)
     capsys.readouterr()

@@ -77,7 +77,7 @@ def test_joints_are_those_named_in_that_order_and_frames_every_nth(tmp_path, cap
 
 def test_a_log_added_to_a_body_is_as_good_as_learned_with_the_others(tmp_path, capsys, bodylog, arm, arm_body):
     """In the mean; how sure each is differs, as a body keeps less of a log than the log itself."""
-    from bodylog.body.model import load
+    from bodylog.body.storage import load
 
     both, added = tmp_path / "both.npz", tmp_path / "added.npz"
     _learned(capsys, bodylog, both, arm / "explore.mcap", arm / "reach.bag")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from bodylog.logs import recording
-from bodylog.logs.annotated import read_estimate
-from bodylog.logs.described import described
+from bodylog.annotating.read_back import read_estimate
+from bodylog.recording import recording
+from bodylog.recording.robot_description import described
 from bodylog.settings import Settings
 from tests.conftest import SHARED
 

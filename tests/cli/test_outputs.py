@@ -10,10 +10,10 @@ import pytest
 from bodylog_cli.commands import COMMANDS
 from bodylog_cli.options import Folder, Named, OutputFile, Searched
 
-from bodylog import outputs
+from bodylog.checks import distinct
 from bodylog.errors import UsageError
-from bodylog.outputs import Output, guard
-from bodylog.refusals import distinct
+from bodylog.io import outputs
+from bodylog.io.outputs import Output, guard
 from bodylog.settings import Settings
 from bodylog.sources import TableSource
 

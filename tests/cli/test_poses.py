@@ -28,7 +28,7 @@ def test_poses_are_estimated_scored_compared_and_reported(tables, bodylog, capsy
     capsys.readouterr()
     assert bodylog("evaluate", out, "--json") == 0
     assert "used/side/tip" in capsys.readouterr().out
-    from bodylog.logs.annotated import read_estimate
+    from bodylog.annotating.read_back import read_estimate
 
     found = read_estimate(out)
     order = [found.joints.names.index(name) for name in ("pan", "lift")]

@@ -53,7 +53,7 @@ def annotated(bodylog, robot, tmp_path_factory):
 
 def _whole(read, path):
     """The topics that have messages, after every message has been read, by index and as a stream, and decoded."""
-    from bodylog.logs.containers import open_log
+    from bodylog.logs.formats import open_log
 
     with open_log(path) as log:
         expected = {topic.name: topic.messages for topic in log.topics if topic.messages}
@@ -76,7 +76,7 @@ def test_so_is_what_became_of_a_bag_and_of_an_extract(read, bodylog, arm, arm_bo
 
 
 def test_it_decodes_the_values_we_wrote(read, annotated):
-    from bodylog.logs import annotated as log
+    from bodylog.annotating import read_back as log
 
     estimate, topics = log.read_estimate(annotated), read(annotated)["topics"]
     joints = topics["/bodylog/joint_states"]

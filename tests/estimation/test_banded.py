@@ -11,11 +11,11 @@ from bodylog.estimation import estimate
 from bodylog.estimation.faults.screening import screened
 from bodylog.estimation.inference.assemble import NEVER, START_STD, Assumed, assemble, outset
 from bodylog.estimation.inference.beliefs import given_all, given_past
+from bodylog.estimation.inference.initial_path import OFFSET_STD
 from bodylog.estimation.inference.mixture import inlier
 from bodylog.estimation.inference.motion_model import MotionModel
 from bodylog.estimation.inference.offset_evidence import offset_score
 from bodylog.estimation.inference.offsets import evidence, nats, with_walks
-from bodylog.estimation.inference.outset import OFFSET_STD
 from bodylog.estimation.inference.row_errors import WHITE
 from bodylog.estimation.inference.solver import solve
 from bodylog.estimation.measurements.timeline import timeline

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.inference import brief as briefs
+from bodylog.estimation.inference import knot_problem as briefs
 from bodylog.estimation.inference import pooling
 from bodylog.estimation.inference.folds import Fold
 from bodylog.estimation.inference.scan import Dynamics, Leaps, Readings, scan

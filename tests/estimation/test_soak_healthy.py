@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.logs import recording
+from bodylog.recording import recording
 from bodylog.settings import Estimation, Settings
 from bodylog.types import BodyModel, Features, Noise, Series, TouchConstants
 from tests.estimation.resting import MOTIONS, Drawn, drawn

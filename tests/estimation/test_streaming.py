@@ -14,7 +14,7 @@ import pytest
 from bodylog import body as learning
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate
-from bodylog.estimation.inference import plain
+from bodylog.estimation.inference import scalar_steps
 from bodylog.estimation.inference.instant import Motion, hear
 from bodylog.estimation.inference.scan import Dynamics
 from bodylog.estimation.live.estimator import Belief, Estimator
@@ -380,10 +380,10 @@ def test_an_instant_in_plain_floats_is_that_of_matrices(seed, offsets):
     moved_z, moved_p = motion.move(z, p, 0.013)
     found = hear(motion, moved_z, moved_p, said, var, [])
     process = [float(v) for v in motion._spread[0].diagonal()[m : 2 * m]]
-    ours_z, ours_p = plain.moved(z.tolist(), p.tolist(), 0.013, process, [] if drift is None else drift.tolist())
+    ours_z, ours_p = scalar_steps.moved(z.tolist(), p.tolist(), 0.013, process, [] if drift is None else drift.tolist())
     np.testing.assert_allclose(ours_p, moved_p, atol=1e-12, rtol=0)
-    ours_z, ours_p, nats, d = plain.heard(ours_z, ours_p, said.tolist(), var.tolist())
-    plain.even(ours_p)
+    ours_z, ours_p, nats, d = scalar_steps.heard(ours_z, ours_p, said.tolist(), var.tolist())
+    scalar_steps.even(ours_p)
     np.testing.assert_allclose(ours_z, found.z, atol=1e-12, rtol=0)
     np.testing.assert_allclose(ours_p, found.p, atol=1e-12, rtol=0)
     np.testing.assert_allclose(d, found.encoder_d, atol=1e-12, rtol=0)

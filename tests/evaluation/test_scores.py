@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.estimation import METHODS
 from bodylog.evaluation.scores import scores
-from bodylog.remarks import untold
+from bodylog.fault_findings import untold
 from bodylog.types import Estimate, Health, Series
 
 

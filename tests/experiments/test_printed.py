@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bodylog.body.paper import paper
-from bodylog.body.train import build, samples
+from bodylog.body.gp.fit import build, samples
+from bodylog.body.paper_preset import paper
 from bodylog.estimation.methods import predictive_coding as algorithm
 from bodylog.estimation.methods.grid import Plan, Sense
 from bodylog.estimation.methods.paper_touch import Literal

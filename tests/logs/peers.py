@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
-from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.formats import open_log, payloads
 
 Messages = Counter[tuple[str, int, bytes]]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from bodylog.logs import ahead
-from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap import prefetch
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -25,7 +25,7 @@ def test_processors_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     path.write_bytes(raw)
     read = {}
     for processors in (1, 2):
-        monkeypatch.setattr(ahead, "_processors", lambda count=processors: count)
+        monkeypatch.setattr(prefetch, "_processors", lambda count=processors: count)
         with open_log(path) as log:
             found = [(b.log_ns.tolist(), [bytes(p) for p in payloads(b)]) for b in log.batches()]
             read[processors] = found, log.findings

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError
-from bodylog.logs.ros1 import converter
+from bodylog.logs.decode.ros1_to_cdr import converter
 from bodylog.types import Topic
 
 from .test_transcode import CUSTOM, KINDS, ros1_store, values

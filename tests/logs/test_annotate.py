@@ -5,11 +5,11 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
+from bodylog.annotating import annotate as module
+from bodylog.annotating.annotate import annotate, write
 from bodylog.errors import FormatError, InputError, LogError, UsageError
-from bodylog.logs import annotate as module
-from bodylog.logs.annotate import annotate, write
-from bodylog.logs.append import keepable
-from bodylog.logs.containers import open_log
+from bodylog.logs.formats import open_log
+from bodylog.logs.mcap.prefix import keepable
 
 from .written import (
     START,

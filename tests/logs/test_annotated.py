@@ -3,11 +3,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bodylog.annotating.annotate import annotate, write
+from bodylog.annotating.messages import from_estimate, from_features
+from bodylog.annotating.read_back import describe, read_estimate, read_features, read_metadata
 from bodylog.errors import FormatError, LogError
-from bodylog.logs.annotate import annotate, write
-from bodylog.logs.annotated import describe, read_estimate, read_features, read_metadata
-from bodylog.logs.containers import open_log
-from bodylog.logs.messages import from_estimate, from_features
+from bodylog.logs.formats import open_log
 
 from .written import START, found, source
 
@@ -46,10 +46,10 @@ def test_an_estimate_comes_back_as_it_was(tmp_path, seed):
 
 
 def test_faults_of_a_log_that_had_no_std_are_read(tmp_path, monkeypatch):
-    from bodylog.logs import messages, vocabulary
+    from bodylog.annotating import messages, schemas
 
-    text = vocabulary._PARTS["bodylog_msgs/Fault"]
-    monkeypatch.setitem(vocabulary._PARTS, "bodylog_msgs/Fault", text.replace("float64 std\n", ""))
+    text = schemas._PARTS["bodylog_msgs/Fault"]
+    monkeypatch.setitem(schemas._PARTS, "bodylog_msgs/Fault", text.replace("float64 std\n", ""))
     plain = messages.cdr.serialise
     monkeypatch.setattr(messages.cdr, "serialise", lambda count, fields: plain(count, _without_std(fields)))
     features, estimate = found()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.logs import bag_cut
+from bodylog.logs.rosbag1 import truncated
 from fixtures import by_hand
 
 from .test_salvage import read
@@ -71,20 +71,20 @@ def test_lz4_is_unpacked_as_the_library_does_and_before_a_cut_as_far_as_it_goes(
     raw = b"".join(rng.choices(pieces, k=600))
     how = {name: bool(seed >> bit & 1) for bit, name in enumerate(("block_linked", "block_checksum", "store_size"))}
     packed = lz4.frame.compress(raw, block_size=4 + seed % 4, **how)
-    assert bag_cut.unpacked(bag_cut.Cut("lz4", memoryview(packed), 1 << 30)) == raw
+    assert truncated.unpacked(truncated.Cut("lz4", memoryview(packed), 1 << 30)) == raw
     lengths = []
     for cut in sorted(rng.choices(range(len(packed)), k=20)):
-        part = bag_cut.unpacked(bag_cut.Cut("lz4", memoryview(packed)[:cut], 1 << 30))
+        part = truncated.unpacked(truncated.Cut("lz4", memoryview(packed)[:cut], 1 << 30))
         assert raw.startswith(part)
         lengths.append(len(part))
     assert lengths == sorted(lengths) and len(set(lengths)) > 15
-    assert len(bag_cut.unpacked(bag_cut.Cut("lz4", memoryview(packed), 1000))) == 1000
+    assert len(truncated.unpacked(truncated.Cut("lz4", memoryview(packed), 1000))) == 1000
 
 
 def test_a_chunk_that_claims_gigabytes_is_believed_as_far_as_its_bytes_go() -> None:
     whole, start = _bag("lz4"), 13 + 8 + 4096
-    sound = bag_cut.cut_at(memoryview(whole[:6000]), start)
+    sound = truncated.cut_at(memoryview(whole[:6000]), start)
     size = whole.index(b"size=", start) + 5
-    claims = bag_cut.cut_at(memoryview(whole[:size] + b"\xff" * 4 + whole[size + 4 : 6000]), start)
+    claims = truncated.cut_at(memoryview(whole[:size] + b"\xff" * 4 + whole[size + 4 : 6000]), start)
     assert sound is not None and claims is not None
     assert sound.most < 100_000 and claims.most == 64 << 20

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bodylog.logs import cdr
+from bodylog.logs.encode import cdr
 
 VALUES = {
     **{name: (name, None) for name in cdr.PRIMITIVES if name != "bool"},

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.logs.clocks import date, is_sound, largest_gap, repeats, seconds
+from bodylog.recording.clocks import date, is_sound, largest_gap, repeats, seconds
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000

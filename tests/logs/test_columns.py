@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.errors import ConfigError, FormatError
-from bodylog.logs.columns import Columns, columns
+from bodylog.logs.decode.columns import Columns, columns
 from bodylog.types import Batch, Topic
 
 from .writing import T0, joint_state

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from bodylog.logs.chunks import every_record
-from bodylog.logs.containers import open_log, payloads
-from bodylog.logs.records import CHUNK, MESSAGE_INDEX, Record
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap.chunks import every_record
+from bodylog.logs.mcap.records import CHUNK, MESSAGE_INDEX, Record
 
 FOLDER = Path(__file__).parents[2].parent / "shared" / "logs" / "foxglove__mcap"
 FILES = sorted(FOLDER.rglob("*.mcap"))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import LogError
-from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.formats import open_log, payloads
 from bodylog.types import Batch
 
 from . import peers

@@ -11,11 +11,11 @@ from concurrent.futures import CancelledError
 import pytest
 from mcap.writer import CompressionType
 
-from bodylog import temporary
+from bodylog.annotating import annotate, background_copy
+from bodylog.annotating.background_copy import Copy
 from bodylog.errors import LogError, WriteError
-from bodylog.files import sha256
-from bodylog.logs import annotate, copying
-from bodylog.logs.copying import Copy
+from bodylog.io import temporary
+from bodylog.io.atomic_files import sha256
 
 from .written import outgoing, source
 
@@ -24,7 +24,7 @@ PIECE = 8192
 
 @pytest.fixture(autouse=True)
 def small_pieces(monkeypatch):
-    monkeypatch.setattr(copying, "_PIECE", PIECE)
+    monkeypatch.setattr(background_copy, "_PIECE", PIECE)
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def log(tmp_path):
 
 def meanwhile(monkeypatch, what):
     """Do something when the second piece of the log has been read."""
-    whole = copying.pieces
+    whole = background_copy.pieces
 
     def interrupted(path, size):
         for number, piece in enumerate(whole(path, size)):
@@ -42,14 +42,14 @@ def meanwhile(monkeypatch, what):
             if number == 1:
                 what()
 
-    monkeypatch.setattr(copying, "pieces", interrupted)
+    monkeypatch.setattr(background_copy, "pieces", interrupted)
 
 
 @pytest.mark.parametrize("direct", [True, False])
 @pytest.mark.parametrize("size", [1, 4095, 4096, PIECE, 3 * PIECE, 10 * PIECE + 5000])
 def test_bytes_and_digest_are_the_sources(tmp_path, monkeypatch, direct, size):
     if not direct:
-        monkeypatch.delattr(copying.os, "O_DIRECT", raising=False)
+        monkeypatch.delattr(background_copy.os, "O_DIRECT", raising=False)
     raw = os.urandom(size)
     (tmp_path / "in").write_bytes(raw)
     for end in {0, 1, size // 2, size}:
@@ -68,7 +68,7 @@ def test_a_short_log_waits_to_be_copied_and_a_long_one_does_not(tmp_path, monkey
         assert (tmp_path / "out").read_bytes() == b""
         copy.begin()
         _until(lambda: (tmp_path / "out").read_bytes() == raw)
-    monkeypatch.setattr(copying, "_LONG", len(raw) - 1)
+    monkeypatch.setattr(background_copy, "_LONG", len(raw) - 1)
     (tmp_path / "out").write_bytes(b"")
     with Copy(tmp_path / "in", tmp_path / "out", len(raw)):
         _until(lambda: (tmp_path / "out").read_bytes() == raw)
@@ -98,7 +98,7 @@ def test_a_folder_is_digested_file_by_file(tmp_path):
 
 def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
     (tmp_path / "in").write_bytes(bytes(100 * PIECE))
-    whole, given = copying.pieces, []
+    whole, given = background_copy.pieces, []
 
     def slow(path, size):
         for piece in whole(path, size):
@@ -106,7 +106,7 @@ def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
             given.append(len(piece))
             yield piece
 
-    monkeypatch.setattr(copying, "pieces", slow)
+    monkeypatch.setattr(background_copy, "pieces", slow)
     with Copy(tmp_path / "in") as copy:
         pass
     assert len(given) <= 2
@@ -128,7 +128,7 @@ def test_a_full_disk_is_told_and_nothing_is_left(tmp_path, log, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(copying.os, "pwrite", full)
+    monkeypatch.setattr(background_copy.os, "pwrite", full)
     with pytest.raises(WriteError, match="No space left"):
         annotate.annotate(log, outgoing(), {}, tmp_path / "out.mcap")
     assert list(tmp_path.iterdir()) == [log]
@@ -180,7 +180,7 @@ def test_what_was_not_finished_takes_nobodys_place(tmp_path, log, done):
 
 def test_a_disk_that_shares_blocks_is_asked_to(log, tmp_path, monkeypatch):
     """Where it can, nothing but what is over after the last whole block is written."""
-    written, plain, asked = [], copying._Target.write, []
+    written, plain, asked = [], background_copy._Target.write, []
 
     def shared(handle, request, told):
         source, offset, size, at = struct.unpack("=qQQQ", told)
@@ -191,12 +191,12 @@ def test_a_disk_that_shares_blocks_is_asked_to(log, tmp_path, monkeypatch):
         written.append(len(piece))
         plain(self, piece, at)
 
-    monkeypatch.setattr(copying.fcntl, "ioctl", shared)
-    monkeypatch.setattr(copying._Target, "write", write)
+    monkeypatch.setattr(background_copy.fcntl, "ioctl", shared)
+    monkeypatch.setattr(background_copy._Target, "write", write)
     out, end = tmp_path / "out.mcap", log.stat().st_size - 5
     out.touch()
     with Copy(log, out, end) as copy:
         assert copy.digest() == sha256(log)
     assert out.read_bytes() == log.read_bytes()[:end]
-    assert asked == [(copying._FICLONERANGE, 0, end // 4096 * 4096, 0)]
+    assert asked == [(background_copy._FICLONERANGE, 0, end // 4096 * 4096, 0)]
     assert sum(written) == end % 4096

@@ -6,7 +6,7 @@ import pytest
 from rosbags.typesys import Stores, get_typestore
 
 from bodylog.errors import FormatError
-from bodylog.logs.definitions import Field, parse
+from bodylog.logs.decode.definitions import Field, parse
 
 TUM = b"""SkinCellData[] data
 ================================================================================

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import LogError, UsageError
-from bodylog.logs.containers import open_log
-from bodylog.logs.doctor import examine, repair
+from bodylog.logs.conversion.examination import examine, repair
+from bodylog.logs.formats import open_log
 
 from . import peers
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.logs.export import export, export_features
-from bodylog.logs.ingest import signals
-from bodylog.logs.recording import read
+from bodylog.recording.recording import read
+from bodylog.recording.tables import export, export_features
+from bodylog.recording.tidy import signals
 from bodylog.settings import Settings
 from bodylog.types import Features, Recording, Series, Stroke, Synchrony, Touch
 

@@ -7,10 +7,10 @@ import pytest
 from mcap.writer import Writer
 
 from bodylog.errors import BodylogError
-from bodylog.logs import resync
-from bodylog.logs.chunks import Loose, following, loose_messages
-from bodylog.logs.containers import open_log, payloads
-from bodylog.logs.records import HEAD, MAGIC, MESSAGE, walk
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap import resync
+from bodylog.logs.mcap.chunks import Loose, following, loose_messages
+from bodylog.logs.mcap.records import HEAD, MAGIC, MESSAGE, walk
 
 SEEDS = range(12)
 

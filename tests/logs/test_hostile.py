@@ -11,11 +11,13 @@ import pytest
 import zstandard
 
 from bodylog.errors import FormatError, LogError
-from bodylog.logs import definitions, recording, unpacked
-from bodylog.logs.containers import open_log, payloads
-from bodylog.logs.images import decoder
-from bodylog.logs.ledger import Ledger
-from bodylog.logs.rosbag2 import metadata_of
+from bodylog.logs.decode import definitions
+from bodylog.logs.diagnostics import Ledger
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.images.messages import decoder
+from bodylog.logs.rosbag2.folder import metadata_of
+from bodylog.logs.storage import zstd_files
+from bodylog.recording import recording
 from bodylog.settings import Input, Settings
 from bodylog.types import Topic
 from fixtures import by_hand
@@ -158,9 +160,10 @@ def test_databases_that_compute_their_rows_are_refused(tmp_path, what):
 
 def test_a_signal_ends_a_query_of_sqlite(tmp_path, monkeypatch):
     """What the progress handler says no to is an interrupt, not damage that is read past."""
-    from bodylog.logs import sqlite, sqlite_rows
+    from bodylog.logs.rosbag2 import rows
+    from bodylog.logs.rosbag2 import sqlite3 as sqlite
 
-    monkeypatch.setattr(sqlite_rows, "_AGAIN", 0.0)
+    monkeypatch.setattr(rows, "_AGAIN", 0.0)
     monkeypatch.setattr(sqlite, "_pages", lambda _store, _source: None)
     by_hand.db3(tmp_path / "x.db3", [("/a", T0 + k, b"\0\1\0\0" + bytes(8)) for k in range(5000)], KIND, None)
     monkeypatch.setattr(sqlite, "_STEPS", 100)
@@ -250,7 +253,7 @@ def _zst(path, data):
 
 def test_a_packed_log_is_looked_at_before_it_is_unpacked(tmp_path, monkeypatch):
     path = _zst(tmp_path / "x.mcap.zst", b"no log" + bytes(20_000_000))
-    monkeypatch.setattr(unpacked, "_PIECE", 1 << 10)
+    monkeypatch.setattr(zstd_files, "_PIECE", 1 << 10)
     with pytest.raises(LogError, match=r"not a log: it begins with b'no log"):
         open_log(path, limits=Input(max_unpacked_gb=1e-3))  # else refused for its size
 

@@ -15,9 +15,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import FormatError
-from bodylog.logs.columns import definition_of
-from bodylog.logs.images import ENCODINGS, decoder, refusal
-from bodylog.logs.layouts import Picker
+from bodylog.logs.decode.columns import definition_of
+from bodylog.logs.decode.layout import Picker
+from bodylog.logs.images.messages import ENCODINGS, decoder, refusal
 from bodylog.types import Frame, Topic
 
 from .writing import T0, cdr, compressed, define, descriptors, header, wire

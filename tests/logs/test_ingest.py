@@ -9,8 +9,8 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from bodylog.errors import LogError, UsageError
-from bodylog.logs.ingest import cut, ingest, signals
-from bodylog.logs.recording import read
+from bodylog.recording.recording import read
+from bodylog.recording.tidy import cut, ingest, signals
 from bodylog.settings import Input, Settings, Time, Topics
 
 from .written import START, by_pybag, by_rosbags, source

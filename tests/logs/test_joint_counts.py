@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog import pipeline
-from bodylog.body import model
-from bodylog.body.offsets import learned
+from bodylog.body import storage
+from bodylog.body.kinematic.offsets import learned
 from bodylog.config import load
 from bodylog.errors import ConfigError
 from bodylog.logs.joint_units import UNIT, joint_unit
@@ -54,7 +54,7 @@ def bodies(tmp_path_factory):
         (folder / f"{k}.csv").write_text(text + "\n")
         settings = Settings(body=Body(unit=unit), kinematics=Kinematics(urdf=str(folder / "arm.urdf")))
         pipeline.fit([folder / f"{k}.csv"], folder / f"{k}.npz", settings)
-        found[unit] = model.load(Path(folder / f"{k}.npz"))
+        found[unit] = storage.load(Path(folder / f"{k}.npz"))
     return found
 
 

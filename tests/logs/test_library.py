@@ -13,7 +13,7 @@ import pytest
 
 import bodylog.logs as logs
 from bodylog.errors import BodylogError, ConfigError, FormatError, UsageError
-from bodylog.logs.definitions import PRIMITIVES, TEXTS
+from bodylog.logs.decode.definitions import PRIMITIVES, TEXTS
 from tests.logs.writing import T0, Stream, cdr, define, header, write
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "containers"

@@ -15,12 +15,12 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
 
 from bodylog.errors import FormatError
-from bodylog.logs.cdr import Field, serialise
-from bodylog.logs.compression import Buffer
-from bodylog.logs.containers import open_log, payloads
-from bodylog.logs.recording import read
-from bodylog.logs.records import CHANNEL, SCHEMA, parse
-from bodylog.logs.ros1 import known_definition
+from bodylog.logs.decode.ros1_to_cdr import known_definition
+from bodylog.logs.encode.cdr import Field, serialise
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap.records import CHANNEL, SCHEMA, parse
+from bodylog.logs.storage.compression import Buffer
+from bodylog.recording.recording import read
 from bodylog.settings import Settings
 from bodylog.types import Frame
 

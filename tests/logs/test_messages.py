@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bodylog.logs.messages import escape, from_joints, from_skin, unescape
-from bodylog.logs.vocabulary import WRITTEN, definition
+from bodylog.annotating.messages import escape, from_joints, from_skin, unescape
+from bodylog.annotating.schemas import WRITTEN, definition
 from bodylog.types import Series
 
 from .written import JOINTS, LATE, START, found, outgoing

@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import FormatError
-from bodylog.logs.columns import columns
-from bodylog.logs.stamps import stamp_field
+from bodylog.logs.decode.columns import columns
+from bodylog.recording.stamp_field import stamp_field
 from bodylog.types import Topic
 
 from .test_columns import Messages

@@ -7,8 +7,8 @@ import struct
 import numpy as np
 import pytest
 
-from bodylog.logs import objects_alike
-from bodylog.logs.columns import columns
+from bodylog.logs.decode import objects_alike
+from bodylog.logs.decode.columns import columns
 
 from .test_columns import Messages
 from .test_objects import STATE, topic

@@ -3,7 +3,7 @@
 import pytest
 
 from bodylog.errors import ConfigError
-from bodylog.logs.paths import Only, Path, Range, parse, steps
+from bodylog.logs.decode.message_path import Only, Path, Range, parse, steps
 
 
 @pytest.mark.parametrize(

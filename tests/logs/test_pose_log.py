@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError, InputError, LogError
-from bodylog.logs import recording
-from bodylog.logs.containers import open_log
-from bodylog.logs.pose_columns import poses
-from bodylog.logs.table_file import read
+from bodylog.logs.formats import open_log
+from bodylog.logs.tables.pose_columns import poses
+from bodylog.logs.tables.table_file import read
 from bodylog.pipeline import ingest, observe
+from bodylog.recording import recording
 from bodylog.settings import Body, Settings
 
 NAMES = ("pan", "lift")

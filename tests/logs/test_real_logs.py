@@ -10,11 +10,11 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.errors import BodylogError
-from bodylog.logs.columns import Columns, columns, definition_of
-from bodylog.logs.containers import open_log, payloads
-from bodylog.logs.definitions import PRIMITIVES, TEXTS, TIMES, Definition
-from bodylog.logs.images import COMPRESSED, RAW, decoder
-from bodylog.logs.recording import info, read
+from bodylog.logs.decode.columns import Columns, columns, definition_of
+from bodylog.logs.decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.images.messages import COMPRESSED, RAW, decoder
+from bodylog.recording.recording import info, read
 from bodylog.settings import Settings
 from bodylog.types import Topic
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import BodylogError, FormatError
-from bodylog.logs import images
-from bodylog.logs.containers import Log, open_log, payloads
+from bodylog.logs.formats import Log, open_log, payloads
+from bodylog.logs.images import messages
 from bodylog.types import Array, Topic
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "logs"
@@ -28,7 +28,7 @@ def test_the_first_picture_of_every_recorded_topic_is_that_of_rosbags_image() ->
             continue
         with log:
             for topic in log.topics:
-                if topic.type in images.COMPRESSED + images.RAW and (message := _first(log, topic)) is not None:
+                if topic.type in messages.COMPRESSED + messages.RAW and (message := _first(log, topic)) is not None:
                     met |= _compared(peer, topic, *message)
     assert met >= FOUND
 
@@ -49,7 +49,7 @@ def _first(log: Log, topic: Topic) -> tuple[bytes, Any] | None:
 def _compared(peer: Any, topic: Topic, payload: bytes, message: Any) -> set[str]:
     """The encoding, once both give the same picture; nothing where both refuse it."""
     try:
-        ours: Array = images.decoder(topic)(payload, 1)
+        ours: Array = messages.decoder(topic)(payload, 1)
     except FormatError:
         with pytest.raises((AssertionError, TypeError)):
             peer.message_to_cvimage(message, "bgr8")

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import BodylogError, ConfigError, FormatError, LogError
-from bodylog.logs import ahead
-from bodylog.logs.recording import info, read
+from bodylog.logs.mcap import prefetch
+from bodylog.recording.recording import info, read
 from bodylog.settings import Body, Settings, Time, Topics
 from bodylog.types import Frame
 
@@ -290,8 +290,10 @@ def test_nobody_is_told_where_there_is_no_camera_or_what_it_shows_is_in_the_log(
 def test_each_chunk_is_unpacked_once_for_signals_and_pictures_and_none_is_kept(tmp_path, monkeypatch):
     noise = np.random.default_rng(1).integers(0, 256, (80, 80, 3), np.uint8)
     unpacked = []
-    whole = ahead.unpack
-    monkeypatch.setattr(ahead, "unpack", lambda data, chunk, to: unpacked.append(chunk.start) or whole(data, chunk, to))
+    whole = prefetch.unpack
+    monkeypatch.setattr(
+        prefetch, "unpack", lambda data, chunk, to: unpacked.append(chunk.start) or whole(data, chunk, to)
+    )
     peaks = []
     for count in (100, 100, 500):
         rows = [(T0 + 40 * MS * i, compressed(T0 + 40 * MS * i, noise)) for i in range(count)]

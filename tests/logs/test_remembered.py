@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from bodylog.logs.annotate import annotate
-from bodylog.logs.messages import from_features, from_joints
-from bodylog.logs.recording import info, read
+from bodylog.annotating.annotate import annotate
+from bodylog.annotating.messages import from_features, from_joints
+from bodylog.recording.recording import info, read
 from bodylog.settings import Body, Settings, Time, Topics
 
 from .written import START, found, source

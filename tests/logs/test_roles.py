@@ -5,9 +5,9 @@ import tomllib
 import pytest
 
 from bodylog.errors import ConfigError, LogError
-from bodylog.logs.cameras import camera_name
-from bodylog.logs.offers import advice, unreadable, unused_cameras, unused_joints
-from bodylog.logs.roles import roles
+from bodylog.recording.cameras import camera_name
+from bodylog.recording.role_hints import advice, unreadable, unused_cameras, unused_joints
+from bodylog.recording.roles import roles
 from bodylog.settings import Topics
 from bodylog.types import Topic
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.formats import open_log, payloads
 from fixtures import by_hand
 
 from . import peers

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import LogError
-from bodylog.logs.containers import open_log
+from bodylog.logs.formats import open_log
 from fixtures import by_hand
 
 from . import peers

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import BodylogError, LogError
-from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.formats import open_log, payloads
 from bodylog.types import Finding
 
 FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"

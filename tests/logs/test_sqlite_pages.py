@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import BodylogError
-from bodylog.logs import sqlite, sqlite_rows
-from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.rosbag2 import rows as sqlite_rows
+from bodylog.logs.rosbag2 import sqlite3 as sqlite
 from fixtures.by_hand import db3
 
 START = 1_700_000_000_000_000_000

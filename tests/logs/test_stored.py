@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
-from bodylog.logs import mcap, stored
-from bodylog.logs.containers import open_log, payloads
+from bodylog.logs.formats import open_log, payloads
+from bodylog.logs.mcap import reader, uncompressed
 
 Read = tuple[dict[int, list[tuple[int, bytes]]], list[str]]
 
 
 @pytest.fixture(autouse=True)
 def small_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stored, "_TOGETHER", 60_000)
+    monkeypatch.setattr(uncompressed, "_TOGETHER", 60_000)
 
 
 def _write(path: Path, seed: int) -> bytearray:
@@ -47,14 +47,14 @@ def _read(path: Path) -> Read:
 def _both(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Read]:
     yield _read(path)
     with monkeypatch.context() as alone:
-        alone.setattr(mcap, "together", lambda *_: None)
+        alone.setattr(reader, "together", lambda *_: None)
         yield _read(path)
 
 
 def test_chunks_are_looked_at_together(tmp_path: Path) -> None:
     _write(tmp_path / "a.mcap", 0)
-    with mcap.McapLog(tmp_path / "a.mcap") as log:
-        counts = [len(some) for some in stored.runs(log.survey.parts)]
+    with reader.McapLog(tmp_path / "a.mcap") as log:
+        counts = [len(some) for some in uncompressed.runs(log.survey.parts)]
         messages = [len(found.starts) for _, found in log.messages()]
     assert counts[0] == 1 and max(counts) >= 5 and sum(counts) == len(log.survey.parts)
     assert len(messages) == len(counts) and sum(messages) == 600
@@ -86,7 +86,7 @@ def test_a_damaged_log_reads_the_same(
 def test_indexes_that_lie_are_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str) -> None:
     path = tmp_path / "a.mcap"
     raw = _write(path, 5)
-    with mcap.McapLog(path) as log:
+    with reader.McapLog(path) as log:
         _, chunk = log.survey.parts[1:3]
         at = min(chunk.indexes.values())
     offset = at + 15 + 8

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import ConfigError, LogError
-from bodylog.logs.recording import read
 from bodylog.pipeline import observe
+from bodylog.recording.recording import read
 from bodylog.settings import Settings
 from bodylog.sources import TableSource, TopicSource
 

@@ -9,8 +9,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bodylog.logs.annotate import annotate
-from bodylog.logs.append import ROOT
+from bodylog.annotating.annotate import annotate
+from bodylog.logs.mcap.prefix import ROOT
 
 from .written import START, UNSUITED, amount, by_pybag, by_rosbags, foreign, outgoing, source, streamed
 

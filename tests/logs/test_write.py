@@ -6,8 +6,8 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from bodylog.logs.mcap_write import Messages, gather
-from bodylog.logs.write import CHUNK_BYTES, Contents, Writer
+from bodylog.logs.mcap.encode import Messages, gather
+from bodylog.logs.mcap.writer import CHUNK_BYTES, Contents, Writer
 
 
 def table(channels, rng, count, longest):

@@ -9,7 +9,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 from pybag.mcap.record_reader import McapRecordReaderFactory
 from rosbags.highlevel import AnyReader
 
-from bodylog.logs.messages import from_estimate, from_features
+from bodylog.annotating.messages import from_estimate, from_features
 from bodylog.types import Estimate, Fault, Features, Finding, Health, Poses, Series, Stroke, Synchrony, Touch
 
 START = 1_700_000_000_123_456_789

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError, LogError
-from bodylog.perception.candidates import survey
-from bodylog.report.contact_sheet import Mark, draw
+from bodylog.perception.tracking.candidates import survey
+from bodylog.report.figures.contact_sheet import Mark, draw
 from bodylog.sources import TagSource
 from bodylog.types import Array, Recording, Series
 from tests.perception import scenes

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog.perception import tracking
-from bodylog.perception.tracking.charuco import CharucoTracker, layout
+from bodylog.perception.tags.charuco import CharucoTracker, layout
 from bodylog.sources import CharucoSource
 from bodylog.types import Array
 from tests.perception import tag_scenes

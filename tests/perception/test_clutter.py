@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.logs import recording
-from bodylog.perception import colour, joint_motion, observe, outline
+from bodylog.perception import observe
+from bodylog.perception.colours import colour_tracker, outline
+from bodylog.perception.tracking import joint_motion
+from bodylog.recording import recording
 from bodylog.settings import Settings, Topics
 from bodylog.types import Array, Recording, Series
 from tests.perception import scenes
@@ -66,7 +68,7 @@ def test_a_film_of_one_thing_is_seen_to_the_same_bytes_with_joints_and_without()
     wall = scenes.wall(rng)
     pictures = [scenes.jpeg(scenes.draw(wall, [Disc(*own, RADIUS)], rng)) for own in uv.tolist()]
     frames = scenes.frames(np.arange(60) / 10.0, pictures)
-    one, other = (colour.tracks(colour.look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
+    one, other = (colour_tracker.tracks(colour_tracker.look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
                   for joints in (film.joints, None))  # fmt: skip
     assert one[0]["effector"].values.tobytes() == other[0]["effector"].values.tobytes()
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import ConfigError, FormatError
-from bodylog.perception import blobs, colour, observe, ranges
+from bodylog.perception import observe
+from bodylog.perception.colours import blob_measurement, colour_tracker, hsv_ranges
 from bodylog.settings import Colour, Colours, Settings
 from bodylog.types import Array, Frame, Health, Series
 from tests.perception import scenes
@@ -38,7 +39,7 @@ def _plain(pictures: Sequence[Array]) -> Callable[[], Iterator[Frame]]:
 
 def _track(discs: Sequence[Sequence[Disc]], seed: int, name: str = "green") -> tuple[Series, Health]:
     pictures = scenes.frames(T[: len(discs)], _film(discs, seed))
-    tracks, health, _ = colour.track(pictures, {"it": name})
+    tracks, health, _ = colour_tracker.track(pictures, {"it": name})
     return tracks["it"], health["it"]
 
 
@@ -65,7 +66,7 @@ def test_stated_deviation_is_the_true_one_within_a_third(radius: float, colour_n
     for seed in range(3):
         discs = [[Disc(u, v, radius, paint)] for u, v in PATH]
         pictures = _raw(discs, seed) if raw else scenes.frames(T, _film(discs, seed))
-        track = colour.track(pictures, {"it": colour_name})[0]["it"]
+        track = colour_tracker.track(pictures, {"it": colour_name})[0]["it"]
         assert track.std is not None and np.isfinite(track.std).all()
         true.append(((track.values - PATH) ** 2).mean())
         stated.append((track.std**2).mean())
@@ -81,7 +82,7 @@ def test_stated_deviation_is_the_true_one_over_many_places_a_target_stands_still
         wall, disc = scenes.wall(rng, 128, 128, contrast=4.0), Disc(*place.tolist(), 9.0)
         pictures = [scenes.draw(wall, [disc], rng) for _ in range(8)]
         film = _plain(pictures) if raw else scenes.frames(T[:8], list(map(scenes.jpeg, pictures)))
-        track = colour.track(film, {"it": "green"})[0]["it"]
+        track = colour_tracker.track(film, {"it": "green"})[0]["it"]
         assert track.std is not None
         true.append(((track.values - place) ** 2).mean())
         stated.append((track.std**2).mean())
@@ -93,7 +94,7 @@ def test_a_picture_without_any_noise_is_as_exact() -> None:
     wall = scenes.wall(rng, 96, 96, contrast=0.0)
     for u, v in 48.0 + rng.uniform(-4.0, 4.0, (20, 2)):
         image = scenes.draw(wall, [Disc(u, v, 20.0)], rng, noise=0.0)
-        found = blobs.look([image], [ranges.resolve("green", "it")])[0, 0, 0, :2]
+        found = blob_measurement.look([image], [hsv_ranges.resolve("green", "it")])[0, 0, 0, :2]
         assert np.abs(found - (u, v)).max() < 0.05
 
 
@@ -101,7 +102,7 @@ def test_a_picture_without_any_noise_is_as_exact() -> None:
 def test_at_half_scale_the_track_is_less_exact_and_says_so(seed: int) -> None:
     wide = 2 * PATH
     pictures = scenes.frames(T, _film([[Disc(u, v, 12.0)] for u, v in wide], seed, 640, 480))
-    exact, fast = (colour.track(pictures, {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
+    exact, fast = (colour_tracker.track(pictures, {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
     assert exact.std is not None and fast.std is not None
     error = fast.values - wide
     assert np.median(_errors(exact, wide)) < np.median(np.hypot(*error.T)) < 0.15
@@ -111,7 +112,7 @@ def test_at_half_scale_the_track_is_less_exact_and_says_so(seed: int) -> None:
 
 def test_pictures_that_do_not_shrink_are_seen_whole_at_any_scale() -> None:
     discs = [[Disc(u, v, 9.0)] for u, v in PATH]
-    exact, fast = (colour.track(_raw(discs, 0), {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
+    exact, fast = (colour_tracker.track(_raw(discs, 0), {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
     assert exact.values.tobytes() == fast.values.tobytes()
 
 
@@ -119,7 +120,7 @@ def test_pictures_that_do_not_shrink_are_seen_whole_at_any_scale() -> None:
 def test_shading_does_not_pull_the_centre(seed: int) -> None:
     wide = 2 * PATH
     discs = [[Disc(u, v, 14.0, scenes.GREEN, shade=0.25)] for u, v in wide]
-    tracks, _, _ = colour.track(scenes.frames(T, _film(discs, seed, 640, 480)), {"it": "green"})
+    tracks, _, _ = colour_tracker.track(scenes.frames(T, _film(discs, seed, 640, 480)), {"it": "green"})
     assert np.median(_errors(tracks["it"], wide)) < 0.15
 
 
@@ -197,7 +198,7 @@ def test_every_named_shape_becomes_a_track() -> None:
 
 def test_a_colour_never_seen_is_named_with_what_was_seen_instead() -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
-    _, _, findings = colour.track(pictures, {"effector": "green"})
+    _, _, findings = colour_tracker.track(pictures, {"effector": "green"})
     (finding,) = findings
     assert finding.severity == "warning"
     assert "effector: 'green' was never found in 5 pictures; seen: yellow" in finding.text
@@ -207,7 +208,7 @@ def test_a_colour_never_seen_is_named_with_what_was_seen_instead() -> None:
 @pytest.mark.parametrize("other", ["yellow", {"low": (20, 90, 50), "high": (36, 255, 255)}])
 def test_a_colour_another_feature_uses_is_never_proposed(other: Colour) -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
-    _, _, findings = colour.track(pictures, {"effector": other, "hand": "red"})
+    _, _, findings = colour_tracker.track(pictures, {"effector": other, "hand": "red"})
     (finding,) = findings
     assert finding.text.startswith("hand: 'red' was never found in 5 pictures; seen: yellow")
     assert "type:" not in finding.text
@@ -227,13 +228,13 @@ def test_a_picture_that_cannot_be_decoded_is_a_gap_and_a_loss() -> None:
 
     whole = list(scenes.frames(T[:9], _film([[Disc(u, v, 6.0)] for u, v in PATH[:9]], 0))())
     frames = [replace(frame, decode=broken) if i == 3 else frame for i, frame in enumerate(whole)]
-    tracks, health, findings = colour.track(lambda: iter(frames), {"effector": "green"})
+    tracks, health, findings = colour_tracker.track(lambda: iter(frames), {"effector": "green"})
     assert health["effector"].rejected == {"undecodable picture": 1}
     assert np.isnan(tracks["effector"].values[3]).all()
     (lost,) = findings
     why = "the first for this: log.mcap: /camera: picture 3: not a JPEG"
     assert (lost.severity, lost.text) == ("lost", f"1 of 9 pictures could not be decoded, {why}")
-    _, _, none = colour.track(lambda: (replace(frame, decode=broken) for frame in whole), {"effector": "green"})
+    _, _, none = colour_tracker.track(lambda: (replace(frame, decode=broken) for frame in whole), {"effector": "green"})
     assert [finding.severity for finding in none] == ["lost"], "what was not looked at has no colour to propose"
 
 
@@ -251,7 +252,7 @@ def test_pictures_are_decoded_a_bounded_number_ahead_and_the_threads_end() -> No
         done[0] += more
 
     before = active_count()
-    colour.track(source, {"effector": "green"}, count)
+    colour_tracker.track(source, {"effector": "green"}, count)
     assert done[0] == 200
     assert furthest[0] <= 32
     assert active_count() == before
@@ -259,19 +260,19 @@ def test_pictures_are_decoded_a_bounded_number_ahead_and_the_threads_end() -> No
 
 def test_same_pictures_same_bytes() -> None:
     film = _film([[Disc(u, v, 6.0)] for u, v in PATH], 0)
-    first, second = (colour.track(scenes.frames(T, film), {"it": "green"})[0]["it"] for _ in range(2))
+    first, second = (colour_tracker.track(scenes.frames(T, film), {"it": "green"})[0]["it"] for _ in range(2))
     assert first.values.tobytes() == second.values.tobytes()
     assert first.std is not None and second.std is not None and first.std.tobytes() == second.std.tobytes()
 
 
 def test_an_unknown_colour_names_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"colours\.effector: found 'gren'; possible: red, .*type: effector = .green"):
-        colour.track(lambda: iter(()), {"effector": "gren"})
+        colour_tracker.track(lambda: iter(()), {"effector": "gren"})
 
 
 @pytest.mark.parametrize("log", ["explore.mcap", "reach.mcap", "touch.mcap", "touch_async.mcap"])
 def test_arm_logs_are_tracked_as_truth_has_it(log: str) -> None:
-    from bodylog.logs.recording import read
+    from bodylog.recording.recording import read
 
     path = SHARED / "arm" / log
     if not path.exists():
@@ -297,12 +298,12 @@ def test_what_else_stands_in_the_surround_does_not_pull_the_centre() -> None:
         wall = scenes.wall(rng, contrast=4.0)
         wall[: round(v), round(u) - 8 : round(u) + 9] = 150.0
         image = scenes.draw(wall, [Disc(u, v, 9.0, scenes.RED)], rng)
-        errors.append(blobs.look([image], [ranges.resolve("red", "it")])[0, 0, 0, :2] - (u, v))
+        errors.append(blob_measurement.look([image], [hsv_ranges.resolve("red", "it")])[0, 0, 0, :2] - (u, v))
     assert np.abs(np.mean(errors, axis=0)).max() < 0.02
 
 
 def test_stated_deviation_holds_on_logs_of_a_moving_arm_and_hand() -> None:
-    from bodylog.logs.recording import read
+    from bodylog.recording.recording import read
 
     if not (SHARED / "arm").exists():
         pytest.skip(f"{SHARED / 'arm'} is not here")
@@ -316,7 +317,7 @@ def test_stated_deviation_holds_on_logs_of_a_moving_arm_and_hand() -> None:
 
 
 def test_the_yellow_disc_is_tracked_in_every_real_picture() -> None:
-    from bodylog.logs.recording import read
+    from bodylog.recording.recording import read
 
     path = SHARED / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
     if not path.exists():
@@ -344,6 +345,6 @@ def test_further_cameras_look_for_what_is_on_the_arm_and_name_it_by_camera() -> 
 
 def test_a_colour_a_further_camera_never_saw_is_told_with_its_name_and_the_setting_to_type() -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
-    _, _, (finding,) = colour.track(pictures, {"side/effector": "green"})
+    _, _, (finding,) = colour_tracker.track(pictures, {"side/effector": "green"})
     assert finding.text.startswith("side/effector: 'green' was never found in 5 pictures")
     assert finding.text.endswith('type: [colours] effector = "yellow"')

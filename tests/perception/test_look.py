@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from bodylog.errors import LogError
-from bodylog.perception import ranges
-from bodylog.perception.look import Looking, Seen
+from bodylog.perception.colours import hsv_ranges
+from bodylog.perception.tracking.frame_search import Looking, Seen
 from bodylog.types import Array, Frame, Watched
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
-GREEN = [ranges.resolve("green", "it")]
+GREEN = [hsv_ranges.resolve("green", "it")]
 
 
 def look(frames: Iterator[Frame], threads: int, number: Array | None = None) -> Seen:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import EvidenceError, FormatError
-from bodylog.perception.tracking import points
+from bodylog.perception.points import points
 from bodylog.sources import PointSource
 from bodylog.types import Array, Frame
 from tests.perception import tag_scenes

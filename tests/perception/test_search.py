@@ -4,8 +4,8 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.perception import blobs, search
-from bodylog.perception.ranges import between, resolve
+from bodylog.perception.colours import blob_measurement, coarse_search
+from bodylog.perception.colours.hsv_ranges import between, resolve
 from bodylog.types import Array
 
 from . import scenes
@@ -30,10 +30,10 @@ def test_blobs_are_the_same(size: tuple[int, int]) -> None:
     rng, (width, height) = np.random.default_rng(size[0]), size
     discs = [scenes.Disc(0.3 * width, 0.4 * height, 11.0), scenes.Disc(0.7 * width, 0.5 * height, 9.0, scenes.RED)]
     picture = scenes.draw(scenes.wall(rng, width, height, 4.0), discs, rng)
-    expected = blobs.look([picture], RANGES)
+    expected = blob_measurement.look([picture], RANGES)
     for form, kept in _kept(picture).items():
         np.testing.assert_array_equal(kept, picture, form)
-        np.testing.assert_array_equal(blobs.look([kept], RANGES), expected, form)
+        np.testing.assert_array_equal(blob_measurement.look([kept], RANGES), expected, form)
     assert np.isfinite(expected[0, :, 0]).all() or min(size) < 90
 
 
@@ -41,7 +41,7 @@ def test_windows_keep_no_picture() -> None:
     rng = np.random.default_rng(1)
     picture = scenes.draw(scenes.wall(rng, 320, 240, 4.0), [scenes.Disc(160, 120, 11.0)], rng)
     for kept in (picture, *_kept(picture).values()):
-        found = list(search.windows({0: kept}, RANGES))
+        found = list(coarse_search.windows({0: kept}, RANGES))
         assert found and not any(np.shares_memory(window.pixels, kept) for window in found)
 
 
@@ -54,9 +54,9 @@ def test_pictures_searched_together_show_what_each_alone_does(seed: int) -> None
         discs = [scenes.Disc(rng.uniform(0, width), v, 14.0) for v in (0.0, height - 1.0)]
         picture = scenes.draw(scenes.wall(rng, width, height, 4.0), discs, rng)
         pictures.append(list(_kept(picture).values())[number % 2])
-    together, count = list(search.windows(dict(enumerate(pictures)), RANGES)), 0
+    together, count = list(coarse_search.windows(dict(enumerate(pictures)), RANGES)), 0
     for number, picture in enumerate(pictures):
-        alone = list(search.windows({number: picture}, RANGES))
+        alone = list(coarse_search.windows({number: picture}, RANGES))
         same = [window for window in together if window.picture == number]
         count += len(same)
         for ours, expected in zip(same, alone, strict=True):
@@ -73,7 +73,7 @@ def test_narrow_ranges_are_found_wherever_they_lie_among_the_colours(seed: int) 
         picture = scenes.draw(scenes.wall(rng, 160, 120, 4.0), [scenes.Disc(80, 60, 9.0, (b, g, r))], rng)
         low, high = (max(s - 30, 90), max(v - 30, 50)), (min(s + 30, 255), min(v + 30, 255))
         about = between(((h - 4) % 180, *low), ((h + 4) % 180, *high))
-        found = blobs.look([picture], [about])[0, 0, 0]
+        found = blob_measurement.look([picture], [about])[0, 0, 0]
         assert np.hypot(*(found[:2] - (80, 60))) < 0.5, (h, s, v)
 
 
@@ -85,5 +85,5 @@ def test_as_many_colours_as_are_wanted_are_told_apart() -> None:
     discs = [scenes.Disc(*at, 10.0, (b, g, r)) for at, (b, g, r) in zip(places, paints, strict=True)]
     picture = scenes.draw(scenes.wall(rng, 400, 240, 2.0), discs, rng, noise=0.5)
     wanted = [between(((h - 4) % 180, 90, 50), ((h + 4) % 180, 255, 255)) for h in hues]
-    found = blobs.look([picture], wanted)[0, :, 0, :2]
+    found = blob_measurement.look([picture], wanted)[0, :, 0, :2]
     assert np.abs(found - places).max() < 0.3

@@ -39,7 +39,7 @@ def _log(folder: Path, scenario: str, seed: int, **wishes: Any) -> tuple[Feature
     from mcap_ros2.decoder import DecoderFactory
 
     from bodylog import sim
-    from bodylog.logs.recording import read
+    from bodylog.recording.recording import read
 
     path = folder / f"{scenario}{seed}.mcap"
     sim.record(scenario, path, seed=seed, **wishes)

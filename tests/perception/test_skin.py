@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bodylog.perception import observe, skin
+from bodylog.perception import observe
+from bodylog.perception.touch import detection
 from bodylog.settings import Settings, Skin
 from bodylog.types import Array, Series
 from tests.perception import scenes
@@ -34,7 +35,7 @@ def test_every_touch_is_found_none_invented_and_dated(seed: int) -> None:
     given = [(1.003, 1.8, 10), (3.0, 3.318, 60), (3.05, 3.4, 90), (6.0, 8.007, 115)]
     for onset, offset, cell in given:
         _press(values, cell, onset, offset)
-    touches, health, findings = skin.touches(_series(values), Skin())
+    touches, health, findings = detection.touches(_series(values), Skin())
     assert touches is not None and len(touches) == len(given)
     for touch, (onset, offset, cell) in zip(touches, given, strict=True):
         assert touch.onset == pytest.approx(onset, abs=0.015)
@@ -48,16 +49,16 @@ def test_every_touch_is_found_none_invented_and_dated(seed: int) -> None:
 def test_a_reading_that_wavers_above_release_is_one_touch() -> None:
     values = _rest(0)
     values[200:300, 50] = np.where(np.arange(100) % 10 < 5, 0.9, 0.65)
-    touches, _, _ = skin.touches(_series(values), Skin())
+    touches, _, _ = detection.touches(_series(values), Skin())
     assert touches is not None and len(touches) == 1
-    more, _, _ = skin.touches(_series(values), Skin(release=0.69))
+    more, _, _ = detection.touches(_series(values), Skin(release=0.69))
     assert more is not None and len(more) == 1, "pauses below 50 ms do not part a touch"
 
 
 def test_a_spike_shorter_than_shortest_is_noise() -> None:
     values = _rest(0)
     values[200, 50] = 0.95
-    touches, _, _ = skin.touches(_series(values), Skin(shortest=0.03))
+    touches, _, _ = detection.touches(_series(values), Skin(shortest=0.03))
     assert touches == ()
 
 
@@ -65,15 +66,15 @@ def test_a_stroke_across_cells_is_one_touch_of_all_of_them() -> None:
     values = _rest(0)
     for step in range(8):
         values[200 + 10 * step : 215 + 10 * step, 40 + step] = 0.9
-    touches, _, _ = skin.touches(_series(values), Skin())
+    touches, _, _ = detection.touches(_series(values), Skin())
     assert touches is not None and [touch.cells for touch in touches] == [tuple(range(40, 48))]
 
 
 def test_rows_of_cells_neighbour_across_rows_where_columns_are_given() -> None:
     values = _rest(0)
     values[200:300, 40] = values[200:300, 53] = 0.9
-    apart, _, _ = skin.touches(_series(values), Skin())
-    together, _, _ = skin.touches(_series(values), Skin(columns=13))
+    apart, _, _ = detection.touches(_series(values), Skin())
+    together, _, _ = detection.touches(_series(values), Skin(columns=13))
     assert apart is not None and together is not None
     assert (len(apart), len(together)) == (2, 1)
 
@@ -83,7 +84,7 @@ def test_silence_ends_a_touch() -> None:
     values[200:400, 50] = 0.9
     series = _series(values)
     late = Series(np.where(T < 3.0, T, T + 2.0), series.values, series.names, "", series.source_ns)
-    touches, health, _ = skin.touches(late, Skin())
+    touches, health, _ = detection.touches(late, Skin())
     assert touches is not None and [round(touch.onset, 1) for touch in touches] == [2.0, 5.0]
     assert touches[0].offset <= 3.0
     assert health.largest_gap_s == pytest.approx(2.01)
@@ -94,7 +95,7 @@ def test_dead_and_stuck_cells_are_named_and_left_out() -> None:
     values[:, 7] = 0.0
     values[:, 30] = 0.97 + 0.01 * np.sin(T)
     _press(values, 60, 3.0, 4.0)
-    touches, _, findings = skin.touches(_series(values), Skin())
+    touches, _, findings = detection.touches(_series(values), Skin())
     assert touches is not None and len(touches) == 1
     texts = [finding.text for finding in findings]
     assert any("1 of 117 cells (7)" in text and "dead" in text for text in texts)
@@ -112,12 +113,12 @@ def test_readings_that_are_not_numbers_are_untouched_and_counted() -> None:
     values = _rest(0)
     _press(values, 60, 3.0, 4.0)
     values[700:710] = np.nan
-    touches, health, findings = skin.touches(_series(values), Skin())
+    touches, health, findings = detection.touches(_series(values), Skin())
     assert touches is not None and len(touches) == 1
     assert health.rejected == {"not a number": 10}
     assert "1.0% of the readings are not numbers" in findings[0].text
 
 
 def test_no_reading_at_all() -> None:
-    touches, health, findings = skin.touches(_series(np.zeros((0, CELLS))), Skin())
+    touches, health, findings = detection.touches(_series(np.zeros((0, CELLS))), Skin())
     assert touches is None and health.seen == 0 and "no readings" in findings[0].text

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bodylog.perception.strokes import strokes
+from bodylog.perception.touch.strokes import strokes
 from bodylog.types import Array, Series
 
 CONTACTS = [(2.013, 2.9), (5.21, 6.437), (8.5, 9.32)]

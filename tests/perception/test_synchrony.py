@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.errors import ConfigError
 from bodylog.perception import observe
-from bodylog.perception.synchrony import judge
+from bodylog.perception.touch.matching import judge
 from bodylog.settings import Settings
 from bodylog.types import Stroke, Touch
 
@@ -80,7 +80,7 @@ def test_an_offset_that_is_no_number_is_refused() -> None:
 
 @pytest.mark.parametrize(("log", "delay"), [("touch.mcap", 0.0), ("touch_async.mcap", 0.6)])
 def test_touches_of_the_arm_logs_are_dated_and_judged(log: str, delay: float) -> None:
-    from bodylog.logs.recording import read
+    from bodylog.recording.recording import read
 
     path = SHARED / "arm" / log
     if not path.exists():

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from bodylog.perception import tracking
-from bodylog.perception.look import Looking
-from bodylog.perception.tracking import search, unknown
-from bodylog.perception.tracking.codes import codes
-from bodylog.perception.tracking.tags import TagTracker
+from bodylog.perception.tags import search, unknown
+from bodylog.perception.tags.codes import codes
+from bodylog.perception.tags.tags import TagTracker
+from bodylog.perception.tracking.frame_search import Looking
 from bodylog.sources import DICTIONARIES, TagSource
 from bodylog.types import Array, Frame, Watched
 from tests.perception import tag_scenes

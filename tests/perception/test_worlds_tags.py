@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.logs import recording
-from bodylog.perception.tracking import search, unknown
-from bodylog.perception.tracking.quads import centres
-from bodylog.perception.tracking.tags import TagTracker
+from bodylog.perception.tags import search, unknown
+from bodylog.perception.tags.quads import centres
+from bodylog.perception.tags.tags import TagTracker
+from bodylog.recording import recording
 from bodylog.settings import Settings
 from bodylog.sources import TagSource
 from bodylog.types import Array

@@ -3,7 +3,7 @@ import builtins
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.report.canvas import figure, label
+from bodylog.report.figures.canvas import figure, label
 
 
 @pytest.mark.parametrize("name", ["f.pdf", "f", "f.jpeg"])

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bodylog.report.decimate import envelope, extremes, thin
+from bodylog.report.page.decimate import envelope, extremes, thin
 
 
 @given(st.integers(0, 5000), st.integers(3, 900), st.integers(0, 2**32 - 1))

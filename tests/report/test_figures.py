@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import LogError, ModelError
-from bodylog.report.figures import body_figure, estimate_figure, recording_figure
+from bodylog.report.figures.figures import body_figure, estimate_figure, recording_figure
 
 from .records import UNSEEN, Blind, Bowl, body, estimate, features, recording
 

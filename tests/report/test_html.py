@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from bodylog.report.html import write
-from bodylog.report.overlay import Picture, pictures
+from bodylog.report.page.page import write
+from bodylog.report.viewers.image_overlay import Picture, pictures
 from bodylog.types import Fault, Finding, Health, Score, Stroke, Synchrony, Touch
 
 from .records import SCORES, UNSEEN, estimate, features, recording, series

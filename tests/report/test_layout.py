@@ -1,7 +1,7 @@
 import json
 from dataclasses import replace
 
-from bodylog.report.layout import layout, write
+from bodylog.report.viewers.foxglove import layout, write
 
 from .records import estimate
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError, UsageError
-from bodylog.report.overlay import overlay, overlay_sheet, pictures
+from bodylog.report.viewers.image_overlay import overlay, overlay_sheet, pictures
 from bodylog.types import Frame
 
 from .records import estimate, features, recording

@@ -1,6 +1,6 @@
 import pytest
 
-from bodylog.report.overlay import pictures
+from bodylog.report.viewers.image_overlay import pictures
 
 from .browser import BROWSER, DRIVER, page
 from .records import estimate, features, recording

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.report import figures, reprojection
-from bodylog.report.reprojection import Sheet, Zero, section, sheets, zeros
+from bodylog.report.figures import figures, reprojection
+from bodylog.report.figures.reprojection import Sheet, Zero, section, sheets, zeros
 
 from .records import estimate, features, series
 

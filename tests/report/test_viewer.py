@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog import present
+from bodylog import views
 from bodylog.errors import LogError, UsageError
-from bodylog.report import companion, viewer
-from bodylog.report.companion import ellipses
+from bodylog.report.viewers import rerun_process, rerun_recording
+from bodylog.report.viewers.rerun_recording import ellipses
 
 from ..logs.writing import T0, Stream, cdr, define, header, joint_state, joints, write
 from .records import estimate, features
@@ -37,8 +37,8 @@ def seen(bodylog, annotated):
 
 def rerun(home, *arguments):
     """What Rerun's program says, in a home of its own where it counts nothing."""
-    viewer.hushed(home)
-    command = [*viewer.PROGRAM, *map(str, arguments)]
+    rerun_process.hushed(home)
+    command = [*rerun_process.PROGRAM, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, env={"HOME": str(home)})
     assert done.returncode == 0, done.stderr
     return done.stdout + done.stderr
@@ -80,8 +80,8 @@ def test_rerun_verifies_it_and_finds_estimate_pictures_and_annotations(seen, tmp
 
 @there
 def test_points_lie_where_and_when_the_log_says(seen, annotated):
-    from bodylog.logs import annotated as log
-    from bodylog.logs import recording
+    from bodylog.annotating import read_back as log
+    from bodylog.recording import recording
     from bodylog.settings import Settings
 
     estimate, track = log.read_estimate(annotated), recording.read(annotated, Settings()).features.effector
@@ -139,7 +139,7 @@ def test_the_frame_of_pictures_in_protobuf_is_told_beside_a_header_they_have_not
     log = Path(__file__).parents[2].parent / "shared" / "logs" / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
     if not log.exists():
         pytest.skip("needs recorded logs beside the project")
-    assert present._frame_id(log, "/camera/front/image") == "cam_front"
+    assert views._frame_id(log, "/camera/front/image") == "cam_front"
 
 
 @there
@@ -147,7 +147,7 @@ def test_frame_id_of_a_topic_with_two_schemas_is_the_first_ones(tmp_path):
     kind, image = "sensor_msgs/msg/CompressedImage", dict(format="jpeg", data=np.zeros(4, np.uint8))
     messages = [(T0 + k, cdr(kind, header=header(T0 + k, "cam"), **image)) for k in range(2)]
     streams = [Stream("/cam", kind, define(kind) + more, messages) for more in (b"", b"# another")]
-    assert present._frame_id(write(tmp_path / "two.mcap", streams), "/cam") == "cam"
+    assert views._frame_id(write(tmp_path / "two.mcap", streams), "/cam") == "cam"
 
 
 @there
@@ -203,12 +203,12 @@ def test_of_a_log_that_rerun_refuses_whole_what_plays_a_role_is_shown(bodylog, t
 
 @there
 @pytest.mark.parametrize("cameras", [
-    {}, {"": companion.Camera(f"/{HOSTILE}/image", "")}, {"": companion.Camera("/cam", HOSTILE)}
+    {}, {"": rerun_recording.Camera(f"/{HOSTILE}/image", "")}, {"": rerun_recording.Camera("/cam", HOSTILE)}
 ])  # fmt: skip
 def test_names_are_names_whatever_signs_they_hold(tmp_path, cameras):
     log = hostile_parts()
     found = log["features"]
-    companion.write(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], log["recording"].truth)
+    rerun_recording.write(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], log["recording"].truth)
     assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", tmp_path / "h.rrd")
     said = rerun(tmp_path, "rrd", "print", tmp_path / "h.rrd")
     assert said.count("/bodylog/belief/") >= 6 and "/bodylog/events" in said
@@ -217,24 +217,24 @@ def test_names_are_names_whatever_signs_they_hold(tmp_path, cameras):
 
 @there
 def test_events_are_told_in_order_with_their_synchrony():
-    told = companion.events(features(), estimate())
+    told = rerun_recording.events(features(), estimate())
     assert [ns for ns, *_ in told] == sorted(ns for ns, *_ in told) and len(told) == 6
     assert told[0][2] == "touch of cells 11, 12, 13, seen +0.050 s later, synchrony 0.93"
     assert [text for _, level, text in told if level == "WARN"] == ["encoders shoulder_pan_joint: drift, 0.3 rad"]
-    assert companion.events(None, None) == []
+    assert rerun_recording.events(None, None) == []
 
 
 @there
 def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
     (tmp_path / "a.mcap").write_bytes(b"no log at all" * 100)
     with pytest.raises(LogError, match=r"a\.mcap: Rerun cannot read it \(.+\); type: bodylog doctor") as refused:
-        viewer.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity, unshown: None)
+        rerun_process.recording(tmp_path / "a.mcap", tmp_path / "a.rrd", "a", lambda out, identity, unshown: None)
     assert "\n" not in str(refused.value) and sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap"]
 
 
 @there
 def test_without_a_screen_the_error_says_what_to_type(annotated, bodylog, monkeypatch, capsys, tmp_path):
-    viewer.hushed(tmp_path)
+    rerun_process.hushed(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
@@ -246,9 +246,9 @@ def test_without_a_screen_the_error_says_what_to_type(annotated, bodylog, monkey
 
 
 def test_without_rerun_the_error_says_what_to_type(monkeypatch):
-    monkeypatch.setattr(viewer, "find_spec", lambda name: None)
+    monkeypatch.setattr(rerun_process, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pip install 'bodylog\[view\]'"):
-        viewer.ready()
+        rerun_process.ready()
 
 
 @pytest.mark.parametrize("seed", range(5))

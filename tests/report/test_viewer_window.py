@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.report import companion, viewer
+from bodylog.report.viewers import rerun_process, rerun_recording
 
 DRIVERS = os.environ.get("VK_ICD_FILENAMES") or [*Path("/usr/share/vulkan/icd.d").glob("*.json")]
 pytestmark = [
@@ -26,7 +26,7 @@ def window(bodylog, robot, tmp_path):
     out, recorded = tmp_path / "out.mcap", tmp_path / "out.rrd"
     assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
     assert bodylog("view", out, "-o", recorded) == 0
-    viewer.hushed(tmp_path)
+    rerun_process.hushed(tmp_path)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -52,7 +52,7 @@ def test_the_prediction_is_drawn_on_the_picture(window, tmp_path):
         time.sleep(0.5)
         if shot.exists() and (image := cv2.imread(str(shot))) is not None:
             picture = image[40 : image.shape[0] // 3, : image.shape[1] // 2].astype(int)
-            near = np.abs(picture - companion.PREDICTED[::-1]).max(axis=2) < 40
+            near = np.abs(picture - rerun_recording.PREDICTED[::-1]).max(axis=2) < 40
             if near.sum() > 20 and (picture.max(axis=2) > 60).mean() > 0.2:
                 return
     pytest.fail("no prediction on the picture within a minute")

@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 from ..inference.conditioning import raised
 from ..inference.gauss_newton import Problem, Solution
-from ..inference.outset import OFFSET_STD
+from ..inference.initial_path import OFFSET_STD
 from ..measurements.timeline import spans
 from ..noise.correlated_noise import counts
 

@@ -10,11 +10,11 @@ from ..measurements.timeline import Timeline
 from .banded import factored
 from .bridge import Slots
 from .images import Images
+from .initial_path import OFFSET_STD
 from .interior import foretold
 from .knots import BEFORE, Knots
 from .mixture import inlier, raised
 from .motion_model import MotionModel
-from .outset import OFFSET_STD
 from .posed import Chain, posed
 from .solver import Log, distance, points
 

@@ -17,10 +17,10 @@ from ..noise.correlated_noise import PAST
 from ..noise.noise_model import Precision
 from ..noise.posture_prior import Habit
 from ..noise.visibility import views
-from .brief import Brief, full, in_brief
 from .conditioning import GATE
 from .folds import Fold, fold_for
-from .outset import handed_over, outset, starts
+from .initial_path import handed_over, outset, starts
+from .knot_problem import Brief, full, in_brief
 from .scan import Dynamics, Readings, Trace, rescan
 from .tangents import RESTING, Tangents
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...types import Array
 from .bridge import Bridge, Information, bridge, information
+from .initial_path import OFFSET_STD
 from .motion_model import MotionModel
-from .outset import OFFSET_STD
 from .small import outer
 from .solver import Solved
 

@@ -9,11 +9,11 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import PAST, WHOLE, Likeness, Memory, Sight, reach
 from ..noise.posture_prior import LASTING, wont
-from .brief import encoder_rows, full
 from .folds import Fold, fold_for
 from .gauss_newton import Problem, Solution
+from .initial_path import prior, priors
 from .instant import RESTING, Moment, Motion, hear
-from .outset import prior, priors
+from .knot_problem import encoder_rows, full
 from .reacquisition import SILENCE, Watch, forget
 from .scan import Readings, scan
 from .tangents import Tangents

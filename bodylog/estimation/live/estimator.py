@@ -9,10 +9,10 @@ import numpy as np
 from ...errors import LogError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, ForwardModel, Health
-from ..inference import plain
+from ..inference import scalar_steps
+from ..inference.initial_path import OFFSET_STD
 from ..inference.instant import Motion, hear
 from ..inference.offsets import WALKS
-from ..inference.outset import OFFSET_STD
 from ..inference.reacquisition import SILENCE, START_STD, VAGUE, Watch, forget
 from ..inference.scan import EVEN, Dynamics
 from ..methods.table import METHODS
@@ -174,7 +174,7 @@ class _Filter:
         if at.places or self.habit is not None or not t - before.oldest <= SILENCE:
             return None
         process, drift, encoder = self.steady
-        z, p = plain.moved(before.z, before.p, t - before.t, process, drift)
+        z, p = scalar_steps.moved(before.z, before.p, t - before.t, process, drift)
         for j in range(len(process)):
             if p[j][j] > VAGUE**2:
                 return None
@@ -182,12 +182,12 @@ class _Filter:
             return State(t, z, p, before.watch, before.borne, before.oldest, before.uneven + 1)
         said = at.angles.tolist()
         try:
-            z, p, nats, d = plain.heard(z, p, said, encoder)
+            z, p, nats, d = scalar_steps.heard(z, p, said, encoder)
         except ArithmeticError:
             return None  # which says so in full
         uneven = before.uneven + 1
         if uneven >= EVEN:
-            plain.even(p)
+            scalar_steps.even(p)
             uneven = 0
         borne = [t if reading == reading else last for reading, last in zip(said, before.borne, strict=True)]
         return State(t, z, p, before.watch, borne, min(borne), uneven, nats, {"encoders": d})

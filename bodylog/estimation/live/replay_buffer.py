@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...types import Array
-from ..inference.plain import Rows
 from ..inference.reacquisition import Watch
+from ..inference.scalar_steps import Rows
 from .inputs import Told
 
 

@@ -12,10 +12,10 @@ import numpy as np
 from ...settings import Estimation
 from ...types import Array, BodyModel, Capabilities, Estimate, Features
 from ..inference import adjoint
-from ..inference.brief import full
 from ..inference.folds import Fold, fold_for
 from ..inference.gauss_newton import SWEEPS, Problem, Progress, Restless, Solution, begun, far
-from ..inference.outset import handed_over, starts
+from ..inference.initial_path import handed_over, starts
+from ..inference.knot_problem import full
 from ..inference.scan import Readings, Trace, rescan
 from ..inference.solver import DidNotConverge
 from ..inference.tangents import Tangents

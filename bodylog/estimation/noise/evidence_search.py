@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 
 from ...types import Array
-from ..inference.brief import Brief, tile
 from ..inference.gauss_newton import Problem, Solution, briefly
-from ..inference.outset import handed_over, priors
+from ..inference.initial_path import handed_over, priors
+from ..inference.knot_problem import Brief, tile
 from ..inference.scan import scan
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.timeline import timeline

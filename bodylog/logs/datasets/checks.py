@@ -8,8 +8,8 @@ import numpy as np
 from ...errors import BodylogError
 from ...settings import LIMITS, Input
 from ...types import Array, Batch
-from .. import images
-from ..containers import payloads
+from ..formats import payloads
+from ..images import messages
 from ..joint_units import joint_unit
 from .episode_log import JOINTS, Camera, EpisodeLog, Signal
 from .lerobot_layout import Layout
@@ -60,7 +60,7 @@ class Checks:
         """An episode that is about to be read from end to end."""
         self._log = log
         topics = {topic.id: topic for topic in log.topics if topic.id in log.cameras}
-        self._decoders = {number: images.decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
+        self._decoders = {number: messages.decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
         self._looks = {number: _Look() for number in topics}
 
     def add(self, batch: Batch) -> None:

@@ -7,12 +7,12 @@ from typing import Self
 
 import numpy as np
 
+from ...annotating.schemas import definition
 from ...errors import LogError
 from ...types import Array, Batch, Finding, Topic
-from .. import cdr
-from ..cdr import Field, Payloads
-from ..ros1 import known_definition
-from ..vocabulary import definition
+from ..decode.ros1_to_cdr import known_definition
+from ..encode import cdr
+from ..encode.cdr import Field, Payloads
 
 JOINTS, ACTION = "/joint_states", "/action"
 FEATURE, DTYPE = "bodylog.feature", "bodylog.dtype"

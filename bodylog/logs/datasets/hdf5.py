@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ... import episodes
+from ...annotating.messages import escape
 from ...errors import LogError
+from ...io.values import times
 from ...settings import LIMITS, Input
 from ...types import Array, Finding
-from ...values import times
-from ..messages import escape
+from .. import episodes
 from .episode_log import (
     ACTION,
     DTYPE,

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import FormatError, LogError
+from ...io.values import read_json
 from ...types import Finding
-from ...values import read_json
 from .extra import needed
 
 MAGIC = b"\x89HDF\r\n\x1a\n"

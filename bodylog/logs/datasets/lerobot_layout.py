@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import FormatError, LogError
-from ...values import number, read_json
+from ...io.values import number, read_json
 from . import parquet
 
 INFO, EPISODES, TASKS = "meta/info.json", "meta/episodes.jsonl", "meta/tasks.jsonl"

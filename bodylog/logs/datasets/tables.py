@@ -12,14 +12,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ... import episodes
+from ...annotating.messages import escape
 from ...errors import BodylogError, LogError
+from ...io.values import times
 from ...settings import LIMITS, Input
 from ...types import Array, Finding
-from ...values import times
-from ..messages import escape
-from ..pose_columns import IMAGES, label, time_column
-from ..table_file import SUFFIXES, Table, read
+from .. import episodes
+from ..tables.pose_columns import IMAGES, label, time_column
+from ..tables.table_file import SUFFIXES, Table, read
 from . import video
 from .episode_log import EPOCH_NS, JOINT_STATE, JOINTS, Camera, Episode, EpisodeLog, Item, Signal, Texts
 from .units import unit

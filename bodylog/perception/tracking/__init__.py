@@ -7,7 +7,7 @@ import numpy as np
 
 from ...sources import CharucoSource, Source, TagSource
 from ...types import Array, Finding, Health, Series
-from . import charuco, tags
+from ..tags import charuco, tags
 from .contract import HIDDEN, Tracked, Tracker
 
 __all__ = ["FRAME_SOURCES", "Tracked", "Tracker", "series", "trackers"]

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.logs.doctor import examine
+from bodylog.logs.conversion.examination import examine
 
 from . import drawn
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import BodylogError
-from bodylog.logs import recording
-from bodylog.logs.doctor import examine
+from bodylog.logs.conversion.examination import examine
+from bodylog.recording import recording
 from bodylog.settings import Settings
 
 from . import drawn

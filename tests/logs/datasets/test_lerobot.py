@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import bodylog.logs as logs
-from bodylog import episodes
 from bodylog.errors import InputError, LogError, UsageError
-from bodylog.logs import recording
-from bodylog.logs.containers import open_log
+from bodylog.io.outputs import Output, guard
+from bodylog.logs import episodes
 from bodylog.logs.episode_files import digest, files_of
-from bodylog.outputs import Output, guard
+from bodylog.logs.formats import open_log
+from bodylog.recording import recording
 from bodylog.settings import Settings
 
 from . import drawn

@@ -8,8 +8,8 @@ import pytest
 
 import bodylog.logs as logs
 from bodylog.errors import InputError, LogError, UsageError
-from bodylog.logs import recording
-from bodylog.logs.containers import open_log
+from bodylog.logs.formats import open_log
+from bodylog.recording import recording
 from bodylog.settings import Settings
 
 from . import drawn

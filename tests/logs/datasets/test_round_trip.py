@@ -9,8 +9,8 @@ import pytest
 import bodylog.logs as logs
 from bodylog import pipeline
 from bodylog.errors import FormatError, LogError, UsageError
-from bodylog.logs.containers import open_log
-from bodylog.logs.datasets.rows import nearest
+from bodylog.logs.formats import open_log
+from bodylog.recording.dataset_rows import nearest
 from bodylog.settings import Settings
 
 from . import drawn

@@ -1,0 +1,1 @@
+"""What bodylog writes into a log, and reads back."""

@@ -1,0 +1,93 @@
+"""What was seen and what was predicted, as foxglove_msgs/ImageAnnotations to be drawn over the picture."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ..logs.encode import cdr
+from ..logs.encode.cdr import Field, Payloads
+from ..types import Array, Series
+
+_COLOURS = {"effector": (0.1, 0.9, 0.2, 1.0), "hand": (1.0, 0.25, 0.2, 1.0)}
+_OTHER = (0.3, 0.6, 1.0, 1.0)
+_PREDICTED = (1.0, 0.85, 0.1, 1.0)
+_CLEAR = (0.0, 0.0, 0.0, 0.0)
+_LINE_LOOP = 2
+_CORNERS = 32
+_SIGMAS = 2.0
+_Circle = tuple[tuple[float, ...], float, Array]
+"""Colour, diameter (px), centre (n,2) px."""
+
+
+def annotations(
+    seen: Mapping[str, Series], predicted: Mapping[str, Series], cov: Mapping[str, Array], start_ns: int
+) -> tuple[Array, Payloads]:
+    """Log times (n,) of all frames, and one ImageAnnotations for each: a circle per feature seen or predicted,
+    and the prediction's 2-sigma ellipse."""
+    tracks = [*seen.values(), *predicted.values()]
+    times, first = np.unique(np.concatenate([track.source_ns for track in tracks]), return_index=True)
+    stamp = start_ns + np.rint(np.concatenate([track.t for track in tracks])[first] * 1e9).astype(np.int64)
+    inks = {name: _COLOURS.get(name.rpartition("/")[2], _OTHER) for name in seen}
+    circles: list[_Circle] = [(inks[name], 16.0, _at(times, track)) for name, track in seen.items()]
+    circles += [(_PREDICTED, 8.0, _at(times, track)) for track in predicted.values()]
+    loops = [_at(times, series, _ellipse(series, cov[name])) for name, series in predicted.items() if name in cov]
+    return times, _grouped(stamp, circles, loops)
+
+
+def _at(times: Array, track: Series, values: Array | None = None) -> Array:
+    """A track's values (n,D) on the common log times; NaN where it has none."""
+    values = track.values if values is None else values
+    out = np.full((len(times), values.shape[1]), np.nan)
+    out[np.searchsorted(times, track.source_ns)] = values
+    return out
+
+
+def _ellipse(series: Series, cov: Array) -> Array:
+    """Corners (K,2*32) of the 2-sigma ellipses of cov (K,2,2) around the predictions."""
+    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    a, b, c = np.sqrt(cov[:, 0, 0]), cov[:, 0, 1], cov[:, 1, 1]
+    lower = np.zeros_like(cov)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        lower[:, 0, 0], lower[:, 1, 0] = a, np.where(a > 0, b / a, 0.0)
+        lower[:, 1, 1] = np.sqrt(np.maximum(c - lower[:, 1, 0] ** 2, 0.0))
+    corners = series.values[:, None] + _SIGMAS * circle @ lower.transpose(0, 2, 1)
+    return corners.reshape(len(cov), -1)
+
+
+def _grouped(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloads:
+    """Frames showing the same parts have the same layout: one serialisation for each such group."""
+    shown = np.column_stack([np.isfinite(values).all(1) for values in [*(c[2] for c in circles), *loops]])
+    packed = np.packbits(shown, axis=1)
+    kind_of = packed.view(f"S{packed.shape[1]}")[:, 0]  # as one text each: rows of bits are slow to sort
+    parts = []
+    for rows in (np.flatnonzero(kind_of == number) for number in np.unique(kind_of)):
+        kind = shown[rows[0]]
+        round_parts = [c for c, there in zip(circles, kind, strict=False) if there]
+        loop_parts = [loop for loop, there in zip(loops, kind[len(circles) :], strict=True) if there]
+        fields: list[Field] = [("uint32", len(round_parts))]
+        for colour, diameter, centre in round_parts:
+            fields += _circle(stamp[rows], centre[rows], diameter, colour)
+        fields.append(("uint32", len(loop_parts)))
+        for loop in loop_parts:
+            fields += _loop(stamp[rows], loop[rows])
+        fields.append(("uint32", 0))
+        parts.append((rows, cdr.serialise(len(rows), fields)))
+    return cdr.merge(parts, len(stamp))
+
+
+def _circle(stamp: Array, centre: Array, diameter: float, colour: tuple[float, ...]) -> list[Field]:
+    shape = [diameter, 2.0, *_CLEAR, *colour]
+    return [*cdr.time(stamp), ("float64*", centre), ("float64*", np.array([shape]))]
+
+
+def _loop(stamp: Array, corners: Array) -> list[Field]:
+    return [
+        *cdr.time(stamp),
+        ("uint8", _LINE_LOOP),
+        ("uint32", _CORNERS),
+        ("float64*", corners),
+        ("float64*", np.array([_PREDICTED])),
+        ("uint32", 0),
+        ("float64*", np.array([[*_CLEAR, 1.5]])),
+    ]

@@ -1,0 +1,148 @@
+"""A recording's pictures as ROS 2 messages: payloads pass undecoded wherever ROS 2 tools can read them."""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import FormatError, LogError
+from ..logs.decode.dynamic import reader
+from ..logs.decode.ros1_to_cdr import converter, known_definition
+from ..logs.encode import cdr
+from ..logs.encode.cdr import Field
+from ..logs.formats import open_log, payloads
+from ..logs.images import messages
+from ..types import Array, Frame, Recording, Topic
+from .messages import escape, stamps
+
+COMPRESSED, RAW = "/camera/image/compressed", "/camera/image"
+_QUALITY = 95
+
+
+class Kind(NamedTuple):
+    """Topic, type, its definition and the definition's encoding."""
+
+    topic: str
+    type: str
+    definition: bytes
+    form: str
+
+    def below(self, camera: str) -> "Kind":
+        """The same among another camera's topics."""
+        return self._replace(topic=self.topic.replace("/camera", camera, 1))
+
+
+class Picture(NamedTuple):
+    """One picture: what it is, when (s since start_ns), its payload in CDR."""
+
+    kind: Kind
+    t: float
+    payload: bytes
+
+
+Frames = Callable[[], Iterator[Frame]]
+_Convert = Callable[[bytes, int], bytes]
+"""A payload and its stamp (ns) -> CDR."""
+
+
+def pictures(path: Path, recording: Recording, unread: dict[str, list[str]]) -> Iterator[Picture]:
+    """All pictures the recording accepts, camera by camera, in the order of its file; those of a video are made anew.
+
+    `unread` {topic: reasons} takes why messages that contradict their definition are left out. The first camera's
+    topic is /camera/image, another's /NAME/image, or as compressed. LogError where that is the same.
+    """
+    films = {"": recording.frames} if recording.frames is not None else {}
+    for name, frames in (films | dict(recording.views)).items():
+        under = f"/{escape(name)}" if name else "/camera"
+        if name and under == "/camera":
+            said = recording.roles["camera/camera"]
+            raise LogError(f"{path}: two cameras would be written as {RAW}; name {said} first in [topics] camera")
+        said = recording.roles.get(f"camera/{name}".strip("/"), "")
+        topics = {t.id: t for t in recording.topics if said == t.name or said.startswith(f"{t.name}.")}
+        found = _passed(path, recording, frames, topics, unread) if topics else _encoded(recording, frames)
+        yield from (picture._replace(kind=picture.kind.below(under)) for picture in found)
+
+
+def _passed(
+    path: Path, recording: Recording, frames: Frames, topics: Mapping[int, Topic], unread: dict[str, list[str]]
+) -> Iterator[Picture]:
+    accepted: dict[int, deque[float]] = {}
+    for frame in frames():
+        accepted.setdefault(frame.source_ns, deque()).append(frame.t)
+    carriers = {number: _carrier(topic) for number, topic in topics.items()}
+    with open_log(path, limits=recording.settings.input) as log:
+        for batch in log.batches(list(topics)):
+            kind, convert = carriers[batch.topic_id]
+            for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+                if times := accepted.get(log_ns):
+                    t = times.popleft()
+                    try:
+                        converted = convert(bytes(payload), _stamp(t, recording))
+                    except FormatError as problem:
+                        unread.setdefault(topics[batch.topic_id].name, []).append(str(problem))
+                        continue
+                    yield Picture(kind, t, converted)
+
+
+def _stamp(t: float, recording: Recording) -> int:
+    return int(stamps(np.array(t), recording.start_ns))
+
+
+def _carrier(topic: Topic) -> tuple[Kind, _Convert]:
+    name = COMPRESSED if topic.type in messages.COMPRESSED else RAW
+    if topic.encoding == "ros1":
+        convert, definition = converter(topic)
+        return Kind(name, topic.type, definition, "ros2msg"), lambda payload, _: bytes(convert(memoryview(payload)))
+    if topic.encoding == "cdr":
+        definition, form = topic.definition, topic.definition_encoding
+        if not definition:
+            definition, form = known_definition(topic.type) or b"", "ros2msg"
+        return Kind(name, topic.type, definition, form), lambda payload, _: payload
+    read, make = reader(topic), _compressed if name == COMPRESSED else _raw
+    return _ros2(name), lambda payload, stamp: make(read(payload), stamp)
+
+
+def _ros2(name: str) -> Kind:
+    kind = "sensor_msgs/msg/CompressedImage" if name == COMPRESSED else "sensor_msgs/msg/Image"
+    return Kind(name, kind, known_definition(kind) or b"", "ros2msg")
+
+
+def _encoded(recording: Recording, frames: Frames) -> Iterator[Picture]:
+    import cv2
+
+    kind = _ros2(COMPRESSED)
+    for frame in frames():
+        done, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+        if not done:
+            raise FormatError(f"{recording.name}: the picture at {frame.t:.3f} s cannot be written as JPEG")
+        message = {"format": "jpeg", "data": jpeg.tobytes()}
+        yield Picture(kind, frame.t, _compressed(message, _stamp(frame.t, recording)))
+
+
+def _compressed(message: Mapping[str, Any], stamp: int) -> bytes:
+    fields: list[Field] = [*_header(message, stamp), ("string", str(message.get("format", ""))), _bytes(message)]
+    return cdr.serialise(1, fields).data.tobytes()
+
+
+def _raw(message: Mapping[str, Any], stamp: int) -> bytes:
+    fields: list[Field] = [
+        *_header(message, stamp),
+        ("uint32", messages.whole(message, "height")),
+        ("uint32", messages.whole(message, "width")),
+        ("string", str(message.get("encoding", ""))),
+        ("uint8", 0),
+        ("uint32", messages.whole(message, "step")),
+        _bytes(message),
+    ]
+    return cdr.serialise(1, fields).data.tobytes()
+
+
+def _header(message: Mapping[str, Any], stamp: int) -> list[Field]:
+    return cdr.header(np.array([stamp]), str(message.get("frame_id", "")))
+
+
+def _bytes(message: Mapping[str, Any]) -> Field:
+    row: Array = np.frombuffer(messages.content(message), np.uint8)
+    return "uint8[]", row[None]

@@ -1,0 +1,244 @@
+"""What we write into a log: features and estimates as ready messages, each beside the message that caused it."""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ..logs.encode import cdr
+from ..logs.encode.cdr import Field, Payloads
+from ..types import Array, Estimate, Fault, Features, Outgoing, Poses, Series, Synchrony, Touch
+from . import image_annotations
+from .schemas import definition
+
+ROOT = "/bodylog/"
+TRACK = ROOT + "track/"
+PREDICTED = ROOT + "predicted/"
+KINEMATIC = ROOT + "kinematics/"
+ERROR = ROOT + "prediction_error/"
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+ANNOTATIONS = ROOT + "annotations"
+TRACK_NAMES = ("u", "v", "std_u", "std_v")
+PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
+
+
+_ILLEGAL = re.compile(r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])")
+
+
+def escape(name: str) -> str:
+    """`name`, whose / part it, as the end of a topic name: what ROS does not allow there becomes _x<hex>_."""
+    return _ILLEGAL.sub(lambda m: f"_x{ord(m[0]):x}_", name)
+
+
+def unescape(segment: str) -> str:
+    """The name that `escape` was given."""
+    return re.sub(r"_x([0-9a-f]+)_", lambda m: chr(int(m[1], 16)), segment)
+
+
+def from_features(features: Features, start_ns: int) -> list[Outgoing]:
+    """Tracks, sightings, strokes, touches and synchrony; the frame_id of what lies in a picture is its camera."""
+    out = [from_track(name, track, start_ns, _frame(name, features)) for name, track in features.tracks.items()]
+    for name in ("effector", "hand"):
+        if name in features.tracks:
+            out.append(_points(ROOT + name, features.tracks[name], start_ns, _frame(name, features)))
+    if features.hand is not None:
+        out.append(_strokes(features, features.hand, start_ns))
+    if features.touches is not None:
+        out.append(_touches(features.touches, start_ns))
+        out.append(_synchrony(features.synchrony, features.touches, start_ns))
+    return out
+
+
+def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list[Outgoing]:
+    """Belief, covariance, errors, predictions, faults, and each camera's overlay of what was seen and predicted."""
+    joints = estimate.joints
+    out = [
+        from_joints(ROOT + "joint_states", joints, start_ns, estimate.rate.values),
+        _named(ROOT + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
+        _scalar(ROOT + "free_energy", joints, estimate.free_energy, start_ns),
+    ]
+    out += [_named(ERROR + escape(sense), "Vector", e, e.values, start_ns) for sense, e in estimate.errors.items()]
+    if estimate.bias is not None:
+        out.append(_named(ROOT + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
+    for name, series in estimate.predicted.items():
+        out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, _frame(name, features)))
+    if (predicted := estimate.predicted.get("effector")) is not None:
+        out.append(_points(ROOT + "effector_predicted", predicted, start_ns, _frame("effector", features)))
+    for name, kinematic in estimate.kinematic.items():
+        out.append(_named(KINEMATIC + escape(name), "Vector", kinematic, kinematic.values, start_ns))
+    if estimate.effector is not None:
+        out.append(_poses(ROOT + "effector_pose", estimate.effector, start_ns))
+    if estimate.faults:
+        out.append(_faults(estimate.faults, joints, start_ns))
+    return [*out, *_overlays(estimate, features.tracks, start_ns)]
+
+
+def _camera(name: str) -> str:
+    """The camera of a track camera/feature; "" is the first one."""
+    return name.rpartition("/")[0]
+
+
+def _frame(name: str, features: Features) -> str:
+    """The topic of a track's camera; "" where it is not known."""
+    return features.cameras.get(_camera(name), "")
+
+
+def _overlays(estimate: Estimate, tracks: Mapping[str, Series], start_ns: int) -> Iterator[Outgoing]:
+    for camera in sorted({_camera(name) for name in (*tracks, *estimate.predicted)}):
+        seen = {name: track for name, track in tracks.items() if _camera(name) == camera}
+        predicted = {name: series for name, series in estimate.predicted.items() if _camera(name) == camera}
+        times, payloads = image_annotations.annotations(seen, predicted, estimate.predicted_cov, start_ns)
+        topic = "/".join(filter(None, (ANNOTATIONS, escape(camera))))
+        yield _outgoing(topic, "foxglove_msgs/msg/ImageAnnotations", times, payloads)
+
+
+def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:
+    """Joint angles (N,M) as sensor_msgs/JointState, with velocity when `rate` (N,M) rad/s is given."""
+    # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
+    unknown = np.full(joints.values.shape, np.nan)
+    fields: list[Field] = [
+        *cdr.header(stamps(joints.t, start_ns)),
+        ("string[]", joints.names),
+        ("float64[]", joints.values),
+        ("float64[]", unknown if rate is None else rate),
+        ("float64[]", unknown),
+    ]
+    return _plain(topic, "sensor_msgs/msg/JointState", joints.source_ns, fields)
+
+
+def from_skin(topic: str, skin: Series, start_ns: int) -> Outgoing:
+    """Proximity (N,cells) 0..1 as bodylog_msgs/SkinArray."""
+    fields: list[Field] = [*cdr.header(stamps(skin.t, start_ns)), ("float32[]", skin.values)]
+    return _plain(topic, "bodylog_msgs/msg/SkinArray", skin.source_ns, fields)
+
+
+def stamps(t: Array, start_ns: int) -> Array:
+    """Times in s since start_ns as int64 ns since the epoch."""
+    return start_ns + np.rint(np.asarray(t, float) * 1e9).astype(np.int64)
+
+
+def from_track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
+    """Places (N,2) px of a track with their standard deviations as bodylog_msgs/Vector."""
+    std = np.full_like(track.values, np.nan) if track.std is None else track.std
+    data = np.hstack([track.values, std])
+    return _vector(TRACK + escape(name), track, TRACK_NAMES, data, start_ns, frame)
+
+
+def _predicted(name: str, series: Series, cov: Array | None, start_ns: int, frame: str) -> Outgoing:
+    if cov is None:
+        variance = np.full((len(series.t), 3), np.nan)
+    else:
+        variance = np.column_stack([np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1]), cov[:, 0, 1]])
+    data = np.hstack([series.values, variance])
+    return _vector(PREDICTED + escape(name), series, PREDICTED_NAMES, data, start_ns, frame)
+
+
+def _points(topic: str, track: Series, start_ns: int, frame: str) -> Outgoing:
+    seen = np.isfinite(track.values).all(1)
+    point = np.column_stack([track.values[seen], np.zeros(seen.sum())])
+    fields: list[Field] = [*cdr.header(stamps(track.t[seen], start_ns), frame), ("float64*", point)]
+    return _plain(topic, "geometry_msgs/msg/PointStamped", track.source_ns[seen], fields)
+
+
+def _named(topic: str, kind: str, series: Series, data: Array, start_ns: int) -> Outgoing:
+    return _vector(topic, series, series.names, data, start_ns, "", kind)
+
+
+def _vector(
+    topic: str, series: Series, names: Sequence[str], data: Array, start_ns: int, frame: str, kind: str = "Vector"
+) -> Outgoing:
+    fields: list[Field] = [
+        *cdr.header(stamps(series.t, start_ns), frame),
+        ("string[]", names),
+        ("float64[]", data),
+    ]
+    return _plain(topic, f"bodylog_msgs/msg/{kind}", series.source_ns, fields)
+
+
+def _scalar(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
+    fields: list[Field] = [*cdr.header(stamps(series.t, start_ns)), ("float64", data)]
+    return _plain(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
+
+
+def _poses(topic: str, poses: Poses, start_ns: int) -> Outgoing:
+    """Poses with their covariance, its rows and columns in ROS's order: x, y, z, turns about x, y, z."""
+    count = len(poses.t)
+    cov = np.zeros((count, 36)) if poses.cov is None else poses.cov.reshape(count, 36)
+    fields: list[Field] = [
+        *cdr.header(stamps(poses.t, start_ns), poses.frame),
+        ("float64*", np.column_stack([poses.place, poses.turn, cov])),
+    ]
+    return _plain(topic, POSE, poses.source_ns, fields)
+
+
+def _strokes(features: Features, hand: Series, start_ns: int) -> Outgoing:
+    """Strokes with the delay of the touch they are paired with, each logged with the picture in which it began."""
+    delays = {pair.stroke: pair.delay for pair in features.synchrony}
+    start, end = (np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end"))
+    begun = stamps(start, start_ns)
+    places = [(*s.start_px, 0.0, *s.end_px, 0.0) for s in features.strokes]
+    fields: list[Field] = [
+        *cdr.header(begun, _frame("hand", features)),
+        *cdr.time(stamps(end, start_ns) - begun),
+        ("float64*", np.array(places).reshape(-1, 6)),
+        ("float64", np.array([delays.get(number, np.nan) for number in range(len(begun))])),
+    ]
+    pictures = np.maximum(np.searchsorted(hand.t, start, "right") - 1, 0)
+    return _plain(ROOT + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)
+
+
+def _touches(touches: Sequence[Touch], start_ns: int) -> Outgoing:
+    parts = []
+    for i, touch in enumerate(touches):
+        onset, offset = stamps(np.array([[touch.onset], [touch.offset]]), start_ns)
+        cells = [touch.strongest, *(cell for cell in touch.cells if cell != touch.strongest)]
+        fields: list[Field] = [
+            *cdr.header(onset),
+            *cdr.time(offset - onset),
+            ("int32[]", np.array([cells])),
+            ("float32", touch.peak),
+        ]
+        parts.append((np.array([i]), cdr.serialise(1, fields)))
+    times = np.array([touch.source_ns for touch in touches], np.int64)
+    return _outgoing(ROOT + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge(parts, len(touches)))
+
+
+def _synchrony(synchrony: Sequence[Synchrony], touches: Sequence[Touch], start_ns: int) -> Outgoing:
+    caused = [touches[s.touch] for s in synchrony]
+    fields: list[Field] = [
+        *cdr.header(stamps(np.array([touch.onset for touch in caused]), start_ns)),
+        ("float64", np.array([s.delay for s in synchrony])),
+        ("float64", np.array([s.weight for s in synchrony])),
+    ]
+    times = np.array([touch.source_ns for touch in caused], np.int64)
+    return _plain(ROOT + "synchrony", "bodylog_msgs/msg/Synchrony", times, fields)
+
+
+def _faults(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
+    parts = []
+    for i, fault in enumerate(faults):
+        fields: list[Field] = [
+            *cdr.header(stamps(np.array([fault.since]), start_ns)),
+            ("string", fault.sense),
+            ("string", fault.name),
+            ("string", fault.kind),
+            ("float64", fault.size),
+            ("string", fault.unit),
+            ("float64", np.nan if fault.std is None else fault.std),
+        ]
+        parts.append((np.array([i]), cdr.serialise(1, fields)))
+    last = np.searchsorted(joints.t, [fault.since for fault in faults], "right") - 1
+    times = joints.source_ns[np.maximum(last, 0)]
+    return _outgoing(ROOT + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge(parts, len(faults)))
+
+
+def _plain(topic: str, kind: str, log_ns: Array, fields: Sequence[Field]) -> Outgoing:
+    return _outgoing(topic, kind, log_ns, cdr.serialise(len(log_ns), fields))
+
+
+def _outgoing(topic: str, kind: str, log_ns: Array, payloads: Payloads) -> Outgoing:
+    log_ns = np.asarray(log_ns, np.int64)
+    order = np.argsort(log_ns, kind="stable")
+    return Outgoing(
+        topic, kind, definition(kind), log_ns[order], payloads.data, payloads.offset[order], payloads.length[order]
+    )

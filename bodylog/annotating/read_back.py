@@ -1,0 +1,323 @@
+"""Read back what we wrote: tracks and touches for another run, the estimate for scoring and reports."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigError, FormatError, LogError
+from ..io.values import read_json
+from ..logs.decode.columns import columns_of
+from ..logs.formats import Log, open_log
+from ..logs.mcap.prefix import NAME, ROOT
+from ..logs.mcap.record_file import TopLevel
+from ..logs.mcap.records import HEAD, METADATA, METADATA_INDEX, parse
+from ..logs.tables.pose_topics import POSED, poses
+from ..recording.role_values import believed
+from ..types import (
+    Array,
+    Capabilities,
+    Estimate,
+    Fault,
+    Features,
+    Finding,
+    Health,
+    Poses,
+    Series,
+    Stroke,
+    Synchrony,
+    Topic,
+    Touch,
+)  # fmt: skip
+from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES, TRACK, TRACK_NAMES, unescape
+
+_VECTOR = ("header.stamp", "names", "data")
+_FIELDS: Mapping[str, tuple[str, ...]] = {
+    "bodylog_msgs/msg/Vector": (*_VECTOR, "header.frame_id"),
+    "bodylog_msgs/msg/Covariance": _VECTOR,
+    "bodylog_msgs/msg/Scalar": ("header.stamp", "data"),
+    "bodylog_msgs/msg/Touch": ("header.stamp", "duration", "cells", "peak"),
+    "bodylog_msgs/msg/Stroke": ("header.stamp", "duration", "start.x", "start.y", "end.x", "end.y", "delay"),
+    "bodylog_msgs/msg/Synchrony": ("header.stamp", "delay", "weight"),
+    "bodylog_msgs/msg/Fault": ("header.stamp", "sense", "name", "kind", "size", "unit"),
+    POSE: POSED,
+    "sensor_msgs/msg/JointState": ("header.stamp", "name", "position", "velocity"),
+}
+"""Type -> the fields of it that are read back."""
+
+
+def _fields(topic: Topic) -> tuple[str, ...]:
+    """The fields of a topic; faults had no standard deviation once."""
+    more = ("std",) if topic.type.endswith("/Fault") and b"float64 std" in topic.definition else ()
+    return (*_FIELDS[topic.type], *more)
+
+
+def describe(estimate: Estimate) -> dict[str, str]:
+    """What of an estimate no topic carries, as entries for the metadata record; `read_estimate` reads them back."""
+    used = {sense: asdict(health) for sense, health in estimate.used.items()}
+    findings = [asdict(finding) for finding in estimate.findings]
+    return {
+        "method": estimate.method,
+        "used": json.dumps(used, sort_keys=True, default=dict),
+        "findings": json.dumps(findings, sort_keys=True),
+        "resolved": json.dumps(dict(estimate.settings), sort_keys=True, default=float),
+        "can": json.dumps(asdict(estimate.can), sort_keys=True),
+    }
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """The metadata record `bodylog` of an annotated MCAP; LogError when there is none."""
+    try:
+        with TopLevel(path) as file:
+            _, summary = file.summary()
+            listed = [r.fields for r, _ in summary if r.opcode == METADATA_INDEX and r.fields["name"] == NAME]
+            if listed:
+                record = memoryview(file.read(listed[-1]["offset"], listed[-1]["length"]))
+                return dict(parse(METADATA, record[HEAD.size :]).fields["metadata"])
+    except (FormatError, OSError):
+        pass  # no MCAP, or not a whole one: then it is none we wrote
+    raise LogError(f"{path}: no estimate in it, unless its end was cut off; {_again(path)}")
+
+
+def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
+    """The estimate an annotated MCAP carries, t in s since `start_ns` (None: the log's own); LogError without one."""
+    with open_log(path) as log:
+        said = _said(path, read_metadata(path))
+        table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
+    joints, rate = table.joints()
+    size = len(joints.names)
+    predicted, predicted_cov = table.predicted()
+    return Estimate(
+        method=said.method,
+        joints=joints,
+        rate=rate,
+        cov=table.aligned("joint_covariance", joints, size**2).reshape(-1, size, size),
+        errors=table.under(ERROR, "std"),
+        free_energy=table.aligned("free_energy", joints, 1).reshape(-1),
+        used=said.used,
+        predicted=predicted,
+        predicted_cov=predicted_cov,
+        settings=said.settings,
+        bias=table.series(ROOT + "encoder_bias", "rad"),
+        faults=table.faults(),
+        findings=said.findings,
+        effector=table.effector(),
+        kinematic=table.under(KINEMATIC, "px"),
+        can=said.can,
+    )
+
+
+def read_features(log: Log, start_ns: int) -> Features | None:
+    """Tracks, strokes, touches and synchrony a log carries from an earlier run, without joints; None: it has none."""
+    names = {topic.name for topic in log.topics}
+    if not any(name.startswith(TRACK) or name == ROOT + "touch" for name in names):
+        return None
+    table = _Table(log, start_ns, log.path)
+    tracks = {name: _track(series) for name, series in table.tracks().items()}
+    touches = table.touches() if ROOT + "touch" in names else None
+    strokes, paired = table.strokes()
+    pairs = table.synchrony(touches or (), paired)
+    health = {name: Health(len(c.log_ns), len(c.sound)) for name, c in table.columns.items()}
+    return Features(None, tracks, touches, strokes, pairs, health, cameras=table.cameras())
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What `describe` wrote."""
+
+    method: str
+    used: Mapping[str, Health]
+    settings: Mapping[str, Any]
+    findings: tuple[Finding, ...]
+    can: Capabilities
+
+
+def _health(found: Health) -> Health:
+    """The same; ValueError for counts that no log can have, TypeError for what is no number."""
+    counts = (found.seen, found.used, *found.rejected.values())
+    if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
+        raise ValueError("how much was used is no count of messages")
+    return found
+
+
+def _finding(found: Finding) -> Finding:
+    """The same; ValueError for one that is no text."""
+    if not isinstance(found.severity, str) or not isinstance(found.text, str):
+        raise ValueError("a finding that is no text")
+    return found
+
+
+def _capabilities(found: Mapping[str, Any]) -> Capabilities:
+    if not all(isinstance(value, bool) for value in found.values()):
+        raise ValueError(f"can: {found!r}, where each capability is true or false")
+    return Capabilities(**found)
+
+
+def _said(path: Path, metadata: Mapping[str, str]) -> _Said:
+    try:
+        return _Said(
+            metadata.get("method", ""),
+            {sense: _health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
+            dict(read_json(metadata.get("resolved", "{}"))),
+            tuple(_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
+            _capabilities(read_json(metadata.get("can", "{}"))),
+        )
+    except (ValueError, TypeError, AttributeError) as problem:
+        raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {_again(path)}") from None
+
+
+class _Table:
+    """Columns of every topic of ours in a log."""
+
+    def __init__(self, log: Log, start_ns: int, path: Path) -> None:
+        topics = {t.id: t for t in log.topics if t.name.startswith(ROOT) and t.type in _FIELDS}
+        try:
+            found = columns_of(log, {number: (topic, _fields(topic)) for number, topic in topics.items()})
+        except (ConfigError, FormatError) as problem:
+            raise FormatError(f"{path}: {problem}") from None
+        self.columns = {topics[number].name: columns for number, columns in found.items()}
+        self.start_ns, self.path = start_ns, path
+
+    def joints(self) -> tuple[Series, Series]:
+        """The belief (N,M) rad and its rate (N,M) rad/s."""
+        t, source_ns, (names, position, velocity) = self._rows(ROOT + "joint_states")
+        if position.shape != velocity.shape or position.shape != (len(t), len(names)):
+            raise self._unfit(ROOT + "joint_states", f"{len(names)} names, arrays {position.shape}, {velocity.shape}")
+        return Series(t, position, names, "rad", source_ns), Series(t, velocity, names, "rad/s", source_ns)
+
+    def series(self, topic: str, unit: str) -> Series | None:
+        """A vector topic (N,D), or None where there is none."""
+        if topic not in self.columns:
+            return None
+        t, source_ns, (names, data, *_) = self._rows(topic)
+        if data.shape != (len(t), len(names)):
+            raise self._unfit(topic, f"{len(names)} names, {data.shape[1]} values")
+        return Series(t, data, names, unit, source_ns)
+
+    def under(self, prefix: str, unit: str) -> dict[str, Series]:
+        """All vector topics under a prefix, by the rest of their names."""
+        names = [topic for topic in self.columns if topic.startswith(prefix)]
+        return {unescape(name[len(prefix) :]): s for name in names if (s := self.series(name, unit)) is not None}
+
+    def tracks(self) -> dict[str, Series]:
+        """What was tracked: u, v and their standard deviations (N,4) px."""
+        found = self.under(TRACK, "px")
+        for name, series in found.items():
+            if len(series.names) != len(TRACK_NAMES):
+                raise self._unfit(TRACK + name, f"{len(series.names)} names, not {len(TRACK_NAMES)}")
+        return {name: replace(series, values=believed(series.values)[0]) for name, series in found.items()}
+
+    def aligned(self, name: str, joints: Series, width: int) -> Array:
+        """Values (N,width) that go with each row of `joints`; LogError when they do not."""
+        t, _, values = self._rows(ROOT + name)
+        data: Array = values[-1].reshape(len(t), values[-1].size // max(1, len(t)))
+        if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
+            raise LogError(f"{self.path}: {ROOT}{name} does not go with {ROOT}joint_states; {_again(self.path)}")
+        return data
+
+    def predicted(self) -> tuple[dict[str, Series], dict[str, Array]]:
+        """Predictions (K,2) px with their standard deviations, and covariances (K,2,2) px²."""
+        series, cov = {}, {}
+        for name, found in self.under(PREDICTED, "px").items():
+            if len(found.names) != len(PREDICTED_NAMES):
+                raise self._unfit(PREDICTED + name, f"{len(found.names)} names, not {len(PREDICTED_NAMES)}")
+            series[name] = _track(found)
+            std, between = found.values[:, 2:4], found.values[:, 4]
+            rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
+            cov[name] = rows.reshape(-1, 2, 2)
+        return series, cov
+
+    def touches(self) -> tuple[Touch, ...]:
+        """Touches in order of onset."""
+        found = []
+        for part, log_ns in self._parts(ROOT + "touch"):
+            for stamp, lasting, cells, peak, source in zip(*part, log_ns, strict=True):
+                if not len(cells):
+                    raise self._unfit(ROOT + "touch", "a touch of no cell")
+                onset = (int(stamp) - self.start_ns) / 1e9
+                offset = (int(stamp) + int(lasting) - self.start_ns) / 1e9
+                numbers = tuple(sorted(int(cell) for cell in cells))
+                found.append(Touch(onset, offset, numbers, float(peak), int(cells[0]), int(source)))
+        return tuple(sorted(found, key=lambda touch: (touch.onset, touch.strongest)))
+
+    def cameras(self) -> dict[str, str]:
+        """The topics whose pictures the tracks are of, by the camera's name."""
+        named = ((topic, part) for topic in self.columns if topic.startswith(TRACK) for part, _ in self._parts(topic))
+        found = {unescape(topic[len(TRACK) :]).rpartition("/")[0]: part[-1][0] for topic, part in named}
+        return {name: camera for name, camera in sorted(found.items()) if camera}
+
+    def strokes(self) -> tuple[tuple[Stroke, ...], Iterator[int]]:
+        """Strokes in order, and the numbers of those a touch was paired with."""
+        found = []
+        for part, _ in self._parts(ROOT + "stroke"):
+            for stamp, lasting, u, v, to_u, to_v, delay in zip(*(column.tolist() for column in part), strict=True):
+                start, end = ((ns - self.start_ns) / 1e9 for ns in (stamp, stamp + lasting))
+                found.append((Stroke(start, end, (u, v), (to_u, to_v)), delay))
+        found.sort(key=lambda stroke: (stroke[0].start, stroke[0].end))
+        paired = (number for number, (_, delay) in enumerate(found) if np.isfinite(delay))
+        return tuple(stroke for stroke, _ in found), paired
+
+    def synchrony(self, touches: tuple[Touch, ...], paired: Iterator[int]) -> tuple[Synchrony, ...]:
+        """One per touch that has the same onset; touches have the `paired` strokes in their own order."""
+        waiting: dict[int, list[int]] = {}
+        for i, touch in reversed(list(enumerate(touches))):
+            waiting.setdefault(round(touch.onset * 1e9), []).append(i)
+        found = []
+        for (stamp, delay, weight), _ in self._parts(ROOT + "synchrony"):
+            for s, d, w in zip(stamp.tolist(), delay.tolist(), weight.tolist(), strict=True):
+                if numbers := waiting.get(s - self.start_ns):
+                    found.append(Synchrony(numbers.pop(), None, d, w))
+        found.sort(key=lambda pair: pair.touch)
+        return tuple(replace(p, stroke=next(paired, None)) if np.isfinite(p.delay) else p for p in found)
+
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults in order of onset."""
+        found = []
+        for (stamp, sense, name, kind, size, unit, *more), _ in self._parts(ROOT + "faults"):
+            spread = more[0] if more else np.full(len(size), np.nan)
+            for since, amount, std in zip((stamp - self.start_ns) / 1e9, size, spread.tolist(), strict=True):
+                known = None if std != std else std
+                found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], known))
+        return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
+
+    def effector(self) -> Poses | None:
+        """The effector's poses in the base, or None where there are none."""
+        columns = self.columns.get(ROOT + "effector_pose")
+        return None if columns is None else poses(columns, self.start_ns)
+
+    def _unfit(self, topic: str, found: str) -> LogError:
+        return LogError(f"{self.path}: {topic}: {found}; {_again(self.path)}")
+
+    def _parts(self, topic: str) -> list[tuple[tuple[Any, ...], Array]]:
+        columns = self.columns.get(topic)
+        return [(part.values, columns.log_ns[part.rows]) for part in columns.parts] if columns else []
+
+    def _rows(self, topic: str) -> tuple[Array, Array, tuple[Any, ...]]:
+        """t (N,), log times (N,) and the other fields of a topic whose names never change, in order of t."""
+        if topic not in self.columns:
+            raise _absent(self.path)
+        parts = self._parts(topic)
+        if len(parts) != 1:
+            raise LogError(f"{self.path}: {topic} has {len(parts)} sets of names, not 1; {_again(self.path)}")
+        (stamp, *values), log_ns = parts[0]
+        order = np.argsort(stamp, kind="stable")
+        sorted_values = tuple(v if isinstance(v, tuple) else v[order] for v in values)
+        return (stamp[order] - self.start_ns) / 1e9, log_ns[order], sorted_values
+
+
+def _track(found: Series) -> Series:
+    """u, v (N,2) px and their standard deviations out of a vector topic; unknown ones are None."""
+    std = found.values[:, 2:4]
+    known = std if np.isfinite(std).any() else None
+    return Series(found.t, found.values[:, :2], ("u", "v"), "px", found.source_ns, known)
+
+
+def _absent(path: Path) -> LogError:
+    return LogError(f"{path}: no {ROOT} topics of an estimate; {_again(path)}")
+
+
+def _again(path: Path) -> str:
+    return f"type: bodylog estimate {path} --body body.npz -o OUT.mcap"

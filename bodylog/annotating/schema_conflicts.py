@@ -1,0 +1,45 @@
+"""A log may define our borrowed types in its own way, and readers that know types by name believe only one of two."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from ..errors import FormatError
+from ..logs.decode.definitions import parse
+from ..logs.mcap.records import HEAD, SCHEMA
+from ..logs.mcap.records import parse as parse_record
+from ..types import Finding, Outgoing
+
+_BORROWED, _OWN = "foxglove_msgs/", "bodylog_msgs/"
+_READ = ("ros1msg", "ros2msg", "ros2idl")
+
+
+def apart(outgoing: Sequence[Outgoing], schemas: Iterable[bytes]) -> tuple[list[Outgoing], tuple[Finding, ...]]:
+    """The messages, those of a type the file's Schema records define otherwise under a name of ours; what was done."""
+    theirs = _defined(schemas)
+    rivals = {o.topic for o in outgoing if o.type.startswith(_BORROWED) and _differs(o, theirs)}
+    found = [_renamed(o) if o.topic in rivals else o for o in outgoing]
+    text = "{}: the log has another {}; written as {}, which every reader reads but viewers do not draw"
+    said = [text.format(o.topic, o.type, f.type) for o, f in zip(outgoing, found, strict=True) if o.topic in rivals]
+    return found, tuple(Finding("warning", line) for line in said)
+
+
+def _defined(schemas: Iterable[bytes]) -> dict[str, object]:
+    types: dict[str, object] = {}
+    for raw in schemas:
+        said = parse_record(SCHEMA, memoryview(raw)[HEAD.size :]).fields
+        if said["encoding"] in _READ and _BORROWED.encode() in raw:
+            try:
+                types |= parse(said["data"], said["name"], said["encoding"]).types
+            except FormatError:
+                continue  # no reader gets a type out of it
+    return types
+
+
+def _differs(outgoing: Outgoing, theirs: dict[str, object]) -> bool:
+    ours = parse(outgoing.definition, outgoing.type, outgoing.definition_encoding).types
+    return any(theirs.get(name, fields) != fields for name, fields in ours.items() if name.startswith(_BORROWED))
+
+
+def _renamed(outgoing: Outgoing) -> Outgoing:
+    definition = outgoing.definition.replace(_BORROWED.encode(), _OWN.encode())
+    return replace(outgoing, type=outgoing.type.replace(_BORROWED, _OWN), definition=definition)

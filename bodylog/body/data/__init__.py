@@ -1,0 +1,1 @@
+"""Readings to training pairs: angles at images, selection, what was shown."""

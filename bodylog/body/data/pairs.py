@@ -1,0 +1,214 @@
+"""From features to training pairs: smoothed joint angles with their variance beside each sighting."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ...errors import ConfigError, EvidenceError, LogError
+from ...types import Array, Features, Finding, Series
+from ..gp.fit import Coupling
+from .angle_smoother import Chain, Motion, chain, fit
+from .angles import Angles, Moving, posed, unmoved
+
+_LEAST_RANGE = 0.02
+_BLOCKS = 10
+_FEWEST = 4
+_EARLIER = -1
+_SEED = 0
+# farther than anything turns, in any unit an encoder counts in, and its square still far from overflow
+_ABSURD = 1e12
+# share of a joint's range: a sighting while its encoder was silent for so long that this is unknown teaches nothing
+_VAGUE = 0.1
+# px: no camera has so many pixels in a row
+_FAR_PX = 1e6
+_COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """x (n,M) rad, variance (n,M) · y (n,D) px, floor (n,D) variance · block (n,) of time.
+
+    log (n,) · t (n,) s, ascending within a log · frames looked at.
+    """
+
+    x: Array
+    variance: Array
+    y: Array
+    floor: Array
+    block: Array
+    log: Array
+    t: Array
+    frames: int
+
+    def rows(self, chosen: Array) -> "Pairs":
+        """Only the chosen rows, which ascend."""
+        x, variance, y, floor = (a[chosen] for a in (self.x, self.variance, self.y, self.floor))
+        return Pairs(x, variance, y, floor, self.block[chosen], self.log[chosen], self.t[chosen], self.frames)
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """One joint over all logs: its angles in each, and one white acceleration for all."""
+
+    name: str
+    angles: tuple[Angles, ...]
+    acceleration: Motion
+
+    @cached_property
+    def range(self) -> float:
+        """Smoothed angles' span, rad, the outer 1 % at each end left out."""
+        means = [one.at(one.t)[0] for one in self.angles]
+        low, high = np.percentile(np.concatenate(means), [1, 99])
+        return float(high - low)
+
+
+def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list[Joint]:
+    """The joints heard in all logs, or those wanted.
+
+    LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no joint or one wanted
+    was not heard.
+    """
+    readings = [_readings(f, i, len(features)) for i, f in enumerate(features)]
+    common = [n for n in readings[0].names if all(n in r.names for r in readings)]
+    if not common:
+        have = "; ".join(f"log {i + 1} has {', '.join(r.names)}" for i, r in enumerate(readings))
+        raise EvidenceError(f"the logs share no joint: {have}; fit one body for each robot")
+    unknown = [n for n in wanted or () if n not in common]
+    if unknown:
+        raise ConfigError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(common)}; type: bodylog info LOG")
+    deaf = silent(features)
+    if told := [deaf[n] for n in wanted or () if n in deaf]:
+        raise EvidenceError(f"{told[0]}, but it is asked for; type: bodylog info LOG")
+    still = [f.poses for f in features]
+    return [_joint(n, readings, still) for n in wanted or common if n not in deaf]
+
+
+def silent(features: Sequence[Features]) -> dict[str, str]:
+    """Of each joint that some log names but does not hear often enough to learn it, what was found."""
+    found, few = {}, f"{_FEWEST} are needed"
+    for index, readings in enumerate(f.joints for f in features if f.joints is not None):
+        for name, column in zip(readings.names, readings.values.T, strict=True):
+            heard = len(np.unique(readings.t[np.isfinite(column)]))
+            if heard < _FEWEST:
+                found[name] = f"{name}: only {heard} of {len(column)} readings in log {index + 1} are numbers, {few}"
+    return found
+
+
+def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
+    """The features without readings that no joint can have, and a remark for each joint that had some; and places."""
+    kept, said = [], []
+    for index, found in enumerate(features):
+        found, far = _near(found, index)
+        said += far
+        for role in ("joints", "reference"):
+            series = getattr(found, role)
+            absurd = np.zeros((0, 0), bool) if series is None else np.abs(series.values) > _ABSURD
+            if not absurd.any():
+                continue
+            found = replace(found, **{role: replace(series, values=np.where(absurd, np.nan, series.values))})
+            for m in np.flatnonzero(absurd.any(axis=0)):
+                example = f"{series.values[absurd[:, m], m][0]:.3g} {series.unit}"
+                what = f"{series.names[m]}: {absurd[:, m].sum()} of {len(absurd)} readings in log {index + 1}"
+                said.append(Finding("warning", f"{what} left out: no joint is at {example}"))
+        kept.append(found)
+    return kept, said
+
+
+def _near(found: Features, index: int) -> tuple[Features, list[Finding]]:
+    """The features without places farther off than any camera's pixels, and a remark for each track that had some."""
+    tracks, said = dict(found.tracks), []
+    for name, track in found.tracks.items():
+        far: Array = np.asarray((np.abs(track.values) > _FAR_PX).any(axis=1))
+        if far.any():
+            tracks[name] = replace(track, values=np.where(far[:, None], np.nan, track.values))
+            what = f"{name}: {far.sum()} of {len(far)} places in log {index + 1} left out"
+            said.append(Finding("warning", f"{what}: beyond {_FAR_PX:g} px"))
+    return replace(found, tracks=tracks), said
+
+
+def moves(joint: Joint) -> bool:
+    """Whether the joint moved: noise alone smooths to far less than this."""
+    return joint.range > _LEAST_RANGE
+
+
+def restless(features: Sequence[Features]) -> list[str]:
+    """Joints whose readings, noise and all, span more than those of a joint at rest."""
+    found: dict[str, None] = {}
+    for series in (f.joints for f in features if f.joints is not None):
+        for name, column in zip(series.names, series.values.T, strict=True):
+            known = column[np.isfinite(column)]
+            if len(known) and float(np.ptp(np.percentile(known, [1, 99]))) > _LEAST_RANGE:
+                found[name] = None
+    return list(found)
+
+
+def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
+    """Sightings of one track with the angles of the chosen joints at the same instants."""
+    parts = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
+    still = [f.poses for f in features if track in f.tracks]
+    return joined([_shuffled(part) if posed else part for part, posed in zip(parts, still, strict=True)])
+
+
+def earlier(x: Array, y: Array, spread: Array) -> Pairs:
+    """The samples of a body learned before, whose noise variance spread (n,D) already holds that of the angles."""
+    label, block = np.full(len(x), _EARLIER), np.arange(len(x)) * _BLOCKS // len(x) - _BLOCKS
+    return Pairs(x, np.zeros(x.shape), y, spread, block, label, np.arange(len(x), dtype=float), len(x))
+
+
+def joined(parts: Sequence[Pairs]) -> Pairs:
+    """All the pairs, in order."""
+    columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS}
+    return Pairs(**columns, frames=sum(p.frames for p in parts))
+
+
+def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
+    """How the errors of the smoothed joints go together from one sighting to the next."""
+    nothing = np.zeros(0, np.int64)
+    found = [(nothing, nothing, nothing, np.zeros(0))]
+    for m, joint in enumerate(chosen):
+        for log in np.unique(part.log[part.log != _EARLIER]):
+            rows = np.flatnonzero(part.log == log)
+            i, j, value = joint.angles[log].coupling(part.t[rows])
+            found.append((rows[i], rows[j], np.full(len(i), m), value))
+    return Coupling(*(np.concatenate(column) for column in zip(*found, strict=True)))
+
+
+def _shuffled(part: Pairs) -> Pairs:
+    """Poses in blocks drawn at random: they are often measured along a grid, of which no part tells the rest."""
+    return replace(part, block=np.random.default_rng(_SEED).permutation(part.block))
+
+
+def _readings(features: Features, index: int, count: int) -> Series:
+    if features.joints is None or not len(features.joints.t):
+        raise LogError(f"log {index + 1} of {count}: no joint readings to learn from; type: bodylog info LOG")
+    return features.joints
+
+
+def _joint(name: str, readings: Sequence[Series], still: Sequence[bool]) -> Joint:
+    columns = [(r.t, r.values[:, r.names.index(name)]) for r in readings]
+    chains = {k: chain(*column) for k, column in enumerate(columns) if not still[k]}
+    pooled = fit(list(chains.values()), 2) if chains else unmoved()
+    each = {k: pooled if len(chains) == 1 else fit([one], 2) for k, one in chains.items()}
+    moving = {k: Moving(one, _likelier(one, each[k])) for k, one in chains.items()}
+    return Joint(name, tuple(moving.get(k) or posed(*column) for k, column in enumerate(columns)), pooled)
+
+
+def _likelier(signal: Chain, acceleration: Motion) -> Motion:
+    """White acceleration or white jerk, whichever has the greater evidence."""
+    jerk = fit([signal], 3)
+    return jerk if jerk.evidence > acceleration.evidence else acceleration
+
+
+def _pairs(track: Series, log: int, chosen: Sequence[Joint], every: int) -> Pairs:
+    rows = np.argsort(track.t, kind="stable")[::every]
+    t, y = track.t[rows], track.values[rows]
+    floor = np.zeros_like(y) if track.std is None else track.std[rows] ** 2
+    both = [j.angles[log].at(t) for j in chosen]
+    x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
+    sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)
+    sound &= (variance <= np.square([_VAGUE * max(j.range, _LEAST_RANGE) for j in chosen])).all(axis=1)
+    block = log * _BLOCKS + np.arange(sound.sum()) * _BLOCKS // max(sound.sum(), 1)
+    label = np.full(sound.sum(), log)
+    return Pairs(x[sound], variance[sound], y[sound], floor[sound], block, label, t[sound], len(t))

@@ -1,0 +1,87 @@
+"""Whether a track teaches a body: seen often enough, moving, and foretold held out better than by a constant."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...types import Array, Features, Finding
+from ..senses.track import Sense
+from .pairs import Joint, Pairs
+
+FEWEST, PER_JOINT = 8, 3
+"""Sightings of a track at least, in all and for every joint that moved."""
+SURE, BETTER = 2.0, 0.9
+"""A body foretells better than a constant where its median error in a held-out block is less than BETTER times the
+constant's, on the average of blocks, and that by SURE standard errors. Medians: a few false sightings are no matter."""
+STILL = 1e-6
+"""px: a track that moves less stands still."""
+
+
+def unfit(part: Pairs, chosen: Sequence[Joint]) -> str | None:
+    """Why a track's sightings are not worth learning from; None where they are."""
+    least = max(FEWEST, PER_JOINT * len(chosen))
+    if len(part.x) < least:
+        moved = f"{len(chosen)} joint{'s' * (len(chosen) != 1)} moved"
+        return f"only {len(part.x)} sightings while joints were heard, {least} are needed as {moved}"
+    if (np.ptp(part.y, axis=0) < STILL).all():
+        u, v = part.y[0]
+        return f"stands still at ({u:.1f}, {v:.1f}) px in all {len(part.x)} sightings"
+    return None
+
+
+def unexplained(found: Sense) -> str | None:
+    """Why a learned track is not worth keeping: what it foretells held out is no better than a constant."""
+    logs = np.array([_ratio(found.residual[rows], found.constant[rows]) for rows in _blocks(found.used.block)])
+    spread = float(logs.std(ddof=1) / np.sqrt(len(logs))) if len(logs) > 1 else np.inf
+    if float(logs.mean()) + SURE * spread < 0.0 and float(logs.mean()) < np.log(BETTER):
+        return None
+    own, constant = (float(np.median(np.linalg.norm(r, axis=1))) for r in (found.residual, found.constant))
+    return (
+        f"held out, the joints foretell its {len(found.residual)} sightings to {own:.2f} px (median), a constant to "
+        f"{constant:.2f} px: it does not move as the joints do"
+    )
+
+
+def explained(found: Sense) -> float:
+    """Share of the squared motion that the joints foretell held out, by medians: 1 all, 0 no more than a constant."""
+    own, constant = (float(np.median(np.square(r).sum(axis=1))) for r in (found.residual, found.constant))
+    return 1.0 - own / constant if constant > 0.0 else 0.0
+
+
+def _blocks(block: Array) -> list[Array]:
+    return [np.flatnonzero(block == label) for label in np.unique(block)]
+
+
+def _ratio(own: Array, constant: Array) -> float:
+    """ln of the median error (n,2) over the constant's."""
+    sizes = [float(np.median(np.linalg.norm(r, axis=1))) for r in (own, constant)]
+    return float(np.log(max(sizes[0], STILL) / max(sizes[1], STILL)))
+
+
+def seen(features: Sequence[Features], name: str) -> str:
+    """In how many images a track was seen, and why not in the others, by reason."""
+    counts = [counted(found, name) for found in features if name in found.tracks]
+    looked, used = sum(c[0] for c in counts), sum(c[1] for c in counts)
+    reasons: dict[str, int] = {}
+    for _, _, rejected in counts:
+        for reason, count in rejected.items():
+            reasons[reason] = reasons.get(reason, 0) + count
+    why = ", ".join(f"{count} {reason}" for reason, count in sorted(reasons.items(), key=lambda one: -one[1]))
+    return f"seen in {used} of {looked} images" + (f" (others: {why})" if why else "")
+
+
+def counted(found: Features, name: str) -> tuple[int, int, dict[str, int]]:
+    """Images looked at for a track, those it was seen in, and how many showed it not, by reason."""
+    health, track = found.health.get(name), found.tracks[name]
+    if health is not None:
+        return health.seen, health.used, dict(health.rejected)
+    shown = int(np.isfinite(track.values).all(axis=1).sum())
+    return len(track.t), shown, {"not seen": len(track.t) - shown} if shown < len(track.t) else {}
+
+
+def moved(heard: Sequence[Joint], chosen: Sequence[Joint]) -> Finding:
+    """Which joints are learned over and how far they moved."""
+    ranges = ", ".join(f"{joint.name} {joint.range:.3g}" for joint in chosen)
+    rest = [joint.name for joint in heard if joint not in chosen]
+    others = f"; not learned over: {', '.join(rest)}" if rest else ""
+    return Finding("info", f"joints: {len(chosen)} learned over, which moved by {ranges} rad{others}")

@@ -1,0 +1,54 @@
+"""What an exploration taught: how far each joint moved, how far that moved what was seen, and what it did not teach."""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ..types import Features, Finding, Noise, Score
+from .data.pairs import Joint, joints, moves, silent
+from .gp.model import GP
+
+
+def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> Iterator[Score]:
+    """Range of each joint, its influence on each track, the model's own uncertainty beside the pixel noise."""
+    for joint in chosen:
+        yield Score(f"range.{joint.name}", joint.range, "rad")
+    for name, gp in senses.items():
+        for joint, size in zip(chosen, influence(gp), strict=True):
+            yield Score(f"influence.{name}.{joint.name}", size, gp.unit)
+        spread = gp.predict(gp.samples)[2]
+        yield Score(f"model_std.{name}", float(np.sqrt(spread.mean())), gp.unit)
+        yield Score(f"model_std_over_noise.{name}", float(np.sqrt(spread.mean() / np.mean(noise.senses[name]))), "1")
+
+
+def findings(heard: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:
+    """Joints of which vision says nothing: those that did not move, and those whose motion drowned in pixel noise."""
+    still = [joint for joint in heard if joint not in chosen]
+    left_out = "left out: vision says nothing about it"
+    found = [Finding("info", f"{j.name}: moved {j.range:.3f} rad, {left_out}") for j in still]
+    for name, gp in senses.items():
+        least = float(np.sqrt(np.mean(noise.senses[name])))
+        for joint, size in zip(chosen, influence(gp), strict=True):
+            if size < least:
+                moved = f"{joint.name}: moved {joint.range:.3f} rad, {name} only {size:.2f} px"
+                found.append(Finding("warning", f"{moved}: vision says little about it"))
+    return found
+
+
+def unlearned(features: Sequence[Features], names: Sequence[str], wanted: Sequence[str] | None) -> list[Finding]:
+    """Joints that are not among those learned, `names`, though vision hangs on them: not heard, or moved unasked."""
+    deaf = silent(features)
+    found = [Finding("warning", f"{text}; left out: vision errs by what it moved") for text in deaf.values()]
+    shared = [set(f.joints.names) for f in features if f.joints is not None]
+    rest = tuple(n for n in sorted(set.intersection(*shared)) if n not in names and n not in deaf) if wanted else ()
+    for joint in joints(features, rest) if rest else ():
+        if moves(joint):
+            moved = f"{joint.name}: moved {joint.range:.3f} rad but is not among the joints learned"
+            found.append(Finding("warning", f"{moved}: vision errs by what it moved"))
+    return found
+
+
+def influence(gp: GP) -> list[float]:
+    """For each joint, how far its motion alone moved the outputs, root mean square, in their unit."""
+    slope = gp.means(gp.samples)[1]
+    return [float(v) for v in np.sqrt((slope**2).sum(axis=1).mean(axis=0)) * gp.samples.std(axis=0)]

@@ -1,0 +1,1 @@
+"""Gaussian processes: model, marginal likelihood, inducing points, fitting."""

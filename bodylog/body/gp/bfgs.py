@@ -1,0 +1,78 @@
+"""Descent in a few variables between bounds: BFGS from a known curvature (Nocedal & Wright 2006, ch. 6)."""
+
+from collections.abc import Callable
+from math import sqrt
+
+import numpy as np
+
+from ...types import Array
+
+_STEPS = 200
+_FARTHEST = 3.0
+_ENOUGH = 1e-4
+_SETTLED = 1e-6
+
+Loss = Callable[[Array], tuple[float, Array]]
+
+
+def descend(loss: Loss, first: Array, low: Array, high: Array, curvature: Array) -> Array:
+    """Where the loss (value, gradient (p,)) is least near `first` (p,); curvature (p,p) positive definite, a guess."""
+    guess = np.linalg.inv(curvature)
+    here, inverse = first, guess
+    value, gradient = loss(here)
+    for _ in range(_STEPS):
+        step = _step(here, gradient, inverse, low, high)
+        fall = float(step @ gradient)
+        if -fall <= _SETTLED * max(1.0, abs(value)):
+            break
+        found = _search(loss, here, value, gradient, step, low, high)
+        if found is None:
+            if inverse is guess:
+                break
+            inverse = guess
+            continue
+        there, value, slope = found
+        inverse = _updated(inverse, there - here, slope - gradient)
+        here, gradient = there, slope
+    return here
+
+
+def _step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array) -> Array:
+    """The quasi-Newton step, no farther than 3 in any variable; variables held by a bound stay."""
+    held = ((here <= low) & (gradient > 0)) | ((here >= high) & (gradient < 0))
+    if held.any():
+        free = np.flatnonzero(~held)
+        step = np.zeros(len(here))
+        # inverse of the curvature among the free variables alone, so that the step still goes down
+        step[free] = -np.linalg.solve(np.linalg.inv(inverse)[np.ix_(free, free)], gradient[free])
+    else:
+        step = -(inverse @ gradient)
+    return np.asarray(step * min(1.0, _FARTHEST / max(float(np.abs(step).max()), 1e-300)))
+
+
+def _search(
+    loss: Loss, here: Array, value: float, gradient: Array, step: Array, low: Array, high: Array
+) -> tuple[Array, float, Array] | None:
+    """The first point along the step, halved or less each time, where the loss has fallen; None when nowhere."""
+    share = 1.0
+    for _ in range(20):
+        there = np.minimum(np.maximum(here + share * step, low), high)
+        found, slope = loss(there)
+        fall = float(gradient @ (there - here))
+        if found <= value + _ENOUGH * fall:
+            return there, found, slope
+        # least of the parabola through both values and the first slope
+        share *= min(0.5, max(0.1, -0.5 * fall / (found - value - fall))) if np.isfinite(found) else 0.1
+    return None
+
+
+def _updated(inverse: Array, step: Array, bend: Array) -> Array:
+    """N&W (6.17); unchanged where the loss bends down."""
+    along = float(step @ bend)
+    if along <= 1e-12 * sqrt(float(step @ step) * float(bend @ bend)):
+        return inverse
+    turned = inverse @ bend
+    cross = step[:, None] * turned
+    return np.asarray(
+        inverse - (cross + cross.T) / along + (1.0 + float(bend @ turned) / along) / along * step[:, None] * step
+    )

@@ -1,0 +1,52 @@
+"""Held-out residuals without refitting: leave one block of time out, in closed form (R&W 5.12; sums for the sparse)."""
+
+import numpy as np
+
+from ...types import Array
+from . import inducing
+from .fit import EXACT, Fitted, Samples, inducing_bases
+from .marginal_likelihood import condition, inverse_lower
+
+
+def residuals(data: Samples, found: Fitted, block: Array) -> tuple[Array, Array]:
+    """Residual (n,D) of each sample predicted without its block, and its predicted variance (n,D), noise included."""
+    residual, variance = np.empty(data.y.shape), np.empty(data.y.shape)
+    blocks = [np.flatnonzero(block == label) for label in np.unique(block)]
+    for index, group in enumerate(found.groups):
+        left_out = _exact if len(data.x) <= EXACT else _sparse
+        residual[:, group], spread = left_out(data, found, index, blocks)
+        variance[:, group] = spread[:, None] * found.spreads[index].share
+    return residual, variance
+
+
+def alone(data: Samples, found: Fitted) -> Array:
+    """Each sample's residual (n,D) in deviations, itself left out (left in on inducing points: it is one of many)."""
+    result = np.empty(data.y.shape)
+    for index, group in enumerate(found.groups):
+        kernel, spread, y = found.kernels[index], found.spreads[index], data.y[:, group]
+        if len(data.x) <= EXACT:
+            whole = condition(kernel, data.x, y, spread)
+            own = np.square(inverse_lower(whole.chol)).sum(axis=0)
+            result[:, group] = whole.alpha / np.sqrt(own)[:, None]
+        else:
+            base = inducing_bases(data, found)[index]
+            fit = inducing.posterior(base, inducing.sums(base, data.x, y, spread))
+            result[:, group] = inducing.deviations(base, fit, data.x, y, spread)
+        result[:, group] /= np.sqrt(spread.share)
+    return result
+
+
+def _exact(data: Samples, found: Fitted, index: int, blocks: list[Array]) -> tuple[Array, Array]:
+    y = data.y[:, found.groups[index]]
+    whole = condition(found.kernels[index], data.x, y, found.spreads[index])
+    inverse = inverse_lower(whole.chol)
+    residual, variance = np.empty(y.shape), np.empty(len(y))
+    for rows in blocks:
+        inner = np.linalg.inv(inverse[:, rows].T @ inverse[:, rows])
+        residual[rows], variance[rows] = inner @ whole.alpha[rows], np.diag(inner)
+    return residual, variance
+
+
+def _sparse(data: Samples, found: Fitted, index: int, blocks: list[Array]) -> tuple[Array, Array]:
+    base = inducing_bases(data, found)[index]
+    return inducing.held_out(base, data.x, data.y[:, found.groups[index]], found.spreads[index], blocks)

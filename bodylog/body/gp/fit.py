@@ -1,0 +1,201 @@
+"""From samples to a GP: kernels by evidence, input noise as output noise (McHutchon & Rasmussen 2011)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from ..data.subsampling import spaced
+from .inducing import Basis, basis, inducing, posterior, sums
+from .marginal_likelihood import FLAT, Hyper, Prior, Spread, condition, independent, inverse_lower, maximise, starts
+from .model import GP
+
+EXACT = 500
+"""Up to so many samples kernels and held-out residuals are the exact posterior's, which costs O(n³)."""
+
+FEW = 100
+"""Above so many samples predictions go by inducing points, for all of them cost more and say the same."""
+
+CANDIDATES = 12
+"""How many first guesses are weighed before the search for a kernel starts from the best."""
+
+_SCOUTS = 200
+_ROUNDS = 8
+_SETTLED = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Coupling:
+    """Covariance of input errors between samples: value (L,) rad² of samples i > j (L,) in one input `joint` (L,)."""
+
+    i: Array
+    j: Array
+    joint: Array
+    value: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """x (n,M) rad · y (n,D) · floor (n,D) known variance · variance (n,M) rad² of x, coupled between samples."""
+
+    x: Array
+    y: Array
+    floor: Array
+    variance: Array | None = None
+    coupling: Coupling | None = None
+
+    def rows(self, chosen: Array) -> "Samples":
+        """Only the chosen rows, without their coupling."""
+        variance = None if self.variance is None else self.variance[chosen]
+        return Samples(self.x[chosen], self.y[chosen], self.floor[chosen], variance)
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Kernels found, one for each group of outputs, and the known noise of the samples they were found with."""
+
+    groups: tuple[slice, ...]
+    kernels: tuple[Hyper, ...]
+    spreads: tuple[Spread, ...]
+
+
+def samples(x: Array, y: Array) -> Samples:
+    """Samples of which no noise is known."""
+    return Samples(x, y, np.zeros(y.shape))
+
+
+def train(data: Samples, outputs: tuple[str, ...], unit: str, seed: int = 0, exact: int = EXACT) -> GP:
+    """The GP of greatest evidence, one kernel for all outputs, found from at most `exact` samples."""
+    return build(data, fitted(data, FLAT, True, seed, exact), outputs, unit)
+
+
+def fitted(data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EXACT) -> Fitted:
+    """Kernels of greatest evidence, from at most `exact` of the samples, and the noise of all samples under them."""
+    if len(data.x) <= exact:
+        return fit(data, prior, shared, seed)
+    part = data.rows(spaced(len(data.x), exact))
+    found = fit(part, prior, shared, seed)
+    if data.variance is None:
+        return replace(found, spreads=tuple(independent(data.floor[:, g]) for g in found.groups))
+    return replace(found, spreads=lifted(data, assemble(part, found, (), ""), found.groups))
+
+
+def build(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str, few: int = FEW) -> GP:
+    """The GP with kernels found: exact for `few` samples, for more on inducing points."""
+    make = assemble if len(data.x) <= few else condense
+    return make(data, found, outputs, unit)
+
+
+def fit(data: Samples, prior: Prior, shared: bool, seed: int) -> Fitted:
+    """Kernels of greatest evidence under the prior; noise of the inputs refined until it settles."""
+    count = data.y.shape[1]
+    groups = (slice(0, count),) if shared else tuple(slice(d, d + 1) for d in range(count))
+    spreads = tuple(independent(data.floor[:, g]) for g in groups)
+    kernels = tuple(search(data.x, data.y[:, g], s, prior, seed) for g, s in zip(groups, spreads, strict=True))
+    for _ in range(_ROUNDS):
+        if data.variance is None:
+            break
+        before = np.concatenate([s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)])
+        spreads = lifted(data, assemble(data, Fitted(groups, kernels, spreads), (), ""), groups)
+        parts = zip(kernels, groups, spreads, strict=True)
+        kernels = tuple(polish(k, data.x, data.y[:, g], s, prior) for k, g, s in parts)
+        after = np.concatenate([s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)])
+        if np.abs(after - before).mean() < _SETTLED * after.mean():
+            break
+    return Fitted(groups, kernels, spreads)
+
+
+def search(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper:
+    """Kernel of greatest evidence for outputs y (n,G) that share it: from guesses on few samples, then on all."""
+    scouts, own = spaced(len(x), _SCOUTS), y / np.sqrt(spread.share)
+    sx, sy = _deviation(x), float(np.mean(_deviation(own)))
+    few = x[scouts] / sx, own[scouts] / sy, independent(spread.diagonal[scouts] / sy**2)
+    found = maximise(*few, prior.scaled(1.0 / sx), starts(few[0], seed, CANDIDATES))
+    best = Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
+    return polish(best, x, y, spread, prior) if len(scouts) < len(x) else best
+
+
+def polish(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior) -> Hyper:
+    """The kernel of greatest evidence near `start`, of outputs in units of their own noise."""
+    y = y / np.sqrt(spread.share)
+    sx, sy = _deviation(x), float(np.mean(_deviation(y)))
+    first = Hyper(start.scales / sx, start.amplitude / sy**2, start.noise / sy**2)
+    found = maximise(x / sx, y / sy, spread.scaled(1.0 / sy**2), prior.scaled(1.0 / sx), first.theta[None])
+    return Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
+
+
+def lifted(data: Samples, gp: GP, groups: Sequence[slice]) -> tuple[Spread, ...]:
+    """Floor plus input noise seen through the slope of the mean: σ² + J Σₓ Jᵀ, one for each group of outputs."""
+    slope = gp.means(data.x)[1]
+    diagonal = data.floor + np.einsum("ndm,nm->nd", slope**2, np.asarray(data.variance))
+    return tuple(_spread(data, slope[:, g], diagonal[:, g]) for g in groups)
+
+
+def assemble(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str) -> GP:
+    """The exact GP of the samples with given kernels and noise."""
+    parts = zip(found.groups, found.kernels, found.spreads, strict=True)
+    exact = [condition(k, data.x, data.y[:, g], s) for g, k, s in parts]
+    weights, mean = np.concatenate([p.alpha.T for p in exact]), np.concatenate([p.mean for p in exact])
+    return _gp(data, found, outputs, unit, data.x, weights, np.array([inverse_lower(p.chol) for p in exact]), mean)
+
+
+def condense(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str) -> GP:
+    """The GP of all samples on inducing points."""
+    bases = inducing_bases(data, found)
+    parts = [
+        posterior(base, sums(base, data.x, data.y[:, g], s))
+        for base, g, s in zip(bases, found.groups, found.spreads, strict=True)
+    ]
+    weights, mean = np.concatenate([p.weights for p in parts]), np.concatenate([p.mean for p in parts])
+    return _gp(data, found, outputs, unit, bases[0].centres, weights, np.array([p.factor for p in parts]), mean)
+
+
+def inducing_bases(data: Samples, found: Fitted) -> list[Basis]:
+    """Each kernel on the inducing points that all share."""
+    quietest = min(float(s.diagonal.min()) + k.noise for s, k in zip(found.spreads, found.kernels, strict=True))
+    centres = inducing(found.kernels, data.x, quietest)
+    return [basis(k, centres) for k in found.kernels]
+
+
+def _gp(
+    data: Samples,
+    found: Fitted,
+    outputs: tuple[str, ...],
+    unit: str,
+    centres: Array,
+    weights: Array,
+    factor: Array,
+    mean: Array,
+) -> GP:
+    each = [np.ones(g.stop - g.start) * s.share for g, s in zip(found.groups, found.spreads, strict=True)]
+    return GP(
+        outputs,
+        unit,
+        centres=centres,
+        scales=np.array([k.scales for k in found.kernels]),
+        amplitude=np.array([k.amplitude for k in found.kernels]),
+        mean=mean,
+        weights=np.ascontiguousarray(weights),
+        factor=factor,
+        noise=np.concatenate([k.noise * share for k, share in zip(found.kernels, each, strict=True)]),
+        samples=data.x,
+        targets=data.y,
+        spread=np.hstack([np.outer(s.diagonal, share) for s, share in zip(found.spreads, each, strict=True)]),
+    )
+
+
+def _spread(data: Samples, slope: Array, diagonal: Array) -> Spread:
+    known = independent(diagonal)
+    if data.coupling is None:
+        return known
+    c, count = data.coupling, len(data.x)
+    value = (slope[c.i, :, c.joint] * slope[c.j, :, c.joint] / known.share).mean(axis=1) * c.value
+    place, into = np.unique(c.i * count + c.j, return_inverse=True)
+    value = np.bincount(into, value, minlength=len(place))
+    return replace(known, i=place // count, j=place % count, value=value)
+
+
+def _deviation(values: Array) -> Array:
+    deviation = values.std(axis=0)
+    return np.where(deviation > 1e-9 * np.maximum(1.0, np.abs(values).max(axis=0)), deviation, 1.0)

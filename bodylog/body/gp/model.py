@@ -1,0 +1,246 @@
+"""Gaussian-process forward model: mean, Jacobian and variance at one point or at many (paper, "Body learning")."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from ...types import Array
+
+_BLOCK_BYTES = 1 << 19
+_SOME = 64
+"""Samples by which the model's errors are told."""
+
+MISFIT = 1.2
+"""Times its posterior variance that a model errs by: no arm is a draw from a squared exponential, whose spectrum falls
+faster than any camera's. The least that was found of several arms; docs/learning.md has what was."""
+
+NEGLIGIBLE = 1e-6
+"""Relative error of the variance allowed at any point, for leaving out directions the samples say nothing of."""
+
+
+@dataclass(frozen=True, eq=False)
+class GP:
+    """One sense's learned model: D outputs on shared centres, one squared-exponential kernel (G=1) or one each (G=D).
+
+    outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² ·
+    mean (D,) unit · weights (D,n) · factor (G,r,n): variance = MISFIT (amplitude − |factor k|²) · noise (D,) unit² that
+    was found beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
+    Outputs that share a kernel share it in units of their own noise: each one's variance is its `share` times that.
+    """
+
+    outputs: tuple[str, ...]
+    unit: str
+    centres: Array
+    scales: Array
+    amplitude: Array
+    mean: Array
+    weights: Array
+    factor: Array
+    noise: Array
+    samples: Array
+    targets: Array
+    spread: Array
+    misfit: ClassVar[float] = MISFIT
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
+        x = np.atleast_2d(x)
+        if len(x) == 1:
+            value, slope, spread = self.predict_one(x[0])
+            return value[None], slope[None], spread[None]
+        parts = [single.many(x - self._origin) for single in self._singles]
+        if len(parts) == 1:
+            return parts[0]
+        value, slope, spread = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+        return value, slope, spread
+
+    def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
+        """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
+        offset = x - self._origin
+        parts = [single.at(offset) for single in self._singles]
+        if len(parts) == 1:
+            return parts[0]
+        value, slope, spread = zip(*parts, strict=True)
+        return np.concatenate(value), np.concatenate(slope), np.concatenate(spread)
+
+    def means(self, x: Array) -> tuple[Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance: O(N n)."""
+        parts = [single.means(x - self._origin) for single in self._singles]
+        if len(parts) == 1:
+            return parts[0]
+        value, slope = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+        return value, slope
+
+    def covariance(self, x: Array) -> Array:
+        """Between all pairs of x (N,M) rad: (G,N,N) unit², each output's `share` times that of its kernel.
+
+        Model error is systematic, this says how far along.
+        """
+        result = np.empty((len(self.scales), len(x), len(x)))
+        for group, scales in enumerate(self.scales):
+            kernel = se(x / scales, self.centres / scales, self.amplitude[group])
+            projected = self._projected(group, kernel)
+            result[group] = MISFIT * (se(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T)
+        return result
+
+    def slope_variance(self, x: Array) -> Array:
+        """Variance of the Jacobian at x (N,M) rad: (N,D,M) per rad squared."""
+        result = np.empty((len(x), len(self.mean), x.shape[1]))
+        for group, scales in enumerate(self.scales):
+            members = self._members(group)
+            for rows in _blocks(len(x), len(self.centres)):
+                kernel = se(x[rows] / scales, self.centres / scales, self.amplitude[group])
+                for m, scale in enumerate(scales):
+                    lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
+                    left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
+                    result[rows, members, m] = np.maximum(left, 0.0)[:, None] * (MISFIT * self.share[members])
+        return result
+
+    def _projected(self, group: int, kernel: Array) -> Array:
+        """factor · k for kernel (N,n): (N,r)."""
+        return np.asarray(kernel @ self.factor[group].T)
+
+    def _members(self, group: int) -> list[int]:
+        return list(range(len(self.mean))) if len(self.scales) == 1 else [group]
+
+    @cached_property
+    def share(self) -> Array:
+        """What each output (D,) has of the noise, and the variance, of those that share its kernel."""
+        return shares(self.spread) if len(self.scales) == 1 else np.ones(len(self.mean))
+
+    @cached_property
+    def reach(self) -> Array:
+        """Angles (M,) rad that are to part before the model errs otherwise: errors correlate by exp(−½ Σ (δ/reach)²).
+
+        Near by a correlation bends by the variance of the error's slope over that of the error; where it was learned.
+        """
+        x = self.samples[:: max(1, len(self.samples) // _SOME)]
+        # below this share of its amplitude a variance is rounding
+        error = max(self.predict(x)[2].mean(), np.finfo(float).eps * self.amplitude.max())
+        bend = self.slope_variance(x).mean(axis=(0, 1)) / error
+        return np.asarray(1.0 / np.sqrt(np.maximum(bend, np.finfo(float).tiny)))
+
+    @cached_property
+    def _origin(self) -> Array:
+        return np.asarray(self.centres.mean(axis=0))
+
+    @cached_property
+    def _singles(self) -> list["_Single"]:
+        return [self._single(group) for group in range(len(self.scales))]
+
+    def _single(self, group: int) -> "_Single":
+        near, precision, members = self.centres - self._origin, self.scales[group] ** -2.0, self._members(group)
+        amplitude, fixed = float(self.amplitude[group]), -0.5 * np.square(near) @ precision
+        leans = (self.weights[members][:, None] * (near * precision).T).reshape(-1, len(near))
+        # amplitude here, not in the exponent: large exponents are rounded more, and the variance is what is left
+        rows = amplitude * np.concatenate([self.weights[members], leans, self.factor[group]])
+        near, rows = np.asfortranarray(near), np.asfortranarray(rows)
+        return _Single(near, fixed, precision, rows, self.mean[members], MISFIT * self.share[members], amplitude)
+
+
+@dataclass(frozen=True, eq=False)
+class _Single:
+    """One kernel's D outputs at one point or at many: all that is linear in the kernel in one product.
+
+    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean (D,) ·
+    share (D,), what each output has of the variance ·
+    amplitude · rows (D+DM+r,n), amplitude times: weights, weights times centres times precision, factor.
+    """
+
+    near: Array
+    fixed: Array
+    precision: Array
+    rows: Array
+    mean: Array
+    share: Array
+    amplitude: float
+
+    def at(self, offset: Array) -> tuple[Array, Array, Array]:
+        """Mean (D,), Jacobian (D,M) and variance (D,) at an offset (M,) from the origin of `near`."""
+        kernel, tilt = self.kernel(offset)
+        return self.told(self.rows.dot(kernel), tilt)
+
+    def kernel(self, offset: Array) -> tuple[Array, Array]:
+        """At an offset (M,) from the origin of `near`: k (n,) of amplitude 1; the offset times the precision (M,)."""
+        # method calls: an operator's way to the same product takes as long as the product of 46 samples
+        tilt = offset * self.precision
+        kernel = self.near.dot(tilt)
+        kernel += self.fixed
+        kernel -= 0.5 * offset.dot(tilt)
+        return np.exp(kernel, out=kernel), tilt
+
+    def told(self, sums: Array, tilt: Array) -> tuple[Array, Array, Array]:
+        """Mean (D,), Jacobian (D,M) and variance (D,) of rows · k."""
+        outputs, inputs = len(self.mean), len(tilt)
+        value, leans, seen = sums[:outputs], sums[outputs : outputs * (1 + inputs)], sums[outputs * (1 + inputs) :]
+        slope = leans.reshape(outputs, inputs) - value[:, None] * tilt
+        return value + self.mean, slope, max(self.amplitude - float(seen.dot(seen)), 0.0) * self.share
+
+    def many(self, offset: Array) -> tuple[Array, Array, Array]:
+        """Mean (N,D), Jacobian (N,D,M) and variance (N,D) at offsets (N,M)."""
+        left = np.empty(len(offset))
+        value, slope = self.means(offset, left)
+        return value, slope, np.maximum(left, 0.0)[:, None] * self.share
+
+    def means(self, offset: Array, left: Array | None = None) -> tuple[Array, Array]:
+        """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M); `left` (N,) takes what the samples leave of the amplitude.
+
+        Block by block, lest all products go through memory; the kernel's logarithm is linear in [x/l², 1, −x·x/2l²].
+        """
+        outputs, inputs = len(self.mean), offset.shape[1]
+        linear, tilt = outputs * (1 + inputs), (offset * self.precision).T
+        rows = self.rows[:linear] if left is None else self.rows
+        below = np.vstack([tilt, np.ones(len(offset)), -0.5 * (offset.T * tilt).sum(axis=0)])
+        above = np.column_stack([self.near, self.fixed, np.ones(len(self.fixed))])
+        value, slope = np.empty((len(offset), outputs)), np.empty((len(offset), outputs, inputs))
+        for block in _blocks(len(offset), len(self.fixed)):
+            kernel = above @ below[:, block]
+            sums = rows @ np.exp(kernel, out=kernel)
+            leans = sums[outputs:linear].reshape(outputs, inputs, -1) - sums[:outputs, None] * tilt[:, block]
+            value[block], slope[block] = sums[:outputs].T + self.mean, np.moveaxis(leans, -1, 0)
+            if left is not None:
+                left[block] = self.amplitude - np.einsum("rn,rn->n", sums[linear:], sums[linear:])
+        return value, slope
+
+
+def _blocks(count: int, width: int) -> Iterator[slice]:
+    """Rows of a (count, width) array, as many at a time as stay near the processor."""
+    step = max(1, _BLOCK_BYTES // (8 * width))
+    return (slice(start, min(start + step, count)) for start in range(0, count, step))
+
+
+def shortened(gp: GP) -> GP:
+    """The same with as few rows r of the factor as keep the variance to NEGLIGIBLE of itself at every x.
+
+    With F the factor and K the Gram matrix of the centres, F K Fᵀ has eigenvalues λ/(1+λ), where λ is signal over noise
+    along an eigenvector. The prior bounds k(x) by its amplitude, so rows up to λ change a variance v by at most λ v.
+    """
+    short = []
+    for factor, scales, amplitude in zip(gp.factor, gp.scales, gp.amplitude, strict=True):
+        gram = se(gp.centres / scales, gp.centres / scales, amplitude)
+        values, vectors = np.linalg.eigh(factor @ gram @ factor.T)
+        short.append((values, vectors.T @ factor))
+    rank = max(int((values > NEGLIGIBLE).sum()) for values, _ in short)
+    return replace(gp, factor=np.array([factor[-rank:] for _, factor in short]))
+
+
+def shares(variance: Array) -> Array:
+    """What each output (D,) has of variances (n,D), their mean 1; 1 for all where one has none."""
+    means = variance.mean(axis=0)
+    return np.asarray(means / means.mean()) if means.all() else np.ones(len(means))
+
+
+def se(a: Array, b: Array, amplitude: float) -> Array:
+    """Squared-exponential kernel between a (N,M) and b (n,M), both divided by their length scales: (N,n)."""
+    half_a, half_b = np.square(a).sum(axis=1), np.square(b).sum(axis=1)
+    left, right = (np.ones((len(part), part.shape[1] + 2)) for part in (a, b))
+    left[:, :-2], left[:, -1] = a, -0.5 * half_a
+    right[:, :-2], right[:, -2] = b, -0.5 * half_b
+    exponent = left @ right.T
+    np.minimum(exponent, 0.0, out=exponent)
+    np.exp(exponent, out=exponent)
+    exponent *= amplitude
+    return np.asarray(exponent)

@@ -1,0 +1,1 @@
+"""A track's mean from a URDF, a camera and their unknowns."""

@@ -1,0 +1,236 @@
+"""What changed since a body was learned: a joint's zero, a camera's or a marker's place, each weighed by evidence.
+
+Sightings leave r = A u + B z + g + noise of what the body foretells: u the changes, z ~ N(0, I) what it does not know
+of its own unknowns θ, g the residual's process. A change is a hypothesis: it must win nats with z and g marginalised.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ...errors import InputError
+from ...runtime.blas_threads import one_thread
+from ...types import Array, BodyModel, Features
+from ..data.pairs import coupled, joints, pairs
+from ..data.subsampling import spaced
+from .change_system import Fit, Part, Problem, Track, cleaned, fitted, linear, linearised
+from .model import KinematicGP
+
+GAIN, APART = 20.0, 5.0
+"""Nats that a change must win, and by which it must beat any other to be named: what `estimation` asks of offsets."""
+LEAST = 0.01
+"""rad: an offset that is no fault is no larger than this, as in `estimation`."""
+SLIP, SLIDE = np.radians(5.0), 0.1
+"""rad: how far a zero may well have moved, and m per rad for a joint that slides; `fit --offset-prior`'s default."""
+CAMERA = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
+"""m, rad: how far a camera may well have been pushed; the doubt of one that a transform places (links.TF_POSE)."""
+MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
+"""m, rad: how far a marker may well have slipped: its own size, and as far as a joint."""
+MOST, FEWEST = 200, 10
+"""Sightings of a track that are asked, at most and at least: a change shows in few, and more cost O(n³)."""
+_ONSETS = 8
+_PROMISING = 6
+_FINER = 4
+_NEAR = np.array([-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8])
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """One change since the body was learned: `kind` joint, camera or marker · value ± std (K,) rad or m · nats won.
+
+    A joint has one value, its zero's; a camera place (3) m and turn (3) rad; a marker the place, a board its turn too.
+    since: s, None from the start on · rivals: what explains the same sightings nearly as well · unit: of a joint's.
+    """
+
+    kind: str
+    name: str
+    value: Array
+    std: Array
+    nats: float
+    since: float | None = None
+    rivals: tuple[str, ...] = ()
+    unit: str = "rad"
+
+
+def comparable(body: BodyModel) -> bool:
+    """Whether a body tells what changed: it was learned with a URDF, and its encoders read angles."""
+    return "encoders" not in body.senses and any(isinstance(s, KinematicGP) for s in body.senses.values())
+
+
+@one_thread("scipy.linalg")
+def changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
+    """What changed between the logs that the body was learned from and these features, likeliest first.
+
+    Nothing where no track has kinematics, where its joints are not all heard, or where too little is seen.
+    """
+    problem = _posed(features, body)
+    if problem is None:
+        return ()
+    problem = cleaned(problem)
+    if sum(len(kept) for kept in problem.kept) < FEWEST:
+        return ()
+    found = _paired(_searched(problem, len(body.joints)), problem)
+    return tuple(one for one in _told(found) if one.kind != "joint" or abs(one.value[0]) > LEAST)
+
+
+_Rivals = tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """Parts accepted, fitted together, and of each what explains nearly as well."""
+
+    problem: Problem
+    parts: tuple[Part, ...]
+    fit: Fit
+    rivals: Mapping[tuple[str, str], _Rivals]
+
+
+def _searched(problem: Problem, most: int) -> _Search:
+    """One part after the other while each wins GAIN nats; those go that later ones explain."""
+    accepted, known, won = tuple[Part, ...](), fitted(problem, ()), dict[tuple[str, str], _Rivals]()
+    while len(accepted) < most:
+        taken = {*won, *(rival for rivals in won.values() for rival in rivals)}
+        tried = _tried(problem, accepted, known, taken)
+        if not tried or tried[0][1].evidence < known.evidence + GAIN:
+            break
+        part, best = tried[0]
+        if np.isfinite(part.onset):
+            problem, part, best = _timed(problem, accepted, part, best)
+        won[part.thing] = _rivals(part, tried)
+        accepted, known = _needed(problem, (*accepted, part), best)
+    return _Search(problem, accepted, known, won)
+
+
+def _paired(found: _Search, problem: Problem) -> _Search:
+    """The same, or the likeliest two joints where they are likelier: one other thing may stand for both."""
+    constant = [part for part in problem.parts if part.kind == "joint" and np.isinf(part.onset)]
+    if not found.parts or len(constant) < 2:
+        return found
+    about = linearised(problem, found.fit.unknowns)
+    best = max(combinations(constant, 2), key=lambda pair: linear(about, problem, pair))
+    fit = fitted(problem, best)
+    if fit.evidence <= found.fit.evidence or {part.thing for part in best} == set(found.rivals):
+        return found
+    return _Search(problem, best, fit, dict.fromkeys((part.thing for part in best), ()))
+
+
+def _told(found: _Search) -> Iterator[Change]:
+    """Every part with the nats that are lost without it."""
+    for part in found.parts:
+        others = tuple(one for one in found.parts if one is not part)
+        without = fitted(found.problem, others, found.fit.unknowns)
+        yield _change(part, found.fit, found.fit.evidence - without.evidence, found.rivals[part.thing])
+
+
+def _needed(problem: Problem, parts: tuple[Part, ...], fit: Fit) -> tuple[tuple[Part, ...], Fit]:
+    """Without parts that others, found later, explain as well."""
+    for part in parts[:-1]:
+        others = tuple(one for one in parts if one is not part)
+        without = fitted(problem, others, fit.unknowns)
+        if without.evidence > fit.evidence - APART:
+            return _needed(problem, others, without)
+    return parts, fit
+
+
+def _timed(problem: Problem, accepted: tuple[Part, ...], part: Part, fit: Fit) -> tuple[Problem, Part, Fit]:
+    """The same with the onset where it is likeliest between those that were tried."""
+    reach, kept = float(np.diff(problem.onsets[1:]).max()), tuple(np.arange(len(one.part.x)) for one in problem.tracks)
+    for turn in range(_FINER):
+        ways = [replace(part, onset=float(onset)) for onset in part.onset + reach * _NEAR]
+        posed = [replace(problem, parts=tuple(way if one is part else one for one in problem.parts)) for way in ways]
+        fits = [fitted(one, (*accepted, way), fit.unknowns) for one, way in zip(posed, ways, strict=True)]
+        best = int(np.argmax([one.evidence for one in fits]))
+        if fits[best].evidence > fit.evidence:
+            problem, part, fit = posed[best], ways[best], fits[best]
+        if turn == 0:
+            # what only an onset in between explains seemed to be of something else
+            problem = cleaned(replace(problem, kept=kept, scale=1.0))
+            fit = fitted(problem, (*accepted, part), fit.unknowns)
+        reach *= 0.5 if turn == 0 else 0.3
+    return problem, part, fit
+
+
+def _posed(features: Features, body: BodyModel) -> Problem | None:
+    senses = {n: s for n, s in body.senses.items() if isinstance(s, KinematicGP) and n in features.tracks}
+    heard = () if features.joints is None else features.joints.names
+    if not senses or not comparable(body) or not set(body.joints) <= set(heard):
+        return None
+    try:
+        chosen = joints([features], body.joints)
+    except InputError:
+        return None  # an encoder that is hardly heard
+    tracks = []
+    for name, model in senses.items():
+        part = pairs([features], name, chosen, 1)
+        part = part.rows(spaced(len(part.x), MOST)) if len(part.x) else part
+        known = coupled(part, chosen)
+        tracks.append(Track(model, part, (known.i, known.j, known.joint, known.value)))
+    tracks = [track for track in tracks if len(track.part.x)]
+    return _layout(tracks, body.joints) if tracks else None
+
+
+def _layout(tracks: Sequence[Track], names: tuple[str, ...]) -> Problem | None:
+    first = tracks[0].model.rig
+    if (first.doubt < 1e-6).all():
+        return None  # offsets are turned off
+    t = np.concatenate([track.part.t for track in tracks])
+    inner = np.quantile(t, np.arange(1, _ONSETS) / _ONSETS).tolist() if len(t) >= 2 * _ONSETS * len(names) else []
+    onsets = (-np.inf, *inner)
+    parts, std = list[Part](), list[Array]()
+
+    def add(kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad") -> None:
+        begin = sum(len(one) for one in std)
+        parts.append(Part(kind, name, slice(begin, begin + len(spread)), onset, unit))
+        std.append(spread)
+
+    for m, name in enumerate(names):
+        factor, unit = (SLIDE, "m") if first.slides(m) else (1.0, "rad")
+        for onset in onsets:
+            add("joint", name, np.array([SLIP * factor]), onset, unit)
+    for camera in dict.fromkeys(track.model.rig.cameras[0].name for track in tracks):
+        add("camera", camera, CAMERA)
+    carriers = {track.model.rig.carriers[0].name: track.model.rig.carriers[0] for track in tracks}
+    for name, carrier in carriers.items():
+        add("marker", name, MARKER[: len(carrier.doubt)])
+    kept = tuple(np.arange(len(track.part.x)) for track in tracks)
+    return Problem(tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
+
+
+def _tried(
+    problem: Problem, accepted: tuple[Part, ...], known: Fit, taken: set[tuple[str, str]]
+) -> list[tuple[Part, Fit]]:
+    """Of every part that is not yet explained what one more change wins, the likeliest first."""
+    about = linearised(problem, known.unknowns)
+    begin = linear(about, problem, accepted)
+    promised = []
+    for part in problem.parts:
+        if part.thing not in taken:
+            # an onset anywhere is as likely as none
+            cost = 0.0 if np.isinf(part.onset) else float(np.log(len(problem.onsets) - 1))
+            promised.append((linear(about, problem, (*accepted, part)) - begin - cost, cost, part))
+    promised.sort(key=lambda one: -one[0])
+    least = promised[0][0] if promised else 0.0
+    if least < 0.5 * GAIN:
+        return []
+    some = [one for k, one in enumerate(promised) if k < _PROMISING or one[0] > 0.8 * least][: 2 * _PROMISING]
+    some += [one for one in promised if one not in some and np.isinf(one[2].onset) and one[0] > 0.5 * least]
+    tried = [(part, fitted(problem, (*accepted, part), known.unknowns), cost) for _, cost, part in some]
+    costed = [(part, replace(fit, evidence=fit.evidence - cost)) for part, fit, cost in tried]
+    return sorted(costed, key=lambda one: -one[1].evidence)
+
+
+def _rivals(best: Part, tried: Sequence[tuple[Part, Fit]]) -> _Rivals:
+    """Other things whose change explains the sightings within APART nats of the best."""
+    top = tried[0][1].evidence
+    near = [part.thing for part, fit in tried if fit.evidence > top - APART and part.thing != best.thing]
+    return tuple(dict.fromkeys(near))
+
+
+def _change(part: Part, fit: Fit, nats: float, rivals: _Rivals) -> Change:
+    since = None if np.isinf(part.onset) else part.onset
+    names = tuple(name for _, name in rivals)
+    value, std = fit.unknowns[part.place], fit.std[part.place]
+    return Change(part.kind, part.name, value, std, nats, since, names, part.unit)

@@ -1,0 +1,209 @@
+"""Sightings about what may have changed: linear in the changes, with what the body does not know marginalised."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...types import Array
+from ..data.pairs import Pairs
+from ..gp.model import GP
+from .model import KinematicGP
+
+_TURNS = 4
+_OUTLYING = 5.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """A group of unknowns: a joint's zero from its onset (s) on, a camera's pose, a marker's place."""
+
+    kind: str
+    name: str
+    place: slice
+    onset: float = -np.inf
+    unit: str = "rad"
+
+    @property
+    def thing(self) -> tuple[str, str]:
+        """What it is of."""
+        return self.kind, self.name
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Sightings of one track, how their angles' errors go together, and the model that foretells them."""
+
+    model: KinematicGP
+    part: Pairs
+    coupling: tuple[Array, Array, Array, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Tracks, the unknowns' parts with their σ (P,), onsets (S,) s; which rows count, and by what noise is greater."""
+
+    tracks: tuple[Track, ...]
+    parts: tuple[Part, ...]
+    std: Array
+    onsets: tuple[float, ...]
+    kept: tuple[Array, ...]
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """About unknowns u: information (Q,Q) and pull (Q,) of z and drifts (first B) and u in deviations · rest, nats.
+
+    rows: of each track and output what is left, the columns and the standard deviation of each.
+    """
+
+    information: Array
+    pull: Array
+    rest: float
+    before: int
+    rows: list[tuple[Array, Array, Array, Array, Array]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Some parts' unknowns u (P,) where they are likeliest, their σ (P,), and the evidence in nats."""
+
+    unknowns: Array
+    std: Array
+    evidence: float
+
+
+def cleaned(problem: Problem) -> Problem:
+    """Without sightings that no change explains; with noise as great as what all changes together leave."""
+    every = problem.parts
+    for _ in range(2 * _TURNS):
+        unknowns = fitted(problem, every).unknowns
+        about = linearised(problem, unknowns)
+        at = solved(about, np.arange(len(about.pull)))[0]
+        left = [np.abs(rest - columns @ at) / std for rest, columns, std, _, _ in about.rows]
+        white = np.concatenate([w_rest - w_columns @ at for _, _, _, w_rest, w_columns in about.rows])
+        free = float(np.trace(np.linalg.solve(about.information + np.eye(len(at)), about.information)))
+        freedom = max(len(white) - free, 0.2 * len(white))
+        scale = (float(np.median(np.abs(white))) / 0.6745) ** 2 * len(white) / freedom
+        worst = [np.maximum(left[2 * k], left[2 * k + 1]) for k in range(len(problem.tracks))]
+        sound = [size < _OUTLYING * max(1.0, scale) ** 0.5 for size in worst]
+        kept = tuple(rows[good] for rows, good in zip(problem.kept, sound, strict=True))
+        whole = all(good.all() for good in sound)
+        before, after = problem.scale, max(1.0, problem.scale * scale) if whole else 1.0
+        problem = replace(problem, kept=kept, scale=after)
+        if whole and after < 1.2 * before:
+            break
+    return problem
+
+
+def fitted(problem: Problem, parts: Sequence[Part], begin: Array | None = None) -> Fit:
+    """The unknowns of some parts, all others zero, by Gauss-Newton."""
+    chosen = np.zeros(len(problem.std), bool)
+    for part in parts:
+        chosen[part.place] = True
+    unknowns = np.where(chosen, 0.0 if begin is None else begin, 0.0)
+    for _ in range(_TURNS if chosen.any() else 1):
+        about = linearised(problem, unknowns)
+        rows = np.append(np.arange(about.before), about.before + np.flatnonzero(chosen))
+        at, covariance, evidence = solved(about, rows)
+        step = np.zeros(len(problem.std))
+        step[chosen] = at[about.before :] * problem.std[chosen] - unknowns[chosen]
+        unknowns = unknowns + step
+        std = np.zeros(len(problem.std))
+        std[chosen] = np.sqrt(np.diag(covariance)[about.before :]) * problem.std[chosen]
+        if (np.abs(step[chosen]) <= 0.02 * std[chosen]).all():
+            break
+    return Fit(unknowns, std, evidence)
+
+
+def linear(about: System, problem: Problem, parts: Sequence[Part]) -> float:
+    """Evidence (nats) of some parts, all others zero, without a further linearisation."""
+    chosen = np.zeros(len(problem.std), bool)
+    for part in parts:
+        chosen[part.place] = True
+    return solved(about, np.append(np.arange(about.before), about.before + np.flatnonzero(chosen)))[2]
+
+
+def solved(about: System, rows: Array) -> tuple[Array, Array, float]:
+    """Of some unknowns, in prior deviations: mean, covariance, and the evidence in nats."""
+    matrix = about.information[np.ix_(rows, rows)] + np.eye(len(rows))
+    covariance = np.linalg.inv(matrix)
+    mean = covariance @ about.pull[rows]
+    logdet = float(np.linalg.slogdet(matrix)[1])
+    return mean, covariance, about.rest + 0.5 * float(mean @ about.pull[rows]) - 0.5 * logdet
+
+
+def linearised(problem: Problem, unknowns: Array) -> System:
+    """All sightings about some unknowns u (P,)."""
+    directions = problem.tracks[0].model.root.shape[1]
+    drifts = 2 * len(problem.tracks)
+    before = directions + drifts
+    size = before + len(unknowns)
+    information, pull, rest = np.zeros((size, size)), np.zeros(size), 0.0
+    rows = []
+    for number, (track, kept) in enumerate(zip(problem.tracks, problem.kept, strict=True)):
+        left, by_unknowns, unknown, slope, x = _track(problem, track, unknowns, kept)
+        like = GP.covariance(track.model, x)[0]
+        for d in range(2):
+            columns = np.zeros((len(kept), size))
+            columns[:, :directions] = unknown[:, d]
+            columns[:, directions + 2 * number + d] = np.sqrt(track.model.drift[d])
+            columns[:, before:] = by_unknowns[:, d] * problem.std
+            cov = problem.scale * _noise(track, kept, slope[:, d], d, like)
+            chol = np.linalg.cholesky(cov)
+            total = left[:, d] + by_unknowns[:, d] @ unknowns
+            white = np.linalg.solve(chol, np.column_stack([total, columns]))
+            information += white[:, 1:].T @ white[:, 1:]
+            pull += white[:, 1:].T @ white[:, 0]
+            rest -= 0.5 * float(white[:, 0] @ white[:, 0]) + float(np.log(np.diag(chol)).sum())
+            rows.append((total, columns, np.sqrt(np.diag(cov)), white[:, 0], white[:, 1:]))
+    return System(information, pull, rest, before, rows)
+
+
+def _noise(track: Track, kept: Array, slope: Array, output: int, like: Array) -> Array:
+    """Covariance (n,n) px² of one output's sightings: residual's process, their own, and that of their angles."""
+    model, part = track.model, track.part
+    cov = like * model.share[output]
+    own = part.floor[kept, output] + model.noise[output] + (np.square(slope) * part.variance[kept]).sum(axis=1)
+    cov[np.diag_indices(len(kept))] += np.maximum(own, 1e-6)
+    place = np.full(len(part.x), -1)
+    place[kept] = np.arange(len(kept))
+    i, j, m, value = track.coupling
+    rows, columns = place[i], place[j]
+    both = (rows >= 0) & (columns >= 0)
+    rows, columns, m, value = rows[both], columns[both], m[both], value[both]
+    add = slope[rows, m] * slope[columns, m] * value
+    np.add.at(cov, (rows, columns), add)
+    np.add.at(cov, (columns, rows), add)
+    return np.asarray(cov)
+
+
+def _track(
+    problem: Problem, track: Track, unknowns: Array, kept: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """About u (P,): what is left (n,2) px, how u moves it (n,2,P), z (n,2,p), slopes (n,2,M), and angles x (n,M)."""
+    model, part = track.model, track.part
+    t = part.t[kept]
+    shift = np.zeros((len(kept), part.x.shape[1]))
+    theta = model.theta.copy()
+    of = {"camera": model.rig.of_camera(0), "marker": model.rig.of_carrier(0)}
+    own = {"camera": model.rig.cameras[0].name, "marker": model.rig.carriers[0].name}
+    for one in problem.parts:
+        value = unknowns[one.place]
+        if one.kind == "joint":
+            shift[:, model.rig.joints.index(one.name)] += (t >= one.onset) * value[0]
+        elif own[one.kind] == one.name:
+            theta[of[one.kind].start : of[one.kind].start + len(value)] += value
+    x, moved = part.x[kept] + shift, replace(model, theta=theta)
+    value, slope = moved.means(x)
+    design, unknown = moved.design(x), moved.unknowns(x)
+    by = np.zeros((len(kept), 2, len(unknowns)))
+    for one in problem.parts:
+        if one.kind == "joint":
+            active = (t >= one.onset)[:, None]
+            by[..., one.place] = (slope[..., model.rig.joints.index(one.name)] * active)[..., None]
+        elif own[one.kind] == one.name:
+            start = of[one.kind].start
+            by[..., one.place] = design[..., start : start + one.place.stop - one.place.start]
+    return part.y[kept] - value, by, unknown, slope, x

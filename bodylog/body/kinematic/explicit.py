@@ -1,0 +1,199 @@
+"""Residuals of a mean with linear unknowns z ~ N(0, I): r = B z + g(x) + noise, z marginalised (R&W 2.7)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+from ..data.subsampling import spaced
+from ..gp.bfgs import descend
+from ..gp.inducing import Basis, among, sums
+from ..gp.marginal_likelihood import (
+    Hyper,
+    Prior,
+    Spread,
+    _grams,
+    _information,
+    _lapack,
+    _terms,
+    cholesky,
+    hyper,
+    starts,
+)
+
+_SCOUTS = 120
+_GUESSES = 8
+SEARCHED = 300
+"""Samples at most by which a kernel is found: a residual is smooth, and the evidence costs O(n³)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Residuals r (n,D) px of samples at x (n,M) rad and how z moves them, design (n,D,P) px; known noise `spread`."""
+
+    x: Array
+    residual: Array
+    design: Array
+    spread: Spread
+
+    def some(self, rows: Array) -> "Rows":
+        """Only some rows."""
+        return Rows(self.x[rows], self.residual[rows], self.design[rows], among(self.spread, rows))
+
+
+def search(data: Rows, prior: Prior, seed: int) -> Hyper:
+    """The kernel of greatest evidence, and the white noise beyond the known, with z marginalised."""
+    deviation = np.maximum(data.x.std(axis=0), 1e-9)
+    unit = max(float(np.median(np.abs(data.residual))) / 0.6745, 1e-6)
+    spread = data.spread.scaled(unit**-2.0)
+    scaled = Rows(data.x / deviation, data.residual / unit, data.design / unit, spread)
+    prior = prior.scaled(1.0 / deviation)
+    few, many = (thinned(scaled, count) for count in (_SCOUTS, SEARCHED))
+    terms, guesses = _terms(few.x), starts(few.x, seed, _GUESSES)
+    losses = [_loss(theta, terms, few, prior)[0] for theta in guesses]
+    best = _climb(guesses[int(np.argmin(losses))], few, prior)
+    if len(many.x) > len(few.x):
+        best = _climb(best.theta, many, prior)
+    return Hyper(best.scales * deviation, best.amplitude * unit**2, best.noise * unit**2)
+
+
+def thinned(data: Rows, count: int) -> Rows:
+    """At most `count` rows, evenly spaced."""
+    rows = spaced(len(data.x), count)
+    return data if len(rows) == len(data.x) else data.some(rows)
+
+
+def _climb(first: Array, data: Rows, prior: Prior) -> Hyper:
+    inputs, terms = data.x.shape[1], _terms(data.x)
+    low, high = np.array([-10.0, *[-5.0] * inputs, -23.0]), np.array([16.0, *[10.0] * inputs, 6.0])
+    first = np.clip(first, low, high)
+    curvature = _information(first, data.x, data.residual.shape[1], data.spread, prior)
+    return hyper(descend(lambda theta: _loss(theta, terms, data, prior), first, low, high, curvature))
+
+
+def evidence(theta: Array, data: Rows) -> tuple[float, Array]:
+    """Log marginal likelihood (nats) at theta (as Hyper.theta), z and g marginalised, and its gradient."""
+    return _evidence(theta, _terms(data.x), data)
+
+
+def _loss(theta: Array, terms: Array, data: Rows, prior: Prior) -> tuple[float, Array]:
+    value, gradient = _evidence(theta, terms, data)
+    away = (theta[1:-1] - np.log(prior.scales)) / prior.width
+    gradient[1:-1] -= away / prior.width
+    return 0.5 * float(away @ away) - value, -gradient
+
+
+def _evidence(theta: Array, terms: Array, data: Rows) -> tuple[float, Array]:
+    kernel, gram = np.exp(theta), _grams(theta, terms)
+    chol = cholesky(gram, data.spread, kernel[-1])
+    found = solved(chol, data)
+    worth = worths(chol, found)
+    trace = float(np.trace(worth))
+    worth *= gram
+    gradient = np.empty(len(theta))
+    gradient[:-1] = 0.5 * (terms @ worth.reshape(-1))
+    gradient[0] = 0.5 * float(worth.sum())
+    gradient[1:-1] *= -2.0 / kernel[1:-1] ** 2
+    gradient[-1] = 0.5 * kernel[-1] * trace
+    return found.evidence, gradient
+
+
+def worths(chol: Array, found: "Solved") -> Array:
+    """Twice what each entry (n,n) of the covariance is worth, nats: αα' + C⁻¹B H⁻¹ B'C⁻¹ − D C⁻¹ (R&W 5.9)."""
+    columns = np.concatenate([found.alpha.T, (found.lean @ found.root).transpose(0, 2, 1).reshape(-1, len(chol))])
+    return np.asarray(columns.T @ columns - len(found.lean) * inverted(chol))
+
+
+def inverted(chol: Array) -> Array:
+    """The inverse (n,n) of what has this lower factor."""
+    inverse = _lapack().dpotri(chol, lower=1)[0]
+    return np.asarray(inverse + np.tril(inverse, -1).T)
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """z's posterior: mean (P,) and root (P,P), whose covariance is root rootᵀ · alpha (n,D), lean (D,n,P) · evidence.
+
+    alpha = C⁻¹(r − B z) and lean = C⁻¹B are of outputs in units of their own share of the noise.
+    """
+
+    mean: Array
+    root: Array
+    alpha: Array
+    lean: Array
+    evidence: float
+
+
+def solved(chol: Array, data: Rows) -> Solved:
+    """The posterior of z and g, given the factor (n,n) of kernel and noise, and the evidence in nats."""
+    count, outputs, unknowns = data.design.shape
+    own = np.sqrt(data.spread.share)
+    residual, design = data.residual / own, data.design / own[:, None]
+    sides = np.concatenate([residual, design.reshape(count, -1)], axis=1)
+    back = np.asarray(_lapack().dpotrs(chol, np.asfortranarray(sides), lower=1)[0])
+    lean = back[:, outputs:].reshape(count, outputs, unknowns).transpose(1, 0, 2)
+    right = np.einsum("nd,dnp->p", residual, lean)
+    mean, root, logdet = posterior(np.einsum("ndp,dnq->pq", design, lean), right)
+    alpha = back[:, :outputs] - np.einsum("dnp,p->nd", lean, mean)
+    fit = float((residual * back[:, :outputs]).sum() - right @ mean)
+    entropy = outputs * (2.0 * float(np.log(np.diag(chol)).sum()) + count * np.log(2.0 * np.pi))
+    entropy += count * float(np.log(data.spread.share).sum()) * (len(data.spread.share) == outputs)
+    return Solved(mean, root, alpha, lean, -0.5 * (fit + entropy + logdet))
+
+
+def posterior(information: Array, pull: Array) -> tuple[Array, Array, float]:
+    """z's mean (P,), root (P,P) and ln of its precision's determinant, of what data say: B'C⁻¹B (P,P), B'C⁻¹r (P,)."""
+    values, vectors = np.linalg.eigh(information + np.eye(len(pull)))
+    values = np.maximum(values, 1.0)
+    root = vectors / np.sqrt(values)
+    return root @ (root.T @ pull), root, float(np.log(values).sum())
+
+
+def held_out(chol: Array, data: Rows, blocks: Array) -> tuple[Array, Array]:
+    """Residual (n,D) of each sample foretold without its block (n,), and its variance (n,D), noise included."""
+    count, outputs = data.residual.shape
+    found, own = solved(chol, data), np.sqrt(np.broadcast_to(data.spread.share, outputs))
+    inverse = inverted(chol)
+    lean = (found.lean @ found.root).reshape(outputs * count, -1)
+    residual, variance = np.empty((2, count, outputs))
+    for label in np.unique(blocks):
+        rows = np.flatnonzero(blocks == label)
+        both = np.concatenate([d * count + rows for d in range(outputs)])
+        inner = np.kron(np.eye(outputs), inverse[np.ix_(rows, rows)]) - lean[both] @ lean[both].T
+        inner = np.linalg.inv(inner)
+        residual[rows] = (inner @ found.alpha.T.reshape(-1)[both]).reshape(outputs, -1).T * own
+        variance[rows] = np.diag(inner).reshape(outputs, -1).T * np.square(own)
+    return residual, variance
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """The same posterior on inducing points, in px: weights (D,m) of r − B z · lean (D,P,m) of B · factor (r,m) of GP.
+
+    information (P,P) and pull (P,): what the samples say of z.
+    """
+
+    weights: Array
+    lean: Array
+    factor: Array
+    information: Array
+    pull: Array
+
+
+def condensed(base: Basis, data: Rows) -> Condensed:
+    """On inducing points; the weights are of r alone, as where z's posterior mean is zero."""
+    count, outputs, unknowns = data.design.shape
+    own = np.sqrt(np.broadcast_to(data.spread.share, outputs))
+    sides = np.concatenate([data.residual / own, (data.design / own[:, None]).reshape(count, -1)], axis=1)
+    total = sums(base, data.x, sides, data.spread)
+    values, vectors = np.linalg.eigh(total.outer)
+    values = np.maximum(values, 0.0)
+    turned, cross = vectors.T @ base.inverse, vectors.T @ total.cross[:, 1:]
+    inner = total.inner[1:, 1:] - cross.T @ (cross / (1.0 + values)[:, None])
+    weights = (turned.T @ (cross / (1.0 + values)[:, None])).T
+    blocks = [slice(outputs + d * unknowns, outputs + (d + 1) * unknowns) for d in range(outputs)]
+    lean = np.array([weights[b] for b in blocks]) * own[:, None, None]
+    information = np.sum([inner[b, b] for b in blocks], axis=0)
+    pull = np.sum([inner[b, d] for d, b in enumerate(blocks)], axis=0)
+    factor = np.sqrt(values / (1.0 + values))[:, None] * turned
+    return Condensed(weights[:outputs] * own[:, None], lean, factor, information, pull)

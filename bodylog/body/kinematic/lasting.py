@@ -1,0 +1,64 @@
+"""An error that lasts: what a robot that warms up, or whose camera gives way, errs alike in for minutes."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ...types import Array
+from ..data.subsampling import spaced
+from ..gp.bfgs import descend
+from ..gp.marginal_likelihood import Hyper, Spread, cholesky
+from ..gp.model import se
+from .explicit import SEARCHED, Rows, solved, thinned, worths
+
+SPANS = (0.03, 0.1, 0.3)
+"""Shares of a log over which an error may last: of a longer one it shows less than three."""
+
+
+def lasting(t: Array, kernel: Hyper, data: Rows) -> tuple[Hyper, Rows, float]:
+    """Kernel, rows and variance (px²) with an error that correlates by exp(−Δt/τ) in time t (n,) s, where evident.
+
+    τ is one of SPANS of the whole. What it costs, two numbers more, it must be worth (Schwarz 1978). The variance is
+    the mean over τ, by evidence.
+    """
+    whole, rows = max(float(np.ptp(t)), 1e-9), spaced(len(t), SEARCHED)
+    part, z = thinned(data, SEARCHED), data.x[rows] / kernel.scales
+    gram = se(z, z, 1.0)
+    plain = solved(cholesky(gram * kernel.amplitude, part.spread, kernel.noise), part).evidence
+    gaps = np.abs(t[rows, None] - t[rows])
+    found = [_found(gram, np.exp(-gaps / (span * whole)), kernel, part) for span in SPANS]
+    best = int(np.argmax([one[0] for one in found]))
+    worth, logs = found[best]
+    if worth < plain + np.log(part.residual.size):
+        return kernel, data, 0.0
+    weights = np.exp([one[0] - worth for one in found])
+    amplitude, noise, variance = (float(v) for v in np.exp(logs))
+    spread = _with(data.spread, t, SPANS[best] * whole, variance)
+    mean = float(weights @ [np.exp(one[1][2]) for one in found] / weights.sum())
+    return replace(kernel, amplitude=amplitude, noise=noise), replace(data, spread=spread), mean
+
+
+def _found(gram: Array, like: Array, kernel: Hyper, data: Rows) -> tuple[float, Array]:
+    """Evidence (nats) and logarithms of amplitude, noise and the lasting variance that it is greatest for."""
+
+    def loss(logs: Array) -> tuple[float, Array]:
+        amplitude, noise, variance = np.exp(logs)
+        chol = cholesky(gram * amplitude + variance * like, data.spread, noise)
+        found = solved(chol, data)
+        worth = worths(chol, found)
+        slopes = [amplitude * (worth * gram).sum(), noise * np.trace(worth), variance * (worth * like).sum()]
+        return -found.evidence, -0.5 * np.array(slopes)
+
+    first = np.log([kernel.amplitude, 0.7 * kernel.noise, 0.3 * kernel.noise])
+    logs = descend(loss, first, first - 6.0, first + 4.0, np.eye(3) * len(gram))
+    return -loss(logs)[0], logs
+
+
+def _with(known: Spread, t: Array, span: float, variance: float) -> Spread:
+    """Known noise and what lasts as one."""
+    i, j = np.nonzero(np.tril(np.ones((len(t), len(t))), -1))
+    value = np.concatenate([known.value, variance * np.exp(-np.abs(t[i] - t[j]) / span)])
+    places = np.concatenate([known.i, i]) * len(t) + np.concatenate([known.j, j])
+    place, into = np.unique(places, return_inverse=True)
+    value = np.bincount(into, value, minlength=len(place))
+    return Spread(known.diagonal + variance, place // len(t), place % len(t), value, known.share)

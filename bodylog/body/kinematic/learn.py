@@ -1,0 +1,180 @@
+"""A learned body with a URDF: kinematics as the mean of each track, a Gaussian process on what that leaves."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import ModelError
+from ...kinematics import identifiability
+from ...kinematics.links import CameraHint, Found, Track, find
+from ...kinematics.urdf import Robot, implausible
+from ...runtime.blas_threads import one_thread
+from ...settings import Settings
+from ...types import Features, Finding
+from ..gp.model import GP
+from ..learning import Learned
+from ..senses import encoder_function
+from .lengths import stretched
+from .model import KinematicGP
+from .residuals import RESIDUAL, Together, models, residual, together
+from .scores import findings, gain, scores, zeros
+from .sightings import Sightings, gathered
+
+UNFIT = 0.1
+"""Share of a track's motion that kinematics of the right robot does not leave: a real NAO's leaves 0.03."""
+_LEAST_NOISE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Robotics:
+    """What is known of a robot: its URDF · hints by camera name · doubt: σ of its joints' zeros, rad · asked for.
+
+    scale: σ of its joints' scales, in shares of one; 0: they are right.
+    """
+
+    robot: Robot
+    hints: Mapping[str, CameraHint]
+    doubt: float
+    asked: bool = True
+    scale: float = 0.0
+
+
+@one_thread("scipy.linalg")
+def learn(features: Sequence[Features], settings: Settings, found: Learned, given: Robotics) -> Learned:
+    """The body learned without a URDF, with kinematics as its tracks' mean; as it was, with a remark, if that is unfit.
+
+    ModelError where no joint that moved is in a URDF that was asked for.
+    """
+    names, robot = found.model.joints, given.robot
+    missing = [name for name in names if name not in robot.by_name]
+    if len(missing) == len(names) and given.asked:
+        have = ", ".join(list(robot.by_name)[:12])
+        raise ModelError(f"{robot.source}: none of the joints that moved ({', '.join(names)}) is in it; it has {have}")
+    why = f"joint {missing[0]!r} moved and is not in it" if missing else implausible(robot)
+    if why:
+        return unused(found, why)
+    tracks = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP) and name != "encoders"}
+    order = sorted(tracks, key=lambda name: (name in found.poor, name))
+    parts = gathered(features, order, found.joints, settings.fit.every, settings.fit.samples)
+    poor = {name for name, one in parts.items() if not any(t in tracks and t not in found.poor for t in one.tracks)}
+    held, left_out = still(features, names), dict[str, str]()
+    for _ in range(len(parts)):
+        seen = {name: track(name, one) for name, one in parts.items()}
+        links = find(robot, names, held, seen, given.hints, given.doubt, given.scale)
+        whys = dict(unexplained(links, parts))
+        foreign = {name: why for name, why in whys.items() if name in poor}
+        if not foreign or len(foreign) == len(parts):
+            break
+        left_out |= foreign
+        parts = {name: part for name, part in parts.items() if name not in foreign}
+    if whys:
+        return unused(found, next(iter(whys.values())))
+    return learned(_without(found, left_out), links, parts, tracks, settings.fit.seed)
+
+
+def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
+    """Without tracks that neither kinematics nor a process explains."""
+    if not left_out:
+        return found
+    senses = {name: model for name, model in found.model.senses.items() if name not in left_out}
+    said = [Finding("warning", f"{name}: left out: {found.poor[name]}; {why}") for name, why in left_out.items()]
+    return replace(found, model=replace(found.model, senses=senses), findings=(*found.findings, *said))
+
+
+def track(name: str, shown: Sightings) -> Track:
+    """A thing's sightings, by its camera and marker."""
+    camera, _, marker = name.rpartition("/")
+    return Track(camera, marker, shown.sighted, shown.points)
+
+
+def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
+    """The median angle, rad, of joints that are heard and did not move."""
+    found: dict[str, float] = {}
+    told = (encoder_function.referred(one, None).joints for one in features)
+    for series in (joints for joints in told if joints is not None):
+        for name, column in zip(series.names, series.values.T, strict=True):
+            if name not in names and np.isfinite(column).any():
+                found.setdefault(name, float(np.nanmedian(column)))
+    return found
+
+
+def unused(found: Learned, why: str, advice: str = "give this robot's own with --urdf") -> Learned:
+    """The body without a URDF, and a remark on why."""
+    text = f"the URDF is not used: {why}; {advice}, or type --no-urdf"
+    return replace(found, findings=(*found.findings, Finding("warning", text)))
+
+
+def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[str, str]]:
+    """Tracks of which kinematics leaves too much, and how much."""
+    calibrated = links.calibrated
+    for (name, one), sight, weight in zip(parts.items(), calibrated.rig.sights, calibrated.weights, strict=True):
+        left, spread = calibrated.noise**0.5, one.sighted.spread
+        if left > UNFIT * spread or weight[one.seen].mean() < 0.5:
+            ends = f"from {sight.chain.start} to {sight.chain.end}"
+            yield name, f"{ends} it leaves {left:.1f} px of {name}, which moved by {spread:.0f} px"
+
+
+def learned(
+    found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int
+) -> Learned:
+    """The body with calibrated links as its tracks' mean; as it was, with a remark, where that is unfit."""
+    calibrated = links.calibrated
+    rig, theta, weights = calibrated.rig, calibrated.theta, calibrated.weights
+    each = enumerate(shown.items())
+    parts = {name: residual(rig, k, theta, one, weights[k], found.joints, seed) for k, (name, one) in each}
+    for k, part in enumerate(parts.values()):
+        off = stretched(rig, k, theta, part, RESIDUAL)
+        if off is not None and off.wrong:
+            return unused(found, off.said)
+    both = together(rig, theta, parts)
+    gains = {
+        name: gain(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())
+    }
+    worst = min(gains, key=lambda name: gains[name])
+    if gains[worst] < 0.0:
+        return unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
+    covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
+    zeroed = identifiability.offsets(rig, both.theta, covariance)
+    offsets = (*zeroed, *identifiability.scales(rig, both.theta, covariance))
+    senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}
+    told = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
+    found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
+    kept = {score.name: score for score in (*found.scores, *told)}
+    return replace(
+        _with(found, senses, both),
+        scores=tuple(kept.values()),
+        findings=(*found.findings, *findings(links, offsets, gains)),
+    )
+
+
+def _apart(found: Learned, tracks: set[str]) -> Learned:
+    """What was learned without tracks that are one board's, and what it says of them."""
+    model = found.model
+    senses = {name: one for name, one in model.senses.items() if name not in tracks}
+    noise = {name: one for name, one in model.noise.senses.items() if name not in tracks}
+    errors = {name: one for name, one in model.noise.std_error.items() if name not in tracks}
+    model = replace(model, senses=senses, noise=replace(model.noise, senses=noise, std_error=errors))
+    scores = [one for one in found.scores if not _of(one.name.partition(".")[2], tracks)]
+    findings = [one for one in found.findings if one.text.partition(":")[0] not in tracks]
+    return replace(found, model=model, scores=tuple(scores), findings=tuple(findings))
+
+
+def _of(name: str, tracks: set[str]) -> bool:
+    """Whether a score's name is of one of the tracks, or of something of one."""
+    return name in tracks or any(name.startswith(f"{track}.") for track in tracks)
+
+
+def _with(found: Learned, things: Mapping[str, Mapping[str, KinematicGP]], both: Together) -> Learned:
+    """The body with these senses and their noise."""
+    noise = found.model.noise
+    variances, errors = dict(noise.senses), dict(noise.std_error)
+    senses = {track: model for of in things.values() for track, model in of.items()}
+    for name, of in things.items():
+        part = both.parts[name]
+        for track, model in of.items():
+            variance = np.maximum(model.noise + part.tracks[track].floor.mean(axis=0), _LEAST_NOISE)
+            variances[track] = tuple(float(v) for v in variance)
+            errors[track] = tuple(float(v) for v in variance * np.sqrt(2.0 / len(part.pairs.x)))
+    noise = replace(noise, senses=variances, std_error=errors)
+    return replace(found, model=replace(found.model, senses={**found.model.senses, **senses}, noise=noise))

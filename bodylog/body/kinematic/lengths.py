@@ -1,0 +1,97 @@
+"""Whether a URDF's lengths are the robot's: how far each link would have to be stretched, and what that is worth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from ...kinematics.rig import Rig
+from ...types import Array
+from ..data.subsampling import spaced
+from ..gp.marginal_likelihood import Prior, cholesky
+from ..gp.model import se
+from .explicit import SEARCHED, search, solved, thinned
+from .residuals import Part
+
+DOUBT = 0.05
+"""Share of its length by which a link of a wrong URDF may be off; the prior's standard deviation."""
+WRONG = 0.02
+"""Stretched by more than this a link is another robot's: castings and prints are good to half a percent."""
+_SURE = 4.0
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """The link between two joints: by what share ± std it is longer than the URDF says, beside the others.
+
+    Between no joints it is all links alike, beside what metres the camera's pose or a board's size give.
+    """
+
+    before: str
+    after: str
+    share: float
+    std: float
+
+    @property
+    def wrong(self) -> bool:
+        """Whether it is surely another's."""
+        return abs(self.share) > max(WRONG, _SURE * self.std)
+
+    @property
+    def said(self) -> str:
+        """In words."""
+        way = "longer" if self.share > 0 else "shorter"
+        size = f"{abs(self.share):.1%} ± {self.std:.1%}"
+        if not self.before:
+            return f"all the robot's links are {size} {way} than it says, by the metres that camera or board give"
+        link = f"the robot's link between {self.before} and {self.after}"
+        return f"{link} is {size} {way} than it says, beside its others"
+
+
+def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -> Stretch | None:
+    """The link that is off by the greatest share, where kinematics is the likelier for links that may be stretched."""
+    rows = spaced(len(learned.rows.x), SEARCHED)
+    long, spread = _doubt(rig, index)
+    if spread is None:
+        return None
+    stretch = learned.view.of(rig.see(rig.sights[index], theta, learned.view.q).stretch)[rows]
+    part, kernel = thinned(learned.rows, SEARCHED), learned.kernel
+    more = replace(part, design=np.concatenate([part.design, stretch[..., long] @ spread], axis=2))
+    z = part.x / kernel.scales
+    before = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), part).evidence
+    kernel = search(more, prior, 0)
+    z = part.x / kernel.scales
+    found = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), more)
+    if found.evidence < before + np.log(part.residual.size):
+        return None
+    extra = slice(part.design.shape[2], None)
+    return _worst(rig, index, long, spread @ found.mean[extra], spread @ found.root[extra])
+
+
+def _doubt(rig: Rig, index: int) -> tuple[Array, Array | None]:
+    """Which steps have a length, and what each unknown (count + 1) stretches them by: each apart, and all alike."""
+    long = np.linalg.norm(rig.sights[index].chain.fixed[1:-1, :3, 3], axis=1) > 1e-3
+    count = int(long.sum())
+    if count < 2:
+        return long, None
+    return long, DOUBT * np.column_stack([np.eye(count) - 1.0 / count, np.ones(count)])
+
+
+def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stretch:
+    """The link that is off the most beside the others; all alike where that is sure. share (K,) ± root rootᵀ."""
+    weight = np.linalg.solve(root @ root.T, np.ones(len(share)))
+    weight /= weight.sum()
+    alike = Stretch("", "", float(weight @ share), float(np.linalg.norm(weight @ root)))
+    if alike.wrong:
+        return alike
+    share, root = share - weight @ share, root - weight @ root
+    worst = int(np.argmax(np.abs(share)))
+    return Stretch(*_names(rig, index, long)[worst], float(share[worst]), float(np.linalg.norm(root[worst])))
+
+
+def _names(rig: Rig, index: int, long: Array) -> Sequence[tuple[str, str]]:
+    """The joints before and after each link of some length."""
+    chain = rig.sights[index].chain
+    steps = [chain.joints[c] for c in chain.column]
+    return [pair for pair, kept in zip(pairwise(steps), long, strict=True) if kept]

@@ -1,0 +1,124 @@
+"""A forward model whose mean is kinematics and a camera, and a Gaussian process on what that leaves."""
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from ...kinematics.instant import Instant, instant
+from ...kinematics.pose import Base
+from ...kinematics.rig import Rig, Seen
+from ...types import Array
+from ..gp.model import GP, se
+
+_ROWS = 2048
+_STEP = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class KinematicGP(GP):
+    """One point of one marker before one camera; the fields of GP are those of the residual, whose mean is zero.
+
+    rig: one camera, one marker, one sight of one point · theta (P,), of greatest posterior · root (P,p): θ's
+    covariance is root rootᵀ · lean (D,p,n): the samples foretell root's columns by it, as weights do the residual ·
+    drift (D,) px²: variance of an error that lasts longer than a log · base: how the robot's root carries
+    the marker, or the camera that moves, where a URDF said.
+    """
+
+    rig: Rig
+    theta: Array
+    root: Array
+    lean: Array
+    drift: Array
+    base: Base | None = None
+
+    @classmethod
+    def on(cls, plain: GP, rig: Rig, theta: Array, root: Array, lean: Array, drift: Array) -> Self:
+        """The model with a residual `plain`."""
+        residual: dict[str, Any] = {field.name: getattr(plain, field.name) for field in fields(GP)}
+        return cls(**residual, rig=rig, theta=theta, root=root, lean=lean, drift=drift)
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
+        x = np.atleast_2d(x)
+        if len(x) == 1:
+            one = self.predict_one(x[0])
+            return one[0][None], one[1][None], one[2][None]
+        if len(x) > _ROWS:
+            parts = [self.predict(x[start : start + _ROWS]) for start in range(0, len(x), _ROWS)]
+            value, slope, spread = (np.concatenate(column) for column in zip(*parts, strict=True))
+            return value, slope, spread
+        value, slope, spread = super().predict(x)
+        seen = self._seen(x)
+        unknown = np.square(self._unknown(x, seen)).sum(axis=2)
+        return value + seen.image[:, 0], slope + seen.slope[:, 0], spread + unknown + self.drift
+
+    def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
+        """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
+        single, (image, by_joints, design) = self._singles[0], self._instant(x)
+        kernel, tilt = single.kernel(x - self._origin)
+        sums, own = self._rows.dot(kernel), len(single.rows)
+        value, slope, spread = single.told(sums[:own], tilt)
+        unknown = design.dot(self.root)
+        unknown -= sums[own:].reshape(unknown.shape)
+        spread = spread + self.drift
+        spread += np.einsum("dp,dp->d", unknown, unknown)
+        return value + image, slope + by_joints, spread
+
+    def means(self, x: Array) -> tuple[Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
+        value, slope = super().means(x)
+        seen = self._seen(x)
+        return value + seen.image[:, 0], slope + seen.slope[:, 0]
+
+    def kinematics(self, x: Array) -> Array:
+        """What kinematics and camera alone foretell (N,D) px at x (N,M) rad."""
+        return np.asarray(self._seen(np.atleast_2d(x)).image[:, 0])
+
+    def design(self, x: Array) -> Array:
+        """How θ moves what kinematics and camera foretell at x (N,M) rad: (N,D,P) px per unit of θ."""
+        return np.asarray(self._seen(np.atleast_2d(x)).design[:, 0])
+
+    def unknowns(self, x: Array) -> Array:
+        """What one standard deviation of each direction of θ (N,D,p) still changes at x (N,M) rad, px."""
+        return self._unknown(x, self._seen(x))
+
+    def covariance(self, x: Array) -> Array:
+        """Between all pairs of x (N,M) rad: (1,N,N) px², the outputs' mean."""
+        leaning = self._unknown(x, self._seen(x)) / np.sqrt(self.share)[:, None]
+        return np.asarray(super().covariance(x) + np.einsum("ndp,kdp->nk", leaning, leaning)[None] / len(self.share))
+
+    def slope_variance(self, x: Array) -> Array:
+        """Variance of the Jacobian at x (N,M) rad: (N,D,M) per rad squared."""
+        result = super().slope_variance(x)
+        for m in range(x.shape[1]):
+            step = _STEP * np.eye(x.shape[1])[m]
+            above, below = (self._unknown(x + way, self._seen(x + way)) for way in (step, -step))
+            result[..., m] += np.square((above - below) / (2.0 * _STEP)).sum(axis=2)
+        return result
+
+    @property
+    def offsets(self) -> tuple[Array, Array]:
+        """The joints' zeros (M,) rad or m, and their covariance (M,M)."""
+        part = self.rig.of_joints
+        return self.theta[part], np.asarray(self.root[part] @ self.root[part].T)
+
+    @cached_property
+    def _instant(self) -> Instant:
+        return instant(self.rig, self.theta)
+
+    @cached_property
+    def _rows(self) -> Array:
+        """The process's rows and below them lean's (D p,n), of a kernel of amplitude 1."""
+        leaning = self.lean.reshape(-1, self.lean.shape[2]) * self.amplitude[0]
+        return np.asfortranarray(np.concatenate([self._singles[0].rows, leaning]))
+
+    def _seen(self, x: Array) -> Seen:
+        return self.rig.see(self.rig.sights[0], self.theta, x)
+
+    def _unknown(self, x: Array, seen: Seen) -> Array:
+        """What one standard deviation of each direction of θ (N,D,p) still changes, px."""
+        scales = self.scales[0]
+        kernel = se(x / scales, self.centres / scales, self.amplitude[0])
+        return np.asarray(seen.design[:, 0] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))

@@ -1,0 +1,46 @@
+"""The joints' zeros and scales that a body learned with a URDF tells."""
+
+from typing import Any
+
+from ...errors import ModelError
+from ...kinematics.identifiability import Offset, offsets, scales
+from ...types import BodyModel
+from .model import KinematicGP
+
+
+def learned(model: BodyModel) -> tuple[Offset, ...]:
+    """Each joint's zero; tracks were learned together, so any of them tells. ModelError without a URDF's chain."""
+    first = _first(model)
+    return offsets(first.rig, first.theta, first.root @ first.root.T)
+
+
+def scaled(model: BodyModel) -> tuple[Offset, ...]:
+    """Each joint's scale; none where they were taken to be right. ModelError without a URDF's chain."""
+    first = _first(model)
+    return scales(first.rig, first.theta, first.root @ first.root.T)
+
+
+def _first(model: BodyModel) -> KinematicGP:
+    senses = [sense for sense in model.senses.values() if isinstance(sense, KinematicGP)]
+    if not senses:
+        raise ModelError("learned without a URDF, it tells no joint offsets; type: bodylog fit LOG --urdf ROBOT.urdf")
+    return senses[0]
+
+
+def plain(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
+    """As plain values: {joint: value (None where it is not identifiable), std, unit, identifiable, confused with}."""
+    return {
+        one.joint: {
+            "value": one.value if one.identifiable else None,
+            "std": one.std,
+            "unit": one.unit,
+            "identifiable": one.identifiable,
+            "confused_with": list(one.confused),
+        }
+        for one in found
+    }
+
+
+def tables(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]") -> dict[str, dict[str, dict[str, Any]]]:
+    """As plain values: {"offsets": {joint: …}}, and "scales" alike where there are any."""
+    return {"offsets": plain(found)} | ({"scales": plain(scales)} if scales else {})

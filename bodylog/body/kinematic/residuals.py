@@ -1,0 +1,176 @@
+"""What kinematics leaves of each track: its kernel, and θ and the residual's Gaussian process learned together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...kinematics.rig import Rig, Seen
+from ...types import Array
+from ..data.pairs import Joint, Pairs, coupled
+from ..gp.fit import Coupling, Samples, lifted
+from ..gp.inducing import basis, inducing
+from ..gp.marginal_likelihood import Hyper, Prior, Spread, cholesky
+from ..gp.model import GP, se, shortened
+from .explicit import Condensed, Rows, condensed, posterior, search
+from .lasting import lasting
+from .model import KinematicGP
+from .sightings import Sightings, View, alone, groups, singles, sound, viewed
+
+MOST = 500
+"""Sightings of a track that a residual is learned from: kinematics carries the rest, and more cost O(n³)."""
+RESIDUAL = Prior(np.ones(()), 0.35)
+"""Length scales of what kinematics leaves: of bends and gears, as long as a turn's own cosine (evidence.ROTATION)."""
+_ROUNDS = 4
+_SETTLED = 0.01
+"""Posterior standard deviations by which θ still moves when it rests."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """One thing: rows kept, coupling of their angles, kernel, variance (px²) of a lasting error, rows about θ.
+
+    own: variance (px²) of one point about the mean of its part of a board · tracks, points: the tracks that become
+    senses, one in each part, what they showed, and which points they are: more would say the same again and again.
+    """
+
+    pairs: Pairs
+    known: Coupling
+    kernel: Hyper
+    drift: float
+    rows: Rows
+    view: View
+    own: float
+    tracks: Mapping[str, Pairs]
+    points: Mapping[str, int]
+
+    @property
+    def chol(self) -> Array:
+        """Factor (n,n) of kernel and noise."""
+        z = self.rows.x / self.kernel.scales
+        return cholesky(se(z, z, self.kernel.amplitude), self.rows.spread, self.kernel.noise)
+
+
+@dataclass(frozen=True, eq=False)
+class Together:
+    """θ (P,) of greatest posterior, its root (P,P) in prior deviations, each thing's rows and posterior there."""
+
+    theta: Array
+    root: Array
+    parts: Mapping[str, Part]
+    condensed: Mapping[str, Condensed]
+
+
+def residual(
+    rig: Rig, index: int, theta: Array, shown: Sightings, weight: Array, chosen: Sequence[Joint], seed: int
+) -> Part:
+    """Kernel of what kinematics leaves near theta; sightings of small weight (N,C), or too many, left out."""
+    counts = sound(weight)
+    seen = rig.see(rig.sights[index], theta, shown.whole.x)
+    view, kept, own = viewed(shown, counts, shown.image - seen.image, groups(shown.points), MOST)
+    known = coupled(kept, chosen)
+    rows = about(rig, theta, kept, seen, view, spread_of(kept, view.of(seen.slope), known))
+    kernel, rows, drift = lasting(kept.t, search(rows, RESIDUAL, seed), rows)
+    points = {shown.tracks[k]: k for k in singles(shown) if counts[:, k].any()}
+    tracks = {track: alone(shown, k, counts) for track, k in points.items()}
+    return Part(kept, known, kernel, drift, rows, view, own, tracks, points)
+
+
+def about(rig: Rig, theta: Array, part: Pairs, seen: Seen, view: View, spread: Spread) -> Rows:
+    """Rows of what is left about θ (P,), seen there, where z is 0 at the prior's mean."""
+    mean, std = rig.prior
+    design = view.of(seen.design) * std
+    return Rows(view.x, part.y - view.of(seen.image) - design @ ((mean - theta) / std), design, spread)
+
+
+def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
+    """Known noise of sightings: their own, and that of the angles seen through slopes (n,D,M)."""
+
+    class Slopes:
+        def means(self, _: Array) -> tuple[Array, Array]:
+            return part.y, slope
+
+    data = Samples(part.x, part.y, part.floor, part.variance, known)
+    return lifted(data, Slopes(), (slice(0, part.y.shape[1]),))[0]  # type: ignore[arg-type]
+
+
+def together(rig: Rig, theta: Array, parts: Mapping[str, Part]) -> Together:
+    """θ under all tracks' residuals by Gauss-Newton from near by, and the residuals' posteriors there."""
+    mean, std = rig.prior
+    bases = {name: basis(part.kernel, _centres(part)) for name, part in parts.items()}
+    for _ in range(_ROUNDS):
+        found = [condensed(bases[name], _about(rig, k, theta, part)) for k, (name, part) in enumerate(parts.items())]
+        information = np.sum([one.information for one in found], axis=0)
+        z, root, _ = posterior(information, np.sum([one.pull for one in found], axis=0))
+        step = mean + std * z - theta
+        theta = theta + step
+        if np.abs(np.linalg.solve(root, step / std)).max() < _SETTLED:
+            break
+    there, solved = {}, {}
+    for k, (name, part) in enumerate(parts.items()):
+        there[name] = replace(part, rows=_about(rig, k, theta, part))
+        rows = there[name].rows
+        left = rows.residual + rows.design @ ((mean - theta) / std)
+        solved[name] = condensed(bases[name], replace(rows, residual=left))
+    return Together(theta, root, there, solved)
+
+
+def _centres(part: Part) -> Array:
+    return inducing([part.kernel], part.rows.x, float(part.rows.spread.diagonal.min()) + part.kernel.noise)
+
+
+def _about(rig: Rig, index: int, theta: Array, part: Part) -> Rows:
+    """The rows of a thing about another θ, their noise as it was."""
+    seen = rig.see(rig.sights[index], theta, part.view.q)
+    return about(rig, theta, part.pairs, seen, part.view, part.rows.spread)
+
+
+def models(rig: Rig, index: int, found: Together, name: str) -> dict[str, KinematicGP]:
+    """The forward model of each track of a thing; they share θ, and the residual's process as each point meets it."""
+    part, solved = found.parts[name], found.condensed[name]
+    sub, used = rig.alone(index)
+    share = np.broadcast_to(part.rows.spread.share, part.pairs.y.shape[1])
+    root = (rig.prior[1][:, None] * found.root)[used]
+    lean = np.einsum("dpm,pk->dkm", solved.lean, found.root)
+    centres, made = _centres(part), {}
+    for track, seen in part.tracks.items():
+        point = part.points[track]
+        near = _near(part, centres, point)
+        plain = shortened(_process(part, centres, near, solved, share, seen))
+        sight = replace(sub.sights[0], points=sub.sights[0].points[[point]])
+        one = replace(sub, sights=(sight,))
+        made[track] = KinematicGP.on(
+            plain, rig=one, theta=found.theta[used], root=root, lean=lean * near, drift=part.drift * share
+        )
+    return made
+
+
+def _near(part: Part, centres: Array, point: int) -> Array:
+    """How near each centre (n,M+2) is to a point of the board, as the kernel has it (n,)."""
+    joints = part.view.q.shape[1]
+    apart = (centres[:, joints:] - part.view.where[point]) / part.kernel.scales[joints:]
+    return np.asarray(np.exp(-0.5 * np.square(apart).sum(axis=1)))
+
+
+def _process(part: Part, centres: Array, near: Array, solved: Condensed, share: Array, seen: Pairs) -> GP:
+    """What is left at one point, over the joints alone: what its centres say counts as they are near (n,)."""
+    joints = part.view.q.shape[1]
+    spread = np.outer(np.maximum(part.rows.spread.diagonal - part.drift, 0.0), share)
+    samples, targets, beyond = part.pairs.x, part.pairs.y, 0.0
+    if len(part.view.where) > 1:
+        samples, targets, spread = seen.x, seen.y, seen.floor
+        beyond = max(part.own - float(seen.floor.mean()), 0.0)
+    return GP(
+        ("u", "v"),
+        "px",
+        centres=centres[:, :joints],
+        scales=part.kernel.scales[None, :joints],
+        amplitude=np.array([part.kernel.amplitude]),
+        mean=np.zeros(len(share)),
+        weights=np.ascontiguousarray(solved.weights * near),
+        factor=(solved.factor * near)[None],
+        noise=(part.kernel.noise + beyond) * share,
+        samples=samples,
+        targets=targets,
+        spread=spread,
+    )

@@ -1,0 +1,104 @@
+"""What a kinematic body says of itself: held-out errors, what is gained, links chosen, joints' zeros."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...kinematics.identifiability import Offset, said
+from ...kinematics.links import Found
+from ...kinematics.rig import Rig
+from ...types import Finding, Score
+from ..data.pairs import Joint, Pairs, coupled
+from ..gp.fit import Coupling
+from ..gp.marginal_likelihood import Hyper, condition
+from ..gp.model import GP
+from .explicit import held_out, solved
+from .model import KinematicGP
+from .residuals import MOST, Part, Together, about, spread_of
+from .sightings import Sightings, viewed
+
+
+def gain(
+    rig: Rig,
+    index: int,
+    found: Together,
+    name: str,
+    shown: Sightings,
+    plain: Mapping[str, GP],
+    chosen: Sequence[Joint],
+) -> float:
+    """How many nats likelier the same sightings are with kinematics than by a Gaussian process alone.
+
+    Of a board: the sightings of one point of each of its parts, and each with a process of its own.
+    """
+    part, alone = found.parts[name], 0.0
+    if len(shown.points) == 1:
+        return solved(part.chol, part.rows).evidence - _alone(plain[name], part.pairs, part.known)
+    points = [point for track, point in part.points.items() if track in plain]
+    view, kept, _ = viewed(shown, shown.seen, shown.image, np.eye(len(shown.points), dtype=bool)[points], MOST)
+    seen = rig.see(rig.sights[index], found.theta, shown.whole.x)
+    spread = spread_of(kept, view.of(seen.slope), coupled(kept, chosen))
+    rows = about(rig, found.theta, kept, seen, view, spread)
+    own = max(part.own - float(np.nanmean(shown.floor)), 0.0)
+    both = replace(part, pairs=kept, view=view, rows=rows, kernel=replace(part.kernel, noise=part.kernel.noise + own))
+    for point in points:
+        mine = kept.rows(np.flatnonzero(view.share[:, point]))
+        alone += _alone(plain[shown.tracks[point]], mine, coupled(mine, chosen))
+    return solved(both.chol, rows).evidence - alone
+
+
+def _alone(plain: GP, part: Pairs, known: Coupling) -> float:
+    """Evidence (nats) of sightings by a Gaussian process alone."""
+    kernel = Hyper(plain.scales[0], float(plain.amplitude[0]), float(plain.noise.mean()))
+    spread = spread_of(part, plain.means(part.x)[1], known)
+    own = np.sqrt(np.broadcast_to(spread.share, part.y.shape[1]))
+    return condition(kernel, part.x, part.y / own, spread).evidence - len(part.x) * float(np.log(own).sum())
+
+
+def scores(name: str, models: Mapping[str, KinematicGP], part: Part) -> Iterator[Score]:
+    """Held-out error of one thing, what kinematics alone leaves, an error that lasts, noise, length scales.
+
+    Of a board: held out is the mean of the points of each of its parts, in all other blocks' absence.
+    """
+    residual, variance = held_out(part.chol, part.rows, part.pairs.block)
+    left = np.concatenate([one.y - models[track].kinematics(one.x) for track, one in part.tracks.items()])
+    any_ = next(iter(models.values()))
+    yield Score(f"held_out.{name}", float(np.sqrt(np.mean(residual**2))), "px")
+    yield Score(f"held_out_standardised.{name}", float(np.mean(residual**2 / variance)), "1")
+    yield Score(f"kinematics_alone.{name}", float(np.sqrt(np.mean(left**2))), "px")
+    yield Score(f"lasting_error.{name}", float(np.sqrt(part.drift)), "px")
+    used = len(np.unique(part.view.picture))
+    yield Score(f"frames_used.{name}", used / max(part.pairs.frames, 1), "1")
+    for output, value in zip(any_.outputs, any_.noise, strict=True):
+        yield Score(f"noise.{name}.{output}", float(np.sqrt(value)), any_.unit)
+    for joint, scale in zip(any_.rig.joints, any_.scales[0], strict=True):
+        yield Score(f"length_scale.{name}.{joint}", float(scale), "rad")
+
+
+def zeros(found: Sequence[Offset]) -> Iterator[Score]:
+    """The zeros (rad or m) and scales (1) that are identifiable, and their standard deviations."""
+    for one in found:
+        if one.identifiable:
+            name = "scale" if one.noun == "scale" else "offset"
+            yield Score(f"{name}.{one.joint}", one.value, one.unit)
+            yield Score(f"{name}_std.{one.joint}", one.std, one.unit)
+
+
+def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) -> Iterator[Finding]:
+    """Links chosen, nats gained, zeros that are surely off, and those that cannot be told."""
+    rig = links.calibrated.rig
+    sure = "" if links.margin is None else f" ({links.margin:.0f} nats likelier than other links)"
+    for sight in rig.sights:
+        camera, marker = rig.cameras[sight.camera].link, rig.carriers[sight.carrier].link
+        yield Finding("info", f"{sight.name.strip('/')}: camera on {camera}, marker on {marker}{sure}")
+    for name in links.lacking:
+        text = f"{name}: stands between camera and marker and is not in the log; it is taken to stand at zero"
+        yield Finding("warning", text)
+    for name, nats in gains.items():
+        yield Finding("info", f"{name}: {nats:.0f} nats likelier with the URDF")
+    for one in found:
+        if one.identifiable and abs(one.value) > 2.0 * one.std:
+            yield Finding("info", f"{one.joint}: its {one.noun} is off by {one.shown}")
+    for text in said(found):
+        yield Finding("info", text)

@@ -1,0 +1,190 @@
+"""What one camera showed of one rigid thing, picture by picture: a point, or the points of a board together."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...kinematics.calibration import Sighted
+from ...types import Array, Features, Series
+from ..data.pairs import Joint, Pairs, pairs
+from ..data.subsampling import farthest
+
+GROUPS = 4
+"""Parts of a board, whose points are taken together: they err alike but for what each is found to by itself."""
+FEWEST = 3
+"""Points that fix how a thing lies."""
+REACH = 2.0
+"""A board's diagonals over which what kinematics leaves may change as over a rad of a joint: by a third along one."""
+PICTURES = 300
+"""Of a board at most: a process of what they leave could not use more."""
+_SOUND = 0.5
+_POINT = np.zeros((1, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Of N pictures: angles and times, `whole`, whose y is the points' mean, px · image (N,C,2) px, floor (N,C,2) px².
+
+    NaN where a point was not seen · points (C,3) m on the thing · tracks: the tracks of these points, in their order.
+    """
+
+    whole: Pairs
+    image: Array
+    floor: Array
+    points: Array
+    tracks: tuple[str, ...]
+
+    def rows(self, chosen: Array) -> "Sightings":
+        """Only some pictures."""
+        return replace(self, whole=self.whole.rows(chosen), image=self.image[chosen], floor=self.floor[chosen])
+
+    @property
+    def seen(self) -> Array:
+        """Which points were seen (N,C)."""
+        return self.sighted.seen
+
+    @property
+    def sighted(self) -> Sighted:
+        """As calibration takes them."""
+        return Sighted(self.whole.x, self.image, self.floor)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Rows of which each is the mean of some points of one picture: picture (n,) of N · share (n,C) of each point.
+
+    q (N,M) rad or m · where (C,2): the points on their board, in REACH of its diagonal; (C,0) of a single point.
+    """
+
+    q: Array
+    where: Array
+    picture: Array
+    share: Array
+
+    @property
+    def x(self) -> Array:
+        """What a process of what is left is learned over (n,M) or (n,M+2): angles, and the place on the board."""
+        return np.concatenate([self.q[self.picture], self.share @ self.where], axis=1)
+
+    def of(self, values: Array) -> Array:
+        """The rows' own (n,…) of what is known of all points (N,C,…)."""
+        if self.share.shape[1] == 1:
+            return np.asarray(values[self.picture, 0])
+        flat = values.reshape(*values.shape[:2], -1)
+        return np.asarray((self.share[:, None] @ flat[self.picture])[:, 0].reshape(-1, *values.shape[2:]))
+
+
+def gathered(
+    features: Sequence[Features], tracks: Sequence[str], joints: Sequence[Joint], every: int, most: int
+) -> dict[str, Sightings]:
+    """Sightings by name, of boards of FEWEST points and more and of tracks on none; at most `most` of each."""
+    found, taken = dict[str, Sightings](), set[str]()
+    for name, points in _boards(features).items():
+        taken |= set(points)
+        if (board := _board(features, name, points, joints, every)) is not None:
+            found[name] = board
+    for track in tracks:
+        if track not in taken:
+            part = pairs(features, track, joints, every)
+            found[track] = Sightings(part, part.y[:, None], part.floor[:, None], _POINT, (track,))
+    least = {name: min(most, PICTURES) if len(one.points) > 1 else most for name, one in found.items()}
+    return {name: one.rows(farthest(one.whole.x, least[name])) for name, one in found.items()}
+
+
+def _boards(features: Sequence[Features]) -> dict[str, dict[str, Array]]:
+    """The points of each board by track, over all logs."""
+    found: dict[str, dict[str, Array]] = {}
+    for name, (tracks, points) in (item for one in features for item in one.boards.items()):
+        found.setdefault(name, {}).update(zip(tracks, points, strict=True))
+    return {name: points for name, points in found.items() if len(points) >= FEWEST}
+
+
+def _board(
+    features: Sequence[Features], name: str, points: Mapping[str, Array], joints: Sequence[Joint], every: int
+) -> Sightings | None:
+    shown = [_images(one, list(points)) for one in features]
+    middles = [
+        replace(one, tracks={name: Series(t, _middle(image), ("u", "v"), "px", (t * 1e9).astype(np.int64))})
+        for one, (t, image, _) in zip(features, shown, strict=True)
+    ]
+    whole = pairs(middles, name, joints, every)
+    if not len(whole.x):
+        return None
+    image, floor = np.full((2, len(whole.x), len(points), 2), np.nan)
+    for log, (t, places, variance) in enumerate(shown):
+        mine = np.flatnonzero(whole.log == log)
+        at = np.searchsorted(t, whole.t[mine])
+        image[mine], floor[mine] = places[at], variance[at]
+    return Sightings(whole, image, floor, np.array(list(points.values())), tuple(points))
+
+
+def _images(found: Features, names: Sequence[str]) -> tuple[Array, Array, Array]:
+    """Times (N,) s of all pictures that show one of these tracks, where each lies (N,C,2) px, and its variance."""
+    tracks = [(k, found.tracks[name]) for k, name in enumerate(names) if name in found.tracks]
+    seen = [(k, one, np.isfinite(one.values).all(axis=1)) for k, one in tracks]
+    t = np.unique(np.concatenate([one.t[sound] for _, one, sound in seen] or [np.zeros(0)]))
+    image, floor = np.full((2, len(t), len(names), 2), np.nan)
+    for k, one, sound in seen:
+        at = np.searchsorted(t, one.t[sound])
+        image[at, k] = one.values[sound]
+        floor[at, k] = 0.0 if one.std is None else np.square(one.std[sound])
+    return t, image, floor
+
+
+def _middle(image: Array) -> Array:
+    """The mean (N,2) of the points seen."""
+    return np.asarray(np.nanmean(image, axis=1)) if len(image) else np.zeros((0, 2))
+
+
+def groups(points: Array) -> Array:
+    """Which of at most GROUPS parts each point (C,3) is in: (G,C), true or false."""
+    seeds = points[farthest(points, GROUPS)]
+    nearest = np.argmin(np.square(points[:, None] - seeds).sum(axis=-1), axis=1)
+    return np.asarray(nearest == np.arange(len(seeds))[:, None])
+
+
+def _where(points: Array) -> Array:
+    """Points (C,3) m as (C,2) along a board's two longest axes, in REACH of its diagonal; (C,0) of a single one."""
+    if len(points) == 1:
+        return np.zeros((1, 0))
+    apart = points - points.mean(axis=0)
+    return np.asarray(apart @ np.linalg.svd(apart)[2][:2].T / (REACH * np.linalg.norm(np.ptp(points, axis=0))))
+
+
+def viewed(shown: Sightings, sound: Array, residual: Array, parts: Array, most: int) -> tuple[View, Pairs, float]:
+    """The points' means in each part (G,C) of at most `most` rows, and the variance of one point about them, px².
+
+    sound (N,C): what counts · residual (N,C,2) px. Where parts are single points that variance is 0.
+    """
+    kept = np.flatnonzero((sound[:, None] & parts).any(axis=(1, 2)))
+    kept = kept[farthest(shown.whole.x[kept], max(most // len(parts), 1))]
+    member = sound[kept][:, None] & parts
+    at, part = np.nonzero(member.any(axis=-1))
+    picture, own = kept[at], member[at, part]
+    count = own.sum(axis=1)
+    view = View(shown.whole.x, _where(shown.points), picture, own / count[:, None])
+    image, floor, left = (np.nan_to_num(values) for values in (shown.image, shown.floor, residual))
+    within = np.square(np.where(own[..., None], left[picture] - view.of(left)[:, None], 0.0)).sum()
+    alone = float(within / max(2 * (own.sum() - len(own)), 1))
+    # the mean of some points errs by less than one of them
+    variance = np.maximum(view.of(floor), alone) / count[:, None]
+    return view, replace(shown.whole.rows(picture), y=view.of(image), floor=variance), alone
+
+
+def sound(weight: Array) -> Array:
+    """Which sightings count, by their weights (N,C)."""
+    return np.asarray(weight > _SOUND)
+
+
+def alone(shown: Sightings, point: int, counts: Array) -> Pairs:
+    """The sightings of one point, where it counts (N,C)."""
+    rows = np.flatnonzero(counts[:, point])
+    return replace(shown.whole.rows(rows), y=shown.image[rows, point], floor=shown.floor[rows, point])
+
+
+def singles(shown: Sightings) -> list[int]:
+    """Of each part of a thing the point that was seen most, of equals the outermost."""
+    far = np.linalg.norm(shown.points - shown.points.mean(axis=0), axis=1)
+    worth = shown.seen.sum(axis=0) + far / (2.0 * max(float(far.max()), 1e-12))
+    return [int(np.argmax(np.where(part, worth, -1.0))) for part in groups(shown.points)]

@@ -1,0 +1,139 @@
+"""A KinematicGP as plain arrays and names, and back; what contradicts itself is refused by field."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...kinematics.chain import Chain
+from ...kinematics.pose import Base
+from ...kinematics.rig import Camera, Carrier, Rig, Sight
+from ...types import Array
+from ..gp.model import GP
+from .model import KinematicGP
+
+# k steps and one, h steps, p unknowns, q directions of them; digits are sizes
+SHAPES = {
+    "chain": "k44",
+    "steps": "h4",
+    "camera": "44",
+    "marker": "44",
+    "lens": "6",
+    "doubt": "p",
+    "theta": "p",
+    "root": "pq",
+    "lean": "dqn",
+    "drift": "d",
+    "points": "13",
+}
+BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
+"""Of a model that knows its robot's base: x steps and one, y steps."""
+_BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
+_SCALED = "scales"
+"""Named where each joint's scale is one more unknown: "unknown"."""
+_THINGS = ("marker", "camera")
+_NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
+
+
+def arrays(model: KinematicGP) -> dict[str, Array]:
+    """What SHAPES names, of a model with one camera, marker and sight."""
+    rig, sight = model.rig, model.rig.sights[0]
+    chain, base = sight.chain, model.base
+    carried = (
+        {}
+        if base is None
+        else {"base": base.chain.fixed, "base_steps": _steps(base.chain), "base_tool": base.tool}
+    )
+    return carried | {
+        "chain": chain.fixed,
+        "steps": _steps(chain),
+        "camera": rig.cameras[0].anchor,
+        "marker": rig.carriers[0].anchor,
+        "lens": rig.cameras[0].lens,
+        "doubt": rig.prior[1],
+        "theta": model.theta,
+        "root": model.root,
+        "lean": model.lean,
+        "drift": model.drift,
+        "points": sight.points,
+    }
+
+
+def names(model: KinematicGP) -> dict[str, str]:
+    """The names in it."""
+    rig, sight = model.rig, model.rig.sights[0]
+    camera, marker = rig.cameras[0], rig.carriers[0]
+    values = (camera.name, camera.link, marker.name, marker.link, sight.name, sight.chain.start, sight.chain.end)
+    base, carried = model.base, dict[str, str]()
+    if base is not None:
+        told = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
+        carried = dict(zip(_BASE_NAMES, told, strict=True))
+    scaled = {_SCALED: "unknown"} if len(rig.scale_doubt) else dict[str, str]()
+    return dict(zip(_NAMES, values, strict=True)) | carried | scaled
+
+
+def _steps(chain: Chain) -> Array:
+    return np.column_stack([chain.column, chain.scale, chain.zero, chain.slides])
+
+
+def shapes(said: Mapping[str, Any]) -> dict[str, str]:
+    """The arrays of a model with these names, and their shapes."""
+    return SHAPES | (BASE if _BASE_NAMES[0] in said else {})
+
+
+def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> KinematicGP:
+    """The model of a residual, arrays as SHAPES and names; ValueError for what contradicts itself."""
+    steps, doubt, count = found["steps"], found["doubt"], len(joints)
+    own = 2 * count if _SCALED in said else count
+    turns = len(doubt) == 18 + own
+    _insist(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
+    _insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
+    chain = _chain(said["start"], said["end"], joints, found["chain"], steps, "steps")
+    end = 18 if turns else 15
+    rig = Rig(
+        (Camera(said["camera"], said["camera_link"], found["camera"], found["lens"], doubt[:12]),),
+        (Carrier(said["marker"], said["marker_link"], found["marker"], doubt[12:end]),),
+        (Sight(said["sight"], 0, 0, chain, found["points"]),),
+        joints,
+        doubt[end : end + count],
+        doubt[end + count :],
+    )
+    model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"])
+    return replace(model, base=_base(joints, found, said))
+
+
+def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
+    _insist(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
+    column, slides, count = steps[:, 0].astype(np.int64), steps[:, 3], len(joints)
+    _insist((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
+    _insist(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
+    return Chain(start, end, joints, fixed, column, steps[:, 1], steps[:, 2], slides > 0)
+
+
+def _base(joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> Base | None:
+    if _BASE_NAMES[0] not in said:
+        return None
+    start, end, link, thing = (said[name] for name in _BASE_NAMES)
+    chain = _chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
+    return Base(chain, found["base_tool"], link, thing == _THINGS[1])
+
+
+def checked(said: Any) -> dict[str, str]:
+    """The names of a header; ValueError where one is missing."""
+    if not isinstance(said, dict) or not all(isinstance(said.get(name), str) for name in _NAMES):
+        raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_NAMES)}")
+    scaled = {_SCALED: "unknown"} if _SCALED in said else dict[str, str]()
+    if said.get(_SCALED, "unknown") != "unknown":
+        raise ValueError(f"kinematics.{_SCALED}: found {str(said[_SCALED])[:80]!r}, possible: unknown")
+    if _BASE_NAMES[0] not in said:
+        return {name: said[name] for name in _NAMES} | scaled
+    carried = all(isinstance(said.get(name), str) for name in _BASE_NAMES)
+    if not carried or said[_BASE_NAMES[-1]] not in _THINGS:
+        raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}")
+    return {name: said[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
+
+
+def _insist(sound: Any, field: str, found: object, possible: str) -> None:
+    if not sound:
+        raise ValueError(f"{field}: found {found}, possible: {possible}")

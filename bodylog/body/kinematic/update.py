@@ -1,0 +1,82 @@
+"""A body learned with a URDF, learned on: the chain, its links and all that was seen before stay."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...kinematics.calibration import refine
+from ...kinematics.links import Found
+from ...kinematics.rig import Camera, Carrier, Rig, Sight
+from ...runtime.blas_threads import one_thread
+from ...settings import Settings
+from ...types import Array, BodyModel, Features
+from ..data.pairs import earlier, joined, pairs
+from ..data.subsampling import farthest
+from ..gp.model import GP
+from ..learning import Learned
+from . import learn as kinematic
+from .model import KinematicGP
+from .sightings import Sightings
+
+
+def chained(body: BodyModel | None) -> dict[str, KinematicGP]:
+    """The senses of a body that carry a chain."""
+    senses = {} if body is None else body.senses
+    return {name: sense for name, sense in senses.items() if isinstance(sense, KinematicGP)}
+
+
+@one_thread("scipy.linalg")
+def learn(features: Sequence[Features], settings: Settings, found: Learned, update: BodyModel) -> Learned:
+    """The body learned on without a chain, with the chain of `update` as its tracks' mean, where that still holds.
+
+    What `update` was learned from counts as one more log. As it was, with a remark, where kinematics no longer fits.
+    """
+    known = {name: sense for name, sense in chained(update).items() if isinstance(found.model.senses.get(name), GP)}
+    if not known:
+        return found
+    parts = {}
+    for name, sense in known.items():
+        seen = any(name in one.tracks for one in features)
+        new = [pairs(features, name, found.joints, settings.fit.every)] if seen else []
+        part = joined([*new, earlier(sense.samples, sense.targets, sense.spread)])
+        part = part.rows(farthest(part.x, settings.fit.samples))
+        parts[name] = Sightings(part, part.y[:, None], part.floor[:, None], sense.rig.sights[0].points, (name,))
+    rig, theta = _whole(known)
+    data = [one.sighted for one in parts.values()]
+    links = Found(refine(rig, data, theta), None, ())
+    why = next((why for _, why in kinematic.unexplained(links, parts)), None)
+    if why is not None:
+        return kinematic.unused(found, why, "learn a new body where the camera was moved")
+    plain = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP)}
+    learned = kinematic.learned(found, links, parts, plain, settings.fit.seed)
+    model = _based(learned.model, known)
+    # of a board a few points stand for all
+    apart = {track for one in features for tracks, _ in one.boards.values() for track in tracks} | set(found.poor)
+    kept = {name: s for name, s in model.senses.items() if name not in apart or isinstance(s, KinematicGP)}
+    return replace(learned, model=replace(model, senses=kept))
+
+
+def _whole(senses: Mapping[str, KinematicGP]) -> tuple[Rig, Array]:
+    """The rig of which each sense has one sight, and its θ (P,)."""
+    cameras, carriers, sights = dict[str, tuple[Camera, Array]](), dict[str, tuple[Carrier, Array]](), list[Sight]()
+    for sense in senses.values():
+        camera, carrier = sense.rig.cameras[0], sense.rig.carriers[0]
+        cameras.setdefault(camera.name, (camera, sense.theta[sense.rig.of_camera(0)]))
+        carriers.setdefault(carrier.name, (carrier, sense.theta[sense.rig.of_carrier(0)]))
+        places = list(cameras).index(camera.name), list(carriers).index(carrier.name)
+        sights.append(replace(sense.rig.sights[0], camera=places[0], carrier=places[1]))
+    first = next(iter(senses.values()))
+    seen_by, seen = tuple(one for one, _ in cameras.values()), tuple(one for one, _ in carriers.values())
+    rig = replace(first.rig, cameras=seen_by, carriers=seen, sights=tuple(sights))
+    parts = [*(theta for _, theta in cameras.values()), *(theta for _, theta in carriers.values())]
+    return rig, np.concatenate([*parts, first.theta[first.rig.of_joints.start :]])
+
+
+def _based(model: BodyModel, known: Mapping[str, KinematicGP]) -> BodyModel:
+    """The model whose senses with kinematics know their robot's base as they did."""
+    senses = {
+        name: replace(sense, base=known[name].base) if isinstance(sense, KinematicGP) and name in known else sense
+        for name, sense in model.senses.items()
+    }
+    return replace(model, senses=senses)

@@ -1,0 +1,73 @@
+"""Variances of encoders, motion and pixels by evidence on the logs, with standard errors."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..types import Array, Noise
+from .data.angle_smoother import Motion
+from .gp.model import GP
+
+_LEAST_ENCODER = 1e-12
+_LEAST_PROCESS = 1e-9
+_LEAST_PIXEL = 1e-6
+_EXACT = 1e-6
+
+
+def learned(motions: Sequence[Motion], senses: Mapping[str, GP], floors: Mapping[str, Array]) -> Noise:
+    """Noise of the joints (white-acceleration motions, one each) and senses; floors {name: (n,D) unit²} as measured."""
+    variances = {name: np.maximum(gp.noise + floors[name].mean(axis=0), _LEAST_PIXEL) for name, gp in senses.items()}
+    errors = {name: _tuple(value * np.sqrt(2.0 / len(floors[name]))) for name, value in variances.items()}
+    # of a variance that nothing is known of, at most itself
+    errors["encoder"] = tuple(min(m.std_error[1], max(m.encoder, _LEAST_ENCODER)) for m in motions)
+    errors["process"] = tuple(min(m.std_error[0], 1e9) for m in motions)
+    return Noise(
+        encoder=tuple(max(m.encoder, _LEAST_ENCODER) for m in motions),
+        senses={name: _tuple(value) for name, value in variances.items()},
+        process=tuple(max(m.process, _LEAST_PROCESS) for m in motions),
+        std_error=errors,
+    )
+
+
+def pooled(new: Noise, old: Noise) -> Noise:
+    """Two logs' noise as one: each variance the mean of both, weighed by how many readings each has it from.
+
+    A sense only one of them has, or of which one does not say how well it knows it, keeps what the other says.
+    """
+    count = {name: _readings(new, old, name) for name in ("encoder", *new.senses, *old.senses)}
+    encoder = _mean(new.encoder, old.encoder, count["encoder"])
+    process = _mean(new.process, old.process, count["encoder"])
+    both = [name for name in new.senses if name in old.senses]
+    senses = {name: _mean(new.senses[name], old.senses[name], count[name]) for name in both}
+    errors = {part: _error(new, old, part, count["encoder"]) for part in ("encoder", "process")}
+    errors |= {name: _error(new, old, name, count[name]) for name in both}
+    return Noise(encoder, {**old.senses, **new.senses, **senses}, process, {**old.std_error, **new.std_error, **errors})
+
+
+def _variance(noise: Noise, name: str) -> Array:
+    return np.array(getattr(noise, name) if name in ("encoder", "process") else noise.senses[name])
+
+
+def _readings(new: Noise, old: Noise, name: str) -> Array:
+    """Half the degrees of freedom (2,D) of new and old, whose root a variance is told to; all new where unknown."""
+    if name not in new.std_error or name not in old.std_error:
+        return np.array([[1.0], [0.0]])
+    both = np.stack([_variance(noise, name) for noise in (new, old)])
+    errors = np.array([new.std_error[name], old.std_error[name]])
+    return np.asarray(np.square(both / np.maximum(errors, _EXACT * both)))
+
+
+def _mean(new: tuple[float, ...], old: tuple[float, ...], weights: Array) -> tuple[float, ...]:
+    return _tuple((weights * np.array([new, old])).sum(axis=0) / weights.sum(axis=0))
+
+
+def _error(new: Noise, old: Noise, name: str, weights: Array) -> tuple[float, ...]:
+    """Standard error of the mean; of a variance nearly nothing is known of, at most itself."""
+    if name not in new.std_error or name not in old.std_error:
+        return new.std_error.get(name, ())
+    errors = np.stack([np.minimum(noise.std_error[name], _variance(noise, name)) for noise in (new, old)])
+    return _tuple(np.sqrt(np.square(weights * errors).sum(axis=0)) / weights.sum(axis=0))
+
+
+def _tuple(values: Array) -> tuple[float, ...]:
+    return tuple(float(v) for v in values)

@@ -1,0 +1,1 @@
+"""What a body model knows of each sense: tracks, touch, encoders."""

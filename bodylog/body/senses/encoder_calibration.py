@@ -1,0 +1,109 @@
+"""What encoders read at known angles: one polynomial for each joint, learned where a log has a reference for them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...errors import ConfigError, EvidenceError
+from ...types import Array, Features, Finding, ForwardModel, Noise, Score
+from ..data.pairs import Joint
+from .encoder_function import Polynomial
+
+_DEGREE, _BLOCKS, _FEWEST = 6, 10, 200
+_STILL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """What a reference tells of the encoders: their model by its sense's name, noise with theirs, scores, remarks."""
+
+    noise: Noise
+    model: Mapping[str, ForwardModel] = field(default_factory=dict)
+    scores: tuple[Score, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+def learned(features: Sequence[Features], chosen: Sequence[Joint], noise: Noise) -> Read:
+    """What the encoders of the chosen joints, whose angles are the references', read at them; nothing without one.
+
+    ConfigError when an encoder is missing. Where all read the angles themselves there is no model.
+    """
+    if not any(found.reference is not None for found in features):
+        return Read(noise)
+    curves, errors, counts = zip(*(_curve(*_readings(features, joint)) for joint in chosen), strict=True)
+    variance = [max(float(error), 1e-12) for error in errors]
+    sure = tuple(v * (2.0 / n) ** 0.5 for v, n in zip(variance, counts, strict=True))
+    read = replace(noise, encoder=tuple(variance), std_error={**noise.std_error, "encoder": sure})
+    names = tuple(joint.name for joint in chosen)
+    scores = tuple(Score(f"held_out.encoders.{n}", v**0.5, "rad") for n, v in zip(names, variance, strict=True))
+    said = ", ".join(f"{n} {_formula(c)}" for n, c in zip(names, curves, strict=True))
+    if all(curve.tolist() == [0.0, 1.0] for curve in curves):
+        return Read(read, {}, scores, (Finding("info", "encoders: by the reference they read the angles themselves"),))
+    width = max(len(curve) for curve in curves)
+    model = Polynomial(names, np.array([np.pad(curve, (0, width - len(curve))) for curve in curves]))
+    return Read(read, {"encoders": model}, scores, (Finding("info", f"encoders: by the reference they read {said}"),))
+
+
+def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array, Array]:
+    """True angles (N,) rad, readings (N,) and blocks of time (N,) of one joint over all logs."""
+    parts = []
+    for log, found in enumerate(features):
+        names = () if found.joints is None else found.joints.names
+        if found.joints is None or joint.name not in names:
+            raise ConfigError(f"[topics] reference: its joint {joint.name!r} has no encoder; heard: {', '.join(names)}")
+        x = joint.angles[log].at(found.joints.t)[0]
+        y = found.joints.values[:, names.index(joint.name)]
+        sound = np.isfinite(x) & np.isfinite(y)
+        block = np.arange(sound.sum()) * _BLOCKS // max(int(sound.sum()), 1)
+        parts.append((x[sound], y[sound], block + log * _BLOCKS))
+    x, y, block = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if len(x) < _FEWEST:
+        raise EvidenceError(f"{joint.name}: {len(x)} readings while the reference spoke, at least {_FEWEST} are needed")
+    return x, y, block
+
+
+def _curve(x: Array, y: Array, block: Array) -> tuple[Array, float, int]:
+    """Coefficients (K,) of the simplest polynomial about as good held out as the best, its squared error, readings.
+
+    The angle itself is the simplest. Sums over each block are enough for every degree and every block held out.
+    """
+    from numpy.polynomial import Chebyshev
+    from numpy.polynomial import Polynomial as Power
+
+    low, high = float(x.min()), float(x.max())
+    base = np.polynomial.chebyshev.chebvander((2 * x - low - high) / (high - low), _DEGREE)
+    rows = [block == b for b in np.unique(block)]
+    gram, moment = np.array([base[r].T @ base[r] for r in rows]), np.array([base[r].T @ y[r] for r in rows])
+    square, count = np.array([y[r] @ y[r] for r in rows]), np.array([r.sum() for r in rows])
+    errors = [np.array([np.square(y[r] - x[r]).sum() for r in rows]) / count]
+    for k in range(2, _DEGREE + 2):
+        g, m = gram[:, :k, :k], moment[:, :k]
+        c = np.linalg.solve(g.sum(axis=0) - g, (m.sum(axis=0) - m)[:, :, None])[:, :, 0]
+        errors.append((square - 2 * (c * m).sum(axis=1) + np.einsum("bi,bij,bj->b", c, g, c)) / count)
+    chosen = _simplest(np.array(errors))
+    error = max(float(np.average(errors[chosen], weights=count)), 0.0)
+    if not chosen or high - low < _STILL:
+        return np.array([0.0, 1.0]), error, len(x)
+    k = chosen + 1
+    best = np.linalg.solve(gram[:, :k, :k].sum(axis=0), moment[:, :k].sum(axis=0))
+    return np.asarray(Chebyshev(best, (low, high)).convert(kind=Power).coef), error, len(x)
+
+
+def _simplest(errors: Array) -> int:
+    """The first row of squared errors (rows, blocks) whose ratio to the best is 1 within a standard error.
+
+    Ratios, since in a block that strays from where the others were all errors are large.
+    """
+    logs = np.log(np.maximum(errors, 1e-24))
+    apart = logs - logs[logs.mean(axis=1).argmin()]
+    spread = apart.std(axis=1, ddof=1) / np.sqrt(apart.shape[1])
+    return int((apart.mean(axis=1) <= spread).argmax())
+
+
+def _formula(curve: Array) -> str:
+    """A polynomial as it is written."""
+    if curve.tolist() == [0.0, 1.0]:
+        return "x"
+    terms = (f"{c:+.4g}" + ("" if k == 0 else " x" if k == 1 else f" x^{k}") for k, c in enumerate(curve))
+    return " ".join(terms).removeprefix("+")

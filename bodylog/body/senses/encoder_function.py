@@ -1,0 +1,123 @@
+"""Encoders that do not read the angle itself: a function of it for each joint, s_p = g_p(x) (paper, E2: x²)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import UsageError
+from ...settings import Estimation
+from ...types import Array, BodyModel, Features, Series
+from ..gp.model import GP
+
+_GRID = 4097
+# methods that know one variance for each joint get it wrong by this to either side of the middle, squared
+_STEEP = 0.25
+
+
+@dataclass(frozen=True, eq=False)
+class Polynomial:
+    """What M encoders read: reading m = Σₖ coefficients[m,k] xₘᵏ, coefficients (M,K) of ascending powers.
+
+    As body.senses["encoders"] it takes the place of s_p = x. An exploration alone cannot tell it: angles in any
+    other unit explain all that was seen as well, so it is given, or learned where a reference has the true angles.
+    """
+
+    outputs: tuple[str, ...]
+    coefficients: Array
+    unit: str = "rad"
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (N,M) rad: reading (N,M) · Jacobian (N,M,M) · no model variance (N,M)."""
+        x = np.atleast_2d(x)
+        powers = x[:, :, None] ** np.arange(self.coefficients.shape[1])
+        rising = self.coefficients[:, 1:] * np.arange(1, self.coefficients.shape[1])
+        slope = (powers[:, :, :-1] * rising).sum(axis=2)
+        return (powers * self.coefficients).sum(axis=2), slope[:, :, None] * np.eye(x.shape[1]), np.zeros(x.shape)
+
+
+def referred(found: Features, known: BodyModel | None) -> Features:
+    """The features with true angles as joints: the reference's, else those a known body's encoders tell."""
+    if found.reference is not None:
+        return replace(found, joints=found.reference)
+    if known is None or found.joints is None:
+        return found
+    return understood(found, known, Estimation())[0]
+
+
+def understood(
+    found: Features, body: BodyModel, settings: Estimation, coding: bool = False
+) -> tuple[Features, BodyModel, Estimation]:
+    """Features, body and settings such that a method understands what the body's encoders read.
+
+    One that is `coding` descends through their model, from the angles that the first readings tell or as set. The
+    others get angles instead of readings. UsageError where over what was explored a reading does not tell the angle.
+    """
+    if "encoders" not in body.senses or found.joints is None or (coding and settings.start):
+        return found, body, settings
+    angles = _angles(found.joints, body)
+    if coding:
+        return found, body, replace(settings, start=_first(angles, body.joints))
+    return replace(found, joints=angles), plain(body), settings
+
+
+def plain(body: BodyModel) -> BodyModel:
+    """The body as it is to those who are told angles instead of readings, with the noise these have then."""
+    if "encoders" not in body.senses:
+        return body
+    senses = {name: model for name, model in body.senses.items() if name != "encoders"}
+    slope = np.einsum("nmm->nm", body.senses["encoders"].predict(_explored(body))[1])
+    variance = np.array(body.noise.encoder) * (slope**-2.0).mean(axis=0)
+    return replace(body, senses=senses, noise=replace(body.noise, encoder=tuple(variance.tolist())))
+
+
+def teller(body: BodyModel) -> Callable[[Array], Array]:
+    """A function from readings (…,M) in the body's order to angles in rad, on the branch that was explored.
+
+    UsageError where some angles there read (almost) alike.
+    """
+    if "encoders" not in body.senses:
+        return lambda readings: readings
+    x = _explored(body)
+    grid = np.linspace(x.min(axis=0), x.max(axis=0), _GRID)
+    read = body.senses["encoders"].predict(grid)[0]
+    step = np.diff(read, axis=0) * np.sign(read[-1] - read[0])
+    if (step.min(axis=0) < _STEEP * step.max(axis=0)).any():
+        raise UsageError(
+            "encoders: what this body's read turns or flattens over the angles explored; type: --method "
+            f"predictive-coding, and in robot.toml [estimate] start, the angles in rad of {', '.join(body.joints)}"
+        )
+    columns = range(len(body.joints))
+    return lambda readings: np.stack([_inverse(readings[..., m], read[:, m], grid[:, m]) for m in columns], axis=-1)
+
+
+def _angles(joints: Series, body: BodyModel) -> Series:
+    """The readings as angles."""
+    values, known = joints.values.astype(float), [name for name in body.joints if name in joints.names]
+    readings = np.full((len(values), len(body.joints)), np.nan)
+    places = [joints.names.index(name) for name in known], [body.joints.index(name) for name in known]
+    readings[:, places[1]] = values[:, places[0]]
+    values[:, places[0]] = teller(body)(readings)[:, places[1]]
+    return replace(joints, values=values)
+
+
+def _inverse(y: Array, read: Array, grid: Array) -> Array:
+    """Where the monotone curve read(grid) takes the values y (N,); straight on beyond its ends."""
+    way = 1 if read[-1] > read[0] else -1
+    inside = np.interp(y, read[::way], grid[::way])
+    beyond = y - np.clip(y, min(read[0], read[-1]), max(read[0], read[-1]))
+    first, last = (grid[1] - grid[0]) / (read[1] - read[0]), (grid[-1] - grid[-2]) / (read[-1] - read[-2])
+    at_first = (beyond < 0) == (way > 0)
+    return np.asarray(inside + beyond * np.where(at_first, first, last))
+
+
+def _explored(body: BodyModel) -> Array:
+    """The angles (S,M) rad that the body's tracks were learned at."""
+    return np.concatenate([model.samples for model in body.senses.values() if isinstance(model, GP)])
+
+
+def _first(angles: Series, names: tuple[str, ...]) -> tuple[float, ...] | None:
+    """The first finite angle of each joint; None where one has none."""
+    columns = [angles.values[:, angles.names.index(name)] for name in names if name in angles.names]
+    found = [column[np.isfinite(column)] for column in columns]
+    return tuple(float(column[0]) for column in found) if all(map(len, found)) else None

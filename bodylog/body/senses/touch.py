@@ -1,0 +1,102 @@
+"""How touch and sight of touch agree: the constants of g_t, and where on the limb a cell is seen (paper, tactile)."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array, Features, Finding, TouchConstants
+from ..gp.model import GP
+
+_APART_PX = 12.0
+_NEAR_S = 0.5
+_ASSUMED = 5
+_STRAY = 16.0
+
+Cells = Mapping[int, tuple[float, float, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class Felt:
+    """One touch seen as it was felt: its strongest cell · hand minus predicted effector (K,2) px while it lasted."""
+
+    cell: int
+    apart: Array
+
+    @property
+    def square(self) -> float:
+        """Mean square distance per coordinate, px²."""
+        return float(np.square(self.apart).mean())
+
+
+def learned(
+    features: Sequence[Features], joints: tuple[str, ...], effector: GP | None
+) -> tuple[TouchConstants, Cells, tuple[Finding, ...]]:
+    """Constants and cells' places from touches paired with strokes, and the remark on where they come from.
+
+    Both forms share the constants: a1 = 1, so that g_t is 1 at its peak, and b1 = 1/(2 variance) of the distance, which
+    starts from 12 px as if of five touches. f_t has one constant, `perception/synchrony.py` B2: a log whose touches are
+    all in time tells how it was recorded, not how late a touch may be seen and still be felt as one.
+    """
+    delays = np.array([s.delay for f in features for s in f.synchrony if np.isfinite(s.delay)])
+    delays = delays[np.abs(delays) < _NEAR_S]
+    felt = [] if effector is None else [one for f in features for one in _felt(f, joints, effector)]
+    late = float(1.4826 * np.median(np.abs(delays))) if len(delays) else 0.0
+    sound = _sound(felt)
+    px = _blended(_APART_PX, len(sound), float(np.sqrt(np.mean([f.square for f in sound]))) if sound else 0.0)
+    constants = TouchConstants(1.0, 1.0 / (2.0 * px**2))
+    found = cells(sound)
+    return constants, found, _remarks(len(delays), len(sound), late, px, len(found))
+
+
+def cells(felt: Sequence[Felt]) -> Cells:
+    """Each touched cell's place beside the effector (u, v) px and its spread per coordinate, px.
+
+    All touches together count as one more touch of every cell, so that a cell touched once is not believed alone.
+    """
+    if not felt:
+        return {}
+    centres = np.array([f.apart.mean(axis=0) for f in felt])
+    common = centres.mean(axis=0)
+    about = float(np.mean([np.square(f.apart - common).mean() for f in felt]))
+    return {cell: _place([f for f in felt if f.cell == cell], common, about) for cell in sorted({f.cell for f in felt})}
+
+
+def _place(felt: Sequence[Felt], common: Array, about: float) -> tuple[float, float, float]:
+    place = (common + sum(f.apart.mean(axis=0) for f in felt)) / (1 + len(felt))
+    square = (about + sum(np.square(f.apart - place).mean() for f in felt)) / (1 + len(felt))
+    return float(place[0]), float(place[1]), float(np.sqrt(square))
+
+
+def _felt(features: Features, joints: tuple[str, ...], effector: GP) -> list[Felt]:
+    """The touches whose stroke was seen in time, where hand and angles are known while they last."""
+    hand, heard = features.hand, features.joints
+    if hand is None or heard is None or not features.touches or not set(joints) <= set(heard.names):
+        return []
+    rows = np.flatnonzero(np.isfinite(hand.values).all(axis=1))
+    t = hand.t[rows]
+    angles = np.column_stack([np.interp(t, heard.t, heard.values[:, heard.names.index(name)]) for name in joints])
+    inside = (t >= heard.t[0]) & (t <= heard.t[-1]) & np.isfinite(angles).all(axis=1)
+    t, apart = t[inside], (hand.values[rows] - effector.means(angles)[0])[inside]
+    timely = {s.touch for s in features.synchrony if abs(s.delay) < _NEAR_S}
+    touches = [features.touches[index] for index in sorted(timely)]
+    found = [Felt(touch.strongest, apart[(t >= touch.onset) & (t <= touch.offset)]) for touch in touches]
+    return [one for one in found if len(one.apart)]
+
+
+def _sound(felt: Sequence[Felt]) -> list[Felt]:
+    """Without stray touches: those seen four times farther off than most."""
+    usual = float(np.median([f.square for f in felt])) if felt else 0.0
+    return [f for f in felt if f.square <= _STRAY * usual]
+
+
+def _blended(assumed: float, count: int, found: float) -> float:
+    """Spread about zero per coordinate: what is assumed and what `count` touches found."""
+    return float(np.sqrt((_ASSUMED * assumed**2 + count * found**2) / (_ASSUMED + count)))
+
+
+def _remarks(delays: int, touches: int, late: float, px: float, places: int) -> tuple[Finding, ...]:
+    if max(delays, touches) == 0:
+        return ()
+    seen = f"{touches} touches seen, spread {px:.1f} px; place of {places} cells"
+    return (Finding("info", f"touch: {delays} delays, spread {late:.3f} s; {seen}"),)

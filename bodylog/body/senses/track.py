@@ -1,0 +1,101 @@
+"""One track's model: its samples chosen, false sightings left out, kernels found, held-out residuals kept."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...settings import Fit
+from ...types import Array, Finding, Noise, Score
+from ..data.pairs import Joint, Pairs, coupled
+from ..data.subsampling import farthest, spaced
+from ..gp.cross_validation import alone, residuals
+from ..gp.fit import Fitted, Samples, build, fitted
+from ..gp.marginal_likelihood import ROTATION
+from ..gp.model import GP, shortened
+from ..paper_preset import SAMPLES, paper
+
+_OUTPUTS = ("u", "v")
+_FALSE = 8.0
+_ROUNDS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Sense:
+    """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2).
+
+    constant (n,2) px: the residual of the others' median, held out in the same blocks · used: the sightings, n of them.
+    """
+
+    gp: GP
+    floor: Array
+    residual: Array
+    variance: Array
+    constant: Array
+    used: Pairs
+    whole: Pairs
+    rejected: int
+    rule: str
+
+
+def sense(whole: Pairs, chosen: Sequence[Joint], fit: Fit) -> Sense:
+    """Learn one track by the preset of `fit`."""
+    if fit.preset == "paper":
+        part = whole.rows(spaced(len(whole.x), SAMPLES))
+        data = Samples(part.x, part.y, np.zeros(part.y.shape))
+        return _sense(data, paper(data), part, whole, 0, "as many as the paper's")
+    part = whole.rows(farthest(whole.x, fit.samples))
+    kept = len(part.x)
+    for _ in range(_ROUNDS):
+        used, data = part, Samples(part.x, part.y, part.floor, part.variance, coupled(part, chosen))
+        kernels = fitted(data, ROTATION, True, fit.seed)
+        sound = _believable(data, kernels)
+        if sound.all():
+            break
+        part = part.rows(np.flatnonzero(sound))
+    return _sense(data, kernels, used, whole, kept - len(data.x), "which cover the exploration best")
+
+
+def scores(name: str, found: Sense, joints: Sequence[str], noise: Noise) -> Iterator[Score]:
+    """Held-out error, share of frames used, noise and length scales of one track."""
+    yield Score(f"held_out.{name}", float(np.sqrt(np.mean(found.residual**2))), "px")
+    yield Score(f"held_out_standardised.{name}", float(np.mean(found.residual**2 / found.variance)), "1")
+    yield Score(f"frames_used.{name}", len(found.gp.samples) / max(found.whole.frames, 1), "1")
+    for output, value in zip(found.gp.outputs, noise.senses[name], strict=True):
+        yield Score(f"noise.{name}.{output}", float(np.sqrt(value)), found.gp.unit)
+    for joint, scale in zip(joints, found.gp.scales[0], strict=True):
+        yield Score(f"length_scale.{name}.{joint}", float(scale), "rad")
+
+
+def findings(name: str, found: Sense) -> Iterator[Finding]:
+    """What was left out of one track, and why."""
+    sightings, used = len(found.whole.x), len(found.gp.samples)
+    if found.rejected:
+        text = f"{name}: {found.rejected} sightings left out as false, more than {_FALSE:.0f} deviations off"
+        yield Finding("warning", text)
+    if used + found.rejected < sightings:
+        yield Finding("info", f"{name}: {used + found.rejected} of {sightings} sightings kept, {found.rule}")
+
+
+def _sense(data: Samples, found: Fitted, used: Pairs, whole: Pairs, rejected: int, rule: str) -> Sense:
+    block = used.block
+    residual, variance = residuals(data, found, block)
+    # samples of a body to update are in blocks before the first, and their floor holds more than pixels' noise
+    floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
+    gp, constant = shortened(build(data, found, _OUTPUTS, "px")), _constant(data.y, block)
+    return Sense(gp, floor, residual, variance, constant, used, whole, rejected, rule)
+
+
+def _constant(y: Array, block: Array) -> Array:
+    """Residuals (n,2) of places y (n,2) from the median of all other blocks'."""
+    residual = np.empty(y.shape)
+    for label in np.unique(block):
+        rows = block == label
+        residual[rows] = y[rows] - np.median(y if rows.all() else y[~rows], axis=0)
+    return residual
+
+
+def _believable(data: Samples, found: Fitted) -> Array:
+    """Rows that agree with the others as well as most do; by medians, because the false ones swell the noise."""
+    size = np.abs(alone(data, found))
+    return np.asarray((size < _FALSE * 1.4826 * np.median(size, axis=0)).all(axis=1))

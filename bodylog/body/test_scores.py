@@ -1,0 +1,72 @@
+"""A body scored on logs it did not learn from: how far off it foretells each track, and whether it says so."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..errors import EvidenceError, ModelError
+from ..sources import group_of
+from ..types import Array, BodyModel, Features, Finding, Score
+from .data.pairs import Pairs, joints, pairs, plausible
+from .senses import encoder_function
+
+COVERED = 2.0
+"""Standard deviations within which 95 % of sightings should lie."""
+
+
+def score(
+    model: BodyModel, features: Sequence[Features]
+) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
+    """Scores test_…/TRACK of all logs together, and of a board's tracks together; remarks on those not scored.
+
+    The angles at a sighting are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the
+    body's, ModelError where one lacks its joints.
+    """
+    features, remarks = plausible([encoder_function.referred(found, model) for found in features])
+    for index, found in enumerate(features):
+        names = () if found.joints is None else found.joints.names
+        if missing := [name for name in model.joints if name not in names]:
+            heard = ", ".join(names) or "none"
+            raise ModelError(f"test log {index + 1}: joint {missing[0]!r} of the body is not there; heard: {heard}")
+    chosen = joints(features, model.joints)
+    seen = sorted({name for found in features for name in found.tracks} & set(model.senses))
+    parts = {name: pairs(features, name, chosen, 1) for name in seen}
+    scored = {name: part for name, part in parts.items() if len(part.x)}
+    if not scored:
+        shown = ", ".join(sorted({name for found in features for name in found.tracks})) or "none"
+        raise EvidenceError(f"test: no sighting of {', '.join(model.senses)}; tracks: {shown}; give another log")
+    unseen = [name for name in model.senses if name not in scored and name != "encoders"]
+    remarks += [Finding("warning", f"{name}: not scored, the test logs do not show it") for name in unseen]
+    told = {name: _told(name, part, model) for name, part in scored.items()}
+    groups: dict[str, list[str]] = {}
+    for name in told:
+        groups.setdefault(group_of(name), []).append(name)
+    boards = {group: [told[name] for name in names] for group, names in groups.items() if len(names) > 1}
+    joint = {group: tuple(np.concatenate(column) for column in zip(*of, strict=True)) for group, of in boards.items()}
+    return tuple(s for name, one in {**joint, **told}.items() for s in _scores(name, *one)), tuple(remarks)
+
+
+def _told(name: str, part: Pairs, model: BodyModel) -> tuple[Array, Array]:
+    """Errors (N,2) px of one track and their variances as the body states them (N,2) px²."""
+    mean, jac, var = model.senses[name].predict(part.x)
+    return part.y - mean, var + _pixels(name, part, model) + np.einsum("ndm,nm->nd", jac**2, part.variance)
+
+
+def _scores(name: str, error: Array, total: Array) -> Iterator[Score]:
+    """Errors (N,2) px and how they compare with what the body says of them, per axis and together."""
+    ratio = error**2 / total
+    size = np.linalg.norm(error, axis=1)
+    yield Score(f"test_rmse/{name}", float(np.sqrt(np.mean(size**2))), "px")
+    yield Score(f"test_rmse_u/{name}", float(np.sqrt(np.mean(error[:, 0] ** 2))), "px")
+    yield Score(f"test_rmse_v/{name}", float(np.sqrt(np.mean(error[:, 1] ** 2))), "px")
+    yield Score(f"test_median/{name}", float(np.median(size)), "px")
+    yield Score(f"test_standardised/{name}", float(ratio.mean()), "1")
+    yield Score(f"test_coverage/{name}", float((ratio <= COVERED**2).mean() * 100.0), "%")
+    yield Score(f"test_sightings/{name}", float(len(error)), "images")
+
+
+def _pixels(name: str, part: Pairs, model: BodyModel) -> Array:
+    """Variance (N,2) px² of the sightings: as stated and what learning found beyond it, else what it found in all."""
+    fallback = np.broadcast_to(model.noise.senses.get(name, (1.0, 1.0)), part.floor.shape)
+    beyond = np.asarray(getattr(model.senses[name], "noise", 0.0))
+    return np.where(part.floor > 0.0, part.floor + beyond, fallback)

@@ -1,0 +1,116 @@
+"""What changed since the body was learned, said once: comparison with the body beside what the filter found."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from math import degrees, nan
+from typing import TYPE_CHECKING
+
+from .evaluation.figures import EITHER, FIRST
+from .settings import Estimation
+from .types import BodyModel, Estimate, Fault, Features, Finding, Series
+
+if TYPE_CHECKING:
+    from .body.kinematic.change import Change
+
+OFFSETS = ("drifting", "offset")
+"""Kinds of fault that an offset from the start on is named as by the filters, and by still poses."""
+APART = 3.0
+"""Standard deviations by which two sizes of one offset differ, beside a tenth of it."""
+
+
+def compared(features: Features, body: BodyModel, found: Estimate, settings: Estimation) -> Estimate:
+    """The estimate whose faults name each joint's zero, camera or marker that is not where it was, once.
+
+    A body learned without a URDF tells nothing of that; `bias = "off"` asks for nothing.
+    """
+    from .body.kinematic import change
+
+    if settings.bias == "off" or not change.comparable(body):
+        return found
+    changes = change.changes(_usable(features, found), body)
+    faults, findings = merged(changes, found)
+    return replace(found, faults=faults, findings=(*found.findings, *findings))
+
+
+def _usable(features: Features, found: Estimate) -> Features:
+    """Tracks that were used, dated as the estimate dates them, until an encoder or a camera began to lie otherwise."""
+    from .estimation.timing import correction
+
+    delays = found.settings.get("delay", {})
+    timely = correction.earlier(features, delays) if isinstance(delays, Mapping) else features
+    seen = [fault.since for fault in found.faults if fault.sense == "vision" and fault.since >= FIRST]
+    later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _constant(fault)] + seen
+    end = min(later, default=float("inf"))
+    tracks = {}
+    for name, track in timely.tracks.items():
+        if name in found.used and found.used[name].used:
+            early = track.t < end
+            std = None if track.std is None else track.std[early]
+            some = track.t[early], track.values[early], track.names, track.unit, track.source_ns[early], std
+            tracks[name] = Series(*some)
+    return replace(timely, tracks=tracks)
+
+
+def _constant(fault: Fault) -> bool:
+    """Whether a fault is an encoder's offset from the start on."""
+    return fault.sense == "encoders" and fault.kind in OFFSETS and fault.since < FIRST
+
+
+def merged(changes: "Sequence[Change]", found: Estimate) -> tuple[tuple[Fault, ...], tuple[Finding, ...]]:
+    """The estimate's faults with the changes, those that are the same named once, and a remark on each."""
+    start = float(found.joints.t[0]) if len(found.joints.t) else 0.0
+    own, findings = [_fault(one, start) for one in changes], list[Finding]()
+    kept = []
+    for fault in found.faults:
+        same = next((one for one in own if _names(one) & _names(fault) and one.sense == "encoders"), None)
+        moved = next((one for one in own if one.sense == "vision"), None)
+        if not _constant(fault) or (same is None and moved is None):
+            kept.append(fault)
+        elif same is None and moved is not None:
+            text = f"the filter lays to {fault.name}'s encoder ({fault.size:.4g} rad) what {moved.name} explains better"
+            findings.append(Finding("info", text))
+        elif same is not None:
+            findings += _differing(same, fault)
+    findings += [Finding("info", _worth(one)) for one in changes]
+    lasting = {fault.name for fault in kept if fault.sense == "encoders"}
+    return (*kept, *(one for one in own if not _names(one) & lasting)), tuple(findings)
+
+
+def _names(fault: Fault) -> set[str]:
+    return set(fault.name.split(EITHER))
+
+
+def _fault(one: "Change", start: float) -> Fault:
+    """A joint's encoder reads too much by what its zero is too small."""
+    name = EITHER.join((one.name, *one.rivals))
+    since = start if one.since is None else one.since
+    if one.kind == "joint":
+        size, std = (nan, None) if one.rivals else (-float(one.value[0]), float(one.std[0]))
+        return Fault("encoders", name, "offset", since, size, one.unit, std)
+    turned = one.kind == "camera"
+    value, spread = (one.value[3:], one.std[3:]) if turned else (one.value[:3], one.std[:3])
+    size = float(value @ value) ** 0.5
+    sure = float((value / max(size, 1e-12)) ** 2 @ spread**2) ** 0.5
+    size, std = (nan, None) if one.rivals else (size, sure)
+    return Fault("vision", name, "moved", since, size, "rad" if turned else "m", std)
+
+
+def _differing(same: Fault, fault: Fault) -> Iterable[Finding]:
+    """A remark where the filter's size of an offset is another."""
+    if same.std is None or fault.size != fault.size:
+        return
+    if abs(same.size - fault.size) > APART * same.std + 0.1 * abs(same.size):
+        by_body = f"beside the body's own zeros {same.size:.4g} ± {same.std:.2g} rad"
+        yield Finding("info", f"{same.name}: by the filter its offset is {fault.size:.4g} rad, {by_body}")
+
+
+def _worth(one: "Change") -> str:
+    """A change in words, with the evidence for it."""
+    sure = f"{one.nats:.0f} nats likelier than as it was when the body was learned"
+    if one.kind == "joint":
+        factor, unit = (degrees(1.0), "°") if one.unit == "rad" else (1e3, " mm")
+        value, std = -factor * one.value[0], factor * one.std[0]
+        return f"{one.name}: reads {value:+.2f} ± {std:.2f}{unit} beside the body, {sure}"
+    place = f"{1e3 * (one.value[:3] @ one.value[:3]) ** 0.5:.1f} mm"
+    turn = f" and turned by {degrees((one.value[3:] @ one.value[3:]) ** 0.5):.2f}°" if len(one.value) == 6 else ""
+    return f"{one.name}: moved by {place}{turn}, {sure}"

@@ -1,0 +1,134 @@
+"""What the pipeline refuses, in one line each: a file onto itself, logs that show nothing, names that fit nothing."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
+from .io.atomic_files import lasting
+from .io.outputs import Output, guard
+from .settings import Colours, Settings
+from .sources import TableSource, feature_of, group_of
+from .types import BodyModel, Features, Finding, Health, Recording
+
+
+def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings | None = None) -> None:
+    """UsageError when an output is an input, or a video that the settings name; LogError when an input is a pipe."""
+    for one in read:
+        lasting(one)
+    guard([*read, *(() if settings is None else named_files(read, settings))], write)
+
+
+def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
+    """The files read with these logs, from here or beside them: videos and tables that settings name, poses' images."""
+    from .logs.datasets.tables import table_beside
+    from .logs.tables.pose_log import image_files
+    from .recording.cameras import is_video
+
+    videos = [name for name in settings.topics.cameras if is_video("camera", name)]
+    tables = (source.table for source in settings.features.values() if isinstance(source, TableSource))
+    logs = tuple(logs)
+    for name in (*videos, *tables):
+        yield from (Path(name), *(log.parent / name for log in logs))
+    films = (path for name in videos for path in (Path(name), *(log.parent / name for log in logs)))
+    yield from (table for film in films if (table := table_beside(film)) is not None)
+    for log in logs:
+        yield from image_files(log)
+
+
+def something_seen(log: Path, features: Features) -> None:
+    """LogError when there is nothing to extract."""
+    if not features.tracks and not features.touches:
+        raise LogError(f"{log}: neither camera nor skin gave anything to extract; type: bodylog info {log}")
+
+
+def teachable(log: Path, found: Features, settings: Settings) -> None:
+    """LogError when a body cannot be learned from a log: no joints, no reference or feature where one is named."""
+    if found.joints is None or not len(found.joints.t):
+        raise LogError(f"{log}: no joint readings to learn from; type: bodylog info {log}")
+    if found.reference is None and (said := settings.topics.reference):
+        raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
+    needed = {"effector", *settings.features} - {"hand"}
+    insist(log, {n: h for n, h in found.health.items() if feature_of(n) in needed}, found, settings)
+
+
+def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]:
+    """The features without tracks that [fit] without names; ConfigError for a name of which there is no track."""
+    left = set(settings.fit.without)
+    tracks = sorted({name for one in features for name in one.tracks})
+    names = {*tracks, *map(group_of, tracks), *map(feature_of, tracks)}
+    if unknown := sorted(left - names):
+        raise ConfigError(f"[fit] without: found {unknown[0]!r}, possible: {', '.join(tracks) or 'none, no track'}")
+    gone = {name for name in tracks if {name, group_of(name), feature_of(name)} & left}
+    return [
+        replace(
+            one,
+            tracks={name: track for name, track in one.tracks.items() if name not in gone},
+            boards={name: board for name, board in one.boards.items() if not gone & set(board[0])},
+        )
+        for one in features
+    ]
+
+
+def insist(
+    log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
+) -> None:
+    """EvidenceError when a feature gave nothing though robot.toml names it or its camera: named is not guessed."""
+    said = {"effector": settings.colours.effector != Colours().effector, **dict.fromkeys(settings.colours.shapes, True)}
+    said |= dict.fromkeys(settings.features, True)
+    some = {group_of(name) for name, used in used_of.items() if used.used}
+    for name, used in used_of.items():
+        explicit = said.get(name.split("/")[-1], said.get(feature_of(name)))
+        if explicit is not None and group_of(name) not in some and (explicit or settings.topics.cameras):
+            seen = f"{name}: nothing usable in {used.seen} pictures of the camera or feature that robot.toml names"
+            told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
+            raise EvidenceError(f"{log}: {told}{instead.format(name)}")
+
+
+def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Features) -> tuple[Finding, ...]:
+    """ModelError when the first camera, whose tracks are named plainly, is not the body's though the log has that one.
+
+    A remark when it has another name; nothing where the cameras of body or log are not known.
+    """
+    from .recording.cameras import camera_name
+
+    known, here = ([str(topic) for topic in topics] for topics in (learned, features.cameras.values()))
+    if not known or not here or camera_name(known[0]) == camera_name(here[0]):
+        return ()
+    said = f"camera: {here[0]} comes first here, {known[0]} where the body was learned"
+    there = {camera_name(name) for name in (*here, *(topic.name for topic in read.topics))}
+    if camera_name(known[0]) in there or camera_name(here[0]) in map(camera_name, known):
+        advice = json.dumps(known if len(known) > 1 else known[0])
+        raise ModelError(f"{log}: {said}; type: [topics] camera = {advice}, for the log as it was recorded")
+    return (Finding("info", said),)
+
+
+def same_size(log: Path, learned: BodyModel, features: Features, settings: Settings) -> None:
+    """ModelError when pictures that are to be heard are not as wide as those the body was learned from."""
+    from .estimation.measurements.gather import chosen
+
+    size, width = features.picture_size, learned.provenance.get("image_width")
+    visual = [name for name in features.tracks if name in learned.senses and "/" not in name]
+    if size and width and size[0] != round(width) and chosen(visual, learned, settings.estimate).intersection(visual):
+        raise ModelError(
+            f"{log}: camera: pictures are {size[0]} px wide, {width:g} px where the body was learned; fit a body from "
+            f"a log of {size[0]} px, or go on with the rest: --without vision,touch"
+        )
+
+
+@contextmanager
+def about(log: Path, findings: Iterable[Finding] = (), others: int = 0) -> Iterator[None]:
+    """Whatever an input is refused for in a `with`, told of the log (and of how many others), with what that lost."""
+    try:
+        yield
+    except InputError as problem:
+        logs = f"{log} and {others} more" if others else f"{log}"
+        raise type(problem)(f"{logs}: {problem}{gone(log, findings)}") from problem
+
+
+def gone(log: Path, findings: Iterable[Finding]) -> str:
+    """What of a log is gone or of no use, for the end of a refusal that this may explain."""
+    told = (f.text for f in findings if f.severity == "lost" or "no usable message" in f.text)
+    return "".join(f"; {text.removeprefix(f'{log}: ')}" for text in told)

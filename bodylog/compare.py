@@ -1,0 +1,109 @@
+"""Every method with every subset of the senses on one log, with and without truth."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from .checks import about, gone, same_camera, same_size
+from .default_features import of_body
+from .errors import EvidenceError, InputError, UsageError
+from .fault_findings import named
+from .pipeline import Progress, infer, observe
+from .scoring import judge
+from .settings import Settings
+from .types import BodyModel, Features, Finding, Recording, Score
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One line of a comparison: what ran on which senses, how good it was, its processor time (s), its warnings."""
+
+    method: str
+    senses: tuple[str, ...]
+    scores: tuple[Score, ...]
+    seconds: float
+    findings: tuple[Finding, ...] = ()
+
+
+def compare(
+    log: Path,
+    body: Path,
+    settings: Settings,
+    progress: Progress | None = None,
+    done: Callable[[Row], None] | None = None,
+) -> tuple[list[Row], tuple[Finding, ...]]:
+    """Every method with every subset of the senses the log has; each is also asked for pictures withheld from it.
+
+    `done` is told each row at once. What a method refuses is a remark, and an error where all refuse; EvidenceError
+    where no sense says anything.
+    """
+    from .body import storage
+    from .estimation.methods import choices
+
+    learned = storage.load(body)
+    settings = of_body(learned, settings)
+    read, features = observe(log, settings, progress)
+    cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
+    same_size(log, learned, features, settings)
+    subsets, silent = choices.subsets(features, learned, settings.estimate)
+    if not subsets:
+        told = f"it says nothing by any sense of {body}; type: bodylog info {log}"
+        raise EvidenceError(f"{log}: {told}{gone(log, read.findings)}")
+    rows: list[Row] = []
+    refused: dict[str, InputError | UsageError] = {}
+    for asked in _asked(settings, subsets, silent):
+        try:
+            rows.append(_row(features, learned, asked, read))
+        except (InputError, UsageError) as problem:
+            refused[_label(asked.estimate.method, asked.estimate.senses or ())] = problem
+            continue
+        if done is not None:
+            done(rows[-1])
+    if refused and not rows:
+        with about(log, read.findings):
+            raise next(iter(refused.values()))
+    return rows, (*read.findings, *features.findings, *cameras, *_remarks(rows, refused))
+
+
+def _asked(
+    settings: Settings, subsets: Sequence[tuple[str, ...]], silent: tuple[str, ...]
+) -> Iterator[Settings]:
+    """Every method with every subset of the senses that it can do with, as settings."""
+    from .estimation import METHODS
+    from .estimation.methods import choices
+
+    for method in METHODS:
+        for senses in subsets:
+            if choices.usable(method, senses):
+                asked = replace(settings.estimate, method=method, senses=senses, without=silent)
+                yield replace(settings, estimate=asked)
+
+
+def _row(features: Features, learned: BodyModel, settings: Settings, read: Recording) -> Row:
+    from .evaluation.heldout import held_out, withhold
+
+    fewer, withheld = withhold(features)
+    # first, so that the one that is timed finds everything imported and in memory
+    foretold = held_out(infer(fewer, learned, settings), withheld, learned)
+    started = time.process_time()
+    found = infer(features, learned, settings)
+    seconds = time.process_time() - started
+    warnings = (*(f for f in found.findings if f.severity != "info"), *named(found.faults))
+    asked = settings.estimate
+    return Row(asked.method, asked.senses or (), (*judge(found, read), *foretold), seconds, warnings)
+
+
+def _remarks(rows: Sequence[Row], refused: Mapping[str, Exception]) -> list[Finding]:
+    """What was said of rows, each thing once, after the rows it was said of."""
+    said: dict[Finding, list[str]] = {}
+    for row in rows:
+        for finding in row.findings:
+            said.setdefault(finding, []).append(_label(row.method, row.senses))
+    for label, problem in refused.items():
+        said.setdefault(Finding("warning", str(problem)), []).append(label)
+    return [Finding(finding.severity, f"{'; '.join(labels)}: {finding.text}") for finding, labels in said.items()]
+
+
+def _label(method: str, senses: Sequence[str]) -> str:
+    return f"{method} {','.join(senses)}"

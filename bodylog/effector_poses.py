@@ -1,0 +1,47 @@
+"""An estimate in metres and by kinematics alone: the effector's poses, what chains foretell, the joints' zeros."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from .types import Array, BodyModel, Estimate, Poses, Series
+
+if TYPE_CHECKING:
+    from .body.kinematic.model import KinematicGP
+
+FIRST = "effector"
+
+
+def added(body: BodyModel, found: Estimate) -> Estimate:
+    """The estimate with what a body that was learned with a URDF says beside it; as it is where there is none."""
+    from .body.kinematic.model import KinematicGP
+    from .body.kinematic.offsets import learned, plain
+
+    senses = {name: s for name, s in body.senses.items() if isinstance(s, KinematicGP)}
+    if not senses or not len(found.joints.t):
+        return found
+    told = {**found.settings, "offsets": plain(learned(body))}
+    kinematic = {name: _kinematic(senses[name], found, name) for name in found.predicted if name in senses}
+    return replace(found, effector=_effector(senses, found), kinematic=kinematic, settings=told)
+
+
+def _effector(senses: "dict[str, KinematicGP]", found: Estimate) -> Poses | None:
+    """Poses of the thing that is called effector, else of the first by name."""
+    from .kinematics.pose import posed
+    from .kinematics.rotations import quaternions
+
+    first = senses.get(FIRST, senses[min(senses)])
+    if first.base is None:
+        return None
+    joints, chain = found.joints, first.base.chain
+    place, rotation, cov = posed(first.base, first.rig, first.theta, first.root, joints.values, found.cov)
+    return Poses(joints.t, place, quaternions(rotation), chain.start, joints.source_ns, cov)
+
+
+def _kinematic(sense: "KinematicGP", found: Estimate, name: str) -> Series:
+    """Where kinematics alone expects a track, px: what was predicted without the process's part at the belief."""
+    import numpy as np
+
+    predicted, joints = found.predicted[name], found.joints
+    x = np.column_stack([np.interp(predicted.t, joints.t, column) for column in joints.values.T])
+    process: Array = sense.means(x)[0] - sense.kinematics(x)
+    return Series(predicted.t, predicted.values - process, ("u", "v"), "px", predicted.source_ns)

@@ -1,0 +1,40 @@
+"""What the pipeline remarks on beside its results: sensors that lied, and why there is no error against truth."""
+
+from collections.abc import Sequence
+
+from .evaluation.figures import FIRST
+from .types import Estimate, Fault, Features, Finding, Series
+
+
+def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
+    """Which sensor lied, how, since when and how much."""
+    return tuple(Finding("warning", _lie(fault)) for fault in faults)
+
+
+def _lie(fault: Fault) -> str:
+    since = f"{fault.sense} {fault.name}: {fault.kind} since {fault.since:.3f} s"
+    # a fault that is one of several joints' has no size
+    known = fault.size == fault.size
+    sure = "" if fault.std is None else f" ± {fault.std:.2g}"
+    size = f", {fault.size:.4g}{sure} {fault.unit}" if known else "; the log cannot tell which of them it is"
+    first = "; from the first on: homed differently, or the camera has moved since the body was learned"
+    body = "; beside where it was when the body was learned"
+    compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)
+    return since + size + first * (fault.kind == "drifting" and fault.since < FIRST) + body * compared
+
+
+def sightings(found: Features) -> tuple[Finding, ...]:
+    """In how many images each track was seen, and why not in the others, by reason."""
+    from .body.data import trainable
+
+    return tuple(Finding("info", f"{name}: {trainable.seen([found], name)}") for name in found.tracks)
+
+
+def untold(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:
+    """A remark where there is no error against truth: no truth, or truth of other joints than the estimate's."""
+    if truth is None:
+        return (Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth"),)
+    if set(truth.names) & set(found.joints.names):
+        return ()
+    names = f"the truth is of {', '.join(truth.names)}, the estimate of {', '.join(found.joints.names)}"
+    return (Finding("warning", f"{names}, so no error against truth; name another in [topics] truth"),)

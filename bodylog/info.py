@@ -1,0 +1,97 @@
+"""What is in a file: a log here or behind a URL, or a body model."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .io import remote
+from .io.atomic_files import is_archive
+from .io.values import read_json
+from .settings import Settings
+from .types import BodyModel, ForwardModel
+
+if TYPE_CHECKING:
+    from .body.kinematic.model import KinematicGP
+
+
+def info(log: Path | str, settings: Settings) -> dict[str, Any]:
+    """What is in a log: topics, rates, roles, clocks; or in a body model (.npz): joints, senses, noise, provenance.
+
+    Of an MCAP behind a URL only what this needs is read.
+    """
+    from .recording import recording
+
+    if remote.is_url(str(log)):
+        return _info_remote(str(log), settings)
+    log = Path(log)
+    if is_archive(log):
+        return _info_body(log)
+    return recording.info(log, settings, settings.input.strict)
+
+
+def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
+    from .logs.library import located
+    from .recording import recording
+
+    with located(url) as path:
+        told = recording.info(path, settings, settings.input.strict)
+    findings = [{**said, "text": said["text"].replace(str(path), url)} for said in told["findings"]]
+    return told | {"path": url, "findings": findings}
+
+
+def _info_body(path: Path) -> dict[str, Any]:
+    from .body import storage
+
+    learned = storage.load(path)
+    return {
+        "path": str(path),
+        "format": "body",
+        "joints": list(learned.joints),
+        "senses": {name: _sense(sense, learned.joints) for name, sense in learned.senses.items()},
+        **_zeros(learned),
+        "noise": asdict(learned.noise),
+        "touch": asdict(learned.touch),
+        "cells": {str(cell): list(place) for cell, place in learned.cells.items()},
+        "provenance": {key: _parsed(value) for key, value in learned.provenance.items()},
+        "findings": [],
+    }
+
+
+def _zeros(learned: BodyModel) -> dict[str, Any]:
+    """The joints' zeros and scales of a body that was learned with a URDF."""
+    from .body.kinematic import model as kinematic_gp
+    from .body.kinematic import offsets
+
+    if not any(isinstance(sense, kinematic_gp.KinematicGP) for sense in learned.senses.values()):
+        return {}
+    return dict(offsets.tables(offsets.learned(learned), offsets.scaled(learned)))
+
+
+def _sense(sense: ForwardModel, joints: Sequence[str]) -> dict[str, Any]:
+    """What a sense's model is made of: samples and a length scale (rad) for each joint, or coefficients."""
+    from .body.gp.model import GP
+    from .body.kinematic.model import KinematicGP
+    from .body.senses.encoder_function import Polynomial
+
+    told: dict[str, Any] = {"outputs": list(sense.outputs), "unit": getattr(sense, "unit", "")}
+    if isinstance(sense, GP):
+        scales = [dict(zip(joints, group, strict=True)) for group in sense.scales.tolist()]
+        told |= {"samples": len(sense.samples), "length_scales": scales}
+        return told | ({"kinematics": _links(sense)} if isinstance(sense, KinematicGP) else {})
+    return told | ({"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {})
+
+
+def _links(sense: "KinematicGP") -> dict[str, str | None]:
+    """What hangs on which link, and the robot's root."""
+    camera, marker, base = sense.rig.cameras[0], sense.rig.carriers[0], sense.base
+    links = {"camera": camera.name, "camera_link": camera.link, "marker": marker.name, "marker_link": marker.link}
+    return links | {"base": None if base is None else base.chain.start}
+
+
+def _parsed(value: Any) -> Any:
+    """A text that holds JSON as what it holds."""
+    try:
+        return read_json(value) if isinstance(value, str) else value
+    except ValueError:
+        return value

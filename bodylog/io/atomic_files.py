@@ -1,0 +1,166 @@
+"""Files that are either whole or absent: written beside, synced, renamed."""
+
+import errno
+import mmap
+import os
+import select
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..errors import LogError, OutputError, WriteError
+from . import temporary
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What no reading ends in."""
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
+
+    Of a link, what it leads to is replaced, or made; who may read what is replaced may read what replaces it. What
+    killed runs left in that folder goes first. OutputError when `path` is in no folder, no file, or may not be written
+    to; WriteError where there is no room, or the disk fails.
+    """
+    path = writable(path)
+    try:
+        with temporary.file(path.parent) as beside:
+            yield beside
+            if path.exists():
+                beside.chmod(path.stat().st_mode & 0o7777)
+            sync(beside)
+            os.replace(beside, path)
+            sync(path.parent)
+    except OSError as problem:
+        ours = str(problem.filename).endswith(temporary.PART)
+        failed = problem.errno in FULL or (problem.errno == errno.EIO and (ours or problem.filename is None))
+        if not (failed or ours or problem.errno == errno.EROFS):
+            raise
+        text = f"{path}: {problem.strerror}; give another name with -o"
+        raise (WriteError if failed else OutputError)(text) from problem
+
+
+def writable(path: Path, folder: bool = False) -> Path:
+    """The file that an output names, behind links; OutputError where it can be none, or is protected.
+
+    Of a `folder`, which may not be there yet, whether files may be written into it.
+    """
+    if path.is_symlink() and (folder or path.is_file() or not path.exists()):  # /dev/stdout leads to no name
+        path = _behind(path)
+    if folder:
+        place = next(one for one in (path, *path.absolute().parents) if one.exists())
+        if not os.access(place, os.W_OK | os.X_OK):
+            raise OutputError(f"{path}: is write-protected; give another folder")
+        return path
+    if path.exists() and not path.is_file():
+        raise OutputError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
+    if not all(os.access(place, os.W_OK) for place in (path, path.parent) if place.exists()):
+        raise OutputError(f"{path}: is write-protected; give another name with -o")
+    return path
+
+
+def _behind(link: Path) -> Path:
+    """What a link leads to; OutputError when that is a link again, without end."""
+    path = Path(os.path.realpath(link))
+    if path.is_symlink():
+        raise OutputError(f"{link}: is a link that leads back to itself; give another name with -o")
+    return path
+
+
+def made(path: Path) -> Path:
+    """`path` as a folder, made where it is not there yet; OutputError where it, or what it would be in, is a file."""
+    try:
+        Path(os.path.realpath(path)).mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise OutputError(f"{path}: a file is in its place; give the name of a folder") from None
+    except OSError as problem:
+        kind = WriteError if problem.errno in (*FULL, errno.EIO) else OutputError
+        raise kind(f"{path}: {problem.strerror}; give the name of another folder") from None
+    return path
+
+
+def sync(path: Path) -> None:
+    """Ask the kernel to put `path` (file or folder) on the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+PATIENCE = 20.0
+"""Seconds that what is to come through a pipe may take: nobody may write to it."""
+
+
+def text(path: Path, most: int) -> str:
+    """What a file, or a pipe, says in UTF-8; OSError where that is more than `most` bytes, or does not come to its end.
+
+    A pipe that nobody writes to is waited for PATIENCE s.
+    """
+    data, until = bytearray(), time.monotonic() + PATIENCE
+    handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        ready = select.poll()
+        ready.register(handle, select.POLLIN)
+        while len(data) <= most:
+            if not ready.poll(max(0.0, until - time.monotonic()) * 1000.0):
+                raise OSError(errno.ETIMEDOUT, f"a pipe that did not come to its end in {PATIENCE:g} s")
+            with suppress(BlockingIOError):
+                piece = os.read(handle, most + 1 - len(data))
+                if not piece:
+                    return data.decode()
+                data += piece
+    finally:
+        os.close(handle)
+    raise OSError(errno.EFBIG, f"more than {most} bytes")
+
+
+def is_archive(path: Path) -> bool:
+    """Whether this is a .npz, by its name or by its first bytes."""
+    if path.suffix == ".npz" or not path.is_file():
+        return path.suffix == ".npz"
+    with path.open("rb") as stream:
+        return stream.read(4) == b"PK\x03\x04"
+
+
+def lasting(path: Path) -> None:
+    """LogError for a pipe or device: what it says is gone once it is read, and who opens it waits for who writes."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise LogError(f"{path}: is a pipe or device, and what is given here is read twice; save it to a file first")
+
+
+def sha256(path: Path) -> str:
+    """Hex digest of a file, or of a folder's files in name order."""
+    from hashlib import sha256
+
+    digest = sha256()
+    for piece in pieces(path, 1 << 20):
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def pieces(path: Path, size: int) -> Iterator[memoryview]:
+    """The bytes of a file, or of a folder's files in name order, `size` at a time; of a file only the last is shorter.
+
+    They are where the kernel keeps the file, no copies; each begins at a page if `size` is a number of pages. What is
+    cut off the file meanwhile is missing, and so is what is put to its end.
+    """
+    lasting(path)
+    for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
+        with part.open("rb") as stream:
+            if whole := os.fstat(stream.fileno()).st_size:
+                yield from _mapped(stream.fileno(), whole, size)
+
+
+def _mapped(handle: int, whole: int, size: int) -> Iterator[memoryview]:
+    data = mmap.mmap(handle, whole, access=mmap.ACCESS_READ)
+    data.madvise(mmap.MADV_SEQUENTIAL)
+    for at in range(0, whole, size):
+        end = min(at + size, whole, os.fstat(handle).st_size)
+        if end > at:
+            yield memoryview(data)[at:end]
+            data.madvise(mmap.MADV_DONTNEED, at, end - at)

@@ -1,0 +1,128 @@
+"""The one guard of outputs: nothing that a command reads is ever written to, by whatever name it is given."""
+
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import UsageError
+from ..logs import episodes
+
+Key = tuple[int, int]
+"""Device and inode: the same file or folder, whatever it is called, also where names ignore case."""
+
+METADATA = "metadata.yaml"
+RECORDED = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")
+"""How the files of a rosbag2 folder end."""
+BESIDE = ("-wal", "-journal", "-shm")
+"""What SQLite keeps beside a .db3."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """A place to write: a file, or with `folder` a folder that files are written into; the option that gave it."""
+
+    path: Path
+    option: str = "-o"
+    folder: bool = False
+
+    def __str__(self) -> str:
+        """As it was typed."""
+        return f"{self.option} {self.path}"
+
+
+def guard(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
+    """UsageError when an output is an input, lies inside one or holds one, or when two outputs are one.
+
+    Compared by what is on the disk (links, hard links, case, mounts), not by name. An input that is a folder is
+    everything in it and everything its links lead to; a file of a rosbag2 folder brings the recording it is part of.
+    """
+    outputs, inputs = list(outputs), list(inputs)
+    for output in outputs:
+        place = _Place(output)
+        for given in map(episodes.base, inputs):
+            for part in _parts(given):
+                place.refuse(part, given)
+    for first in outputs:
+        for second in outputs:
+            if first is not second and not first.folder and _behind(first.path) in _chain(_behind(second.path)):
+                raise UsageError(f"{second} is in the place of {first}; give each output a place of its own")
+
+
+class _Place:
+    """An output as it lies on the disk."""
+
+    def __init__(self, output: Output) -> None:
+        self._output, self._real = output, _behind(output.path)
+        self._key = key(self._real)
+        self._above = {found for path in _chain(self._real) if (found := key(path)) is not None}
+        self._within = set(_links(self._real)) if output.folder else set()
+
+    def refuse(self, part: Path, given: Path) -> None:
+        """UsageError when this output is `part`, which belongs to the input `given`, or inside or around it."""
+        found = key(part)
+        real = _behind(part) if found is None or part is given or part.is_symlink() else None
+        if real == self._real or (found is not None and found == self._key):
+            said = "is also an input" if part is given else f"is {part.name} of an input"
+            raise UsageError(f"{self._output} {said} ({given}); choose another name")
+        if found is None:
+            return
+        if found in self._above:
+            raise UsageError(f"{self._output} lies inside an input ({given}); choose a place outside of it")
+        around = self._key is not None and real is not None and self._key in map(key, real.parents)
+        if around or found in self._within:
+            raise UsageError(f"{self._output} holds an input ({given}); choose another folder")
+
+
+def key(path: Path) -> Key | None:
+    """What a name leads to; None when there is nothing."""
+    try:
+        found = os.stat(path)
+    except (OSError, ValueError):
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _behind(path: Path) -> Path:
+    return Path(os.path.realpath(path))
+
+
+def _chain(path: Path) -> tuple[Path, ...]:
+    return path, *path.parents
+
+
+def _links(folder: Path) -> Iterator[Key]:
+    """What the names in a folder lead to: an output may be written through a link, or to a file of several names."""
+    try:
+        names = list(folder.iterdir())
+    except OSError:
+        return
+    yield from (found for name in names if (found := key(name)) is not None)
+
+
+def _parts(given: Path) -> Iterator[Path]:
+    """An input, and what else is read with it."""
+    yield given
+    if given.is_dir():
+        yield from _inside(given)
+        return
+    yield from (given.with_name(given.name + end) for end in BESIDE if given.suffix == ".db3")
+    for folder in {given.parent, _behind(given).parent}:
+        if given.name.endswith(RECORDED) and (folder / METADATA).is_file():
+            yield from (path for path in folder.iterdir() if path.name == METADATA or path.name.endswith(RECORDED))
+
+
+def _inside(folder: Path) -> Iterator[Path]:
+    """Everything in a folder, links followed; each folder once."""
+    seen, left = set[Key | None]((None,)), [folder]
+    while left:
+        found = key(path := left.pop())
+        if found in seen:
+            continue
+        seen.add(found)
+        try:
+            names = list(path.iterdir())
+        except OSError:
+            continue
+        yield from names
+        left += [name for name in names if name.is_dir()]

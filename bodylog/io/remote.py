@@ -1,0 +1,141 @@
+"""Logs behind URLs (s3://, http://, file://, memory:// and whatever else fsspec knows): found, measured, fetched."""
+
+import posixpath
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ..errors import BodylogError, LogError, UsageError
+from . import atomic_files, temporary
+
+_MARGIN = 256 << 20
+_BLOCK = 4 << 20
+
+
+def is_url(text: str) -> bool:
+    """Whether this is a URL rather than a path."""
+    scheme, colon, _ = text.partition("://")
+    return bool(colon) and scheme.isalnum()
+
+
+def behind(url: str, suffixes: tuple[str, ...]) -> tuple[str, ...]:
+    """The URLs of the logs behind one: itself, or those its pattern or folder holds; LogError when there is none."""
+    with _said(url):
+        store, path = _store(url)
+        if any(sign in path for sign in "*["):
+            found = [entry for entry in store.glob(path) if entry.endswith(suffixes)]
+        elif store.isdir(path) and not store.isfile(path):
+            found = [entry for entry in store.find(path) if entry.endswith(suffixes)]
+        else:
+            return (url,)
+        urls = tuple(sorted(store.unstrip_protocol(entry) for entry in found))
+    if not urls:
+        raise LogError(f"{url}: no log in there; logs end in {', '.join(suffixes)}")
+    return urls
+
+
+def name_of(url: str) -> str:
+    """The file name at the end of a URL, made safe."""
+    from urllib.parse import unquote
+
+    name = posixpath.basename(unquote(url.split("?", 1)[0].rstrip("/")))
+    return re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log"
+
+
+def file_behind(url: str) -> Path | None:
+    """The file on this machine that a URL names (file://, local://); None behind any other."""
+    if url.partition("://")[0].lower() not in ("file", "local"):
+        return None
+    with _said(url):
+        return Path(_store(url)[1])
+
+
+def size(url: str) -> int:
+    """Bytes behind a URL; LogError when it does not say or cannot be reached."""
+    with _said(url):
+        store, path = _store(url)
+        found = store.info(path).get("size")
+    if found is None:
+        raise LogError(f"{url}: its server does not say how large it is; download it and give the file")
+    return int(found)
+
+
+def identity(url: str) -> str:
+    """A digest of what the store says of a file (size and tag or date): another once the file is another."""
+    with _said(url):
+        store, path = _store(url)
+        said = store.info(path)
+    telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
+    from hashlib import sha256
+
+    return sha256(repr([url, *((key, str(said.get(key))) for key in telling)]).encode()).hexdigest()
+
+
+def part(url: str, start: int, end: int) -> bytes:
+    """The bytes of a file from `start` to before `end`; the whole file from a server that knows no ranges."""
+    with _said(url):
+        store, path = _store(url)
+        return bytes(store.cat_file(path, start=start, end=end))
+
+
+@contextmanager
+def local(source: str, folder: Path) -> Iterator[Path]:
+    """A file or folder as a path: itself, or for a URL a copy in `folder` that is removed afterwards."""
+    if not is_url(source):
+        yield Path(source)
+        return
+    with temporary.scratch(atomic_files.made(folder)) as beside:
+        path = beside / name_of(source)
+        with naming(path, source):
+            yield _fetch(source, path)
+
+
+@contextmanager
+def naming(path: Path, url: str) -> Iterator[None]:
+    """Errors about a copy of what is behind a URL as errors about the URL."""
+    try:
+        yield
+    except BodylogError as err:
+        raise type(err)(str(err).replace(str(path), url)) from err
+
+
+def _fetch(url: str, path: Path) -> Path:
+    import shutil
+
+    wanted, free = size(url), shutil.disk_usage(path.parent).free - _MARGIN
+    if wanted > free:
+        raise LogError(f"{url}: {wanted} bytes, where {free} are free in {path.parent}; give a folder with more room")
+    with _said(url):
+        store, remote = _store(url)
+        with store.open(remote, "rb", block_size=_BLOCK, cache_type="readahead") as source, path.open("wb") as target:
+            shutil.copyfileobj(source, target, _BLOCK)
+    if path.stat().st_size != wanted:
+        raise LogError(f"{url}: {path.stat().st_size} bytes came, {wanted} were announced; try again")
+    return path
+
+
+def _store(url: str) -> tuple[Any, str]:
+    try:
+        import fsspec
+    except ImportError as err:
+        raise UsageError("a URL as a log needs fsspec; type: pip install 'bodylog[cloud]'") from err
+    store, path = fsspec.core.url_to_fs(url)
+    return store, str(path)
+
+
+@contextmanager
+def _said(url: str) -> Iterator[None]:
+    """Whatever a store's own library raises, as one line."""
+    try:
+        yield
+    except (LogError, UsageError):
+        raise
+    except FileNotFoundError:
+        raise LogError(f"{url}: there is no such file; check the address") from None
+    except ImportError as err:
+        raise UsageError(f"{url}: {err}") from None
+    except Exception as err:  # each store has its own errors, with no common kind
+        text = " ".join(str(err).split()) or type(err).__name__
+        raise LogError(f"{url}: it cannot be read: {text}") from None

@@ -1,0 +1,76 @@
+"""TOML files that people write, as plain values: none too long, too deep or never ending, no number beyond 64 bits."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from ..errors import ConfigError
+from .atomic_files import text
+
+MOST_BYTES = 4 << 20
+DEEPEST = 32
+"""Parts of a key, and levels of tables and lists: each costs memory of its own before anything is known of it."""
+LARGEST = 2**63 - 1
+
+_TOKEN = re.compile(r"""(?s)[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?|\.|[ \t]++|.""")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """What a TOML file, or a pipe, holds; ConfigError where it cannot be read, or is not sound TOML of that kind."""
+    import tomllib
+
+    try:
+        content = text(path, MOST_BYTES)
+    except (OSError, UnicodeDecodeError) as err:
+        why = err.strerror if isinstance(err, OSError) else err
+        raise ConfigError(f"{path}: cannot be read as TOML ({why}); give a file like that of: bodylog config") from err
+    if _longest_key(content) > DEEPEST:
+        raise ConfigError(f"{path}: not TOML of bodylog's: a key has more than {DEEPEST} parts with dots between")
+    try:
+        found = tomllib.loads(content)
+    except RecursionError:
+        raise ConfigError(f"{path}: cannot be read as TOML: its tables or lists are too deep") from None
+    except ValueError as err:  # TOMLDecodeError is one; so are numbers of too many digits
+        raise ConfigError(f"{path}: cannot be read as TOML: {err}") from err
+    _check(found, str(path), 0)
+    return found
+
+
+def _longest_key(content: str) -> int:
+    """How many parts the longest dotted key has, or more: what stands in strings and comments counts as well."""
+    longest = parts = 0
+    dotted = False
+    for found in _TOKEN.finditer(content):
+        token = found[0]
+        if token[0] in " \t":
+            continue
+        if token == ".":
+            dotted = parts > 0
+        elif token[0] in "\"'" or token[0] in "-_" or token[0].isalnum():
+            parts = parts + 1 if dotted else 1
+            longest, dotted = max(longest, parts), False
+        else:
+            parts, dotted = 0, False
+    return longest
+
+
+def _check(value: Any, where: str, depth: int) -> None:
+    if depth > DEEPEST:
+        raise ConfigError(f"{where}: tables and lists are more than {DEEPEST} deep")
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            _check(key, where, depth)
+            _check(inner, where, depth + 1)
+    elif isinstance(value, list):
+        for inner in value:
+            _check(inner, where, depth + 1)
+    elif isinstance(value, str) and "\0" in value:
+        raise ConfigError(f"{where}: {value[:40]!r} holds the character 0, which no name can")
+    elif isinstance(value, int) and abs(value) > LARGEST:
+        raise ConfigError(f"{where}: a whole number is beyond 64 bits")
+
+
+def shown(value: Any) -> str:
+    """A value as a message shows it, cut where it is long."""
+    said = repr(value)
+    return said if len(said) <= 200 else f"{said[:200]}…"

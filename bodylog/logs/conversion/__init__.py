@@ -1,0 +1,1 @@
+"""Any log as a new MCAP: whole, in part, examined, repaired."""

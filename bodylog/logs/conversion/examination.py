@@ -1,0 +1,181 @@
+"""What is wrong with a log, and a clean one made of what is sound in it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...errors import LogError
+from ...settings import LIMITS, Input
+from ...types import Finding
+from .. import episodes
+from ..diagnostics import Ledger
+from ..formats import Log, open_log
+from ..rosbag2.folder import METADATA, members, metadata_of
+from ..storage.mmapped import mapped, uncut
+from ..storage.zstd_files import ZSTD, unpack_file
+from .rewrite import repair
+
+if TYPE_CHECKING:
+    from ..datasets.checks import Checks
+
+__all__ = ["examine", "repair"]
+
+
+@dataclass
+class _Seen:
+    """One topic as it was read: messages, how many came before their predecessor, and by how much at most (ns)."""
+
+    messages: int = 0
+    late: int = 0
+    worst_ns: int = 0
+    last_ns: int = -(1 << 63)
+
+
+class _Remarks:
+    """Findings of one kind are said once, with how many there are."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._texts: dict[str, list[str]] = {}
+
+    def say(self, kind: str, text: str) -> None:
+        """Take in a remark."""
+        self._texts.setdefault(kind, []).append(text)
+
+    def findings(self) -> Iterator[Finding]:
+        """One warning per kind."""
+        for texts in self._texts.values():
+            more = f" (and {len(texts) - 1} more like it)" if len(texts) > 1 else ""
+            yield Finding("warning", f"{self._path}: {texts[0]}{more}")
+
+
+def examine(path: Path, strict: bool = False, limits: Input = LIMITS) -> tuple[Finding, ...]:
+    """Everything wrong with a log, read from end to end; LogError when it is none, or when strict and part is lost."""
+    if several := _episodes(path):
+        whole, *found = several
+        return tuple(dict.fromkeys((*_dataset(whole), *(f for one in found for f in examine(one, strict, limits)))))
+    remarks = _Remarks(path)
+    with open_log(path, strict, limits) as log:
+        seen = _read(log, checks := _checks(log, limits))
+        _compare(log, seen, remarks)
+        for number, text in enumerate(checks.texts() if checks else ()):
+            remarks.say(f"dataset {number}", text)
+        if log.format == "rosbag2":
+            _metadata(log, seen, remarks)
+        own = log.findings
+    inner = [found for file in _mcaps(path) for found in _check(file, limits)]
+    return tuple(dict.fromkeys((*own, *remarks.findings(), *inner)))
+
+
+def _episodes(path: Path) -> list[Path]:
+    """A dataset, and the episodes that are there, where no single one is named; none for other logs."""
+    from ..datasets import kinds
+
+    if episodes.split(path)[1] is not None or not path.is_dir() or not kinds.is_dataset(path):
+        return []
+    there = kinds.numbers(path)
+    return [path, *(episodes.named(path, number) for number in there)] if there else []
+
+
+def _dataset(folder: Path) -> Iterator[Finding]:
+    from ..datasets import checks, lerobot_layout
+
+    known = lerobot_layout.layout(folder)
+    yield from (Finding("warning", f"{folder}: {text}") for text in checks.of_dataset(known))
+
+
+def _checks(log: Log, limits: Input) -> "Checks | None":
+    """What looks at the images and joints of an episode of a dataset."""
+    from ..datasets.checks import Checks
+    from ..datasets.episode_log import EpisodeLog
+
+    return Checks(log, limits) if isinstance(log, EpisodeLog) else None
+
+
+def _read(log: Log, checks: "Checks | None") -> dict[int, _Seen]:
+    seen = {topic.id: _Seen() for topic in log.topics}
+    for batch in log.batches():
+        if checks is not None:
+            checks.add(batch)
+        one, times = seen[batch.topic_id], batch.log_ns
+        back = (one.last_ns > times[0], int(one.last_ns - times[0]) if one.last_ns > times[0] else 0)
+        steps = times[1:] - times[:-1]
+        one.late += int(back[0]) + int((steps < 0).sum())
+        one.worst_ns = max(one.worst_ns, back[1], int(-steps.min()) if len(steps) else 0)
+        one.messages += len(times)
+        one.last_ns = int(times[-1])
+    return seen
+
+
+def _compare(log: Log, seen: dict[int, _Seen], remarks: _Remarks) -> None:
+    for topic in log.topics:
+        one = seen[topic.id]
+        if one.messages != topic.messages:
+            remarks.say("count", f"{topic.name}: {topic.messages} messages are declared, {one.messages} can be read")
+        if one.late:
+            text = f"{topic.name}: {one.late} messages have a log time before their predecessor's, by up to"
+            remarks.say("order", f"{text} {one.worst_ns / 1e9:.6f} s")
+        if not topic.definition and not topic.type.endswith("/Empty"):
+            remarks.say("definition", f"{topic.name}: {topic.type or 'its type'} has no definition in the log")
+
+
+def _metadata(log: Log, seen: dict[int, _Seen], remarks: _Remarks) -> None:
+    """metadata.yaml against what the files hold."""
+    said = metadata_of(log.path, Ledger(log.path))
+    if not said:
+        return
+    messages = sum(one.messages for one in seen.values())
+    held = {"message_count": messages, "duration": log.end_ns - log.start_ns, "starting_time": log.start_ns}
+    for name, value in held.items():
+        told = _number(said.get(name))
+        if told is not None and told != value and (messages or name == "message_count"):
+            remarks.say(name, f"{METADATA} says {name} {told}, the files hold {value}")
+    told_topics = {name: (kind, count) for name, kind, count in _topics(said)}
+    for topic in log.topics:
+        kind, count = told_topics.pop(topic.name, (None, 0))
+        if kind is None:
+            remarks.say("topic", f"{METADATA} does not name topic {topic.name}")
+        elif count != seen[topic.id].messages:
+            remarks.say("topic", f"{METADATA} says {count} messages on {topic.name}, it has {seen[topic.id].messages}")
+    for name in told_topics:
+        remarks.say("topic", f"{METADATA} names topic {name}, which no file holds")
+
+
+def _number(value: Any) -> int | None:
+    """A number, bare or under the one key rosbag2 puts it."""
+    if isinstance(value, dict):
+        value = next(iter(value.values()), None)
+    return value if isinstance(value, int) else None
+
+
+def _topics(said: dict[str, Any]) -> Iterator[tuple[str, str, int]]:
+    for entry in said.get("topics_with_message_count") or ():
+        about = entry.get("topic_metadata") if isinstance(entry, dict) else None
+        if isinstance(about, dict):
+            yield str(about.get("name")), str(about.get("type")), _number(entry.get("message_count")) or 0
+
+
+def _mcaps(path: Path) -> list[Path]:
+    try:
+        files = members(path, Ledger(path)) if path.is_dir() else [path] if path.is_file() else []
+    except LogError:
+        return []
+    return [file for file in files if ".mcap" in file.suffixes]
+
+
+def _check(file: Path, limits: Input) -> list[Finding]:
+    from ..mcap.checks import check
+
+    def checked(source: Path) -> list[Finding]:
+        remarks = _Remarks(file)
+        with source.open("rb") as stream:
+            if stream.read(8) == b"\x89MCAP0\r\n":
+                data = mapped(source)
+                check(data, Ledger(file, limits=limits), remarks.say)
+                uncut(data, file)
+        return list(remarks.findings())
+
+    with file.open("rb") as stream:
+        packed = stream.read(4) == ZSTD
+    return unpack_file(file, checked, limits) if packed else checked(file)

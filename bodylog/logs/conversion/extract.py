@@ -1,0 +1,44 @@
+"""Any log, or part of it, as a chunked, indexed MCAP."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from ...annotating.annotate import verify
+from ...errors import UsageError
+from ...io.atomic_files import replacing
+from ...types import Finding
+from ..formats import open_log
+from .transcode import Span, carry
+
+
+def convert(
+    path: Path, out: Path, topics: Sequence[str] | None = None, start: float | None = None, end: float | None = None
+) -> tuple[Finding, ...]:
+    """`out` becomes an MCAP of a log's messages; ROS 1 payloads become CDR, all else stays as it is.
+
+    topics: only these · start, end: only what was logged between them, s since the log's first message. UsageError for
+    a topic the log lacks, an empty span, or an output that is the log.
+    """
+    if out.exists() and path.exists() and out.samefile(path):
+        raise UsageError(f"{out}: is also the input; choose another name for the output")
+    span = _checked(path, topics, start, end)
+    with replacing(out) as beside:
+        with beside.open("wb") as stream:
+            writer, count, findings = carry(path, stream, topics, ours=True, span=span)
+            writer.finish()
+        verify(beside, count, out)
+    return findings
+
+
+def _checked(path: Path, topics: Sequence[str] | None, start: float | None, end: float | None) -> Span | None:
+    with open_log(path) as log:
+        known = sorted({topic.name for topic in log.topics})
+        if unknown := [name for name in topics or () if name not in known]:
+            raise UsageError(f"{path}: no topic {unknown[0]!r}; the topics are {', '.join(known) or 'none'}")
+        if start is None and end is None:
+            return None
+        first, last = 0.0 if start is None else start, math.inf if end is None else end
+        if not first <= last:
+            raise UsageError(f"{path}: start {first:g} s is not before end {last:g} s")
+        return log.start_ns + round(first * 1e9), log.end_ns if last == math.inf else log.start_ns + round(last * 1e9)

@@ -1,0 +1,97 @@
+"""Rewrite what is sound in a log as a clean, indexed MCAP."""
+
+from pathlib import Path
+from typing import Any
+
+from ...errors import LogError
+from ...io.atomic_files import replacing
+from ...io.outputs import Output, guard
+from ...settings import LIMITS, Input
+from ...types import Finding, Topic
+from ..formats import Log, open_log, payloads
+from ..mcap.chunks import MESSAGE_HEAD
+from ..mcap.reader import McapLog
+from ..mcap.records import ATTACHMENT, HEAD, HEADER, METADATA, Record
+
+_U64 = 1 << 64
+_PROFILES = {"cdr": "ros2", "ros1": "ros1"}
+
+
+def repair(path: Path, out: Path, limits: Input = LIMITS) -> tuple[Finding, ...]:
+    """Write the sound messages of `path` to the MCAP `out`; what was wrong comes back. LogError when none is sound."""
+    guard([path], [Output(out, "--repair")])
+    with open_log(path, limits=limits) as log, replacing(out) as beside:
+        written = _mcap(log, beside) if isinstance(log, McapLog) else _any(log, beside)
+        if not written and any(finding.severity == "lost" for finding in log.findings):
+            raise LogError(f"{path}: nothing in it can be saved; {log.findings[-1].text.removeprefix(f'{path}: ')}")
+        _confirm(beside, written)
+        return log.findings
+
+
+def _writer(beside: Path, profile: str) -> Any:
+    from mcap.writer import Writer
+
+    writer = Writer(str(beside), enable_data_crcs=True)
+    writer.start(profile=profile, library="bodylog")
+    return writer
+
+
+def _mcap(log: McapLog, beside: Path) -> int:
+    """Keep channels, sequence numbers, publish times, attachments and metadata as they are; messages written."""
+    header = next(log.records(HEADER), None)
+    writer, survey, count = _writer(beside, header.fields["profile"] if header else ""), log.survey, 0
+    schemas = {number: _schema(writer, record) for number, record in survey.schemas.items()}
+    channels = {}
+    for number, record in survey.channels.items():
+        said = record.fields
+        schema = schemas.get(said["schema_id"], 0)
+        channels[number] = writer.register_channel(said["topic"], said["message_encoding"], schema, said["metadata"])
+    for content, found in log.messages():
+        for start, head in zip(found.starts.tolist(), found.heads.tolist(), strict=True):
+            _, size, channel, sequence, log_ns, publish_ns = head
+            if channel in channels:
+                payload = content[start + MESSAGE_HEAD.itemsize : start + HEAD.size + size]
+                writer.add_message(channels[channel], log_ns % _U64, bytes(payload), publish_ns % _U64, sequence)
+                count += 1
+    for record in log.records(ATTACHMENT):
+        said = record.fields
+        writer.add_attachment(
+            said["create_time"], said["log_time"], said["name"], said["media_type"], bytes(said["data"])
+        )
+    for record in log.records(METADATA):
+        writer.add_metadata(record.fields["name"], record.fields["metadata"])
+    writer.finish()
+    return count
+
+
+def _schema(writer: Any, record: Record) -> int:
+    said = record.fields
+    return int(writer.register_schema(said["name"], said["encoding"], said["data"]))
+
+
+def _any(log: Log, beside: Path) -> int:
+    """One channel per topic; messages written."""
+    profiles = {_PROFILES.get(topic.encoding, "") for topic in log.topics}
+    writer, count = _writer(beside, profiles.pop() if len(profiles) == 1 else ""), 0
+    channels = {topic.id: _channel(writer, topic) for topic in log.topics}
+    for batch in log.batches():
+        for log_ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
+            writer.add_message(channels[batch.topic_id], log_ns, bytes(payload), log_ns)
+            count += 1
+    writer.finish()
+    return count
+
+
+def _channel(writer: Any, topic: Topic) -> int:
+    ros1 = topic.encoding == "ros1"
+    name = topic.type.replace("/msg/", "/") if ros1 else topic.type
+    encoding = topic.definition_encoding or ("ros1msg" if ros1 else "ros2msg")
+    schema = writer.register_schema(name, encoding, topic.definition)
+    return int(writer.register_channel(topic.name, topic.encoding, schema, dict(topic.metadata)))
+
+
+def _confirm(beside: Path, written: int) -> None:
+    with open_log(beside, strict=True) as log:
+        found = sum(len(batch.log_ns) for batch in log.batches())
+    if found != written:
+        raise LogError(f"{beside}: {written} messages were written, {found} can be read back; is the disk full?")

@@ -1,0 +1,251 @@
+"""A log of any container as a new chunked MCAP, one batch of messages at a time."""
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from ...errors import FormatError
+from ...settings import LIMITS, Input
+from ...types import Array, Batch, Finding, Topic
+from ..decode.ros1_to_cdr import Converter, converter, known_definition
+from ..encode.cdr import Payloads, merge
+from ..formats import open_log
+from ..mcap.chunks import heads_at
+from ..mcap.encode import MESSAGE_HEAD, Messages, attachment, gather, metadata
+from ..mcap.prefix import NAME, ROOT, is_mcap, no_utf8
+from ..mcap.record_file import sound_heads
+from ..mcap.records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
+from ..mcap.writer import CHUNK_BYTES, Contents, Writer
+from ..storage.zstd_files import unpack_file
+
+PROFILE = "ros2"
+LIBRARY = "bodylog"
+_PENDING = 4 * CHUNK_BYTES
+_FEW, _SHORT = 16, 4096
+
+
+@dataclass
+class _Carrier:
+    """One topic on its way: its channel, what makes its payloads CDR, and the channel of those that resisted."""
+
+    topic: Topic
+    channel: int
+    convert: Converter | None = None
+    carried: int = 0
+    spare: int | None = None
+    resisted: int = 0
+
+
+Span = tuple[int, int]
+"""First and last log time that is kept, int64 ns."""
+
+
+def carry(
+    source: Path,
+    stream: BinaryIO,
+    only: Collection[str] | None = None,
+    ours: bool = False,
+    span: Span | None = None,
+    limits: Input = LIMITS,
+) -> tuple[Writer, int, tuple[Finding, ...]]:
+    """Write the messages of a log (`only` these topics, within `span`) to an MCAP that is not finished yet.
+
+    Those of /bodylog/ only with `ours`.
+
+    Returns its writer, how many messages were written, and what could not be carried over whole. ROS 1 payloads of
+    bags become CDR; those that cannot stay as they are. An MCAP's own payloads, attachments and metadata stay.
+    """
+    with open_log(source, limits=limits) as log:
+        writer = Writer(stream, Contents())
+        findings: list[Finding] = []
+        writer.begin(_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
+        wanted = [t for t in log.topics if (ours or not t.name.startswith(ROOT)) and (only is None or t.name in only)]
+        carriers = {topic.id: _carrier(writer, topic, log.format, findings) for topic in wanted}
+        for table in _tables(log.batches(list(carriers)), carriers, writer, span):
+            writer.write(table)
+        if only is None:
+            findings += _extras(source, writer, ours, limits)
+        findings += [_resistance(source, c) for c in carriers.values() if c.resisted]
+        return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
+
+
+def _carrier(writer: Writer, topic: Topic, container: str, findings: list[Finding]) -> _Carrier:
+    kind, encoding, definition, form = topic.type, topic.encoding, topic.definition, topic.definition_encoding
+    convert = None
+    if container != "mcap" and topic.encoding == "ros1":
+        try:
+            convert, definition = converter(topic)
+            encoding, form = "cdr", "ros2msg"
+        except FormatError as problem:
+            findings.append(Finding("warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"))
+            return _Carrier(topic, _keep(writer, topic))
+    if container != "mcap" and not definition and convert is None:
+        known, form = known_definition(kind), "ros2msg"
+        definition = known or b""
+        if known is None:
+            text = f"topic {topic.name}: the log has no definition of {kind}; its messages stay without one"
+            findings.append(Finding("warning", text))
+    if topic.encoding == "ros1" and convert is None:
+        return _Carrier(topic, _keep(writer, topic))
+    return _Carrier(topic, writer.topic(topic.name, kind, encoding, definition, form, topic.metadata), convert)
+
+
+def _keep(writer: Writer, topic: Topic) -> int:
+    """A channel for payloads as they are; ROS 1 writes types without /msg/."""
+    kind = topic.type.replace("/msg/", "/") if topic.encoding == "ros1" else topic.type
+    form = topic.definition_encoding or "ros1msg"
+    return writer.topic(topic.name, kind, topic.encoding, topic.definition, form, topic.metadata)
+
+
+def _tables(
+    batches: Iterable[Batch], carriers: Mapping[int, _Carrier], writer: Writer, span: Span | None
+) -> Iterator[Messages]:
+    """Batches in groups of a few MiB, each in order of log time."""
+    pending: list[Messages] = []
+    size = 0
+    for batch in _pieces(batches if span is None else _within(batches, span)):
+        pending.append(_taken(batch, carriers[batch.topic_id], writer))
+        size += pending[-1].data[0].size
+        if size >= _PENDING:
+            yield _sorted(pending)
+            pending, size = [], 0
+    if pending:
+        yield _sorted(pending)
+
+
+def _within(batches: Iterable[Batch], span: Span) -> Iterator[Batch]:
+    """The messages logged within a span."""
+    for batch in batches:
+        rows = np.flatnonzero((batch.log_ns >= span[0]) & (batch.log_ns <= span[1]))
+        if len(rows):
+            yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
+
+
+def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
+    """The batches, cut where they hold more than a few MiB."""
+    for batch in batches:
+        full = np.cumsum(batch.length) // _PENDING
+        cuts = [0, *(np.flatnonzero(np.diff(full)) + 1).tolist(), len(full)]
+        for rows in map(slice, cuts, cuts[1:]):
+            yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
+
+
+def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> Messages:
+    """A batch as messages of the new file, in bytes of their own."""
+    count = len(batch.log_ns)
+    channel = np.full(count, carrier.channel)
+    sequence, publish_ns = _heads(batch, carrier)
+    if carrier.convert is None:
+        data, offset, length = *gather(batch.data, batch.offset, batch.length), batch.length
+    else:
+        data, offset, length = _converted(batch, carrier, channel, writer)
+    carrier.carried += count
+    return Messages(channel, sequence, batch.log_ns, publish_ns, (data,), offset, length)
+
+
+def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
+    """Sequence numbers and publish times: in an MCAP's batch a payload follows its record's head; others have none."""
+    start = batch.offset - MESSAGE_HEAD
+    if len(start) and start.min() >= 0:
+        heads = heads_at(batch.data, start)
+        if (heads["opcode"] == MESSAGE).all() and (heads["log"] == batch.log_ns).all():
+            return heads["sequence"], heads["publish"]
+    return carrier.carried + np.arange(len(batch.log_ns)), batch.log_ns
+
+
+def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) -> tuple[Array, Array, Array]:
+    """The payloads as CDR; one that is not what its definition says stays ROS 1, on a channel of its own."""
+    assert carrier.convert is not None
+    left, parts = _alike(batch, carrier.convert)
+    single: list[bytes | memoryview] = []
+    for i in left.tolist():
+        payload = batch.data[batch.offset[i] : batch.offset[i] + batch.length[i]].data
+        try:
+            single.append(carrier.convert(payload))
+        except FormatError:
+            carrier.spare = carrier.spare or _keep(writer, carrier.topic)
+            carrier.resisted += 1
+            channel[i] = carrier.spare
+            single.append(bytes(payload))
+    length = np.array([len(part) for part in single], np.int64)
+    parts.append((left, Payloads(np.frombuffer(b"".join(single), np.uint8), np.cumsum(length) - length, length)))
+    merged = merge(parts, len(batch.log_ns))
+    return merged.data, merged.offset, merged.length
+
+
+def _alike(batch: Batch, convert: Converter) -> tuple[Array, list[tuple[Array, Payloads]]]:
+    """Short messages of equal length and layout as CDR, group by group, and the rows that are left."""
+    left, parts = np.ones(len(batch.log_ns), bool), []
+    sizes, counts = np.unique(batch.length, return_counts=True)
+    for size in sizes[(counts >= _FEW) & (sizes <= _SHORT)].tolist():
+        rows = np.flatnonzero(batch.length == size)
+        while len(rows) >= _FEW:
+            try:
+                same, out = convert.alike(batch.data[batch.offset[rows, None] + np.arange(size)])
+            except FormatError:
+                break
+            width = np.full(len(out), out.shape[1])
+            parts.append((rows[same], Payloads(out.reshape(-1), np.arange(len(out)) * out.shape[1], width)))
+            left[rows[same]] = False
+            rows = rows[~same] if same.sum() >= _FEW else rows[:0]
+    return np.flatnonzero(left), parts
+
+
+def _resistance(source: Path, carrier: _Carrier) -> Finding:
+    name = carrier.topic.name
+    text = f"{source}: topic {name}: {carrier.resisted} of {carrier.carried} messages contradict their definition"
+    return Finding("warning", f"{text}; they stay ROS 1, which ROS 2 tools do not read")
+
+
+def _sorted(parts: list[Messages]) -> Messages:
+    shift = np.cumsum([0, *(part.data[0].size for part in parts)])
+    log_ns = np.concatenate([part.log_ns for part in parts])
+    order = np.argsort(log_ns, kind="stable")
+    return Messages(
+        np.concatenate([part.channel for part in parts])[order],
+        np.concatenate([part.sequence for part in parts])[order],
+        log_ns[order],
+        np.concatenate([part.publish_ns for part in parts])[order],
+        tuple(part.data[0] for part in parts),
+        np.concatenate([part.offset + start for part, start in zip(parts, shift, strict=False)])[order],
+        np.concatenate([part.length for part in parts])[order],
+    )
+
+
+def _profile(source: Path) -> str:
+    """An MCAP's own profile; none when its header is damaged."""
+    for file, head in sound_heads(source):
+        with suppress(FormatError):
+            return str(file.fields(head).fields["profile"]) if head.opcode == HEADER else ""
+        break
+    return ""
+
+
+def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Finding]:
+    """Keep attachments and metadata of an MCAP, packed or in a folder, up to where it is damaged; what was lost."""
+    if source.is_dir():
+        members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes)
+        return [finding for member in members for finding in _extras(member, writer, ours, limits)]
+    if source.suffix in (".zst", ".zstd"):
+        return unpack_file(source, lambda inner: _extras(inner, writer, ours, limits), limits)
+    lost = []
+    for file, head in sound_heads(source):
+        if head.opcode in (ATTACHMENT, METADATA):
+            try:
+                _keep_extra(file.fields(head), file.record(head), writer, ours)
+            except FormatError as problem:
+                lost.append(Finding("lost", f"{source}: the record at byte {head.start} is left out: {problem}"))
+    return lost
+
+
+def _keep_extra(record: Record, raw: bytes, writer: Writer, ours: bool) -> None:
+    """Attachment or metadata as it was; one with a text that is no UTF-8 is written with what can be read of it."""
+    if record.opcode == ATTACHMENT:
+        writer.keep_attachment(attachment(record.fields) if no_utf8(record) else raw, record.fields)
+    elif ours or record.fields["name"] != NAME:
+        name, pairs = record.fields["name"], record.fields["metadata"]
+        writer.keep_metadata(name, metadata(name, pairs) if no_utf8(record) else raw)

@@ -1,0 +1,1 @@
+"""Payloads to arrays: definitions, layouts, columns, message objects."""

@@ -1,0 +1,76 @@
+"""ROS 1 messages laid out alike, turned into CDR all at once: where each byte goes is learnt from one of them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array
+from ..encode.cdr import PRIMITIVES
+
+_HEADER = "std_msgs/msg/Header"
+_SIZES = {**{name: np.dtype(code).itemsize for name, code in PRIMITIVES.items()}, "byte": 1, "char": 1, "octet": 1}
+_LONGEST = 1 << 16
+_NAMED, _BASE, _SEQUENCE = 2, 1, 4
+
+
+def alike(store: Any, kind: str, rows: Array, convert: Callable[[memoryview], memoryview]) -> tuple[Array, Array]:
+    """Which of the rows (n,L) uint8 are laid out as the first (n,) bool, and their CDR (m,K) uint8.
+
+    `convert` turns one payload of that type into CDR; rosbags' type store says where its lengths and texts are.
+    FormatError when the first row is not what its type says, or longer than two bytes can count.
+    """
+    first = rows[0].tobytes()
+    convert(memoryview(first))
+    settled = np.zeros(len(first), bool)
+    try:
+        _walk(store, kind, first, 0, settled)
+    except KeyError as problem:
+        raise FormatError(f"{kind} has a field of type {problem}") from None
+    if len(first) > _LONGEST:
+        raise FormatError(f"{len(first)} bytes where at most {_LONGEST} can be told apart")
+    same = (rows[:, settled] == rows[0, settled]).all(1)
+    place = np.arange(len(first))
+    probes = [_converted(rows[0], settled, digit, convert) for digit in (place & 255, ~place & 255, place >> 8)]
+    moved = probes[0] != probes[1]
+    out = np.tile(probes[0], (int(same.sum()), 1))
+    source = probes[0][moved].astype(np.int64) + 256 * probes[2][moved].astype(np.int64)
+    out[:, moved] = rows[same][:, source]
+    return same, out
+
+
+def _converted(row: Array, settled: Array, digit: Array, convert: Callable[[memoryview], memoryview]) -> Array:
+    """What a message becomes whose every byte but the settled ones is a digit of its own place."""
+    probe = np.where(settled, row, digit.astype(np.uint8))
+    return np.frombuffer(convert(memoryview(probe.tobytes())), np.uint8)
+
+
+def _walk(store: Any, kind: str, raw: bytes, at: int, settled: Array) -> int:
+    """Mark the lengths and texts of the message of type `kind` at byte `at`; returns where it ends."""
+    at += 4 * (kind == _HEADER)
+    for _, desc in store.fielddefs[kind][1]:
+        at = _field(store, desc, raw, at, settled)
+    return at
+
+
+def _field(store: Any, desc: Any, raw: bytes, at: int, settled: Array) -> int:
+    form, rest = desc
+    if form == _NAMED:
+        return _walk(store, rest, raw, at, settled)
+    if form == _BASE:
+        if rest[0] != "string":
+            return at + _SIZES[rest[0]]
+        end = at + 4 + int.from_bytes(raw[at : at + 4], "little")
+        settled[at:end] = True
+        return end
+    inner, count = rest[0], int(rest[1])
+    if form == _SEQUENCE:
+        count = int.from_bytes(raw[at : at + 4], "little")
+        settled[at : at + 4] = True
+        at += 4
+    if inner[0] == _BASE and inner[1][0] != "string":
+        return at + count * _SIZES[inner[1][0]]
+    for _ in range(count):
+        at = _field(store, inner, raw, at, settled)
+    return at

@@ -1,0 +1,237 @@
+"""Messages -> arrays: messages laid out alike are decoded all at once, the others one by one and counted."""
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array, Batch, Topic
+from .cursor import CDR_KINDS, Payload
+from .definitions import Definition, parse
+from .gather import Template, agrees, gather, template, values
+from .layout import Layout, leaf_field, rest, walk, widened
+from .message_path import Step
+from .message_path import steps as read_steps
+
+_MOST_LAYOUTS = 8
+_OBJECTS = ("json", "protobuf")
+
+
+class Source(Protocol):
+    """What of a log is needed here."""
+
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
+        """Undecoded messages in file order."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Messages with equally many values: rows (m,) into the columns · per field an array (m,) or (m,K), or texts."""
+
+    rows: Array
+    values: tuple[Array | tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Fields of one topic: log_ns (n,) of every message in file order, parts that cover the sound ones, counts."""
+
+    fields: tuple[str, ...]
+    log_ns: Array
+    parts: tuple[Part, ...]
+    fast: int = 0
+    fallback: int = 0
+    rejected: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def sound(self) -> Array:
+        """Rows (m,) that were decoded, ascending."""
+        return np.sort(np.concatenate([part.rows for part in self.parts])) if self.parts else np.empty(0, np.int64)
+
+    def column(self, name: str) -> Array:
+        """One field of the sound rows in file order: (m,) or (m,K); shorter rows of an array end in NaN or ""."""
+        which = self.fields.index(name)
+        arrays = [_spread(part.values[which], len(part.rows)) for part in self.parts]
+        if not arrays:
+            return np.empty(0)
+        order = np.argsort(np.concatenate([part.rows for part in self.parts]), kind="stable")
+        if any(array.dtype.kind == "U" for array in arrays):  # of texts that are not there nothing tells the kind
+            arrays = [array if array.size else array.astype(np.str_) for array in arrays]
+        if len({array.shape[1:] for array in arrays}) > 1:
+            arrays = [array if array.ndim == 2 else array[:, None] for array in arrays]
+            arrays = [_padded(array, max(other.shape[1] for other in arrays)) for array in arrays]
+        return np.concatenate(arrays)[order]
+
+
+def _spread(values: Array | tuple[str, ...], count: int) -> Array:
+    if isinstance(values, np.ndarray):
+        return values
+    return np.broadcast_to(np.array(values, np.str_), (count, len(values)))
+
+
+def _padded(array: Array, width: int) -> Array:
+    texts = array.dtype.kind == "U"
+    out = np.full((len(array), width), "" if texts else np.nan, array.dtype if texts else np.float64)
+    out[:, : array.shape[1]] = array
+    return out
+
+
+def columns(log: Source, topic: Topic, fields: Sequence[str]) -> Columns:
+    """The fields (message paths without the topic) of one topic; ConfigError for a field that is not there."""
+    return columns_of(log, {topic.id: (topic, fields)})[topic.id]
+
+
+def columns_of(log: Source, wants: Mapping[int, tuple[Topic, Sequence[str]]]) -> dict[int, Columns]:
+    """Columns of several topics in one pass over the log, by topic id."""
+    decoders = {id_: decoder(topic, fields) for id_, (topic, fields) in wants.items()}
+    for batch in log.batches(tuple(wants)) if wants else ():
+        decoders[batch.topic_id].feed(batch)
+    return {id_: found.columns() for id_, found in decoders.items()}
+
+
+class Decoder(Protocol):
+    """Takes batches of one topic, gives its columns."""
+
+    def feed(self, batch: Batch) -> None:
+        """Decode one more batch."""
+
+    def columns(self) -> Columns:
+        """All that was fed."""
+
+
+def decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
+    """The decoder of a topic's encoding; FormatError or ConfigError when its definition cannot give the fields."""
+    paths = tuple(read_steps(text) for text in fields)
+    if topic.encoding in _OBJECTS:
+        from .dynamic import ObjectDecoder
+
+        return ObjectDecoder(topic, tuple(fields), paths)
+    definition = definition_of(topic)
+    for steps in paths:
+        leaf_field(definition, steps)
+    return _Decoder(definition, tuple(fields), paths, is_ros1(topic))
+
+
+def definition_of(topic: Topic) -> Definition:
+    """The parsed definition of a CDR or ROS 1 topic; FormatError names the topic."""
+    if topic.encoding not in ("cdr", "ros1", ""):
+        raise FormatError(f"{topic.name}: the messages are {topic.encoding!r}; known are cdr, ros1, json, protobuf")
+    if topic.definition_encoding not in ("ros2msg", "ros1msg", "ros2idl", ""):
+        known = "ros2msg, ros1msg, ros2idl, jsonschema, protobuf"
+        raise FormatError(f"{topic.name}: the definition is {topic.definition_encoding!r}; known are {known}")
+    try:
+        return parse(topic.definition, topic.type, topic.definition_encoding or "ros2msg")
+    except FormatError as error:
+        raise FormatError(f"{topic.name}: {error}") from None
+
+
+def is_ros1(topic: Topic) -> bool:
+    """Whether the payloads are declared to be ROS 1's."""
+    return topic.encoding == "ros1"
+
+
+def speaks_ros1(definition: Definition, payload: Payload) -> bool:
+    """Whether a payload declared CDR is in truth a ROS 1 one: not readable as CDR, readable to its end as ROS 1."""
+    if tuple(payload[:2]) in CDR_KINDS and _left_over(definition, payload, False) is not None:
+        return False
+    return _left_over(definition, payload, True) == 0
+
+
+def _left_over(definition: Definition, payload: Payload, ros1: bool) -> int | None:
+    try:
+        return rest(definition, payload, ros1)
+    except FormatError:
+        return None
+
+
+class _Decoder:
+    """Columns of CDR and ROS 1 topics."""
+
+    def __init__(
+        self, definition: Definition, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...], ros1: bool
+    ) -> None:
+        self.definition, self.fields, self.paths, self.ros1 = definition, fields, paths, ros1
+        self.declared = ros1
+        self.known: list[Template] = []
+        self.log_ns: list[Array] = []
+        self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
+        self.seen = self.fast = self.fallback = 0
+        self.rejected: Counter[str] = Counter()
+
+    def feed(self, batch: Batch) -> None:
+        """Decode one more batch: known layouts first, then new ones, then message by message."""
+        if not self.seen and len(batch.log_ns) and not self.declared:
+            self.ros1 = speaks_ros1(self.definition, _payload(batch, 0))
+        self.log_ns.append(np.array(batch.log_ns, np.int64))
+        left = np.arange(len(batch.log_ns))
+        for known in self.known:
+            left = self._take(batch, left, known)
+        while len(left) and len(self.known) < _MOST_LAYOUTS:
+            left = self._learn(batch, left)
+        for index in left.tolist():
+            self._one(batch, index)
+        self.seen += len(batch.log_ns)
+
+    def _learn(self, batch: Batch, left: Array) -> Array:
+        payload = _payload(batch, int(left[0]))
+        layout = self._walk(payload)
+        if layout is None:
+            return left[1:]
+        self.known.append(template(layout, payload))
+        return self._take(batch, left, self.known[-1])
+
+    def _one(self, batch: Batch, index: int) -> None:
+        payload = _payload(batch, index)
+        layout = self._walk(payload)
+        if layout is not None:
+            row = np.frombuffer(payload, np.uint8, layout.width)[None]
+            self._keep(np.array([index]), row, layout)
+            self.fallback += 1
+
+    def _walk(self, payload: bytes) -> Layout | None:
+        with suppress(FormatError):
+            return walk(self.definition, payload, self.paths, self.ros1)
+        for sized in (fits := widened(self.definition, payload, self.ros1)):
+            self.definition = sized if len(fits) == 1 else self.definition
+            return walk(sized, payload, self.paths, self.ros1)
+        self.rejected["malformed"] += 1
+        return None
+
+    def _take(self, batch: Batch, left: Array, known: Template) -> Array:
+        """Decode the messages of `left` that are laid out as `known`; gives those that are not."""
+        long = left[batch.length[left] >= known.layout.width]
+        rows = gather(batch.data, batch.offset[long], 8 * known.words)
+        same = agrees(rows, known)
+        if not same.all():
+            long, rows = long[same], rows[same]
+        if len(long):
+            self._keep(long, rows, known.layout)
+            self.fast += len(long)
+        return left[:0] if len(long) == len(left) else np.setdiff1d(left, long, assume_unique=True)
+
+    def _keep(self, index: Array, rows: Array, layout: Layout) -> None:
+        found = [values(rows, leaf) for leaf in layout.leaves]
+        shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in found)
+        self.pieces.setdefault(shape, []).append((index + self.seen, found))
+
+    def columns(self) -> Columns:
+        """All that was fed."""
+        log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
+        parts = tuple(joined(pieces) for pieces in self.pieces.values())
+        return Columns(self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected))
+
+
+def _payload(batch: Batch, index: int) -> bytes:
+    start = int(batch.offset[index])
+    return batch.data[start : start + int(batch.length[index])].tobytes()
+
+
+def joined(pieces: list[tuple[Array, list[Any]]]) -> Part:
+    """Rows and values of equal shape as one part."""
+    rows = np.concatenate([index for index, _ in pieces])
+    columns = zip(*(values for _, values in pieces), strict=True)
+    return Part(rows, tuple(some[0] if isinstance(some[0], tuple) else np.concatenate(some) for some in columns))

@@ -1,0 +1,144 @@
+"""JSON and protobuf payloads as columns: those laid out alike all at once, the others by way of dictionaries."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from ...errors import FormatError
+from ...io.values import nanoseconds, number, read_json, text
+from ...types import Array, Batch, Topic
+from .columns import Columns, Part, joined
+from .message_path import Only, Step
+from .object_places import number_of, shaped
+
+_SECONDS = ("sec", "secs", "seconds")
+_NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
+Value = int | float | str | bytes
+
+
+def reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
+    """A function from payload to dictionary; FormatError when the topic's schema, or later a payload, is broken."""
+    if topic.encoding == "json":
+        return lambda payload: _json(topic.name, payload)
+    from .protobuf import message_reader
+
+    return message_reader(topic)
+
+
+def _json(name: str, payload: bytes) -> Mapping[str, Any]:
+    try:
+        value = read_json(payload)
+    except ValueError as error:
+        raise FormatError(f"{name}: the payload is not JSON: {str(error)[:60]}") from None
+    if not isinstance(value, dict):
+        raise FormatError(f"{name}: the payload is a JSON {type(value).__name__}; expected an object")
+    return value
+
+
+def follow(value: Any, steps: tuple[Step, ...], plain: Callable[[Any], Iterator[Any]] | None = None) -> Iterator[Any]:
+    """The plain values the steps lead to, times as ns; KeyError when a field is missing.
+
+    `plain`: takes a value apart that the steps end at, in place of that.
+    """
+    if not steps:
+        yield from (plain or _plain)(value)
+    elif isinstance(steps[0], str):
+        yield from follow(_mapping(value)[steps[0]], steps[1:], plain)
+    elif isinstance(steps[0], Only):
+        if _mapping(value).get(steps[0].field) == steps[0].value:
+            yield from follow(value, steps[1:], plain)
+    else:
+        for index in steps[0].of(len(_array(value))):
+            yield from follow(value[index], steps[1:], plain)
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise KeyError("not an object")
+    return value
+
+
+def _array(value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise KeyError("not an array")
+    return value
+
+
+def _plain(value: Any) -> Iterator[Value]:
+    if isinstance(value, dict):
+        seconds = next(value[key] for key in _SECONDS if key in value) if set(_SECONDS) & value.keys() else None
+        if seconds is None:
+            raise KeyError("an object, not a value")
+        yield nanoseconds(seconds, next((value[key] for key in _NANOSECONDS if key in value), 0))
+    elif isinstance(value, list):
+        for item in value:
+            yield from _plain(item)
+    elif isinstance(value, str | bytes):
+        yield text(value) if isinstance(value, str) else value
+    else:
+        yield float("nan") if value is None else number(value)
+
+
+class ObjectDecoder:
+    """Columns of JSON and protobuf topics."""
+
+    def __init__(self, topic: Topic, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...]) -> None:
+        """Nothing fed yet; FormatError when the schema is broken."""
+        self.fields, self.paths, self.read = fields, paths, reader(topic)
+        self.single = [number_of(steps) for steps in paths]
+        self.log_ns: list[Array] = []
+        self.rows: dict[Any, list[tuple[int, list[tuple[Value, ...]]]]] = {}
+        self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
+        self.seen = self.fast = 0
+        self.rejected: Counter[str] = Counter()
+        from .objects_alike import JsonAlike, ProtobufAlike
+
+        self.alike: JsonAlike | ProtobufAlike = (
+            JsonAlike(paths, self.single) if topic.encoding == "json" else ProtobufAlike(topic, paths, self.single)
+        )
+
+    def feed(self, batch: Batch) -> None:
+        """Decode one more batch: messages laid out alike at once, then those that are left."""
+        self.log_ns.append(np.array(batch.log_ns, np.int64))
+        left = np.ones(len(batch.log_ns), bool)
+        for index, values in self.alike.take(batch):
+            shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in values)
+            self.pieces.setdefault(shape, []).append((self.seen + index, values))
+            left[index] = False
+            self.fast += len(index)
+        for row in np.flatnonzero(left).tolist():
+            start = int(batch.offset[row])
+            self._one(self.seen + row, batch.data[start : start + int(batch.length[row])].tobytes())
+        self.seen += len(left)
+
+    def _one(self, row: int, payload: bytes) -> None:
+        try:
+            message = self.read(payload)
+            values = [tuple(follow(message, steps)) for steps in self.paths]
+        except (FormatError, RecursionError):
+            self.rejected["malformed"] += 1
+        except (KeyError, ValueError, TypeError):
+            self.rejected["field missing"] += 1
+        else:
+            shape = tuple(v if any(isinstance(x, str | bytes) for x in v) else len(v) for v in values)
+            self.rows.setdefault(shape, []).append((row, values))
+
+    def columns(self) -> Columns:
+        """All that was fed."""
+        log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
+        parts = tuple(self._part(shape, rows) for shape, rows in self.rows.items())
+        slow = sum(len(part.rows) for part in parts)
+        parts += tuple(joined(pieces) for pieces in self.pieces.values())
+        return Columns(self.fields, log_ns, parts, self.fast, slow, dict(self.rejected))
+
+    def _part(self, shape: Any, rows: list[tuple[int, list[tuple[Value, ...]]]]) -> Part:
+        values: list[Array | tuple[str, ...]] = []
+        for k, key in enumerate(shape):
+            if isinstance(key, tuple):
+                values.append(tuple(str(x) for x in key))
+                continue
+            array = np.array([v[k] for _, v in rows]).reshape(len(rows), key)
+            values.append(shaped(array, self.single[k]))
+        return Part(np.array([row for row, _ in rows]), tuple(values))

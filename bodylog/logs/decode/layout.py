@@ -1,0 +1,143 @@
+"""Where in a message's bytes each wanted field lies: one walk over one CDR or ROS 1 payload."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from copy import copy
+from dataclasses import dataclass, replace
+
+from ...errors import ConfigError, FormatError
+from .cursor import Leaf, Payload, Walker
+from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
+from .message_path import Only, Step, is_index
+
+_PADDING = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """One concrete arrangement: bytes looked at, the (start, stop) byte ranges that define it, the wanted leaves."""
+
+    width: int
+    constants: tuple[tuple[int, int], ...]
+    leaves: tuple[Leaf, ...]
+
+
+def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, bool]:
+    """The field `steps` end at, and whether they pick one value; ConfigError names what could have been meant."""
+    field, single = Field("", definition.root, None), True
+    for step in steps:
+        if isinstance(step, str):
+            field = _member(definition, field, step)
+        elif isinstance(step, Only):
+            _filter(definition, field, step)
+            single = False
+        elif field.size is None:
+            raise ConfigError(f"{definition.root}: {field.name or 'the message'} is no array; leave out the brackets")
+        else:
+            single = single and is_index(step)
+            field = Field(field.name, field.type, None)
+    if not (field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES):
+        names = ", ".join(f.name for f in definition.types[field.type])
+        raise ConfigError(f"{definition.root}: {field.name or 'the message'} is a {field.type}; name one of {names}")
+    return field, single and field.size is None
+
+
+def _member(definition: Definition, field: Field, name: str) -> Field:
+    if field.size is not None:
+        raise ConfigError(f"{definition.root}: {field.name} is an array; write {field.name}[:].{name}")
+    members = {f.name: f for f in _fields(definition, field.type)}
+    if name not in members:
+        there = ", ".join(members) or "none"
+        raise ConfigError(f"{definition.root}: {field.type} has no field {name!r}; it has {there}")
+    return members[name]
+
+
+def _filter(definition: Definition, field: Field, only: Only) -> None:
+    key = _member(definition, field, only.field)
+    if key.size is not None or not (key.type in PRIMITIVES or key.type in TEXTS):
+        raise ConfigError(f"{definition.root}: a filter compares a number or a text, and {only.field} is a {key.type}")
+
+
+def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:
+    if type_ in TIMES:
+        names = ("secs", "nsecs") if type_ in ("time", "duration") else ("sec", "nanosec")
+        seconds = "uint32" if type_ == "time" else "int32"
+        return (Field(names[0], seconds, None), Field(names[1], "uint32", None))
+    return definition.types.get(type_, ())
+
+
+def walk(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
+    """The layout of `payload`, walked as far as the last wanted field; FormatError when it contradicts itself."""
+    walker = Walker(definition, payload, len(wanted), ros1)
+    walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
+    leaves = tuple(walker.leaf(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
+    constants = _merged(walker.constants)
+    # a filter may look further than the last wanted field
+    return Layout(max([walker.pos, *(stop for _, stop in constants)]), constants, leaves)
+
+
+def rest(definition: Definition, payload: Payload, ros1: bool) -> int:
+    """Bytes left over after walking all of `payload`."""
+    return len(payload) - walk(definition, payload, (), ros1).width
+
+
+def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Definition]:
+    """With the sizes of a wstring's characters, in bytes, for which `payload` is as long as it says but for padding.
+
+    Writers count characters of 2 or 4 bytes, or bytes. One definition, or all where no wstring tells them apart.
+    """
+    fits: dict[int, list[Definition]] = {}
+    unknown = not definition.wide and any(f.type == "wstring" for some in definition.types.values() for f in some)
+    for size in (1, 2, 4) if unknown else ():
+        sized = replace(definition, wide=size)
+        with suppress(FormatError):
+            fits.setdefault(rest(sized, payload, ros1), []).append(sized)
+    least = min(fits, default=_PADDING)
+    return fits[least] if least < _PADDING and len(fits[least]) != 2 else []
+
+
+class Picker:
+    """Single fields of message after message: texts and numbers as they are, arrays as their bytes.
+
+    Where nothing differs from the message before but the length of the bytes that are picked last, nothing is walked.
+    """
+
+    def __init__(self, definition: Definition, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> None:
+        """For messages of one definition and dialect; ConfigError names what could have been meant."""
+        self._definition, self._wanted, self._ros1 = definition, wanted, ros1
+        self._ends = tuple(leaf_field(definition, steps) for steps in wanted)
+        self._last: Walker | None = None
+
+    def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
+        """The wanted fields of one message; FormatError when it contradicts itself. Threads may share a picker."""
+        walker = _again(self._last, payload) if self._last else None
+        if walker is None:
+            walker = Walker(self._definition, payload, len(self._wanted), self._ros1)
+            walker.struct(self._definition.root, tuple(enumerate(self._wanted)), True)
+            self._last = walker
+        return tuple(walker.single(k, end) for k, end in enumerate(self._ends))
+
+
+def _again(last: Walker, payload: Payload) -> Walker | None:
+    """The walk over a payload unlike the last one in no constant but the length of the bytes it ended with, or None."""
+    start, stop = last.constants[-1] if last.constants else (0, 0)
+    tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]
+    if True not in tail or any(payload[a:b] != last.payload[a:b] for a, b in last.constants[:-1]):
+        return None
+    count = int.from_bytes(payload[start:stop], "big" if last.big else "little")
+    if len(payload) < stop + count:
+        return None
+    walker = copy(last)
+    walker.payload, walker.pos = payload, stop + count
+    walker.runs = [[(stop, count, 1)] if ends else runs for ends, runs in zip(tail, last.runs, strict=True)]
+    return walker
+
+
+def _merged(ranges: list[tuple[int, int]]) -> tuple[tuple[int, int], ...]:
+    merged: list[tuple[int, int]] = []
+    for start, stop in sorted(set(ranges)):
+        if merged and start <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(stop, merged[-1][1]))
+        else:
+            merged.append((start, stop))
+    return tuple(merged)

@@ -1,0 +1,79 @@
+"""CDR and ROS 1 payloads as rosbags' message objects, one by one."""
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+from ...errors import FormatError
+from ...types import Topic
+from .columns import definition_of, is_ros1, speaks_ros1
+from .definitions import PRIMITIVES, TEXTS, Definition, Field
+
+_TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError)
+"""What rosbags raises, beside its own error, at a payload that contradicts its definition."""
+_TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
+
+Decode = Callable[[bytes], Any]
+
+
+def decoder(topic: Topic) -> Decode:
+    """decode(payload) -> message; FormatError for a definition or payload that cannot be read."""
+    definition = definition_of(topic)
+    known: dict[bool, Decode] = {}
+
+    def decode(payload: bytes) -> Any:
+        ros1 = is_ros1(topic) or ((True in known or not known) and speaks_ros1(definition, payload))
+        if ros1 not in known:
+            known[ros1] = _ros1(topic) if ros1 else _cdr(topic, definition)
+        return known[ros1](payload)
+
+    return decode
+
+
+def _ros1(topic: Topic) -> Decode:
+    from .ros1_to_cdr import converter
+
+    convert, _ = converter(topic)
+    read = _reading(topic, convert.store)
+    return lambda payload: read(bytes(convert(memoryview(payload))))
+
+
+def _cdr(topic: Topic, definition: Definition) -> Decode:
+    from rosbags.typesys import Stores, TypesysError, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    try:
+        store.register(_typed(definition))
+    except (TypesysError, *_TROUBLE) as problem:
+        raise FormatError(f"{topic.name}: the definition of {topic.type} cannot be read: {problem}") from None
+    return _reading(topic, store)
+
+
+def _typed(definition: Definition) -> Any:
+    """The definition in rosbags' notation, times included."""
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import Stores, get_typestore
+
+    def node(field: Field) -> Any:
+        plain = field.type in PRIMITIVES or field.type in TEXTS
+        kind = _TIMES.get(field.type, field.type)
+        one: Any = (Nodetype.BASE, (kind, 0)) if plain else (Nodetype.NAME, kind)
+        if field.size is None:
+            return one
+        return (Nodetype.SEQUENCE, (one, 0)) if field.size < 0 else (Nodetype.ARRAY, (one, field.size))
+
+    standard = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+    times = {name: standard[name] for name in _TIMES.values()}
+    return times | {name: ([], [(f.name, node(f)) for f in fields]) for name, fields in definition.types.items()}
+
+
+def _reading(topic: Topic, store: Any) -> Decode:
+    from rosbags.serde import SerdeError
+
+    def read(payload: bytes) -> Any:
+        try:
+            return store.deserialize_cdr(payload, topic.type)
+        except (SerdeError, *_TROUBLE) as problem:
+            raise FormatError(f"{topic.name}: {problem}") from None
+
+    return read

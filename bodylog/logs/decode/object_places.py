@@ -1,0 +1,156 @@
+"""Where in JSON and protobuf messages the values lie: a message in which places stand for values, followed by paths."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...errors import FormatError
+from ...io.values import LATEST_NS
+from ...types import Array
+from .message_path import Step, is_index
+
+SECONDS = ("sec", "secs", "seconds")
+NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
+_MOST_REST_NS = 1_000_000_000_000_000
+_LONGEST_S = (LATEST_NS + _MOST_REST_NS) // 1_000_000_000
+"""With more seconds than these no such rest makes it a time that a clock shows, with fewer the sum fits 64 bits."""
+
+
+class Place:
+    """A number of the message looked at and where it lies; once compared by a filter, other messages must have it too.
+
+    at, end: a range whose unit is the encoding's · kind: the protobuf kind, 0 in JSON.
+    """
+
+    def __init__(self, value: float, at: int, end: int, kind: int, pinned: list[tuple[int, int]]) -> None:
+        """`pinned` gets the range when the value is compared."""
+        self.value, self.at, self.end, self.kind = value, at, end, kind
+        self._pinned = pinned
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the value is `other`, which must then hold for every message laid out alike."""
+        self._pinned.append((self.at, self.end))
+        return bool(self.value == other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class Text(str):
+    """A text of the message looked at and where it lies; once compared or wanted, other messages must have it too."""
+
+    at: int
+    end: int
+    pinned: list[tuple[int, int]]
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the text is `other`, which must then hold for every message laid out alike."""
+        self.pin()
+        return str.__eq__(self, other)
+
+    __hash__ = str.__hash__
+
+    def pin(self) -> None:
+        """Other messages must have it too."""
+        self.pinned.append((self.at, self.end))
+
+
+def text(value: str, at: int, end: int, pinned: list[tuple[int, int]]) -> Text:
+    """The text that lies there."""
+    found = Text(value)
+    found.at, found.end, found.pinned = at, end, pinned
+    return found
+
+
+class Opaque:
+    """Bytes, which are neither compared nor read by place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Time:
+    """A stamp in two places, or constants."""
+
+    seconds: Any
+    nanoseconds: Any
+
+
+Item = Place | Text | Time | float | str | None
+"""A value by its place, or one that the layout fixes."""
+
+
+def items(value: Any) -> Iterator[Item]:
+    """The plain values below a value; KeyError where it is an object, FormatError where places do not do."""
+    if isinstance(value, dict):
+        seconds = next((value[key] for key in SECONDS if key in value), None)
+        if seconds is None:
+            raise KeyError("an object, not a value")
+        rest = next((value[key] for key in NANOSECONDS if key in value), 0)
+        if not isinstance(seconds, Place | int) or not isinstance(rest, Place | int):
+            raise FormatError("a time that is not made of two numbers")
+        yield Time(seconds, rest)
+    elif isinstance(value, list):
+        for item in value:
+            yield from items(item)
+    elif isinstance(value, Opaque):
+        raise FormatError("bytes")
+    else:
+        if isinstance(value, Text):
+            value.pin()
+        yield value
+
+
+Numbers = Callable[[Sequence[Place]], Array | None]
+"""The numbers at places in every message, (n,K); None where 64 bits do not hold them or they are none."""
+
+
+def number_of(steps: Sequence[Step]) -> int | None:
+    """How many values a path gives at most: 1, as it ends at an element; 0 for a field, which may be one; else None."""
+    if not all(isinstance(step, str) or is_index(step) for step in steps):
+        return None
+    return int(any(not isinstance(step, str) for step in steps))
+
+
+def shaped(values: Array, most: int | None) -> Array:
+    """Values (n,K) as the path's: (n,) where it gives a single one, NaN where an element is not there."""
+    if most is None or values.shape[1] > 1:
+        return values
+    if values.shape[1] == 0:
+        return np.full(len(values), np.nan) if most else values
+    return values[:, 0]
+
+
+def column(found: Sequence[Item], single: int | None, count: int, numbers: Numbers) -> Array | tuple[str, ...] | None:
+    """One path's values in `count` messages, (n,) or (n,K), or its texts; None where they must be read one by one."""
+    if any(isinstance(item, str) for item in found):
+        plain = all(isinstance(item, str) for item in found)
+        return tuple(str(item) for item in found) if plain else None
+    parts: list[Array] = []
+    at = 0
+    while at < len(found):
+        run = at
+        while run < len(found) and isinstance(found[run], Place):
+            run += 1
+        part = numbers(found[at:run]) if run > at else _other(found[at], count, numbers)  # type: ignore[arg-type]
+        if part is None:
+            return None
+        parts.append(part)
+        at = max(run, at + 1)
+    values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) if parts else np.empty((count, 0))
+    return shaped(values, single)
+
+
+def _other(item: Item, count: int, numbers: Numbers) -> Array | None:
+    if not isinstance(item, Time):
+        return np.full((count, 1), np.nan if item is None else item)
+    seconds, rest = (_whole(part, count, numbers) for part in (item.seconds, item.nanoseconds))
+    if seconds is None or rest is None or abs(rest).max(initial=0) > _MOST_REST_NS:
+        return None
+    near = abs(seconds) <= _LONGEST_S
+    found = np.where(near, seconds, 0) * 1_000_000_000 + np.where(near, rest, 0)
+    return np.where(abs(found) <= LATEST_NS, found, 0)[:, None]
+
+
+def _whole(part: Any, count: int, numbers: Numbers) -> Array | None:
+    found = numbers([part]) if isinstance(part, Place) else np.full((count, 1), int(part))
+    return found[:, 0] if found is not None and found.dtype == np.int64 else None

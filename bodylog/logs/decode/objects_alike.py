@@ -1,0 +1,138 @@
+"""Which JSON or protobuf messages of a batch are laid out alike, and their values; the layouts met are kept."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array, Batch, Topic
+from .json_layouts import JsonLayout, marked, skeleton
+from .message_path import Step
+from .protobuf import root_of
+from .protobuf_layouts import ProtobufLayout
+
+_MOST_LAYOUTS = 64
+"""Of a topic: with more, its messages have little in common, and to look for that costs more than it saves."""
+
+_FEW = 4
+"""So many messages are read one by one sooner than together."""
+
+_BETWEEN, _WIDEST_GAP = b"\n", 64
+"""What is written over the bytes between payloads that lie close to one another."""
+
+Found = Iterator[tuple[Array, list[Any]]]
+"""Indices (m,) of messages in a batch and, by path, their values (m,), (m,K) or texts."""
+
+_UNLIKE = (FormatError, KeyError, ValueError, TypeError, RecursionError)
+
+
+class JsonAlike:
+    """Messages whose bytes but numbers are the same."""
+
+    def __init__(self, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
+        """No layout known yet."""
+        self._paths, self._single = paths, single
+        self._known: dict[bytes, JsonLayout | None] = {}
+
+    def take(self, batch: Batch) -> Found:
+        """The messages that others are laid out like."""
+        if len(batch.offset) <= _FEW:
+            return
+        joined, begin, between = _joined(batch)
+        content = marked(joined)
+        if not content:
+            return
+        size = batch.length
+        key = skeleton(content[: size[0]])
+        if skeleton(content) + between == (key + between) * len(begin):
+            yield from self._read(key, np.arange(len(begin)), content, begin)
+            return
+        groups: dict[bytes, list[int]] = {}
+        payloads = [content[a:b] for a, b in zip(begin.tolist(), (begin + size).tolist(), strict=True)]
+        for index, payload in enumerate(payloads):
+            groups.setdefault(skeleton(payload), []).append(index)
+        for key, some in groups.items():
+            if len(some) > _FEW:
+                rows = np.array(some)
+                start = np.cumsum(size[rows]) - size[rows]
+                yield from self._read(key, rows, b"".join([payloads[one] for one in some]), start)
+
+    def _read(self, key: bytes, index: Array, content: bytes, begin: Array) -> Found:
+        """The messages `index` (m,) of a skeleton, which begin at those bytes (m,), if they are alike in all else."""
+        layout = self._layout(key, content[: begin[1]].rstrip(_BETWEEN))
+        values = layout.values(content, begin, self._single) if layout else None
+        if values is not None:
+            yield index, values
+
+    def _layout(self, key: bytes, payload: bytes) -> JsonLayout | None:
+        if key not in self._known and len(self._known) < _MOST_LAYOUTS:
+            try:
+                from .dynamic import follow
+
+                self._known[key] = JsonLayout(payload, self._paths, follow)
+            except _UNLIKE:
+                self._known[key] = None
+        return self._known.get(key)
+
+
+def _joined(batch: Batch) -> tuple[Array, Array, bytes]:
+    """All payloads in a row (bytes,) uint8, where each begins (n,), and what stands between two of them."""
+    ends = batch.offset + batch.length
+    gaps = batch.offset[1:] - ends[:-1]
+    gap = int(gaps[0])
+    if (gaps == gap).all() and 0 <= gap <= _WIDEST_GAP:  # as they lie there, the heads of messages blotted out
+        low = int(batch.offset[0])
+        content = np.array(batch.data[low : int(ends[-1])])
+        content[(ends[:-1] - low)[:, None] + np.arange(gap)] = _BETWEEN[0]
+        return content, batch.offset - low, _BETWEEN * gap
+    data = batch.data.data
+    pieces = [data[a:b] for a, b in zip(batch.offset.tolist(), ends.tolist(), strict=True)]
+    return np.frombuffer(bytearray().join(pieces), np.uint8), np.cumsum(batch.length) - batch.length, b""
+
+
+class ProtobufAlike:
+    """Messages of the same fields in the same order, equally long."""
+
+    def __init__(self, topic: Topic, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
+        """No layout known yet; FormatError when the topic's schema is broken."""
+        self._types, self._root = root_of(topic)
+        self._paths, self._single = paths, single
+        self._known: dict[int, list[ProtobufLayout]] = {}
+        self._count = 0
+
+    def take(self, batch: Batch) -> Found:
+        """The messages that others are laid out like."""
+        for length in np.unique(batch.length).tolist():
+            index = np.flatnonzero(batch.length == length)
+            for layout in self._known.get(length, ()):
+                index = yield from self._alike(batch, index, layout)
+            while len(index) > _FEW and self._count < _MOST_LAYOUTS:
+                learned = self._learn(batch, int(index[0]))
+                if learned is None:
+                    index = index[1:]
+                else:
+                    index = yield from self._alike(batch, index, learned)
+
+    def _alike(self, batch: Batch, index: Array, layout: ProtobufLayout) -> Any:
+        """Gives, as a generator does, the messages that are laid out so, and returns the others."""
+        if not len(index):
+            return index
+        same, values = layout.values(batch, index, self._single)
+        if values is None or not same.any():
+            return index if values is not None else index[~same]
+        yield index[same], values
+        return index[~same]
+
+    def _learn(self, batch: Batch, index: int) -> ProtobufLayout | None:
+        start = int(batch.offset[index])
+        payload = batch.data[start : start + int(batch.length[index])].tobytes()
+        self._count += 1
+        try:
+            from .dynamic import follow
+
+            layout = ProtobufLayout(payload, self._types, self._root, self._paths, follow)
+        except _UNLIKE:
+            return None
+        self._known.setdefault(layout.width, []).append(layout)
+        return layout

@@ -1,0 +1,175 @@
+"""Protobuf payloads, driven by the FileDescriptorSet a log carries: wire format to dictionaries."""
+
+import struct
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ...errors import FormatError
+from ...types import Topic
+
+FIXED = {1: "<d", 2: "<f", 6: "<Q", 7: "<I", 15: "<i", 16: "<q"}
+MESSAGE, STRING, BYTES, _BOOL, _GROUP = 11, 9, 12, 8, 10
+DEEPEST = 64
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field of a message type; `type` names its message type."""
+
+    name: str
+    kind: int
+    repeated: bool
+    type: str
+
+
+Types = Mapping[str, Mapping[int, Field]]
+"""Message type -> field number -> field."""
+
+
+def message_reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
+    """A function from payload to dictionary; FormatError when the descriptor set lacks the topic's type."""
+    types, root = root_of(topic)
+    return lambda payload: _message(memoryview(payload), root, types, topic.name, 0)
+
+
+def field_types(topic: Topic) -> dict[str, str]:
+    """Field name -> message type ("" for plain values) of the topic's type."""
+    types, root = root_of(topic)
+    return {field.name: field.type for field in types[root].values()}
+
+
+def root_of(topic: Topic) -> tuple[Types, str]:
+    """The message types of a topic's schema and which of them its messages are; FormatError when it is none."""
+    try:
+        types = _types(topic.definition)
+    except (FormatError, UnicodeDecodeError, StopIteration):
+        raise FormatError(f"{topic.name}: the schema is not a FileDescriptorSet") from None
+    spelled = (topic.type, topic.type.replace("/msg/", "."), topic.type.replace("/", "."))
+    root = next((name for name in spelled if name in types), None)
+    if root is None:
+        raise FormatError(f"{topic.name}: the schema defines no {topic.type}; it has {', '.join(sorted(types)[:5])}")
+    return types, root
+
+
+def _types(descriptors: bytes) -> Types:
+    found: dict[str, dict[int, Field]] = {}
+    for number, file in _records(memoryview(descriptors)):
+        if number == 1:
+            parts = list(_records(file))
+            package = next((bytes(value).decode() for n, value in parts if n == 2), "")
+            for n, value in parts:
+                if n == 4:
+                    _describe(value, package, found, 0)
+    return found
+
+
+def _describe(message: Any, above: str, found: dict[str, dict[int, Field]], depth: int) -> None:
+    if depth > DEEPEST:
+        raise FormatError("messages nested too deeply")
+    parts = list(_records(message))
+    name = ".".join(filter(None, (above, next(bytes(value).decode() for n, value in parts if n == 1))))
+    found[name] = dict(_field(value) for n, value in parts if n == 2)
+    for n, value in parts:
+        if n == 3:
+            _describe(value, name, found, depth + 1)
+
+
+def _field(record: Any) -> tuple[int, Field]:
+    parts = dict(_records(record))
+    name, type_ = bytes(parts.get(1, b"")).decode(), bytes(parts.get(6, b"")).decode().lstrip(".")
+    return int(parts.get(3, 0)), Field(name, int(parts.get(5, 0)), parts.get(4) == 3, type_)
+
+
+def _records(data: Any) -> Iterator[tuple[int, Any]]:
+    """(field number, value): int for varints, the raw bytes for everything else."""
+    if not isinstance(data, memoryview):
+        raise FormatError("a number where a message was expected")
+    pos = 0
+    while pos < len(data):
+        key, pos = varint(data, pos)
+        wire = key & 7
+        if wire == 0:
+            value, pos = varint(data, pos)
+            yield key >> 3, value
+            continue
+        if wire not in (1, 2, 5):
+            raise FormatError(f"wire type {wire} at byte {pos}")
+        length, pos = varint(data, pos) if wire == 2 else ({1: 8, 5: 4}[wire], pos)
+        if length > len(data) - pos:
+            raise FormatError(f"{length} bytes at byte {pos}, but {len(data) - pos} are left")
+        yield key >> 3, data[pos : pos + length]
+        pos += length
+
+
+def varint(data: memoryview, pos: int) -> tuple[int, int]:
+    """The number at byte `pos` and where it ends; FormatError when it is broken."""
+    value = shift = 0
+    while pos < len(data) and shift < 64:
+        byte = data[pos]
+        value |= (byte & 0x7F) << shift
+        pos, shift = pos + 1, shift + 7
+        if byte < 0x80:
+            return value, pos
+    raise FormatError(f"a broken number at byte {pos}")
+
+
+def _message(data: memoryview, type_: str, types: Types, topic: str, depth: int) -> dict[str, Any]:
+    if depth > DEEPEST or type_ not in types:
+        raise FormatError(f"{topic}: {f'no definition of {type_}' if type_ not in types else 'nested too deeply'}")
+    fields = types[type_]
+    out: dict[str, Any] = {f.name: _default(f) for f in fields.values()}
+    try:
+        for number, raw in _records(data):
+            if number in fields:
+                _store(out, fields[number], raw, types, topic, depth)
+    except (FormatError, struct.error, UnicodeDecodeError) as error:
+        raise FormatError(f"{topic}: {str(error).removeprefix(f'{topic}: ')}") from None
+    return out
+
+
+def _store(out: dict[str, Any], field: Field, raw: Any, types: Types, topic: str, depth: int) -> None:
+    if field.kind == MESSAGE:
+        value = _message(raw, field.type, types, topic, depth + 1) if isinstance(raw, memoryview) else None
+    elif field.repeated and field.kind not in (STRING, BYTES) and isinstance(raw, memoryview):
+        out[field.name].extend(_packed(field, raw))
+        return
+    else:
+        value = _scalar(field.kind, raw)
+    if field.repeated:
+        out[field.name].append(value)
+    else:
+        out[field.name] = value
+
+
+def _packed(field: Field, raw: memoryview) -> list[Any]:
+    if field.kind in FIXED:
+        size = struct.calcsize(FIXED[field.kind])
+        return list(struct.unpack(f"<{len(raw) // size}{FIXED[field.kind][1]}", raw[: len(raw) // size * size]))
+    values, pos = [], 0
+    while pos < len(raw):
+        value, pos = varint(raw, pos)
+        values.append(_scalar(field.kind, value))
+    return values
+
+
+def _scalar(kind: int, raw: Any) -> Any:
+    if kind in FIXED:
+        return struct.unpack(FIXED[kind], raw)[0]
+    if kind in (STRING, BYTES):
+        return bytes(raw).decode() if kind == STRING else bytes(raw)
+    if not isinstance(raw, int):
+        raise FormatError("bytes where a number was expected")
+    if kind in (17, 18):
+        return (raw >> 1) ^ -(raw & 1)
+    if kind in (3, 5, 14):
+        return raw - (1 << 64) if raw >> 63 else raw
+    return raw
+
+
+def _default(field: Field) -> Any:
+    if field.repeated:
+        return []
+    if field.kind in (STRING, BYTES):
+        return "" if field.kind == STRING else b""
+    return None if field.kind in (MESSAGE, _GROUP) else 0

@@ -1,0 +1,176 @@
+"""Protobuf messages that have the same fields in the same order, equally long: decoded all at once."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array, Batch
+from .gather import agrees, gather, template
+from .layout import Layout
+from .message_path import Step
+from .object_places import Item, Opaque, Place, column, items, text
+from .protobuf import BYTES, DEEPEST, FIXED, MESSAGE, STRING, Field, Types, varint
+
+_WIRES = {0: 0, 1: 8, 5: 4}
+_LONGEST_VARINT = 10
+_ZIGZAG = (17, 18)
+Follow = Callable[..., Iterator[Item]]
+
+
+class ProtobufLayout:
+    """The layout of one message and of those whose keys, lengths and widths of numbers are the same."""
+
+    def __init__(
+        self, payload: bytes, types: Types, root: str, paths: Sequence[tuple[Step, ...]], follow: Follow
+    ) -> None:
+        """FormatError or KeyError when the message is broken or the paths cannot be followed by place."""
+        walk = _Walk(payload, types)
+        value = walk.message(0, len(payload), root, 0)
+        self._items = [list(follow(value, steps, items)) for steps in paths]
+        layout = Layout(len(payload), tuple(walk.constants + walk.pinned), ())
+        self.width, self._template = len(payload), template(layout, payload, walk.high)
+
+    def values(
+        self, batch: Batch, index: Array, single: Sequence[int | None]
+    ) -> tuple[Array, list[Array | tuple[str, ...]] | None]:
+        """Which of the messages `index` (m,), all `width` long, are laid out so (m,), and the paths' values in them."""
+        rows = gather(batch.data, batch.offset[index], 8 * self._template.words)
+        same = agrees(rows, self._template)
+        rows = rows if same.all() else rows[same]
+
+        def numbers(places: Sequence[Place]) -> Array | None:
+            parts = [_number(rows, place) for place in places]
+            return None if any(part is None for part in parts) else np.stack(parts, axis=1)  # type: ignore[arg-type]
+
+        found: list[Array | tuple[str, ...]] = []
+        for some, alone in zip(self._items, single, strict=True):
+            values = column(some, alone, len(rows), numbers)
+            if values is None:
+                return same, None
+            found.append(values)
+        return same, found
+
+
+class _Walk:
+    """One message walked by place: what must be the same in others, and where only the highest bit of bytes must."""
+
+    def __init__(self, payload: bytes, types: Types) -> None:
+        self.payload, self.types = memoryview(payload), types
+        self.constants: list[tuple[int, int]] = []
+        self.high: list[tuple[int, int]] = []
+        self.pinned: list[tuple[int, int]] = []
+
+    def message(self, start: int, end: int, type_: str, depth: int) -> dict[str, Any]:
+        """The message between two bytes with places for its values."""
+        if depth > DEEPEST or type_ not in self.types:
+            raise FormatError("no definition, or nested too deeply")
+        fields = self.types[type_]
+        out: dict[str, Any] = {field.name: _default(field) for field in fields.values()}
+        for number, wire, at, stop in self._records(start, end):
+            if number in fields:
+                self._store(out, fields[number], wire, at, stop, depth)
+            elif wire == 0:
+                self._place(Field("", 0, False, ""), at, stop)
+        return out
+
+    def _records(self, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
+        """Field number, wire type, and the bytes of the value."""
+        pos = start
+        while pos < end:
+            key, at = varint(self.payload, pos)
+            wire = key & 7
+            stop = at
+            if wire == 0:
+                _, stop = varint(self.payload, at)
+            elif wire == 2:
+                length, at = varint(self.payload, at)
+                stop = at + length
+            elif wire in _WIRES:
+                stop = at + _WIRES[wire]
+            else:
+                raise FormatError(f"wire type {wire}")
+            if stop > end:
+                raise FormatError("longer than its message")
+            self.constants.append((pos, at))
+            yield key >> 3, wire, at, stop
+            pos = stop
+
+    def _store(self, out: dict[str, Any], field: Field, wire: int, at: int, stop: int, depth: int) -> None:
+        if field.repeated and wire == 2 and field.kind not in (MESSAGE, STRING, BYTES):
+            out[field.name].extend(self._packed(field, at, stop))
+            return
+        value = self._value(field, wire, at, stop, depth)
+        if field.repeated:
+            out[field.name].append(value)
+        else:
+            out[field.name] = value
+
+    def _value(self, field: Field, wire: int, at: int, stop: int, depth: int) -> Any:
+        if (wire == 2) != (field.kind in (MESSAGE, STRING, BYTES)):
+            raise FormatError("a value of another kind than its field")
+        if field.kind == MESSAGE:
+            return self.message(at, stop, field.type, depth + 1)
+        if field.kind == BYTES:
+            return Opaque()
+        if field.kind != STRING:
+            return self._place(field, at, stop)
+        content = bytes(self.payload[at:stop])
+        (self.high if content.isascii() else self.constants).append((at, stop))
+        return text(content.decode(), at, stop, self.pinned)
+
+    def _packed(self, field: Field, at: int, stop: int) -> list[Place]:
+        if field.kind in FIXED:
+            size = np.dtype(FIXED[field.kind]).itemsize
+            return [self._place(field, start, start + size) for start in range(at, stop - size + 1, size)]
+        found = []
+        while at < stop:
+            _, after = varint(self.payload[:stop], at)
+            found.append(self._place(field, at, after))
+            at = after
+        return found
+
+    def _place(self, field: Field, at: int, stop: int) -> Place:
+        if field.kind in FIXED:
+            if stop - at != np.dtype(FIXED[field.kind]).itemsize:
+                raise FormatError("a number of another size than its field's")
+        else:
+            self.high.append((at, stop))
+            if stop - at == _LONGEST_VARINT:
+                self.constants.append((stop - 1, stop))
+                if self.payload[stop - 1] != 1:
+                    raise FormatError("a number beyond 64 bits")
+        place = Place(0, at, stop, field.kind, self.pinned)
+        number = _number(np.frombuffer(self.payload, np.uint8)[None], place)
+        place.value = float("nan") if number is None else number[0].item()
+        return place
+
+
+def _default(field: Field) -> Any:
+    if field.repeated:
+        return []
+    if field.kind == STRING:
+        return ""
+    return {MESSAGE: None, BYTES: Opaque(), 1: 0.0, 2: 0.0}.get(field.kind, 0)
+
+
+def _number(rows: Array, place: Place) -> Array | None:
+    """The numbers (n,) at a place of rows (n,width): float64 or int64; None where 64 bits do not hold one of them."""
+    if place.kind in FIXED:
+        kind = np.dtype(FIXED[place.kind])
+        found = np.ndarray((len(rows),), kind, rows, place.at, (rows.shape[1],))
+        wide = {"f": np.float64, "u": np.uint64, "i": np.int64}[kind.kind]
+        return found.astype(wide) if kind.kind == "f" else _signed(found.astype(wide))
+    value = np.zeros(len(rows), np.uint64)
+    for k, at in enumerate(range(place.at, place.end)):
+        value |= (rows[:, at] & 0x7F).astype(np.uint64) << np.uint64(7 * k)
+    if place.kind in _ZIGZAG:
+        return ((value >> np.uint64(1)) ^ (~(value & np.uint64(1)) + np.uint64(1))).view(np.int64)
+    return value.view(np.int64) if place.kind in (3, 5, 14) else _signed(value)
+
+
+def _signed(value: Array) -> Array | None:
+    if value.dtype == np.uint64 and (value >> np.uint64(63)).any():
+        return None
+    return value.astype(np.int64)

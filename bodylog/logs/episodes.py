@@ -1,0 +1,48 @@
+"""Names of episodes: DATASET#N is episode N of a dataset (a folder or a file), DATASET#A-B are several."""
+
+import re
+from pathlib import Path
+
+from ..errors import UsageError
+
+MOST = 100_000
+"""Episodes that a range may name."""
+_NAME = re.compile(r"(?P<base>.*)#(?P<first>\d{1,9})(?:-(?P<last>\d{1,9}))?", re.DOTALL)
+
+
+def split(path: Path) -> tuple[Path, int | None]:
+    """The dataset and the number of the episode that a name means; None: it names no single episode."""
+    base, first, last = _parsed(path)
+    return (base, first) if first is not None and first == last else (path, None)
+
+
+def base(path: Path) -> Path:
+    """What is on the disk under a name: the dataset of an episode, else the path itself."""
+    return split(path)[0]
+
+
+def named(dataset: Path, number: int) -> Path:
+    """The name of one episode."""
+    return Path(f"{dataset}#{number}")
+
+
+def expanded(path: Path) -> tuple[Path, ...]:
+    """The episodes that a range DATASET#A-B means, in order; any other name by itself."""
+    dataset, first, last = _parsed(path)
+    if first is None or last is None or first == last:
+        return (path,)
+    if not 0 <= last - first < MOST:
+        raise UsageError(f"{path}: a range runs from the smaller number, over at most {MOST} episodes, e.g. #0-9")
+    return tuple(named(dataset, number) for number in range(first, last + 1))
+
+
+def _parsed(path: Path) -> tuple[Path, int | None, int | None]:
+    """Dataset, first and last episode; (path, None, None) where the name is a file's own, or there is no dataset."""
+    match = _NAME.fullmatch(path.name)
+    if match is None or path.exists():
+        return path, None, None
+    dataset = path.with_name(match["base"]) if match["base"] else path.parent
+    if not dataset.exists():
+        return path, None, None
+    first = int(match["first"])
+    return dataset, first, first if match["last"] is None else int(match["last"])

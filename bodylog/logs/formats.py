@@ -1,0 +1,206 @@
+"""Open any log: the file's first bytes say what it is, FORMATS who reads it."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol, Self
+
+from ..errors import LogError
+from ..io.atomic_files import lasting
+from ..recording.cameras import VIDEOS
+from ..settings import LIMITS, Input
+from ..types import Batch, Finding, Topic
+from . import episodes
+from .storage.zstd_files import ZSTD, unpack_file
+from .tables.table_file import kind as table_kind
+
+if TYPE_CHECKING:
+    from .decode.columns import Source
+
+_MP4 = b"ftyp"
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_LFS = b"version https://git-lfs"
+
+
+class Log(Protocol):
+    """One recorded log: its topics, when it was, and its messages, undecoded."""
+
+    path: Path
+    topics: tuple[Topic, ...]
+    start_ns: int
+    end_ns: int
+
+    @property
+    def format(self) -> str:
+        """mcap, bag, rosbag2, db3; csv, parquet or yaml for a table of poses."""
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong so far; reading on may add to it."""
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
+
+    def spans(self) -> Mapping[int, tuple[int, int]]:
+        """First and last log time (ns) by topic id, of the topics for which the file says so without being read."""
+
+    def close(self) -> None:
+        """Let go of the file."""
+
+    def __enter__(self) -> Self:
+        """The log itself."""
+
+    def __exit__(
+        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close."""
+
+
+def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
+    """The log in a file or folder; LogError when it is none, or when `strict` and something in it is lost.
+
+    `limits`: how much what is packed may unpack to.
+    """
+    place = episodes.base(path)
+    if not place.exists():
+        raise LogError(f"{path}: there is no such file or folder; check the name")
+    try:
+        if place.is_dir():
+            return _folder(path, strict, limits)
+        lasting(place)
+        with place.open("rb") as stream:
+            first = stream.read(32)
+        if place != path or first.startswith(_HDF5) or first[4:8] == _MP4 or place.suffix.lower() in VIDEOS:
+            return _episode(path, first, strict, limits)
+        if first.startswith(ZSTD):
+            return unpack_file(path, lambda inner: _opened(path, strict, inner, limits), limits, partial(_opener, path))
+        return _opened(path, strict, path, limits)
+    except OSError as problem:
+        raise LogError(f"{path}: it cannot be read: {problem.strerror or problem}") from None
+
+
+def _opened(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+    with source.open("rb") as stream:
+        first = stream.read(32)
+    return _opener(path, first)(path, strict, source, limits)
+
+
+def _opener(path: Path, first: bytes) -> "Opener":
+    """Who opens a log that begins so; LogError when it is none."""
+    for magic, opener in FORMATS.items():
+        if first.startswith(magic):
+            return opener
+    if first and not first.startswith(_LFS) and table_kind(path):
+        return _poses
+    known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; datasets; tables of poses .csv, .parquet, .yaml"
+    raise LogError(f"{path}: {_what_it_is(first)}; {known}")
+
+
+def without_images(log: Log) -> "Source":
+    """The log, for who reads no images: where these would have to be decoded from a video, they are left out."""
+    heads: Batches | None = getattr(log, "heads", None)
+    return log if heads is None else _Heads(heads)
+
+
+@dataclass(frozen=True)
+class _Heads:
+    """An episode of a dataset, its images left out."""
+
+    heads: "Batches"
+
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
+        """Messages of the topics, of cameras without their images."""
+        return self.heads(ids)
+
+
+def is_mcap(first: bytes) -> bool:
+    """Whether a file that begins so is an MCAP."""
+    return FORMATS.get(first[:8]) is _mcap
+
+
+def payloads(batch: Batch) -> Iterator[memoryview]:
+    """Each message of a batch as a view of its bytes, valid as long as the batch is."""
+    return map(batch.data.data.__getitem__, map(slice, batch.offset.tolist(), (batch.offset + batch.length).tolist()))
+
+
+def _what_it_is(first: bytes) -> str:
+    if not first:
+        return "the file is empty"
+    if first.startswith(_LFS):
+        return "this is a git-LFS pointer, not the log itself; type: git lfs pull"
+    if first.startswith((b"\x89MCAP0\n", b"\x89MCAP\n", b"\x89MCAP0\r\r\n")):
+        return "an MCAP whose line ends were converted, so damaged throughout; copy it again as a binary file"
+    if first.startswith(b"#ROSBAG V"):
+        version = str(first[9:12], "ascii", "replace")
+        return f"a ROS 1 bag of version {version}, where only V2.0 is read; type: rosbag fix OLD.bag NEW.bag"
+    return f"not a log: it begins with {first[:12]!r}"
+
+
+def _mcap(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+    from .mcap.reader import McapLog
+
+    return McapLog(path, strict, source, limits)
+
+
+def _bag(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+    from .rosbag1.reader import BagLog
+
+    return BagLog(path, strict, source, limits)
+
+
+def _db3(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+    from .rosbag2.sqlite3 import Db3Log
+
+    return Db3Log(path, strict, source, limits)
+
+
+def _poses(path: Path, strict: bool, source: Path, limits: Input) -> Log:
+    from .tables.pose_log import PoseLog
+
+    return PoseLog(path, strict, source, limits)
+
+
+def _episode(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
+    """A file that holds episodes, or a video."""
+    from .datasets import kinds
+
+    opener = kinds.of_file(first)
+    if opener is None:
+        what = "is no dataset, so it has no episodes; leave out the #" if episodes.base(path) != path else "is no video"
+        raise LogError(f"{path}: {episodes.base(path)} {what}")
+    return opener(path, strict, limits)
+
+
+def _folder(path: Path, strict: bool, limits: Input) -> Log:
+    """A dataset's folder, or else a rosbag2 folder."""
+    from .datasets import kinds
+
+    opener = kinds.of_folder(episodes.base(path))
+    if opener is not None:
+        return opener(path, strict, limits)
+    if episodes.base(path) != path:
+        raise LogError(f"{path}: {episodes.base(path)} is no dataset, so it has no episodes; leave out the #")
+    return _rosbag2(path, strict, limits)
+
+
+def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:
+    from .rosbag2.folder import Rosbag2Log
+
+    return Rosbag2Log(path, strict, limits)
+
+
+Batches = Callable[[Collection[int]], Iterator[Batch]]
+"""Topic ids -> their messages."""
+
+Opener = Callable[[Path, bool, Path, Input], Log]
+"""Log's path, strict, the file to read (unpacked, if it was packed), limits -> the log."""
+
+FORMATS: Mapping[bytes, Opener] = {
+    b"\x89MCAP0\r\n": _mcap,
+    b"#ROSBAG V2.0": _bag,
+    b"SQLite format 3\x00": _db3,
+    b"PAR1": _poses,
+}
+"""First bytes of a file -> who opens it."""

@@ -1,0 +1,1 @@
+"""Image messages and video files to BGR arrays."""

@@ -1,0 +1,153 @@
+"""JPEG, PNG and WebP -> BGR, checked before memory is taken; what their libraries would say of damage stays unsaid."""
+
+import math
+import os
+import struct
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from threading import Lock
+from typing import Any
+from zlib import crc32
+
+import numpy as np
+
+from ...errors import FormatError
+from ...settings import LIMITS
+from ...types import Array
+
+_PNG, _NEEDED = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"IDAT")
+_EOI, _TAIL = b"\xff\xd9", 64
+_STDERR = Lock()
+_SILENT = 0
+"""OpenCV's level of a log of nothing."""
+"""Held while standard error is another file."""
+
+
+def unpacked(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
+    """(H/k, W/k, 3) uint8 BGR of a picture's bytes; FormatError, which says its `form`, when there is none in them."""
+    height, width, jpeg = _size(data[: 1 << 16], form)
+    check_size(height, width, mpx)
+    image = _jpeg(data, height, width, k) if jpeg else None
+    if image is None:
+        image = _any_picture(data, form, k if jpeg else 1)
+    return image if jpeg or k == 1 else _shrunk(image, k)
+
+
+def check_size(height: int, width: int, mpx: float) -> None:
+    """FormatError for an image without pixels, or with more than `mpx` million, which names the setting."""
+    if height * width <= 0:
+        raise FormatError(f"a picture of {width} x {height} pixels")
+    if height * width > mpx * 1e6:
+        asked = f"type in robot.toml: [input] max_image_mpx = {math.ceil(height * width / 1e6)}"
+        raise FormatError(f"a picture of {width} x {height} pixels, more than {mpx:g} million; {asked}")
+
+
+def _jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
+    """What OpenCV makes of a JPEG, to the byte, in 7/8 of its time; None for what it is to decide on.
+
+    Of codes that are damaged, while the end is there, OpenCV makes the same and says so on standard error.
+    """
+    import simplejpeg
+
+    least = {"min_height": -(-height // k), "min_width": -(-width // k)}
+    try:
+        return np.asarray(simplejpeg.decode_jpeg(data, "BGR", **least))
+    except ValueError as error:
+        if not str(error).startswith("Corrupt JPEG data") or _EOI not in bytes(data[-_TAIL:]):
+            return None
+    with suppress(ValueError):
+        return np.asarray(simplejpeg.decode_jpeg(data, "BGR", strict=False, **least))
+    return None
+
+
+def _any_picture(data: memoryview, form: str, k: int) -> Array:
+    import cv2
+
+    if data[:8] == _PNG:
+        _check_png(data, form)
+    home: Any = getattr(cv2.utils, "logging", cv2)  # OpenCV 5, or 4
+    home.setLogLevel(_SILENT)
+    flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
+    try:
+        with _unheard() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+    except cv2.error as error:
+        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes: {error.err}") from None
+    if image is None:
+        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes cannot be decoded")
+    return np.asarray(image)
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Without what libjpeg remarks of a damaged picture, which OpenCV has it write on standard error itself."""
+    with _STDERR, ExitStack() as after:
+        try:
+            kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+        except OSError:  # there is no standard error
+            yield
+            return
+        after.callback(os.close, kept)
+        after.callback(os.close, nowhere)
+        after.callback(os.dup2, kept, 2)
+        os.dup2(nowhere, 2)
+        yield
+
+
+def _check_png(data: memoryview, form: str) -> None:
+    """FormatError where a chunk that decoding needs is cut off or fails its checksum."""
+    at, name = len(_PNG), b""
+    while name != b"IEND":
+        length, name = struct.unpack_from(">I4s", data, at) if at + 8 <= len(data) else (len(data), b"")
+        end = at + 12 + length
+        if end > len(data):
+            raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes is cut off")
+        if name in _NEEDED and crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
+            raise FormatError(f"a {form or 'compressed'} picture whose chunk {name.decode()} fails its checksum")
+        at = end
+
+
+def _shrunk(image: Array, k: int) -> Array:
+    """The means of k by k pixels (H/k, W/k, 3), as JPEG gives them; what is left over at the right and below goes."""
+    import cv2
+
+    height, width = max(1, image.shape[0] // k), max(1, image.shape[1] // k)
+    return np.asarray(cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA))
+
+
+def _size(begins: memoryview, form: str) -> tuple[int, int, bool]:
+    """Height, width and whether it is JPEG, from a picture's first bytes."""
+    head = bytes(begins[:32])
+    try:
+        if head[:2] == b"\xff\xd8":
+            return (*_jpeg_size(begins), True)
+        if head[:8] == _PNG:
+            width, height = struct.unpack_from(">II", head, 16)
+            return height, width, False
+        if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+            return (*_webp_size(head), False)
+    except (struct.error, IndexError):
+        raise FormatError(f"a {form or 'compressed'} picture whose header is cut off") from None
+    raise FormatError(f"format {form!r} beginning with {head[:4].hex() or 'nothing'}; can read jpeg, png and webp")
+
+
+def _jpeg_size(head: memoryview) -> tuple[int, int]:
+    pos = 2
+    while True:
+        marker, length = struct.unpack_from(">HH", head, pos)
+        if marker < 0xFF00:
+            raise FormatError(f"a jpeg picture with {marker:04x} where a marker belongs")
+        if 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
+            height, width = struct.unpack_from(">HH", head, pos + 5)
+            return height, width
+        pos += 1 if marker == 0xFFFF else 2 + length
+
+
+def _webp_size(head: bytes) -> tuple[int, int]:
+    if head[12:16] == b"VP8X":
+        return int.from_bytes(head[27:30], "little") + 1, int.from_bytes(head[24:27], "little") + 1
+    if head[12:16] == b"VP8L":
+        bits = struct.unpack_from("<I", head, 21)[0]
+        return (bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1
+    width, height = struct.unpack_from("<HH", head, 26)
+    return height & 0x3FFF, width & 0x3FFF

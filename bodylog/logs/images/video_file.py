@@ -1,0 +1,100 @@
+"""A video file beside the log as camera."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import LogError
+from ...settings import Topics
+from ...types import Array, Frame
+
+_DATES = 1e8
+"""s: times above are counted from 1970, those below from a start that the table does not tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sidecar:
+    """A video's file, frames per second, how many frames it says it has, and their times t (K,) s from a table."""
+
+    path: Path
+    rate: float
+    frames: int
+    t: Array | None = None
+
+
+def find(name: str, log: Path, settings: Topics) -> Sidecar:
+    """The video `name`, looked for as it is and beside the log; LogError when there is none or it has no rate."""
+    path = next((p for p in (Path(name), log.parent / name) if p.is_file()), None)
+    if path is None:
+        raise LogError(f"{log}: [topics] camera = {name!r}, but there is no such file, here or beside the log")
+    capture = _open(path)
+    rate, length = settings.rate or capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
+    capture.release()
+    if not 0 < rate < 1e6:
+        raise LogError(f"{path}: the video says {rate} frames per second; say in robot.toml: [topics] rate = 30")
+    return Sidecar(path, rate, max(length, 0), _times(path, length) if settings.rate is None else None)
+
+
+def _times(path: Path, frames: int) -> Array | None:
+    """The times of a video's frames from a table beside it; LogError where it has another number of rows."""
+    from ..datasets.tables import table_beside, times_beside
+
+    t = times_beside(path)
+    if t is not None and len(t) != frames:
+        said = f"{len(t)} rows for the {frames} frames of {path.name}; rename it, or type: [topics] rate"
+        raise LogError(f"{table_beside(path)}: {said}")
+    return t
+
+
+def frames(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], Iterator[Frame]]:
+    """A function that decodes the video from its beginning; its first frame is at first_s after start_ns.
+
+    Where a table has the frames' times and these are counted from 1970, first_s None leaves them as they are.
+    """
+    at = _at(video, first_s, start_ns)
+
+    def read() -> Iterator[Frame]:
+        capture = _open(video.path)
+        try:
+            for number in count():
+                there, image = capture.read()
+                if not there:
+                    return
+                t = at(number)
+                yield Frame(t, start_ns + round(t * 1e9), _decode(image))
+        finally:
+            capture.release()
+
+    return read
+
+
+def _at(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[int], float]:
+    """When a frame was taken, s after start_ns, by its number; one that no table dates follows at the video's rate."""
+    if video.t is None or not len(video.t):
+        return lambda number: (first_s or 0.0) + number / video.rate
+    is_date = first_s is None and float(video.t[0]) >= _DATES
+    t = (video.t - start_ns / 1e9 if is_date else video.t - video.t[0] + (first_s or 0.0)).tolist()
+    return lambda number: t[number] if number < len(t) else t[-1] + (number + 1 - len(t)) / video.rate
+
+
+def _decode(image: Array) -> Callable[[int], Array]:
+    return lambda k: np.ascontiguousarray(image[::k, ::k])
+
+
+def _open(path: Path) -> Any:
+    import cv2
+
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise LogError(f"{path}: cannot be opened as a video")
+    return capture
+
+
+def _property(name: str) -> int:
+    import cv2
+
+    return int(getattr(cv2, f"CAP_PROP_{name}"))

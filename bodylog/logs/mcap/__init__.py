@@ -1,0 +1,1 @@
+"""MCAP files: records, chunks, summary; read, checked, scanned past damage, written."""

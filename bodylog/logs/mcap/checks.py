@@ -1,0 +1,223 @@
+"""What an MCAP says about itself against what it holds: statistics, indexes, CRCs, times, offsets."""
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from isal.isal_zlib import crc32
+
+from ...errors import FormatError
+from ...types import Array
+from ..diagnostics import Ledger
+from ..storage.compression import Buffer
+from ..storage.mmapped import forget
+from .chunks import Chunk, Messages, chunk_head, heads_at, index_of, load, messages
+from .records import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+    SUMMARY_OFFSET,
+    Record,
+    parse,
+    walk,
+)
+from .resync import sound_records
+from .summary import records_of, section
+
+Say = Callable[[str, str], None]
+"""Takes the kind of a remark and its text."""
+
+_INDEXES = {ATTACHMENT_INDEX: ("attachment", ATTACHMENT), METADATA_INDEX: ("metadata", METADATA)}
+
+
+@dataclass
+class _Tally:
+    """What was counted: messages by channel, log times, records by opcode, declared ids; bytes that were not."""
+
+    messages: dict[int, int] = field(default_factory=dict)
+    times: list[int] = field(default_factory=list)
+    records: dict[int, int] = field(default_factory=dict)
+    declared: dict[int, set[int]] = field(default_factory=lambda: {SCHEMA: set(), CHANNEL: set()})
+    lost: int = 0
+
+    def add(self, heads: Array) -> None:
+        """Count messages by their heads."""
+        for channel, count in zip(*np.unique(heads["channel"], return_counts=True), strict=True):
+            self.messages[int(channel)] = self.messages.get(int(channel), 0) + int(count)
+        if len(heads):
+            self.times += [int(heads["log"].min()), int(heads["log"].max())]
+
+
+def check(data: memoryview, ledger: Ledger, say: Say) -> None:
+    """Tell `say` of every disagreement in the MCAP; unreadable parts are left to the reader's own findings."""
+    tally, buffer = _Tally(), Buffer(ledger.path, ledger.limits)
+    chunk: tuple[Chunk, Messages] | None = None
+
+    def lost(_at: int, size: int) -> None:
+        nonlocal chunk
+        chunk = None
+        tally.lost += size
+
+    for opcode, at, length in sound_records(data, len(MAGIC), len(data), (), lost):
+        tally.records[opcode] = tally.records.get(opcode, 0) + 1
+        body = data[at + HEAD.size : at + HEAD.size + length]
+        if opcode == CHUNK:
+            chunk = _chunk(data, at, length, tally, buffer, ledger, say)
+        elif opcode == MESSAGE_INDEX and chunk is not None:
+            _index(data, at, chunk, say)
+        elif opcode == MESSAGE:
+            tally.add(heads_at(data, np.array([at])))
+        elif opcode in tally.declared:
+            tally.declared[opcode].add(parse(opcode, body).fields["id"])
+        elif opcode == ATTACHMENT:
+            _attachment(at, body, say)
+        elif opcode == DATA_END:
+            _data_end(data, at, body, say)
+            break
+    with suppress(FormatError):  # the reader says so itself
+        place = section(data)
+        _summary(data, records_of(data, *place) if place else (), tally, say)
+
+
+def _chunk(
+    data: memoryview, at: int, length: int, tally: _Tally, buffer: Buffer, ledger: Ledger, say: Say
+) -> tuple[Chunk, Messages] | None:
+    first, last, *_ = chunk_head(data, at)
+    chunk = Chunk(at, HEAD.size + length, first, last)
+    content = load(data, chunk, buffer, ledger)
+    if content is None:
+        tally.lost += chunk.length
+        return None
+    found = messages(content, data, chunk, ledger)
+    forget(data, at, at + chunk.length)
+    tally.add(found.heads)
+    for opcode, start, size in walk(content.data, 0, len(content)):
+        if opcode in tally.declared:
+            tally.declared[opcode].add(parse(opcode, content.data[start : start + size]).fields["id"])
+    if len(found.starts):
+        held = int(found.heads["log"].min()), int(found.heads["log"].max())
+        if held != (first, last):
+            text = f"the chunk at byte {at} declares log times {first} to {last},"
+            say("chunk times", f"{text} it holds {held[0]} to {held[1]}")
+    return chunk, found
+
+
+def _index(data: memoryview, at: int, chunk: tuple[Chunk, Messages], say: Say) -> None:
+    """A MessageIndex against the messages of its channel in the chunk before it."""
+    channel = int.from_bytes(data[at + HEAD.size : at + HEAD.size + 2], "little")
+    listed = index_of(data, at)
+    mine = chunk[1].heads["channel"] == channel
+    held = np.column_stack((chunk[1].heads["log"][mine], chunk[1].starts[mine]))
+    where = f"the message index of channel {channel} at byte {at}"
+    if len(listed) != len(held):
+        say("index", f"{where} lists {len(listed)} messages, the chunk holds {len(held)}")
+    elif set(map(tuple, listed.tolist())) != set(map(tuple, held.tolist())):
+        say("index", f"{where} gives offsets or log times that are not those of the messages")
+
+
+def _attachment(at: int, body: memoryview, say: Say) -> None:
+    declared = int.from_bytes(body[-4:], "little")
+    found = crc32(body[:-4])
+    if declared and declared != found:
+        say("attachment", f"the attachment at byte {at} has CRC {found:08x} where {declared:08x} is declared")
+
+
+def _data_end(data: memoryview, at: int, body: memoryview, say: Say) -> None:
+    declared = int.from_bytes(body[:4], "little")
+    if declared == 0:
+        return
+    found = 0
+    for low in range(0, at, 1 << 24):
+        found = crc32(data[low : min(at, low + (1 << 24))], found)
+        forget(data, low, low + (1 << 24))
+    if found != declared:
+        say("data", f"the data section has CRC {found:08x} where {declared:08x} is declared")
+
+
+def _summary(data: memoryview, records: Iterable[Record], tally: _Tally, say: Say) -> None:
+    listed = 0
+    for record in records:
+        said = record.fields
+        listed += record.opcode == CHUNK_INDEX
+        if record.opcode == STATISTICS and not tally.lost:
+            _statistics(said, tally, say)
+        elif record.opcode == CHUNK_INDEX:
+            _chunk_index(data, said, say)
+        elif record.opcode in _INDEXES:
+            name, opcode = _INDEXES[record.opcode]
+            _points(data, said["offset"], said["length"], opcode, f"the {name} index", say)
+        elif record.opcode == SUMMARY_OFFSET:
+            _group(data, said, say)
+    if listed and not tally.lost and listed != tally.records.get(CHUNK, 0):
+        say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(CHUNK, 0)}")
+
+
+def _statistics(said: dict[str, Any], tally: _Tally, say: Say) -> None:
+    held = {
+        "message_count": sum(tally.messages.values()),
+        "schema_count": len(tally.declared[SCHEMA]),
+        "channel_count": len(tally.declared[CHANNEL]),
+        "attachment_count": tally.records.get(ATTACHMENT, 0),
+        "metadata_count": tally.records.get(METADATA, 0),
+        "chunk_count": tally.records.get(CHUNK, 0),
+        "message_start_time": min(tally.times, default=0),
+        "message_end_time": max(tally.times, default=0),
+    }
+    for name, value in held.items():
+        if said[name] != value:
+            say(f"statistics {name}", f"the statistics say {name} {said[name]}, the file holds {value}")
+    by_channel = {channel: count for channel, count in said["channel_message_counts"].items() if count}
+    for channel in sorted(by_channel.keys() | tally.messages.keys()):
+        if by_channel and by_channel.get(channel, 0) != tally.messages.get(channel, 0):
+            told, count = by_channel.get(channel, 0), tally.messages.get(channel, 0)
+            text = f"the statistics say {told} messages on channel {channel}"
+            say("statistics channel", f"{text}, the file holds {count}")
+
+
+def _chunk_index(data: memoryview, said: dict[str, Any], say: Say) -> None:
+    start = said["chunk_start_offset"]
+    try:
+        first, last, size, _, compression, packed = chunk_head(data, start)
+    except FormatError:
+        say("chunk index", f"the chunk index points to byte {start}, where there is no chunk")
+        return
+    held = (first, last, size, compression, len(packed))
+    names = ("message_start_time", "message_end_time", "uncompressed_size", "compression", "compressed_size")
+    for name, value in zip(names, held, strict=True):
+        if said[name] != value:
+            text = f"the chunk index says {name} {said[name]} of the chunk at byte {start}"
+            say(f"chunk index {name}", f"{text}, which has {value}")
+    for channel, at in said["message_index_offsets"].items():
+        if at + HEAD.size > len(data) or data[at] != MESSAGE_INDEX or data[at + HEAD.size] != channel & 255:
+            say("chunk index offset", f"the chunk index says channel {channel} is indexed at byte {at}: it is not")
+
+
+def _points(data: memoryview, at: int, length: int, opcode: int, name: str, say: Say) -> None:
+    inside = 0 <= at <= len(data) - HEAD.size
+    if not inside or HEAD.unpack_from(data, at) != (opcode, length - HEAD.size):
+        say(name, f"{name} points to {length} bytes at byte {at}, which are no such record")
+
+
+def _group(data: memoryview, said: dict[str, Any], say: Say) -> None:
+    start, end = said["group_start"], said["group_start"] + said["group_length"]
+    if start == end:
+        return
+    try:
+        opcodes = {opcode for opcode, _, _ in walk(data, start, min(end, len(data)))}
+    except FormatError:
+        opcodes = set()
+    if opcodes != {said["group_opcode"]}:
+        say("summary offset", f"the summary offset of opcode {said['group_opcode']} points to others at byte {start}")

@@ -1,0 +1,212 @@
+"""MCAP records as bytes, one function each (https://mcap.dev/spec), and message records by the thousand."""
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from isal.isal_zlib import crc32
+
+from ...types import Array
+from .records import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    HEAD,
+    HEADER,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+)
+
+_MESSAGE = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("size", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_ns", "<u8"),
+        ("publish_ns", "<u8"),
+    ]
+)
+MESSAGE_HEAD = _MESSAGE.itemsize
+
+
+@dataclass(frozen=True, eq=False)
+class Messages:
+    """n messages of any channels: channel, sequence, log_ns, publish_ns (n,), payload i in data at offset[i].
+
+    Offsets count through the arrays of `data`, one after another; no payload lies in two.
+    """
+
+    channel: Array
+    sequence: Array
+    log_ns: Array
+    publish_ns: Array
+    data: tuple[Array, ...]
+    offset: Array
+    length: Array
+
+
+def string(text: str) -> bytes:
+    """A length-prefixed UTF-8 string."""
+    raw = text.encode(errors="backslashreplace")
+    return struct.pack("<I", len(raw)) + raw
+
+
+def mapping(pairs: Mapping[str, str]) -> bytes:
+    """A length-prefixed map of strings, in key order."""
+    body = b"".join(string(key) + string(pairs[key]) for key in sorted(pairs))
+    return struct.pack("<I", len(body)) + body
+
+
+def record(opcode: int, *parts: bytes) -> bytes:
+    """Opcode, length, content."""
+    return HEAD.pack(opcode, sum(map(len, parts))) + b"".join(parts)
+
+
+def header(profile: str, library: str) -> bytes:
+    """The file's first record."""
+    return record(HEADER, string(profile), string(library))
+
+
+def schema(number: int, name: str, encoding: str, definition: bytes) -> bytes:
+    """A message definition."""
+    return record(
+        SCHEMA,
+        struct.pack("<H", number),
+        string(name),
+        string(encoding),
+        struct.pack("<I", len(definition)),
+        definition,
+    )
+
+
+def channel(number: int, schema_id: int, topic: str, encoding: str, metadata: Mapping[str, str]) -> bytes:
+    """A topic."""
+    return record(CHANNEL, struct.pack("<HH", number, schema_id), string(topic), string(encoding), mapping(metadata))
+
+
+def metadata(name: str, pairs: Mapping[str, str]) -> bytes:
+    """A named map of strings."""
+    return record(METADATA, string(name), mapping(pairs))
+
+
+def metadata_index(offset: int, length: int, name: str) -> bytes:
+    """Where a metadata record lies."""
+    return record(METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
+
+
+def attachment(said: Mapping[str, Any]) -> bytes:
+    """A file with the fields `said` of another log's attachment, and a CRC-32 of its own."""
+    data = bytes(said["data"])
+    body = struct.pack("<QQ", said["log_time"], said["create_time"]) + string(said["name"])
+    body += string(said["media_type"]) + struct.pack("<Q", len(data)) + data
+    return record(ATTACHMENT, body, struct.pack("<I", crc32(body)))
+
+
+def attachment_index(offset: int, length: int, said: Mapping[str, Any]) -> bytes:
+    """Where an attachment with the fields `said` lies."""
+    numbers = struct.pack("<QQQQQ", offset, length, said["log_time"], said["create_time"], len(said["data"]))
+    return record(ATTACHMENT_INDEX, numbers, string(said["name"]), string(said["media_type"]))
+
+
+def chunk(start_ns: int, end_ns: int, size: int, crc: int, compression: str, stored: bytes) -> tuple[bytes, int]:
+    """The head of a chunk record, to be followed by `stored`, and the length of the whole record."""
+    head = struct.pack("<QQQI", start_ns, end_ns, size, crc) + string(compression) + struct.pack("<Q", len(stored))
+    return HEAD.pack(CHUNK, len(head) + len(stored)) + head, HEAD.size + len(head) + len(stored)
+
+
+def message_index(number: int, log_ns: Array, offset: Array) -> bytes:
+    """When and where in the chunk one channel's messages are."""
+    pairs = np.empty((len(log_ns), 2), "<u8")
+    pairs[:, 0], pairs[:, 1] = log_ns, offset
+    return record(MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes())
+
+
+def chunk_index(
+    span: tuple[int, int],
+    place: tuple[int, int],
+    indexes: Mapping[int, int],
+    indexes_length: int,
+    compression: str,
+    sizes: tuple[int, int],
+) -> bytes:
+    """A chunk's times, place (offset, length), message index offsets by channel, and sizes (stored, unpacked)."""
+    offsets = b"".join(struct.pack("<HQ", number, indexes[number]) for number in sorted(indexes))
+    return record(
+        CHUNK_INDEX,
+        struct.pack("<QQQQI", *span, *place, len(offsets)),
+        offsets,
+        struct.pack("<Q", indexes_length),
+        string(compression),
+        struct.pack("<QQ", *sizes),
+    )
+
+
+def statistics(counts: Mapping[int, int], numbers: tuple[int, int, int, int, int], span: tuple[int, int]) -> bytes:
+    """Messages per channel; numbers of (schemas, channels, attachments, metadata, chunks); first and last log time."""
+    pairs = b"".join(struct.pack("<HQ", number, counts[number]) for number in sorted(counts))
+    head = struct.pack("<QHIIIIQQI", sum(counts.values()), *numbers, *span, len(pairs))
+    return record(STATISTICS, head, pairs)
+
+
+def data_end(crc: int) -> bytes:
+    """The end of the data section; crc 0 says: not computed."""
+    return record(DATA_END, struct.pack("<I", crc))
+
+
+def messages(table: Messages) -> tuple[Array, Array]:
+    """All message records one after another as (bytes,) uint8, and where each begins (n,)."""
+    size = table.length + MESSAGE_HEAD
+    start = np.cumsum(size) - size
+    head = np.zeros(len(size), _MESSAGE)
+    head["opcode"], head["size"] = MESSAGE, size - 9
+    head["channel"], head["sequence"] = table.channel, table.sequence
+    head["log_ns"], head["publish_ns"] = table.log_ns, table.publish_ns
+    out = np.empty(int(size.sum()), np.uint8)
+    _windows(out, MESSAGE_HEAD)[start] = head.view(f"V{MESSAGE_HEAD}")
+    edges = np.cumsum([0, *(data.size for data in table.data)])
+    for number, here in groups(np.searchsorted(edges, table.offset, "right") - 1):
+        if number < len(table.data):  # what begins behind them all is empty
+            where = table.offset[here] - edges[number]
+            _copy(table.data[number], where, out, start[here] + MESSAGE_HEAD, table.length[here])
+    return out, start
+
+
+def groups(numbers: Array) -> Iterator[tuple[int, Array]]:
+    """Each of the numbers (n,), below 65,536, that there are, ascending, with the rows (m,) where it stands."""
+    numbers = numbers.astype(np.uint16)
+    order = np.argsort(numbers, kind="stable")
+    edges = np.flatnonzero(np.diff(numbers[order])) + 1
+    for rows in np.split(order, edges) if len(order) else ():
+        yield int(numbers[rows[0]]), rows
+
+
+def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
+    """Pieces of `data` one after another (bytes,) uint8, and where each begins (n,)."""
+    start = np.cumsum(length) - length
+    out = np.empty(int(length.sum()), np.uint8)
+    _copy(data, offset, out, start, length)
+    return out, start
+
+
+def _copy(source: Array, where: Array, out: Array, to: Array, length: Array) -> None:
+    """Scatter pieces of `source` into `out`, those of one length at once."""
+    alike = bool(len(length)) and length.min() == length.max()
+    for size in (length[:1] if alike else np.unique(length)).tolist():
+        rows = slice(None) if alike else np.flatnonzero(length == size)
+        if size:
+            _windows(out, size)[to[rows]] = _windows(source, size)[where[rows]]
+
+
+def _windows(data: Array, size: int) -> Array:
+    """`size` bytes from every place (bytes,) of `data` on, each as one item: moved as a block, not byte by byte."""
+    return np.ndarray(max(0, len(data) - size + 1), f"V{size}", data, 0, (1,))

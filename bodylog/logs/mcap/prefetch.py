@@ -1,0 +1,67 @@
+"""Chunks unpacked one after another, the next one already while the one before is used."""
+
+import os
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from ...errors import FormatError
+from ...types import Array
+from ..diagnostics import Ledger
+from ..storage.compression import Buffer
+from ..storage.mmapped import fetch
+from .chunks import Chunk, Loose, unpack
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
+
+_SMALL = 4 << 20
+"""Bytes of a log that are unpacked in less time than it takes to have a thread for it."""
+
+_SHORT, _LONG = 1 << 14, 8 << 20
+"""Packed bytes: shorter chunks are unpacked sooner than handed over, of longer ones memory shall not hold two."""
+
+Unpacked = Array | FormatError | None
+"""A chunk's records, or why there are none; None for messages outside chunks."""
+
+
+def unpacked_parts(
+    data: memoryview, parts: Sequence[Chunk | Loose], ledger: Ledger, alone: bool = False
+) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
+    """Each part with what it unpacks to, valid until the next is asked for; `alone`: nothing between is wanted."""
+    if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _processors() < 2:
+        buffer = Buffer(ledger.path, ledger.limits)
+        yield from ((part, _unpacked(data, part, buffer, alone)) for part in parts)
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    with ThreadPoolExecutor(1) as pool:
+        yield from _overlapped(data, parts, pool, ledger, alone)
+
+
+def _overlapped(
+    data: memoryview, parts: Sequence[Chunk | Loose], pool: "ThreadPoolExecutor", ledger: Ledger, alone: bool
+) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
+    """Two buffers in turn; the first part comes alone, since who looks at a log's beginning wants no more."""
+    here, there = Buffer(ledger.path, ledger.limits), Buffer(ledger.path, ledger.limits)
+    waiting: Future[Unpacked] | None = None
+    for number, part in enumerate(parts):
+        found = waiting.result() if waiting else _unpacked(data, part, here, alone)
+        following = parts[number + 1] if 0 < number < len(parts) - 1 else None
+        pays = isinstance(following, Chunk) and _SHORT <= following.length <= _LONG
+        waiting = pool.submit(_unpacked, data, following, there, alone) if following and pays else None
+        yield part, found
+        here, there = there, here
+
+
+def _unpacked(data: memoryview, part: Chunk | Loose, buffer: Buffer, alone: bool) -> Unpacked:
+    if isinstance(part, Loose):
+        return None
+    fetch(data, part.start, part.start + part.length, alone)
+    try:
+        return unpack(data, part, buffer)
+    except FormatError as problem:
+        return problem
+
+
+def _processors() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

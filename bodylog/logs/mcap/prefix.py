@@ -1,0 +1,231 @@
+"""Which bytes of an MCAP can stay as they are, so that more chunks and a new summary can follow them."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ...errors import FormatError
+from .record_file import Head, TopLevel
+from .records import (
+    ATTACHMENT,
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    HEAD,
+    HEADER,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+    Record,
+    parse,
+)
+from .writer import Contents
+
+ROOT = "/bodylog/"
+"""What we add to a log is under this topic."""
+
+NAME = "bodylog"
+"""The metadata record that says how it was made."""
+
+_INDEX_HEAD, _INDEX_ENTRY = 6, 16
+_Summary = Mapping[int, list[tuple[Record, bytes]]]
+"""Opcode -> the summary's records, parsed and as they are."""
+
+
+@dataclass(frozen=True)
+class Base:
+    """Bytes [0, end) of a file, what its summary says of them, and their CRC where the file keeps one."""
+
+    end: int
+    crc: int | None
+    contents: Contents
+
+
+class _Part(NamedTuple):
+    """One record of the data section; `channels` are those it speaks of, None when it is no channel's."""
+
+    opcode: int
+    start: int
+    channels: frozenset[int] | None = None
+    messages: int = 0
+
+
+def is_mcap(path: Path) -> bool:
+    """Whether a file begins as an MCAP does."""
+    try:
+        with TopLevel(path):
+            return True
+    except (FormatError, OSError):
+        return False
+
+
+def keepable(path: Path) -> Base:
+    """All of a chunked MCAP with a sound summary but what an earlier run appended.
+
+    FormatError says why the file must be rewritten instead: not chunked, no summary, one that its data contradict, or
+    /bodylog/ messages between others; or a name is no UTF-8, which other readers refuse.
+    """
+    with TopLevel(path) as file:
+        return _keepable(file, ROOT)
+
+
+def messages(path: Path) -> int:
+    """How many messages the message indexes of an MCAP hold; FormatError where summary and data disagree."""
+    with TopLevel(path) as file:
+        return sum(_keepable(file, None).contents.counts.values())
+
+
+def _keepable(file: TopLevel, root: str | None) -> Base:
+    start, records = file.summary()
+    summary: dict[int, list[tuple[Record, bytes]]] = {}
+    for record, raw in records:
+        summary.setdefault(record.opcode, []).append((record, raw))
+    if root is not None and any(map(no_utf8, _named(file, start, [one for one, _ in records]))):
+        raise FormatError("a name in it is no UTF-8")
+    file.expect(_heads(summary))
+    parts = _parts(file.heads(start), summary)
+    ours = _ours(summary, root)
+    foreign = {r.fields["offset"] for r, _ in summary.get(METADATA_INDEX, []) if r.fields["name"] != NAME}
+    cut = _cut(parts, ours, foreign)
+    contents = _contents(summary, [p for p in parts if p.start < cut], ours)
+    return Base(cut, _crc(file, cut, parts[-1].start), contents)
+
+
+def no_utf8(record: Record) -> bool:
+    """Whether a text of a record has the character that stands for bytes that are no UTF-8."""
+    values = [(*v, *v.values()) if isinstance(v, dict) else (v,) for v in record.fields.values()]
+    return any(isinstance(text, str) and "\ufffd" in text for texts in values for text in texts)
+
+
+def _named(file: TopLevel, end: int, summary: list[Record]) -> Iterator[Record]:
+    """The records of a file that hold names: its header, what its summary repeats, and metadata but ours."""
+    first = next(file.heads(end), None)
+    if first is not None and first.opcode == HEADER:
+        yield file.fields(first)
+    yield from summary
+    for record in summary:
+        said = record.fields
+        if record.opcode == METADATA_INDEX and said["name"] != NAME:
+            raw = memoryview(file.read(said["offset"], said["length"]))
+            yield parse(METADATA, raw[HEAD.size :], said["offset"])
+
+
+def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:
+    """Where (byte, size) the summary says that there are heads between what is long."""
+    for record, _ in summary.get(CHUNK_INDEX, []):
+        said = record.fields
+        yield said["chunk_start_offset"], 1
+        yield said["chunk_start_offset"] + said["chunk_length"], said["message_index_length"] + 1
+
+
+def _parts(heads: Iterable[Head], summary: _Summary) -> list[_Part]:
+    """The data section's records, each as the summary describes it; FormatError where the two disagree."""
+    chunks = [r.fields for r, _ in summary.get(CHUNK_INDEX, [])]
+    indexed = {said["chunk_start_offset"]: _set(tuple(said["message_index_offsets"])) for said in chunks}
+    parts = [_part(head, indexed) for head in heads]
+    _agree([p.start for p in parts if p.opcode == CHUNK], list(indexed), "chunks")
+    found = [(c, p.start) for p in parts if p.opcode == MESSAGE_INDEX for c in p.channels or ()]
+    _agree(found, [pair for said in chunks for pair in said["message_index_offsets"].items()], "message indexes")
+    for opcode, index in ((ATTACHMENT, ATTACHMENT_INDEX), (METADATA, METADATA_INDEX)):
+        listed = [r.fields["offset"] for r, _ in summary.get(index, [])]
+        _agree([p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata")
+    if not parts or parts[-1].opcode != DATA_END:
+        raise FormatError("the summary does not follow the end of the data")
+    return parts
+
+
+def _part(head: Head, indexed: Mapping[int, frozenset[int]]) -> _Part:
+    if head.opcode == MESSAGE:
+        raise FormatError("there are messages outside chunks")
+    if head.opcode == CHUNK:
+        channels = indexed.get(head.start)
+        if not channels:
+            raise FormatError(f"the chunk at byte {head.start} has no message index")
+        return _Part(CHUNK, head.start, channels)
+    if head.opcode not in (MESSAGE_INDEX, CHANNEL):
+        return _Part(head.opcode, head.start)
+    channel = _set((int.from_bytes(head.first[:2], "little"),))
+    size = int.from_bytes(head.first[2:], "little") if head.opcode == MESSAGE_INDEX else 0
+    if size > max(head.size - _INDEX_HEAD, 0):
+        raise FormatError(f"the message index at byte {head.start} is longer than its record")
+    return _Part(head.opcode, head.start, channel, size // _INDEX_ENTRY)
+
+
+@lru_cache
+def _set(channels: tuple[int, ...]) -> frozenset[int]:
+    """One object for all the records that speak of the same channels: a long log has very many."""
+    return frozenset(channels)
+
+
+def _agree(found: list[Any], listed: list[Any], what: str) -> None:
+    if len(found) != len(listed) or set(found) != set(listed):
+        raise FormatError(f"the summary's list of {what} is not what the data hold")
+
+
+def _ours(summary: _Summary, root: str | None) -> frozenset[int]:
+    channels = [r.fields for r, _ in summary.get(CHANNEL, [])]
+    return frozenset(int(c["id"]) for c in channels if root is not None and str(c["topic"]).startswith(root))
+
+
+def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
+    """Where the tail begins that an earlier run appended, at the schemas in front of its first channel; or DataEnd."""
+    first = next((i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1)
+    tail = parts[first:-1]
+    if any(p.opcode == ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours for p in tail):
+        raise FormatError(f"{ROOT} messages lie between others")
+    while tail and first and parts[first - 1].opcode == SCHEMA:
+        first -= 1
+    return parts[first].start
+
+
+def _crc(file: TopLevel, cut: int, end: int) -> int | None:
+    """The CRC of the bytes kept; None where the file does not keep one."""
+    stored = int.from_bytes(file.read(end, 13)[9:], "little")
+    if not stored:
+        return None
+    return stored if cut == end else file.crc(cut)
+
+
+def _contents(summary: _Summary, kept: list[_Part], ours: frozenset[int]) -> Contents:
+    """What the summary says of the parts kept; FormatError where it leaves out what they need."""
+    channels = {r.fields["id"]: (r, raw) for r, raw in summary.get(CHANNEL, []) if r.fields["id"] not in ours}
+    used = {r.fields["schema_id"] for r, _ in channels.values()}
+    dropped = {r.fields["schema_id"] for r, _ in summary.get(CHANNEL, []) if r.fields["id"] in ours} - used
+    schemas = {r.fields["id"]: raw for r, raw in summary.get(SCHEMA, []) if r.fields["id"] not in dropped}
+    if not used <= {0, *schemas}:
+        raise FormatError("the summary lacks schemas of its channels")
+    counts = dict.fromkeys(channels, 0)
+    contents = Contents(schemas, {number: raw for number, (_, raw) in channels.items()}, counts=counts)
+    places = {p.start for p in kept}
+    for opcode, place, into in (
+        (CHUNK_INDEX, "chunk_start_offset", contents.chunks),
+        (ATTACHMENT_INDEX, "offset", contents.attachments),
+        (METADATA_INDEX, "offset", contents.metadata),
+    ):
+        into += [raw for r, raw in summary.get(opcode, []) if r.fields[place] in places]
+    _count(contents, summary, kept, places)
+    return contents
+
+
+def _count(contents: Contents, summary: _Summary, kept: list[_Part], places: set[int]) -> None:
+    """Messages per channel by the message indexes, and the span of the chunks kept; the statistics must agree."""
+    for part in kept:
+        if part.opcode == MESSAGE_INDEX:
+            number = next(iter(part.channels or ()))
+            if number not in contents.counts:
+                raise FormatError(f"the summary lacks channel {number}")
+            contents.counts[number] += part.messages
+    for record, _ in summary.get(STATISTICS, []):
+        stated = record.fields["channel_message_counts"]
+        if any(stated.get(number, 0) != count for number, count in contents.counts.items()):
+            raise FormatError("the statistics count other messages than the message indexes")
+    for record, _ in summary.get(CHUNK_INDEX, []):
+        if record.fields["chunk_start_offset"] in places:
+            contents.seen(record.fields["message_start_time"], record.fields["message_end_time"])

@@ -1,0 +1,175 @@
+"""MCAP files -> undecoded batches; nothing is read that the topics asked for do not need."""
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FormatError
+from ...settings import LIMITS, Input
+from ...types import Array, Batch, Finding, Topic
+from ..diagnostics import Ledger
+from ..storage.mmapped import bring, fetch, forget, mapped, uncut
+from ..storage.zstd_files import unpacked
+from ..topics import Topics, span, split
+from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, messages
+from .prefetch import unpacked_parts
+from .records import HEAD, MAGIC, SCHEMA, Record, parse
+from .time_ranges import spans_of
+from .uncompressed import runs, together
+
+
+@dataclass
+class Survey:
+    """What a file holds: schemas, channels and message counts by id, parts in file order, log times (ns)."""
+
+    schemas: dict[int, Record] = field(default_factory=dict)
+    channels: dict[int, Record] = field(default_factory=dict)
+    parts: list[Chunk | Loose] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+    times: list[int] = field(default_factory=list)
+
+    def declare(self, record: Record) -> None:
+        """Take in a Schema or Channel; the first one of an id stands."""
+        known = self.schemas if record.opcode == SCHEMA else self.channels
+        known.setdefault(record.fields["id"], record)
+
+    def knows(self, channels: Iterable[int]) -> bool:
+        """Whether every one of these channels, and its schema if it has one, was declared."""
+        known = [self.channels.get(channel) for channel in channels]
+        return all(one is not None and one.fields["schema_id"] in (0, *self.schemas) for one in known)
+
+    def count(self, channels: Array, log_ns: Array) -> None:
+        """Take in messages by their channel ids (n,) and log times (n,) ns."""
+        if len(channels):
+            numbers = np.bincount(channels)
+            for channel in np.flatnonzero(numbers).tolist():
+                self.counts[channel] = self.counts.get(channel, 0) + int(numbers[channel])
+            self.times += [int(log_ns.min()), int(log_ns.max())]
+
+
+class McapLog:
+    """One MCAP file, memory-mapped; see containers.Log."""
+
+    format = "mcap"
+
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
+        """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
+        from .scan import survey_of
+
+        self.path = path
+        self._ledger = Ledger(path, strict, limits)
+        self._data = mapped(source or path)
+        self.survey = survey_of(self._data, self._ledger)
+        self.topics, self._topic_of = _topics(self.survey, self._ledger)
+        self.start_ns, self.end_ns = span(self.survey.times, self._ledger)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong so far; reading on may add to it."""
+        return self._ledger.findings
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
+        topic_of = self._topic_of.copy()
+        if ids is not None:
+            known = np.zeros(len(self.topics) + 1, bool)  # the last is that of -1
+            known[[number for number in ids if 0 <= number < len(self.topics)]] = True
+            topic_of[~known[topic_of]] = -1
+        found = self.messages(topic_of >= 0)
+        batches = (batch for content, some in found for batch in _split(content, some, topic_of))
+        yield from unpacked(batches, self.topics, self._ledger)
+
+    def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, Messages]]:
+        """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
+        done, channels = 0, None if wanted is None else frozenset(np.flatnonzero(wanted).tolist())
+        parts = [part for part in self.survey.parts if _holds(part, channels)]
+        alone = 2 * len(parts) < len(self.survey.parts)
+        for some in runs(parts):
+            found = together(self._data, some, alone)
+            if found is None:
+                yield from self._one_by_one(some, alone)
+                continue
+            yield found
+            forget(self._data, done, some[0].start)  # not this run, whose pictures may still be looked at
+            done = some[0].start
+        forget(self._data, done, len(self._data))
+
+    def _one_by_one(self, parts: Sequence[Chunk | Loose], alone: bool) -> Iterator[tuple[Array, Messages]]:
+        done = parts[0].start
+        for part, content in unpacked_parts(self._data, parts, self._ledger, alone):
+            if isinstance(part, Loose):
+                fetch(self._data, part.start, part.end)
+                whole = np.frombuffer(self._data, np.uint8)
+                for found in loose_messages(self._data, part):
+                    yield whole, found
+                    forget(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
+                continue
+            if isinstance(content, FormatError):
+                lose(self._data, part, content, self._ledger)
+            elif content is not None:
+                yield content, messages(content, self._data, part, self._ledger)
+            forget(self._data, done, part.start + part.length)  # and what was touched since the chunk before
+            done = part.start + part.length
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """First and last log time (ns) by topic id, where every message is in a message index."""
+        return spans_of(self._data, self.survey.parts, self._topic_of)
+
+    def records(self, opcode: int) -> Iterator[Record]:
+        """The sound records of that opcode that are not in chunks."""
+        from .resync import sound_records
+
+        bring(self._data, 0, len(self._data))
+        for found, at, length in sound_records(self._data, len(MAGIC), len(self._data), (), lambda _at, _size: None):
+            if found == opcode:
+                yield parse(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)
+
+    def close(self) -> None:
+        """Let go of the file; batches still held keep their bytes."""
+        self._data = memoryview(b"")
+
+    def __enter__(self) -> "McapLog":
+        """The log itself."""
+        return self
+
+    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
+        """Close; LogError when the file was cut meanwhile."""
+        data = self._data
+        self.close()
+        uncut(data, self.path, problem)
+
+
+def _holds(part: Chunk | Loose, wanted: frozenset[int] | None) -> bool:
+    """Whether there may be messages of the channels `wanted` in it."""
+    if wanted is None or isinstance(part, Loose) or not part.listed or not part.indexes:
+        return True
+    return not wanted.isdisjoint(part.indexes)
+
+
+def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:
+    """The topics, and a table (65536,) from channel id to topic id, -1 where there is none."""
+    topics, topic_of = Topics(), np.full(1 << 16, -1, np.int64)
+    for channel, record in survey.channels.items():
+        said = record.fields
+        schema = survey.schemas.get(said["schema_id"])
+        name, encoding, data = ("", "", b"")
+        if schema is not None:
+            name, encoding, data = schema.fields["name"], schema.fields["encoding"], schema.fields["data"]
+        elif said["schema_id"] and channel in survey.counts:
+            ledger.warn(f"topic {said['topic']}: schema {said['schema_id']} is missing; its messages are undefined")
+        count = survey.counts.get(channel, 0)
+        topic_of[channel] = topics.add(
+            said["topic"], name, said["message_encoding"], data, encoding, count, said["metadata"]
+        )
+    return topics.all(), topic_of
+
+
+def _split(content: Array, found: Messages, topic_of: Array) -> Iterator[Batch]:
+    heads = found.heads
+    offset = found.starts + MESSAGE_HEAD.itemsize
+    length = heads["size"] - (MESSAGE_HEAD.itemsize - HEAD.size)
+    return split(topic_of[heads["channel"]], heads["log"], content, offset, length)

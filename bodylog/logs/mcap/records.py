@@ -1,0 +1,149 @@
+"""MCAP records: one table of fields per opcode, read with every length checked against its record."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from ...errors import FormatError
+
+MAGIC = b"\x89MCAP0\r\n"
+HEAD = struct.Struct("<BQ")
+"""A record's opcode and the length of its body."""
+
+HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+
+FIELDS: dict[int, tuple[str, str]] = {
+    HEADER: ("Header", "profile:str library:str"),
+    FOOTER: ("Footer", "summary_start:u64 summary_offset_start:u64 summary_crc:u32"),
+    SCHEMA: ("Schema", "id:u16 name:str encoding:str data:bytes"),
+    CHANNEL: ("Channel", "id:u16 schema_id:u16 topic:str message_encoding:str metadata:texts"),
+    MESSAGE: ("Message", "channel_id:u16 sequence:u32 log_time:u64 publish_time:u64 data:rest"),
+    CHUNK: (
+        "Chunk",
+        "message_start_time:u64 message_end_time:u64 uncompressed_size:u64 uncompressed_crc:u32 compression:str "
+        "records:long",
+    ),
+    MESSAGE_INDEX: ("MessageIndex", "channel_id:u16 records:bytes"),
+    CHUNK_INDEX: (
+        "ChunkIndex",
+        "message_start_time:u64 message_end_time:u64 chunk_start_offset:u64 chunk_length:u64 "
+        "message_index_offsets:offsets message_index_length:u64 compression:str compressed_size:u64 "
+        "uncompressed_size:u64",
+    ),
+    ATTACHMENT: ("Attachment", "log_time:u64 create_time:u64 name:str media_type:str data:long crc:u32"),
+    ATTACHMENT_INDEX: (
+        "AttachmentIndex",
+        "offset:u64 length:u64 log_time:u64 create_time:u64 data_size:u64 name:str media_type:str",
+    ),
+    STATISTICS: (
+        "Statistics",
+        "message_count:u64 schema_count:u16 channel_count:u32 attachment_count:u32 metadata_count:u32 "
+        "chunk_count:u32 message_start_time:u64 message_end_time:u64 channel_message_counts:offsets",
+    ),
+    METADATA: ("Metadata", "name:str metadata:texts"),
+    METADATA_INDEX: ("MetadataIndex", "offset:u64 length:u64 name:str"),
+    SUMMARY_OFFSET: ("SummaryOffset", "group_opcode:u8 group_start:u64 group_length:u64"),
+    DATA_END: ("DataEnd", "data_section_crc:u32"),
+}
+"""opcode -> name of the record and its fields in order, each with its kind."""
+
+_CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q"}
+_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_OFFSET = struct.Struct("<HQ")
+
+
+def _plan(fields: str) -> tuple[tuple[str, tuple[str, ...], struct.Struct], ...]:
+    """Fields in order as (kind, names, struct); numbers that follow one another are read at once."""
+    steps: list[tuple[str, tuple[str, ...], str]] = []
+    for name, kind in (field.split(":") for field in fields.split()):
+        if kind in _CODES and steps and steps[-1][0] == "numbers":
+            steps[-1] = ("numbers", (*steps[-1][1], name), steps[-1][2] + _CODES[kind])
+        else:
+            steps.append(("numbers" if kind in _CODES else kind, (name,), "<" + _CODES.get(kind, "")))
+    return tuple((kind, names, struct.Struct(codes)) for kind, names, codes in steps)
+
+
+_PLANS = {opcode: _plan(fields) for opcode, (_, fields) in FIELDS.items()}
+
+
+@dataclass(frozen=True)
+class Record:
+    """One record: opcode, where it starts in its file or chunk, and its fields by name."""
+
+    opcode: int
+    start: int
+    fields: dict[str, Any]
+
+    @property
+    def name(self) -> str:
+        """The record's name in the MCAP specification."""
+        return FIELDS[self.opcode][0]
+
+
+class _Reader:
+    """A cursor over one record's body."""
+
+    def __init__(self, body: memoryview) -> None:
+        self._body = body
+        self._at = 0
+
+    def take(self, size: int) -> memoryview:
+        """The next `size` bytes; FormatError when the record is shorter."""
+        if size > len(self._body) - self._at:
+            raise FormatError(f"a field of {size} bytes in a record with {len(self._body) - self._at} bytes left")
+        self._at += size
+        return self._body[self._at - size : self._at]
+
+    def read(self, kind: str) -> Any:
+        """The next field of that kind."""
+        if kind == "rest":
+            return bytes(self.take(len(self._body) - self._at))
+        if kind == "long":
+            return self.take(_U64.unpack(self.take(8))[0])
+        content = self.take(_U32.unpack(self.take(4))[0])
+        if kind == "str":
+            return str(content, "utf-8", "replace")
+        if kind == "bytes":
+            return bytes(content)
+        return _texts(content) if kind == "texts" else _offsets(content)
+
+
+def _texts(content: memoryview) -> dict[str, str]:
+    inner, texts = _Reader(content), {}
+    while inner._at < len(content):
+        name = inner.read("str")
+        texts[name] = inner.read("str")
+    return texts
+
+
+def _offsets(content: memoryview) -> dict[int, int]:
+    if len(content) % _OFFSET.size:
+        raise FormatError(f"a table of {len(content)} bytes whose rows take {_OFFSET.size}")
+    return dict(_OFFSET.iter_unpack(content))
+
+
+def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
+    """The record in `body`; FormatError when a length inside contradicts it."""
+    reader = _Reader(body)
+    fields: dict[str, Any] = {}
+    for kind, names, numbers in _PLANS[opcode]:
+        if kind == "numbers":
+            fields.update(zip(names, numbers.unpack(reader.take(numbers.size)), strict=True))
+        else:
+            fields[names[0]] = reader.read(kind)
+    return Record(opcode, start, fields)
+
+
+def walk(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """(opcode, body start, body length) of the records from `start`; FormatError where one passes `end`."""
+    at = start
+    while at < end:
+        if end - at < HEAD.size:
+            raise FormatError(f"byte {at}: {end - at} bytes where a record header takes {HEAD.size}")
+        opcode, length = HEAD.unpack_from(data, at)
+        if opcode == 0 or length > end - at - HEAD.size:
+            raise FormatError(f"byte {at}: opcode {opcode} with {length} bytes; {end - at - HEAD.size} are left")
+        yield opcode, at + HEAD.size, length
+        at += HEAD.size + length

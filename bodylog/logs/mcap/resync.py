@@ -1,0 +1,179 @@
+"""Records of a damaged MCAP: where the next sound one begins, and what lies in between."""
+
+from collections.abc import Callable, Collection, Iterator
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array
+from ..storage.compression import NAMES
+from ..storage.mmapped import forget, void
+from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, following, heads_of
+from .records import (
+    CHANNEL,
+    CHUNK,
+    CHUNK_INDEX,
+    DATA_END,
+    FIELDS,
+    FOOTER,
+    HEAD,
+    MESSAGE,
+    MESSAGE_INDEX,
+    SCHEMA,
+    parse,
+)
+
+_WINDOW = 1 << 20
+_AHEAD = 64 << 20
+_IN_CHUNKED = (CHUNK, MESSAGE_INDEX, CHUNK_INDEX)
+_CHUNK_FIXED = 40
+_LONGEST_END = 64
+_LARGEST = 1 << 40
+_FEW = 16
+_SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
+
+Found = tuple[int, int, int]
+"""A record: opcode, where it starts, length of its body."""
+
+
+Many = Callable[[Array, int], bool]
+"""Takes messages that follow one another, where they start (n,) and where they end, or declines."""
+
+
+def sound_records(
+    data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None],
+    many: Many = lambda _starts, _end: False,
+) -> Iterator[Found]:  # fmt: skip
+    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of.
+
+    Messages that `many` takes, many at a time, are not among them.
+    """
+    at, chunked, singly = start, None, start
+    held: Found | None = None
+    while at < end:
+        if at >= singly and data[at] == MESSAGE:
+            starts, singly = following(data, at, end)
+            if len(starts) > _FEW:
+                if held:
+                    yield held
+                    held = None
+                # The last one's length may be a lie, which what follows it shows.
+                at = int(starts[-1]) if many(starts[:-1], int(starts[-1])) else at
+        opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
+        if (opcode == MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
+            if held:
+                yield held
+            held = (opcode, at, length)
+            at += HEAD.size + length
+            chunked = chunked or opcode == CHUNK or None
+            if opcode == FOOTER:
+                break
+            continue
+        if chunked is None:
+            chunked = _chunked(data, at, min(end, at + _AHEAD))
+        low = at if held is None or held[0] == CHUNK else held[1] + 1
+        found = resync(data, low, end, *_sought(chunked, channels))
+        begin = at
+        if held and found is not None and found < at:  # the length of the record before was the lie
+            begin = held[1]
+        elif held:
+            yield held
+        held = None
+        at = end if found is None else found
+        lost(begin, at - begin)
+    if held:
+        yield held
+
+
+def _chunked(data: memoryview, start: int, end: int) -> bool:
+    """Whether what follows a damage are chunks and their indexes, even if the file is cut inside the first of them."""
+    if _chunk_like(data, start):
+        return True
+    for low in range(start, end, _WINDOW):
+        if void(data, low, min(end, low + _WINDOW)):
+            continue
+        heads = heads_of(data[low : min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)])
+        likely = (heads["opcode"] == CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
+        if any(_chunk_like(data, low + int(at)) for at in np.flatnonzero(likely)):
+            return True
+    return resync(data, start, end, _IN_CHUNKED, ()) is not None
+
+
+def _chunk_like(data: memoryview, at: int) -> bool:
+    """Whether a chunk begins at a damaged place: at least two signs of its head are there."""
+    if len(data) - at < HEAD.size + _CHUNK_FIXED:
+        return False
+    opcode, length = HEAD.unpack_from(data, at)
+    _, _, size, _, letters = CHUNK_HEAD.unpack_from(data, at + HEAD.size)
+    name = at + HEAD.size + CHUNK_HEAD.size
+    for known in NAMES:
+        end = name + len(known)
+        if data[name:end] == known.encode():
+            packed = int.from_bytes(data[end : end + 8], "little")
+            signs = [opcode == CHUNK, known != "", length == _CHUNK_FIXED + len(known) + packed]
+            signs += [known == "" and length == _CHUNK_FIXED + size, known == "" and 0 < packed == size]
+            if sum(signs) + (known != "" and letters == len(known)) >= 2:
+                return True
+    return False
+
+
+def _sought(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
+    """Opcodes and channels to look for after damage: what lies in a damaged chunk cannot be checked, so not inside."""
+    return ((*_IN_CHUNKED, DATA_END), ()) if chunked else ((SCHEMA, CHANNEL, DATA_END), channels)
+
+
+def _plausible(data: memoryview, at: int, end: int) -> bool:
+    if end - at < HEAD.size:
+        return False
+    opcode, length = HEAD.unpack_from(data, at)
+    if opcode == 0 or length > end - at - HEAD.size:
+        return False
+    if opcode == MESSAGE:
+        return bool(length >= _SHORTEST)
+    try:
+        if opcode in (DATA_END, FOOTER):
+            return bool(length <= _LONGEST_END)
+        if opcode == CHUNK:
+            chunk_head(data, at)
+        elif opcode in FIELDS:
+            parse(opcode, data[at + HEAD.size : at + HEAD.size + length])
+    except FormatError:
+        return False
+    return True
+
+
+def resync(
+    data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]
+) -> int | None:
+    """The first byte from `start` where such a record, or a message of such a channel, convincingly begins, or None."""
+    known = np.zeros(1 << 16, bool)
+    known[list(channels)] = True
+    for low in range(start, end, _WINDOW):
+        if void(data, low, min(end, low + _WINDOW)):
+            continue
+        high = min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)
+        for at in _candidates(data[low:high], end - low, list(opcodes), known):
+            if _convincing(data, low + at, end):
+                return low + at
+        forget(data, low, high)
+    return None
+
+
+def _candidates(window: memoryview, left: int, opcodes: list[int], known: Array) -> list[int]:
+    heads = heads_of(window)
+    opcode, size = heads["opcode"], heads["size"]
+    likely = np.isin(opcode, opcodes) | (opcode == MESSAGE) & (size >= _SHORTEST)
+    where = np.flatnonzero(likely & (size >= 0) & (size < left))
+    return [int(at) for at in where[(opcode[where] != MESSAGE) | known[heads["channel"][where]]]]
+
+
+def _convincing(data: memoryview, at: int, end: int) -> bool:
+    """Whether a whole record is at `at` and either it is a chunk that adds up or another record follows it."""
+    if not _plausible(data, at, end):
+        return False
+    opcode, length = HEAD.unpack_from(data, at)
+    after = at + HEAD.size + length
+    if opcode == CHUNK:
+        *_, compression, packed = chunk_head(data, at)
+        return compression in NAMES and length == _CHUNK_FIXED + len(compression) + len(packed)
+    return after == end or (_plausible(data, after, end) and data[after] in FIELDS)

@@ -1,0 +1,249 @@
+"""Survey an MCAP whatever state it is in: by its summary, by its records, and past damage to the next sound record."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array
+from ..diagnostics import Ledger
+from ..storage.compression import STORED, Buffer
+from ..storage.mmapped import bring, forget
+from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages, unpack
+from .reader import Survey
+from .records import (
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FOOTER,
+    HEAD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    SCHEMA,
+    parse,
+    walk,
+)
+from .resync import sound_records
+from .summary import Summary, believe_counts, summary_of
+
+_BLOCK = 4096
+_BLOCK_BYTES = 16 << 20
+_LONGEST_NS = 86400 * 10**9
+_CHANNEL = struct.Struct("<H")
+_MESSAGE = struct.Struct("<HIQ")
+_INDEX_HEAD = 6
+_TIMES = struct.Struct("<QQ")
+
+
+def survey_of(data: memoryview, ledger: Ledger) -> Survey:
+    """What the file holds; damage and doubts go to the ledger."""
+    survey = None
+    try:
+        summary = summary_of(data)
+        if summary:
+            survey = _summarised(data, summary, ledger)
+    except FormatError as problem:
+        ledger.warn(f"the summary is not used: {problem}")
+    if survey is None:
+        survey = Survey()
+        last = _scan(data, len(MAGIC), len(data), survey, ledger)
+        if last == DATA_END or (last == FOOTER and data[-len(MAGIC) :] != MAGIC):
+            ledger.warn("the file ends inside its summary or footer; all data come before")
+        elif last is None:
+            ledger.lost(len(data), 0, None, None, "the file ends without its footer: what came after is not there")
+        _learn(data, survey, ledger)
+    for channel in survey.counts.keys() - survey.channels.keys():
+        ledger.lost(-channel - 1, 0, survey.counts[channel], None, f"no record says what channel {channel} is")
+    return survey
+
+
+def _summarised(data: memoryview, summary: Summary, ledger: Ledger) -> Survey:
+    survey, at = Survey(), len(MAGIC)
+    for record in summary.records:
+        if record.opcode in (SCHEMA, CHANNEL):
+            survey.declare(record)
+    for chunk, end in summary.chunks:
+        _scan(data, at, chunk.start, survey, ledger)
+        survey.parts.append(chunk)
+        at = end
+    _scan(data, at, summary.start, survey, ledger)
+    if not believe_counts(summary, survey, ledger):
+        _learn(data, survey, ledger)
+    return survey
+
+
+def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger) -> int | None:
+    """Add what lies between two bytes to the survey; FOOTER or DATA_END if they were met, CHUNK if a cut was said."""
+    if start == end:
+        return None
+    bring(data, start, end)
+    run, ended, unsummarised = _Run(data, survey, start, ledger), None, end == len(data)
+
+    def lost(at: int, size: int) -> None:
+        run.close(at + size)
+        if ended:
+            ledger.warn(f"{size} bytes from byte {at}, after the end of the data, are damaged")
+            return
+        cut = _cut(data, at) if at + size == len(data) else None
+        if cut is None:
+            ledger.lost(at, size, None, _seconds(data, at), "no whole record can be read there")
+        else:
+            why = f"the file ends in this chunk, after {size} bytes, which are read without their checksum"
+            ledger.lost(at, None, None, None, why)
+        run.chunk, run.loss, run.told = None, at, at + size == end
+        if survey.parts and isinstance(survey.parts[-1], Chunk):
+            survey.parts[-1] = survey.parts[-1]._replace(indexes={})
+        survey.parts += [cut] if cut else []
+
+    def many(starts: Array, after: int) -> bool:
+        chunked = survey.parts and isinstance(survey.parts[-1], Chunk)
+        if unsummarised and (chunked or int(starts[0]) == len(MAGIC)):
+            return False
+        run.extend(starts, after)
+        return True
+
+    for opcode, at, length in sound_records(data, start, end, survey.channels.keys(), lost, many):
+        ended = opcode if opcode in (FOOTER, DATA_END) else ended
+        if opcode == MESSAGE and unsummarised and (at == len(MAGIC) or not run.credible(at, length)):
+            lost(at, HEAD.size + length)
+        elif opcode == MESSAGE:
+            run.add(at, at + HEAD.size + length)
+        elif opcode in (SCHEMA, CHANNEL):
+            survey.declare(parse(opcode, data[at + HEAD.size : at + HEAD.size + length], at))
+        elif opcode == CHUNK:
+            run.close(at + HEAD.size + length)
+            first, last, _, _, compression, _ = chunk_head(data, at)
+            run.follow(Chunk(at, HEAD.size + length, first, last, stored=compression in STORED))
+        elif opcode == MESSAGE_INDEX:
+            run.index(at)
+    run.close(end)
+    return ended or (CHUNK if run.told else None)
+
+
+class _Run:
+    """Messages outside chunks, counted until something else interrupts them."""
+
+    def __init__(self, data: memoryview, survey: Survey, start: int, ledger: Ledger) -> None:
+        self._data = data
+        self._ledger = ledger
+        self._survey = survey
+        self._start = start
+        self._end = start
+        self._found: list[int] = []
+        self.chunk: Chunk | None = None
+        self.loss: int | None = None
+        self.told = False
+
+    def add(self, start: int, end: int) -> None:
+        """Count the message between two bytes."""
+        self._end = end
+        self._found.append(start)
+        if len(self._found) == _BLOCK or end - self._found[0] > _BLOCK_BYTES:
+            self._flush()
+
+    def extend(self, starts: Array, end: int) -> None:
+        """Count messages (n,) that follow one another up to byte `end`."""
+        self._flush()
+        self._end = end
+        self._count(starts)
+
+    def close(self, following: int) -> None:
+        """End the run, a part of the survey if there were messages in it; the next starts at byte `following`."""
+        self._flush()
+        if self._end > self._start:
+            self._survey.parts.append(Loose(self._start, self._end))
+        self._start = self._end = following
+
+    def credible(self, at: int, length: int) -> bool:
+        """Whether a message in a file of chunks is one: not a message index or channel with a flipped bit."""
+        chunks = [part for part in self._survey.parts[-1:] if isinstance(part, Chunk)]
+        if not chunks:
+            return True
+        _, listed, log_ns = _MESSAGE.unpack_from(self._data, at + HEAD.size)
+        near = chunks[0].start_ns - _LONGEST_NS <= log_ns <= chunks[0].end_ns + _LONGEST_NS
+        return bool(near and listed != length - _INDEX_HEAD)
+
+    def follow(self, chunk: Chunk) -> None:
+        """Take in a chunk; what was lost before it lies between it and the chunk before that."""
+        parts = self._survey.parts
+        before = parts[-1].end_ns if parts and isinstance(parts[-1], Chunk) else None
+        if self.loss is not None and before is not None and 0 <= chunk.start_ns - before < _LONGEST_NS:
+            self._ledger.lasted(self.loss, (chunk.start_ns - before) / 1e9)
+        self.chunk, self.loss = chunk, None
+        parts.append(chunk)
+
+    def index(self, at: int) -> None:
+        """Take in a MessageIndex: it belongs to the chunk before, or counts the messages of a chunk that was lost."""
+        if self.chunk is not None:
+            (channel,) = _CHANNEL.unpack_from(self._data, at + HEAD.size)
+            self.chunk = self.chunk._replace(indexes={**self.chunk.indexes, channel: at})
+            self._survey.parts[-1] = self.chunk
+        elif self.loss is not None:
+            self._ledger.add(self.loss, len(index_of(self._data, at)))
+
+    def _flush(self) -> None:
+        if self._found:
+            self._count(np.array(self._found, np.int64))
+        self._found = []
+
+    def _count(self, starts: Array) -> None:
+        heads = heads_at(self._data, starts)
+        self._survey.count(heads["channel"], heads["log"])
+        forget(self._data, int(starts[0]), self._end)
+
+
+def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
+    """Count the messages of every chunk: by its indexes where all their channels are known, else by opening it."""
+    buffer, unopened = Buffer(ledger.path, ledger.limits), []
+    for chunk in [part for part in survey.parts if isinstance(part, Chunk)]:
+        if chunk.indexes and survey.knows(chunk.indexes):
+            for channel, at in chunk.indexes.items():
+                times = index_of(data, at)[:, 0]
+                survey.count(np.full(len(times), channel), times)
+            unopened.append(chunk)
+            continue
+        content = load(data, chunk, buffer, ledger)
+        if content is not None:
+            _declare(content.data, survey)
+            heads = messages(content, data, chunk, ledger).heads
+            survey.count(heads["channel"], heads["log"])
+            if chunk.cut and len(heads):
+                ledger.lasted(chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9)
+        forget(data, chunk.start, chunk.start + chunk.length)
+    for chunk in unopened:  # a schema may stand in a chunk that holds no message of it
+        if survey.knows(survey.counts):
+            return
+        content = load(data, chunk, buffer, ledger)
+        if content is not None:
+            _declare(content.data, survey)
+        forget(data, chunk.start, chunk.start + chunk.length)
+
+
+def _declare(content: memoryview, survey: Survey) -> None:
+    try:
+        for opcode, at, length in walk(content, 0, len(content)):
+            if opcode in (SCHEMA, CHANNEL):
+                survey.declare(parse(opcode, content[at : at + length], at))
+    except FormatError:
+        return  # messages() walks the same records and reports where they end
+
+
+def _cut(data: memoryview, at: int) -> Chunk | None:
+    """The chunk at byte `at` inside of which the file ends, if that is what is there and a message comes before."""
+    try:
+        first, last, *_ = chunk_head(data, at, cut=True)
+        chunk = Chunk(at, len(data) - at, first, last, cut=True)
+        content = unpack(data, chunk, Buffer())
+    except FormatError:
+        return None
+    return chunk if len(messages(content, data, chunk, Ledger(Path())).starts) else None
+
+
+def _seconds(data: memoryview, at: int) -> float | None:
+    """How long the chunk that was cut at `at` lasted by its header, if enough of that is left."""
+    if len(data) - at < HEAD.size + 16 or data[at] != CHUNK:
+        return None
+    first, last = _TIMES.unpack_from(data, at + HEAD.size)
+    return (last - first) / 1e9 if 0 <= last - first < _LONGEST_NS else None

@@ -1,0 +1,145 @@
+"""What an MCAP's summary section says, believed only where it agrees with itself and with the file."""
+
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from isal.isal_zlib import crc32
+
+from ...errors import FormatError
+from ..diagnostics import Ledger
+from ..storage.compression import STORED
+from ..storage.mmapped import bring, fetch
+from .chunks import Chunk
+from .reader import Survey
+from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, parse, walk
+
+_FOOTER = HEAD.size + 20
+_INDEX_HEAD, _INDEX_TAIL, _OFFSET = struct.Struct("<QQQQI"), struct.Struct("<QI"), struct.Struct("<HQ")
+_INDEX_SIZES = 16
+
+
+class Summary(NamedTuple):
+    """Where it starts, its records but chunk indexes, each chunk with where its indexes end, messages in the indexes.
+
+    A long log has very many chunk indexes, so no more is kept of them than is used.
+    """
+
+    start: int
+    records: list[Record]
+    chunks: list[tuple[Chunk, int]]
+    indexed: int
+
+
+def footer_of(data: memoryview) -> Record | None:
+    """The Footer that ends the file, or None."""
+    start = len(data) - len(MAGIC) - _FOOTER
+    if start < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or HEAD.unpack_from(data, start) != (FOOTER, 20):
+        return None
+    return parse(FOOTER, data[start + HEAD.size : start + _FOOTER], start)
+
+
+def section(data: memoryview) -> tuple[int, int] | None:
+    """Where the summary section starts and ends; None when there is none, FormatError when its CRC fails."""
+    footer = footer_of(data)
+    if footer is None or not footer.fields["summary_start"]:
+        return None
+    start, crc = footer.fields["summary_start"], footer.fields["summary_crc"]
+    if not len(MAGIC) <= start <= footer.start:
+        raise FormatError(f"it is said to start at byte {start}, outside the file")
+    fetch(data, start, len(data), alone=True)
+    found = crc32(data[start : footer.start + HEAD.size + 16])
+    if crc and found != crc:
+        raise FormatError(f"its CRC is {found:08x} where {crc:08x} is declared")
+    return start, footer.start
+
+
+def records_of(data: memoryview, start: int, end: int) -> Iterator[Record]:
+    """The summary section's records; FormatError where it is damaged."""
+    for opcode, at, size in walk(data, start, end):
+        if opcode in FIELDS:
+            yield parse(opcode, data[at : at + size], at - HEAD.size)
+
+
+def summary_of(data: memoryview) -> Summary | None:
+    """What the summary says; None when there is none, FormatError when it is damaged or lists chunks that are not."""
+    place = section(data)
+    summary = _summary(data, *place) if place else None
+    if summary is None or not (summary.records or summary.chunks):
+        return None
+    _fit(data, summary)
+    return summary
+
+
+def _summary(data: memoryview, start: int, end: int) -> Summary:
+    records, chunks, indexed = [], [], 0
+    for opcode, at, size in walk(data, start, end):
+        if opcode == CHUNK_INDEX:
+            chunk, after = _chunk(data, at, at + size)
+            chunks.append((chunk, chunk.start + chunk.length + after))
+            # By arithmetic on their declared length: 15 bytes each and 16 per message.
+            indexed += (after - 15 * len(chunk.indexes)) // 16
+        elif opcode in FIELDS:
+            records.append(parse(opcode, data[at : at + size], at - HEAD.size))
+    return Summary(start, records, sorted(chunks, key=lambda pair: pair[0].start), indexed)
+
+
+def _fit(data: memoryview, summary: Summary) -> None:
+    """FormatError when a chunk is not where the summary says, or two overlap."""
+    starts = [*(chunk.start for chunk, _ in summary.chunks[1:]), summary.start]
+    for (chunk, end), following in zip(summary.chunks, starts, strict=False):
+        if chunk.start < len(MAGIC) or end > following:
+            raise FormatError(f"a chunk of {chunk.length} bytes at byte {chunk.start} does not fit there")
+        if end == following:
+            continue
+        bring(data, chunk.start, chunk.start + HEAD.size)
+        if HEAD.unpack_from(data, chunk.start) != (CHUNK, chunk.length - HEAD.size):
+            raise FormatError(f"there is no chunk of {chunk.length} bytes at byte {chunk.start}")
+
+
+def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
+    """The chunk that the ChunkIndex between two bytes describes, and the length of its message indexes.
+
+    As `records.parse` would read it: a long log has so many that what each takes is what opening the log takes.
+    """
+    if (left := end - at - _INDEX_HEAD.size - _INDEX_TAIL.size) < 0:
+        raise FormatError(f"byte {at}: a chunk index of {end - at} bytes")
+    first, last, start, length, table = _INDEX_HEAD.unpack_from(data, at)
+    if table % _OFFSET.size or table > left:
+        raise FormatError(f"byte {at}: a chunk index whose table takes {table} bytes")
+    at += _INDEX_HEAD.size
+    after, letters = _INDEX_TAIL.unpack_from(data, at + table)
+    name = at + table + _INDEX_TAIL.size
+    if letters + _INDEX_SIZES > end - name:
+        raise FormatError(f"byte {at}: a chunk index with a name of {letters} bytes")
+    stored = str(data[name : name + letters], "utf-8", "replace") in STORED
+    return Chunk(start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored), after
+
+
+def believe_counts(summary: Summary, survey: Survey, ledger: Ledger) -> bool:
+    """Take counts and times from Statistics where they agree with the indexes and the channels; else change nothing."""
+    said = next((record.fields for record in summary.records if record.opcode == STATISTICS), None)
+    if said is None:
+        return False
+    counts = said["channel_message_counts"]
+    chunks = [part for part in survey.parts if isinstance(part, Chunk)]
+    if sum(counts.values()) != said["message_count"]:
+        ledger.warn(f"the statistics count {said['message_count']} messages, {sum(counts.values())} by channel")
+        return False
+    if len(summary.chunks) != len(chunks):
+        return False
+    if not survey.knows(counts.keys() | survey.counts.keys()):
+        return False
+    if any(chunk.indexes for chunk in chunks):
+        indexed = summary.indexed + sum(survey.counts.values())
+        if indexed != said["message_count"]:
+            ledger.warn(f"the statistics count {said['message_count']} messages, the indexes {indexed}")
+            survey.parts = [p._replace(indexes={}) if isinstance(p, Chunk) else p for p in survey.parts]
+            return False
+    survey.counts = dict(counts)
+    survey.times = [said["message_start_time"], said["message_end_time"]] if said["message_count"] else []
+    dated = [chunk for chunk in chunks if chunk.end_ns]
+    if dated:  # rosbag2 takes a message at time zero for none in its statistics, not in its chunks
+        survey.times += [min(chunk.start_ns for chunk in dated), max(chunk.end_ns for chunk in dated)]
+    return True
+

@@ -1,0 +1,219 @@
+"""A file of chunks under way: messages go in, chunks with their indexes come out, then one summary of everything."""
+
+import struct
+from collections import deque
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any, BinaryIO
+
+import numpy as np
+from isal.isal_zlib import crc32
+
+from . import encode as mcap
+from .encode import Messages
+from .records import (
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK_INDEX,
+    FOOTER,
+    HEAD,
+    MAGIC,
+    METADATA_INDEX,
+    SCHEMA,
+    STATISTICS,
+    SUMMARY_OFFSET,
+)
+
+CHUNK_BYTES = 1 << 20
+_LEVEL = 1
+_WORTH = 0.95
+_MOST = 0xFFFF
+_AHEAD = 2
+"""Chunks made while the one before is written."""
+
+
+@dataclass
+class Contents:
+    """What the summary will say: records by id or in file order, messages per channel, first and last log time."""
+
+    schemas: dict[int, bytes] = field(default_factory=dict)
+    channels: dict[int, bytes] = field(default_factory=dict)
+    chunks: list[bytes] = field(default_factory=list)
+    attachments: list[bytes] = field(default_factory=list)
+    metadata: list[bytes] = field(default_factory=list)
+    counts: dict[int, int] = field(default_factory=dict)
+    span: tuple[int, int] | None = None
+
+    def seen(self, start_ns: int, end_ns: int) -> None:
+        """Widen the span of log times."""
+        first, last = self.span or (start_ns, end_ns)
+        self.span = min(first, start_ns), max(last, end_ns)
+
+
+@dataclass(frozen=True, eq=False)
+class _Packed:
+    """A chunk ready to be written: log times, bytes unpacked, how and to what it was packed, its record's head and
+    length, messages and message index by channel."""
+
+    span: tuple[int, int]
+    size: int
+    compression: str
+    stored: bytes
+    head: bytes
+    length: int
+    indexes: dict[int, tuple[int, bytes]]
+
+
+class Writer:
+    """Appends records to a stream at `position`; crc is that of all bytes before, or None where it is not kept."""
+
+    def __init__(self, stream: BinaryIO, contents: Contents, position: int = 0, crc: int | None = None) -> None:
+        """Start at `position` of the stream, whose CRC so far is `crc`."""
+        self.contents = contents
+        self._stream, self._position, self._crc = stream, position, crc
+        self._schema_ids = {record[11:]: number for number, record in contents.schemas.items()}
+
+    def begin(self, profile: str, library: str) -> None:
+        """Magic and header of a new file."""
+        self.put(MAGIC + mcap.header(profile, library))
+
+    def put(self, *parts: bytes | memoryview) -> None:
+        """Bytes as they are."""
+        for part in parts:
+            self._stream.write(part)
+            self._position += len(part)
+            if self._crc is not None:
+                self._crc = crc32(part, self._crc)
+
+    def topic(
+        self, name: str, kind: str, encoding: str, definition: bytes, definition_encoding: str, about: Mapping[str, str]
+    ) -> int:
+        """Declare a topic; returns its channel id. Equal definitions share one schema."""
+        number = _free(self.contents.channels)
+        schema_id = self._schema(kind, definition_encoding, definition) if kind or definition else 0
+        self.contents.channels[number] = mcap.channel(number, schema_id, name, encoding, about)
+        self.contents.counts.setdefault(number, 0)
+        self.put(self.contents.channels[number])
+        return number
+
+    def write(self, table: Messages) -> None:
+        """Messages in the given order, as chunks of about 1 MiB each."""
+        edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
+        cuts = [0, *(np.flatnonzero(np.diff(edges)) + 1).tolist(), len(edges)]
+        parts = (_part(table, slice(first, last)) for first, last in pairwise(cuts) if last > first)
+        with ThreadPoolExecutor(2) as pool:
+            waiting: deque[Future[_Packed]] = deque()
+            for part in parts:
+                waiting.append(pool.submit(_packed, part))
+                if len(waiting) > _AHEAD:
+                    self._chunk(waiting.popleft().result())
+            while waiting:
+                self._chunk(waiting.popleft().result())
+
+    def about(self, name: str, pairs: Mapping[str, str]) -> None:
+        """A metadata record."""
+        self.keep_metadata(name, mcap.metadata(name, pairs))
+
+    def keep_metadata(self, name: str, record: bytes) -> None:
+        """A metadata record as it was in another file."""
+        self.contents.metadata.append(mcap.metadata_index(self._position, len(record), name))
+        self.put(record)
+
+    def keep_attachment(self, record: bytes, said: Mapping[str, Any]) -> None:
+        """An attachment as it was in another file; `said` are its fields."""
+        self.contents.attachments.append(mcap.attachment_index(self._position, len(record), said))
+        self.put(record)
+
+    def finish(self) -> None:
+        """DataEnd, the summary, its offsets, the footer."""
+        self.put(mcap.data_end(self._crc or 0))
+        self._stream.write(_summary(self.contents, self._position))
+
+    def _schema(self, kind: str, encoding: str, definition: bytes) -> int:
+        number = _free(self.contents.schemas)
+        record = mcap.schema(number, kind, encoding, definition)
+        known = self._schema_ids.setdefault(record[11:], number)
+        if known == number:
+            self.contents.schemas[number] = record
+            self.put(record)
+        return known
+
+    def _chunk(self, packed: _Packed) -> None:
+        place = self._position, packed.length
+        self.put(packed.head, packed.stored)
+        indexes_at, indexes = self._position, {}
+        for number, (count, index) in packed.indexes.items():
+            indexes[number] = self._position
+            self.put(index)
+            self.contents.counts[number] += count
+        sizes = len(packed.stored), packed.size
+        self.contents.chunks.append(
+            mcap.chunk_index(packed.span, place, indexes, self._position - indexes_at, packed.compression, sizes)
+        )
+        self.contents.seen(*packed.span)
+
+
+def _packed(table: Messages) -> _Packed:
+    import zstandard
+
+    raw, start = mcap.messages(table)
+    span = int(table.log_ns.min()), int(table.log_ns.max())
+    stored, compression = zstandard.ZstdCompressor(_LEVEL).compress(raw.data), "zstd"
+    if len(stored) >= _WORTH * raw.size:
+        stored, compression = raw.tobytes(), ""
+    head, length = mcap.chunk(*span, raw.size, crc32(raw.data), compression, stored)
+    indexes = {
+        number: (len(rows), mcap.message_index(number, table.log_ns[rows], start[rows]))
+        for number, rows in mcap.groups(table.channel)
+    }
+    return _Packed(span, raw.size, compression, stored, head, length, indexes)
+
+
+def _free(taken: Mapping[int, bytes]) -> int:
+    last = max(taken, default=0)
+    return last + 1 if last < _MOST else next(n for n in range(1, _MOST + 1) if n not in taken)
+
+
+def _part(table: Messages, rows: slice) -> Messages:
+    return Messages(
+        table.channel[rows],
+        table.sequence[rows],
+        table.log_ns[rows],
+        table.publish_ns[rows],
+        table.data,
+        table.offset[rows],
+        table.length[rows],
+    )
+
+
+def _summary(contents: Contents, start: int) -> bytes:
+    groups = [
+        (SCHEMA, [contents.schemas[number] for number in sorted(contents.schemas)]),
+        (CHANNEL, [contents.channels[number] for number in sorted(contents.channels)]),
+        (STATISTICS, [_statistics(contents)]),
+        (CHUNK_INDEX, contents.chunks),
+        (ATTACHMENT_INDEX, contents.attachments),
+        (METADATA_INDEX, contents.metadata),
+    ]
+    body, offsets = b"", b""
+    for opcode, records in groups:
+        group = b"".join(records)
+        if group:
+            place = struct.pack("<BQQ", opcode, start + len(body), len(group))
+            offsets += mcap.record(SUMMARY_OFFSET, place)
+            body += group
+    foot = body + offsets + HEAD.pack(FOOTER, 20) + struct.pack("<QQ", start, start + len(body))
+    return foot + struct.pack("<I", crc32(foot)) + MAGIC
+
+
+def _statistics(contents: Contents) -> bytes:
+    numbers = (
+        len(contents.schemas),
+        len(contents.channels),
+        len(contents.attachments),
+        len(contents.metadata),
+        len(contents.chunks),
+    )
+    return mcap.statistics(contents.counts, numbers, contents.span or (0, 0))

@@ -1,0 +1,191 @@
+"""Chunks of a ROS 1 bag: unpacked, and their messages found by index or by walking."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array
+from ..diagnostics import Ledger
+from ..storage.compression import Buffer
+from .records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, record_at, sound_records
+from .truncated import cut_at, unpacked
+
+_VARY = ((b"conn=", 4), (b"time=", 8))
+
+
+class Index(NamedTuple):
+    """Where one connection's messages in a chunk are listed: byte of the list, number of entries."""
+
+    at: int
+    entries: int
+
+
+@dataclass(frozen=True)
+class BagChunk:
+    """One chunk: byte of its record, and {connection: messages in it}, empty when unknown.
+
+    `cut`: the file ends in it, and it is read as far as it unpacks.
+    """
+
+    start: int
+    counts: dict[int, int]
+    cut: bool = False
+
+
+class BagRun(NamedTuple):
+    """A run of message records outside chunks."""
+
+    start: int
+    end: int
+
+
+class Messages(NamedTuple):
+    """Messages inside a chunk, in its order: connection, log time (ns), and where each payload is; all (n,)."""
+
+    connection: Array
+    log_ns: Array
+    offset: Array
+    length: Array
+    starts: Array
+
+
+def load(data: memoryview, chunk: BagChunk, buffer: Buffer, ledger: Ledger) -> tuple[Array, dict[int, Index]] | None:
+    """The chunk's records (bytes,) uint8 and the lists of messages behind it; None and a loss when it is damaged."""
+    if chunk.cut:
+        found = cut_at(data, chunk.start)
+        return (np.frombuffer(unpacked(found), np.uint8), {}) if found else None
+    size = None
+    try:
+        record = record_at(data, chunk.start, len(data))
+        size = record.end - chunk.start
+        if record.op != CHUNK:
+            raise FormatError(f"byte {chunk.start}: op {record.op} where a chunk was announced")
+        compression = str(record.fields.get(b"compression", b""), "ascii", "replace")
+        packed = data[record.body : record.end]
+        return buffer.load(compression, packed, record.number(b"size")), indexes_at(data, record.end)
+    except FormatError as problem:
+        ledger.lost(chunk.start, size, sum(chunk.counts.values()) or None, None, str(problem))
+        return None
+
+
+def indexes_at(data: memoryview, at: int) -> dict[int, Index]:
+    """{connection: its list of messages} from the index records at byte `at`."""
+    indexes: dict[int, Index] = {}
+    while at < len(data):
+        try:
+            record = record_at(data, at, len(data))
+            if record.op != INDEX or record.number(b"count") * 12 > record.size:
+                return indexes
+            indexes[record.number(b"conn")] = Index(record.body, record.number(b"count"))
+        except FormatError:
+            return indexes
+        at = record.end
+    return indexes
+
+
+def messages(
+    content: Array, data: memoryview, place: int, indexes: dict[int, Index], ledger: Ledger
+) -> Messages:
+    """All messages of a loaded chunk in its own order: by its indexes where they are right, else by walking."""
+    found = _indexed(content, data, indexes) if indexes else None
+    if found is None:
+        if indexes:
+            ledger.warn(f"the index of the chunk at byte {place} is wrong; its records were walked")
+        return walked(content.data, 0, len(content), place, ledger)
+    return found
+
+
+def _slide(content: Array, width: int) -> Array:
+    """A view (n, width) whose row i are the bytes from byte i."""
+    rows = max(0, len(content) - width + 1)
+    return np.ndarray((rows, width), np.uint8, content, 0, (1, 1))
+
+
+def _u32(content: Array, at: Array) -> Array:
+    return _slide(content, 4)[at].view("<u4")[:, 0].astype(np.int64)
+
+
+def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> Messages | None:
+    lists = [np.frombuffer(data, "<u4", 3 * count, at)[2::3].astype(np.int64) for at, count in indexes.values()]
+    starts = np.concatenate(lists)
+    listed = np.repeat(np.array(list(indexes), np.int64), [len(part) for part in lists])
+    if not len(starts) or starts.max() > len(content) - 8:
+        return None
+    order = np.argsort(starts, kind="stable")
+    starts, listed = starts[order], listed[order]
+    header = _u32(content, starts)
+    offset = starts + 8 + header
+    if offset.max() > len(content):
+        return None
+    length = _u32(content, offset - 4)
+    if not _tiled(content, starts, offset + length):
+        return None
+    connection, log_ns = np.empty_like(starts), np.empty_like(starts)
+    for size in np.unique(header).tolist():
+        rows = np.flatnonzero(header == size)
+        said = _alike(content, starts[rows] + 4, size)
+        if said is None:
+            return None
+        connection[rows], log_ns[rows] = said
+    return Messages(connection, log_ns, offset, length, starts) if (connection == listed).all() else None
+
+
+def _alike(content: Array, at: Array, size: int) -> tuple[Array, Array] | None:
+    """Connection and time of message headers that differ in nothing else; None when they do."""
+    headers = _slide(content, size)[at]
+    first = memoryview(headers[0].data)
+    try:
+        record = BagRecord(MESSAGE, fields_of(first, 0, size), 0, 0, 0)
+        record.number(b"conn"), record.number(b"time", 8)
+    except FormatError:
+        return None
+    if bytes(record.fields.get(b"op", b"")) != bytes([MESSAGE]):
+        return None
+    text = bytes(first)
+    conn, time = (text.index(bytes([len(name) + width, 0, 0, 0]) + name) + 4 + len(name) for name, width in _VARY)
+    same = np.ones(size, bool)
+    same[conn : conn + 4] = same[time : time + 8] = False
+    if (headers[:, same] != headers[0, same]).any():
+        return None
+    seconds = np.ascontiguousarray(headers[:, time : time + 8]).view("<u4").astype(np.int64)
+    connection = np.ascontiguousarray(headers[:, conn : conn + 4]).view("<u4")[:, 0].astype(np.int64)
+    return connection, seconds[:, 0] * 10**9 + seconds[:, 1]
+
+
+def _tiled(content: Array, starts: Array, ends: Array) -> bool:
+    """Whether nothing but other whole records lies between the messages: none is missing from the index."""
+    lows, highs = np.concatenate(([0], ends)), np.concatenate((starts, [len(content)]))
+    if (lows > highs).any():
+        return False
+    view = content.data
+    try:
+        for i in np.flatnonzero(lows < highs):
+            at, end = int(lows[i]), int(highs[i])
+            while at < end:
+                record = record_at(view, at, end)
+                if record.op == MESSAGE:
+                    return False
+                at = record.end
+    except FormatError:
+        return False
+    return True
+
+
+def walked(data: memoryview, start: int, end: int, place: int, ledger: Ledger) -> Messages:
+    """The messages between two bytes of `data`, one record after another; losses are said to be at byte `place`."""
+
+    def lost(at: int, size: int) -> None:
+        ledger.lost(place, size, None, None, f"records inside the chunk are damaged from its byte {at}")
+
+    rows = []
+    for record in sound_records(data, start, end, lost):
+        if record.op == MESSAGE:
+            try:
+                row = (record.number(b"conn"), record.time_ns(b"time"), record.body, record.size, record.start)
+            except FormatError:
+                lost(record.start, record.end - record.start)
+                continue
+            rows.append(row)
+    return Messages(*np.array(rows, np.int64).reshape(-1, 5).T)

@@ -1,0 +1,112 @@
+"""ROS 1 bags (format 2.0) -> undecoded batches; nothing is read that the topics asked for do not need."""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ...settings import LIMITS, Input
+from ...types import Array, Batch, Finding, Topic
+from ..diagnostics import Ledger
+from ..storage.compression import Buffer
+from ..storage.mmapped import forget, mapped, uncut
+from ..topics import Topics, span, split
+from .chunks import BagChunk, BagRun, Messages, load, messages, walked
+from .records import BagRecord, fields_of
+
+
+@dataclass
+class BagSurvey:
+    """What a bag holds: connections by id, counts by id, parts in file order, log times (ns)."""
+
+    connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
+    counts: dict[int, int] = field(default_factory=dict)
+    parts: list[BagChunk | BagRun] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)
+
+    def declare(self, record: BagRecord, data: memoryview) -> None:
+        """Take in a connection; the first one of an id stands."""
+        said = {**fields_of(data, record.body, record.end), **record.fields}
+        self.connections.setdefault(record.number(b"conn"), {name: bytes(value) for name, value in said.items()})
+
+    def count(self, connections: Array, log_ns: Array) -> None:
+        """Take in messages by their connections (n,) and log times (n,) ns."""
+        if len(connections):
+            for connection, number in zip(*np.unique(connections, return_counts=True), strict=True):
+                self.counts[int(connection)] = self.counts.get(int(connection), 0) + int(number)
+            self.times += [int(log_ns.min()), int(log_ns.max())]
+
+
+class BagLog:
+    """One ROS 1 bag, memory-mapped; see containers.Log."""
+
+    format = "bag"
+
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
+        """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
+        from .scan import survey_of
+
+        self.path = path
+        self._ledger = Ledger(path, strict, limits)
+        self._data = mapped(source or path)
+        self._survey = survey_of(self._data, self._ledger)
+        self.topics, self._topic_of = _topics(self._survey)
+        self.start_ns, self.end_ns = span(self._survey.times, self._ledger)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong so far; reading on may add to it."""
+        return self._ledger.findings
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or run."""
+        wanted = {c: t for c, t in self._topic_of.items() if ids is None or t in ids}
+        buffer = Buffer(self.path, self._ledger.limits)
+        for part in self._survey.parts:
+            if isinstance(part, BagRun):
+                whole = np.frombuffer(self._data, np.uint8)
+                yield from _split(whole, walked(self._data, part.start, part.end, part.start, self._ledger), wanted)
+            elif not part.counts or wanted.keys() & part.counts.keys():
+                loaded = load(self._data, part, buffer, self._ledger)
+                if loaded is not None:
+                    content, indexes = loaded
+                    yield from _split(content, messages(content, self._data, part.start, indexes, self._ledger), wanted)
+                    forget(self._data, part.start, part.start + len(content))
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """None: a bag's indexes say so of chunks, not of topics."""
+        return {}
+
+    def close(self) -> None:
+        """Let go of the file; batches still held keep their bytes."""
+        self._data = memoryview(b"")
+
+    def __enter__(self) -> "BagLog":
+        """The log itself."""
+        return self
+
+    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
+        """Close; LogError when the file was cut meanwhile."""
+        data = self._data
+        self.close()
+        uncut(data, self.path, problem)
+
+
+def _topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:
+    topics, topic_of = Topics(), {}
+    for connection, said in survey.connections.items():
+        text = {name.decode(errors="replace"): value.decode(errors="replace") for name, value in said.items()}
+        kept = {name: value for name, value in text.items() if name in ("md5sum", "callerid", "latching")}
+        definition = said.get(b"message_definition", b"")
+        name, kind, count = text.get("topic", ""), text.get("type", ""), survey.counts.get(connection, 0)
+        topic_of[connection] = topics.add(name, kind, "ros1", definition, "ros1msg", count, kept)
+    return topics.all(), topic_of
+
+
+def _split(content: Array, found: Messages, wanted: dict[int, int]) -> Iterator[Batch]:
+    known, where = np.unique(found.connection, return_inverse=True)
+    topic = np.array([wanted.get(int(one), -1) for one in known], np.int64)[where]
+    return split(topic, found.log_ns, content, found.offset, found.length)

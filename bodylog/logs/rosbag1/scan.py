@@ -1,0 +1,133 @@
+"""Survey a ROS 1 bag whatever state it is in: by its index section, or record by record past any damage."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FormatError
+from ..diagnostics import Ledger
+from ..storage.compression import STORED, Buffer
+from .chunks import BagChunk, BagRun, load, messages, walked
+from .reader import BagSurvey
+from .records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord, record_at, sound_records
+from .truncated import cut_at, unpacked
+
+
+def survey_of(data: memoryview, ledger: Ledger) -> BagSurvey:
+    """What the bag holds; damage and doubts go to the ledger."""
+    survey = None
+    try:
+        survey = _indexed(data, ledger)
+    except FormatError as problem:
+        ledger.warn(f"the bag's index is not used: {problem}")
+    if survey is None:
+        survey = BagSurvey()
+        _scan(data, survey, ledger)
+    for connection in survey.counts.keys() - survey.connections.keys():
+        why = f"no record says what connection {connection} is"
+        ledger.lost(-connection - 1, 0, survey.counts[connection], None, why)
+    return survey
+
+
+def _indexed(data: memoryview, ledger: Ledger) -> BagSurvey | None:
+    header = record_at(data, len(MAGIC), len(data))
+    at = header.number(b"index_pos", 8)
+    if header.op != BAG_HEADER or at == 0:
+        ledger.warn("the bag was never closed: it has no index; its records were walked")
+        return None
+    if not header.end <= at <= len(data):
+        raise FormatError(f"it is said to start at byte {at} of {len(data)}")
+    survey = BagSurvey()
+    while at < len(data):
+        record = record_at(data, at, len(data))
+        if record.op == CONNECTION:
+            survey.declare(record, data)
+        elif record.op == CHUNK_INFO:
+            _announce(data, record, survey)
+        at = record.end
+    said = header.number(b"conn_count"), header.number(b"chunk_count")
+    if said != (len(survey.connections), len(survey.parts)):
+        raise FormatError(
+            f"{said[0]} connections and {said[1]} chunks are declared, "
+            f"{len(survey.connections)} and {len(survey.parts)} listed"
+        )
+    survey.parts.sort(key=lambda part: part.start)
+    return survey
+
+
+def _announce(data: memoryview, record: BagRecord, survey: BagSurvey) -> None:
+    count = record.number(b"count")
+    if record.size < 8 * count:
+        raise FormatError(f"byte {record.start}: {record.size} bytes for {count} connections")
+    pairs = np.frombuffer(data, "<u4", 2 * count, record.body).reshape(-1, 2).tolist()
+    survey.parts.append(BagChunk(record.number(b"chunk_pos", 8), dict(pairs)))
+    for connection, number in pairs:
+        survey.counts[connection] = survey.counts.get(connection, 0) + number
+    if count:
+        survey.times += [record.time_ns(b"start_time"), record.time_ns(b"end_time")]
+
+
+def _scan(data: memoryview, survey: BagSurvey, ledger: Ledger) -> None:
+    """Survey by walking all records; chunks are opened for the connections and messages inside."""
+
+    def lost(at: int, size: int) -> None:
+        ledger.lost(at, size, None, None, "no whole record can be read there")
+
+    def cut(at: int) -> int | None:
+        return _cut(data, at, survey, ledger)
+
+    buffer = Buffer(ledger.path, ledger.limits)
+    for record in sound_records(data, len(MAGIC), len(data), lost, cut):
+        try:
+            if record.op == CONNECTION:
+                survey.declare(record, data)
+            elif record.op == CHUNK:
+                _open(data, BagChunk(record.start, {}), survey, buffer, ledger)
+            elif record.op == MESSAGE:
+                _loose(record, survey)
+        except FormatError:
+            lost(record.start, record.end - record.start)
+
+
+def _cut(data: memoryview, at: int, survey: BagSurvey, ledger: Ledger) -> int | None:
+    """The byte after what is left of a chunk at byte `at` in which the file ends, taken in, or of its head, if stored.
+
+    None where no such chunk is there, or no message unpacks.
+    """
+    found = cut_at(data, at)
+    if found is None:
+        return None
+    why = f"the file ends in this chunk, after {len(data) - at} bytes, which are read as far as they "
+    if found.compression in STORED:
+        ledger.lost(at, found.lacks, None, None, why + "go")
+        return len(data) - len(found.packed)
+    content = unpacked(found)
+    if not len(walked(memoryview(content), 0, len(content), at, Ledger(Path())).starts):
+        return None
+    ledger.lost(at, None, None, None, why + "unpack")
+    _open(data, BagChunk(at, {}, cut=True), survey, Buffer(ledger.path, ledger.limits), ledger)
+    return len(data)
+
+
+def _open(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, ledger: Ledger) -> None:
+    loaded = load(data, chunk, buffer, ledger)
+    if loaded is None:
+        return
+    content, indexes = loaded
+    for inner in sound_records(content.data, 0, len(content), lambda _at, _size: None):
+        if inner.op == CONNECTION:
+            survey.declare(inner, content.data)
+    found = messages(content, data, chunk.start, indexes, ledger)
+    survey.count(found.connection, found.log_ns)
+    survey.parts.append(replace(chunk, counts=dict.fromkeys(np.unique(found.connection).tolist(), 0)))
+
+
+def _loose(record: BagRecord, survey: BagSurvey) -> None:
+    connection, log_ns = record.number(b"conn"), record.time_ns(b"time")
+    survey.count(np.array([connection]), np.array([log_ns]))
+    last = survey.parts[-1] if survey.parts else None
+    if isinstance(last, BagRun) and last.end == record.start:
+        survey.parts[-1] = BagRun(last.start, record.end)
+    else:
+        survey.parts.append(BagRun(record.start, record.end))

@@ -1,0 +1,118 @@
+"""The chunk in which a ROS 1 bag ends: cut off by a full disk or a killed copy, or never closed by its recorder."""
+
+import bz2
+import struct
+from contextlib import suppress
+from dataclasses import dataclass
+
+from ...errors import FormatError
+from ..storage.compression import STORED
+from .records import CHUNK, record_at
+
+_U32 = struct.Struct("<I")
+_LZ4 = b"\x04\x22\x4d\x18"
+_LONGEST_HEAD = 1 << 16
+_ALWAYS, _RATIO = 64 << 20, 255
+
+
+@dataclass(frozen=True)
+class Cut:
+    """What is left of a chunk: compression, packed bytes, how many bytes they hold at most, how many of them lack."""
+
+    compression: str
+    packed: memoryview
+    most: int
+    lacks: int | None = None
+
+
+def cut_at(data: memoryview, at: int) -> Cut | None:
+    """The chunk at byte `at` in which the file ends; None when it is whole, or something else.
+
+    A recorder says how long a chunk is when it is done with it; before, it says 0, and what is stored then follows it.
+    """
+    head = min(len(data) - at, _LONGEST_HEAD)
+    with suppress(FormatError, struct.error):
+        size = _U32.unpack_from(data, at)[0]
+        start = at + 8 + size
+        if size > head - 8:
+            return None
+        said = _U32.unpack_from(data, start - 4)[0]
+        record = record_at(memoryview(bytes(data[at : start - 4]) + bytes(4)), 0, start - at)
+        compression = str(record.fields.get(b"compression", b""), "ascii", "replace")
+        stored = compression in STORED
+        if record.op != CHUNK or ((said or stored) and said <= len(data) - start):
+            return None
+        whole, packed = record.number(b"size"), data[start:]
+        lacks = said - len(packed) if stored and said == whole else None
+        return Cut(compression, packed, min(whole or _ALWAYS, max(_ALWAYS, _RATIO * len(packed))), lacks)
+    return None
+
+
+def unpacked(cut: Cut) -> bytes:
+    """The records before the cut, as far as they unpack: bz2 block by block, lz4 byte by byte."""
+    if cut.compression == "bz2":
+        return _bz2(cut.packed, cut.most)
+    return bytes(_lz4(cut.packed, cut.most)) if cut.compression == "lz4" else b""
+
+
+def _bz2(packed: memoryview, most: int) -> bytes:
+    with suppress(OSError, EOFError):
+        return bz2.BZ2Decompressor().decompress(packed, max_length=most)
+    return b""
+
+
+def _lz4(packed: memoryview, most: int) -> bytearray:
+    """LZ4 frame: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md; the library gives whole blocks alone."""
+    found = bytearray()
+    if packed[:4] != _LZ4 or len(packed) < 7:
+        return found
+    flags = packed[4]
+    at, after = 7 + (8 if flags & 8 else 0) + (4 if flags & 1 else 0), 4 if flags & 16 else 0
+    while at + 4 <= len(packed) and len(found) < most:
+        said = _U32.unpack_from(packed, at)[0]
+        size = said & 0x7FFFFFFF
+        if not size:
+            break
+        block = packed[at + 4 : at + 4 + size]
+        if said >> 31:
+            found += block
+        elif not _sequences(block, found, most):
+            break
+        at += 4 + size + after
+    del found[most:]
+    return found
+
+
+def _sequences(block: memoryview, found: bytearray, most: int) -> bool:
+    """Add what a block of literals and matches says to what was found before; whether it was sound to its end."""
+    at = 0
+    with suppress(IndexError):
+        while len(found) < most:
+            token = block[at]
+            literals, at = _length(block, at + 1, token >> 4)
+            found += block[at : at + literals]
+            at += literals
+            if at >= len(block):
+                return at == len(block)
+            offset = block[at] | block[at + 1] << 8
+            length, at = _length(block, at + 2, token & 15)
+            if not 0 < offset <= len(found):
+                return False
+            _repeat(found, offset, length + 4)
+    return False
+
+
+def _length(block: memoryview, at: int, nibble: int) -> tuple[int, int]:
+    """A length, of which 15 says that bytes follow, and the byte after it."""
+    length = nibble
+    while nibble == 15:
+        length += block[at]
+        at += 1
+        if block[at - 1] != 255:
+            break
+    return length, at
+
+
+def _repeat(found: bytearray, offset: int, length: int) -> None:
+    start = len(found) - offset
+    found += (found[start : start + length] * -(-length // offset))[:length]

@@ -1,0 +1,167 @@
+"""rosbag2 folders -> one log: files in the order of metadata.yaml where it tells the truth, topics merged."""
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError, LogError
+from ...io import atomic_files
+from ...settings import LIMITS, Input
+from ...types import Batch, Finding, Topic
+from ..diagnostics import Ledger
+from ..mcap.time_ranges import widen
+from ..topics import Topics
+
+SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")
+METADATA = "metadata.yaml"
+
+_LONGEST = 1 << 20
+"""Bytes: a topic takes some 2 kB, most of it its QoS, and pure Python reads a megabyte in some seconds."""
+
+
+class Rosbag2Log:
+    """One rosbag2 folder; see containers.Log. Its files are opened one at a time."""
+
+    format = "rosbag2"
+
+    def __init__(self, path: Path, strict: bool = False, limits: Input = LIMITS) -> None:
+        """Survey every file; LogError when none can be read, or when strict and one cannot."""
+        self.path = path
+        self._strict = strict
+        self._ledger = Ledger(path, strict, limits)
+        self._members: list[tuple[Path, dict[int, int]]] = []
+        self._findings: dict[Finding, None] = {}
+        self._spans: dict[int, tuple[int, int]] = {}
+        self._unsaid: set[int] = set()
+        topics, times = Topics(), []
+        for member in members(path, self._ledger):
+            times += self._survey(member, topics)
+        if not self._members:
+            raise LogError(f"{path}: none of its files can be read: {self._ledger.findings[-1].text}")
+        self.topics: tuple[Topic, ...] = topics.all()
+        self.start_ns, self.end_ns = min(times, default=0), max(times, default=0)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong so far; reading on may add to it."""
+        return (*self._ledger.findings, *self._findings)
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all), file after file, one batch per topic and chunk or block."""
+        from ..formats import open_log
+
+        for member, topic_of in self._members:
+            inner = [own for own, topic in topic_of.items() if ids is None or topic in ids]
+            if inner:
+                with open_log(member, self._strict, self._ledger.limits) as log:
+                    for batch in log.batches(inner):
+                        yield replace(batch, topic_id=topic_of[batch.topic_id])
+                    self._findings.update(dict.fromkeys(log.findings))
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """First and last log time (ns) by topic id, where every file that holds the topic says so."""
+        return {topic: span for topic, span in self._spans.items() if topic not in self._unsaid}
+
+    def close(self) -> None:
+        """Nothing stays open between batches."""
+
+    def __enter__(self) -> "Rosbag2Log":
+        """The log itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+    def _survey(self, member: Path, topics: Topics) -> list[int]:
+        """Take in one file's topics; its first and last log time (ns), if it has messages."""
+        from ..formats import open_log
+
+        try:
+            log = open_log(member, self._strict, self._ledger.limits)
+        except InputError as problem:
+            self._ledger.lost(len(self._members), member.stat().st_size, None, None, str(problem))
+            return []
+        with log:
+            topic_of, spans = {}, log.spans()
+            for topic in log.topics:
+                said = (topic.name, topic.type, topic.encoding, topic.definition, topic.definition_encoding)
+                topic_of[topic.id] = topics.add(*said, topic.messages, topic.metadata)
+                if topic.id in spans:
+                    widen(self._spans, topic_of[topic.id], spans[topic.id])
+                elif topic.messages:
+                    self._unsaid.add(topic_of[topic.id])
+            self._members.append((member, topic_of))
+            self._findings.update(dict.fromkeys(log.findings))
+            return [log.start_ns, log.end_ns] if any(topic.messages for topic in log.topics) else []
+
+
+def members(path: Path, ledger: Ledger) -> list[Path]:
+    """The log files of a folder, in order; LogError when there are none."""
+    found = sorted((p for p in path.iterdir() if p.is_file() and p.name.endswith(SUFFIXES)), key=_natural)
+    plain = {p.name for p in found}
+    found = [p for p in found if not (p.suffix in (".zstd", ".zst") and p.stem in plain)]
+    if not found:
+        names = ", ".join(sorted(p.name for p in path.iterdir())[:5]) or "nothing"
+        raise LogError(f"{path}: a folder without .db3 or .mcap files (it holds {names}); name a log or rosbag2 folder")
+    named = _named(metadata_of(path, ledger).get("relative_file_paths"), ledger)
+    listed = [p for name in named for p in found if p.name in (name, f"{name}.zstd", f"{name}.zst") or p.stem == name]
+    missing = len(named) - len(listed)
+    if not named or not listed:
+        return found
+    others = [p for p in found if p not in listed]
+    if missing > 0:
+        ledger.warn(f"{METADATA} names {missing} files that are not here; the log files that are here are read")
+        return sorted({*listed, *others}, key=_natural)
+    if others:
+        ledger.info(f"{METADATA} does not name {', '.join(p.name for p in others[:5])}; left out")
+    return list(dict.fromkeys(listed))
+
+
+def _named(listed: Any, ledger: Ledger) -> list[str]:
+    """The names of files that metadata.yaml lists; what is no list of texts names none, with a remark."""
+    if listed is None or (isinstance(listed, list) and all(isinstance(name, str) for name in listed)):
+        return [Path(name).name for name in listed or ()]
+    ledger.warn(f"{METADATA}: relative_file_paths is {str(listed)[:60]!r}; a list of names is possible; it is not used")
+    return []
+
+
+def metadata_of(path: Path, ledger: Ledger) -> dict[str, Any]:
+    """What metadata.yaml says about the bag; empty, with a remark, when it is missing or unreadable."""
+    file = path / METADATA
+    if not file.is_file():
+        ledger.warn(f"there is no {METADATA}; all logs in the folder are read as one")
+        return {}
+    try:
+        said = _yaml(atomic_files.text(file, _LONGEST))["rosbag2_bagfile_information"]
+        if isinstance(said, dict):
+            return said
+        raise ValueError("no table rosbag2_bagfile_information")
+    except Exception as problem:  # whatever is wrong with this file (also RecursionError), the log is read without it
+        ledger.warn(f"{METADATA} is not readable ({type(problem).__name__}); the files' own contents are used")
+        return {}
+
+
+@lru_cache(maxsize=4)
+def _yaml(text: str) -> Any:
+    """What a YAML text says; ValueError where it refers to a part of itself again: a few lines can grow without end."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.composer import Composer
+    from ruamel.yaml.events import AliasEvent
+
+    class Plain(Composer):
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            if self.parser.check_event(AliasEvent):
+                raise ValueError("an alias, which rosbag2 does not write")
+            return super().compose_node(parent, index)
+
+    yaml = YAML(typ="safe", pure=True)
+    yaml.Composer = Plain
+    return yaml.load(text)
+
+
+def _natural(path: Path) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", path.name)]

@@ -1,0 +1,185 @@
+"""Rows of rosbag2's messages out of SQLite's pages, many at a time; SQLite itself hands them out one by one.
+
+The format is that of https://www.sqlite.org/fileformat2.html. What is not as rosbag2 writes it is left to SQLite.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array
+from ..decode.gather import gather
+from ..storage.mmapped import fetch, forget
+
+_INTERIOR, _LEAF = 5, 13
+_HEAD = {_INTERIOR: 12, _LEAF: 8}
+_FIRST_HEAD = 100
+_DEEPEST = 20
+_TOGETHER = 256
+_VARINT, _EIGHT, _WINDOW = 8, 8, 24
+_SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 0, 0, 0], np.int64)
+"""Bytes of an integer by its serial type; 7 is a float, which is none."""
+
+_FLOAT, _ZERO, _ONE, _BLOB = 7, 8, 9, 12
+_OVERFLOW = 35
+
+
+class Rows(NamedTuple):
+    """Rows in order: rowid, topic id in the file, log time (ns), and where in the file each payload is; all (n,)."""
+
+    rowid: Array
+    topic: Array
+    log_ns: Array
+    offset: Array
+    length: Array
+
+
+class Pages:
+    """The pages of a database that nothing is written to, mapped."""
+
+    def __init__(self, data: memoryview, root: int) -> None:
+        """The table whose b-tree begins at page `root`; FormatError when the file cannot be read so."""
+        self._view, self.data = data, np.frombuffer(data, np.uint8)
+        size = int.from_bytes(data[16:18], "big")
+        self._size = 1 << 16 if size == 1 else size
+        self._usable = self._size - data[20]
+        self._count = len(data) // max(1, self._size)
+        if self._size < 512 or self._size & (self._size - 1) or self._usable < 480:
+            raise FormatError(f"pages of {self._size} bytes")
+        self._root = root
+
+    def rows(self) -> Iterator[Rows]:
+        """All rows in order, those of some pages at a time; FormatError at the first page that SQLite is to read."""
+        leaves = self._leaves()
+        last = -(1 << 63)
+        for at in range(0, len(leaves), _TOGETHER):
+            found = self._read(leaves[at : at + _TOGETHER])
+            if len(found.rowid):
+                if found.rowid[0] <= last or (found.rowid[1:] <= found.rowid[:-1]).any():
+                    raise FormatError("rows that go back")
+                last = int(found.rowid[-1])
+                yield found
+
+    def _leaves(self) -> Array:
+        """The numbers of the leaf pages in order."""
+        level, seen = np.array([self._root], np.int64), 0
+        for _ in range(_DEEPEST):
+            seen += len(level)
+            if (level < 2).any() or (level > self._count).any() or seen > self._count:
+                raise FormatError("a page that is not there")
+            kinds = self.data[(level - 1) * self._size]
+            if (kinds == _LEAF).all():
+                return level
+            if (kinds != _INTERIOR).any():
+                raise FormatError("leaves of several depths, or another kind of tree")
+            level = np.concatenate([self._children(page) for page in level.tolist()])
+        raise FormatError("too deep a tree")
+
+    def _children(self, page: int) -> Array:
+        base = (page - 1) * self._size
+        cells, _ = self._cells(np.array([base]), _INTERIOR)
+        return np.append(self._number(cells, 4), self._number(np.array([base + 8]), 4))
+
+    def _cells(self, base: Array, kind: int) -> tuple[Array, Array]:
+        """Where the cells of pages that begin at `base` (p,) are, and where each one's page ends."""
+        counts = self._number(base + 3, 2)
+        bases = np.repeat(base, counts)
+        number = np.arange(len(bases)) - np.repeat(np.cumsum(counts) - counts, counts)
+        if (_HEAD[kind] + 2 * counts > self._usable).any():
+            raise FormatError("more cells than a page has room for")
+        pointer = self._number(bases + _HEAD[kind] + 2 * number, 2)
+        if (pointer < _HEAD[kind] + 2 * np.repeat(counts, counts)).any() or (pointer > self._usable - 4).any():
+            raise FormatError("a cell outside its page")
+        return bases + pointer, bases + self._usable
+
+    def _read(self, leaves: Array) -> Rows:
+        base = (leaves - 1) * self._size
+        low, high = int(base.min()), int(base.max()) + self._size
+        if high - low <= 4 * self._size * len(leaves):
+            fetch(self._view, low, high)
+        at, end = self._cells(base, _LEAF)
+        (size, rowid, *header), places = self._varints(at, end, 7)
+        at = places[1]
+        if (size > self._usable - _OVERFLOW).any() or (at + size > end).any():
+            raise FormatError("payloads that go on elsewhere")
+        body, (topic, timestamp, blob) = places[-1], _checked(header, places[-1] - at)
+        sizes = _SIZES[topic], _SIZES[timestamp]
+        length = (blob - _BLOB) // 2
+        offset = body + sizes[0] + sizes[1]
+        if (offset + length != at + size).any():
+            raise FormatError("a record of another length than its values")
+        found = Rows(rowid, self._integers(body, topic), self._integers(body + sizes[0], timestamp), offset, length)
+        forget(self._view, low, high)
+        return found
+
+    def _varints(self, at: Array, end: Array, count: int) -> tuple[list[Array], list[Array]]:
+        """So many numbers (n,) that follow one another, and where each ends (n,)."""
+        window = gather(self.data, at, _WINDOW)
+        if not len(window):
+            return [at] * count, [at] * count
+        stops = np.flatnonzero(window[0] < 0x80)[:count] + 1
+        if len(stops) < count or ((window[:, : stops[-1]] ^ window[0, : stops[-1]]) & 0x80).any():
+            return self._one_by_one(at, end, count)
+        if (at + stops[-1] > end).any() or max(np.diff(stops, prepend=0)) > _VARINT:
+            raise FormatError("a number that goes past its page, or of nine bytes")
+        values = []
+        for start, stop in zip([0, *stops[:-1].tolist()], stops.tolist(), strict=True):
+            value: Array = np.zeros(len(at), np.int64)
+            for k in range(start, stop):
+                value = (value << 7) | (window[:, k] & 0x7F)
+            values.append(value)
+        return values, [at + stop for stop in stops.tolist()]
+
+    def _one_by_one(self, at: Array, end: Array, count: int) -> tuple[list[Array], list[Array]]:
+        values, places = [], []
+        for _ in range(count):
+            value, at = self._varint(at, end)
+            values.append(value)
+            places.append(at)
+        return values, places
+
+    def _varint(self, at: Array, end: Array) -> tuple[Array, Array]:
+        """Numbers (n,) of up to eight bytes, and where they end."""
+        value, more = np.zeros(len(at), np.int64), np.ones(len(at), bool)
+        for _ in range(_VARINT):
+            if (at >= end).any():
+                raise FormatError("a number that goes past its page")
+            byte = self.data[at]
+            value = np.where(more, (value << 7) | (byte & 0x7F), value)
+            at = at + more
+            more = more & (byte > 0x7F)
+            if not more.any():
+                return value, at
+            end = np.where(more, end, np.maximum(end, at + 1))
+        raise FormatError("a number of nine bytes")
+
+    def _number(self, at: Array, size: int) -> Array:
+        """Unsigned big-endian numbers (n,) of so many bytes."""
+        value: Array = np.zeros(len(at), np.int64)
+        for k in range(size):
+            value = (value << 8) | self.data[at + k]
+        return value
+
+    def _integers(self, at: Array, kind: Array) -> Array:
+        """Integers (n,) of these serial types."""
+        value: Array = (kind == _ONE).astype(np.int64)
+        for one in np.flatnonzero(np.bincount(kind, minlength=_ZERO)[:_FLOAT]).tolist():
+            rows, size = np.flatnonzero(kind == one), int(_SIZES[one])
+            shift = 64 - 8 * size
+            if size == _EIGHT:
+                value[rows] = gather(self.data, at[rows], size).view(">i8")[:, 0]
+            else:
+                value[rows] = (self._number(at[rows], size) << shift) >> shift
+        return value
+
+
+def _checked(header: list[Array], found: Array) -> tuple[Array, Array, Array]:
+    """The serial types of topic, time and payload; FormatError when the header, `found` bytes long, has others."""
+    size, key, topic, timestamp, blob = header
+    numbers = np.concatenate([topic, timestamp])
+    odd = (key != 0).any() or (numbers < 1).any() or (numbers > _ONE).any() or (numbers == _FLOAT).any()
+    if odd or (blob < _BLOB).any() or (blob % 2).any() or (size != found).any():
+        raise FormatError("other columns than rosbag2's")
+    return topic, timestamp, blob

@@ -1,0 +1,215 @@
+"""rosbag2's SQLite files -> undecoded batches: read only, never a file written beside the user's."""
+
+import os
+import shutil
+import sqlite3
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+
+from ...errors import FormatError, LogError
+from ...io.temporary import scratch
+from ...settings import LIMITS, Input
+from ...types import Batch, Finding, Topic
+from ..diagnostics import Ledger
+from ..storage.mmapped import mapped
+from ..storage.zstd_files import unpacked
+from ..topics import Topics, normalised, span, split
+from .pages import Pages
+from .rows import DAMAGE, Block, Rows, interrupted
+
+_ENDS = ("min", "max")
+_FEW_TOPICS = 8
+_LARGEST = 1 << 30
+_COLUMNS = ("id", "topic_id", "timestamp", "data")
+_TABLES = ("topics", "messages", "message_definitions")
+_STEPS = 1_000_000
+"""SQLite's own steps after which Python is asked, some milliseconds, so that a signal is heard while it looks."""
+
+
+class Db3Log:
+    """One .db3 file; see containers.Log."""
+
+    format = "db3"
+
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
+        """Open `source` (default: `path` itself) read only; LogError when it has no topics or messages."""
+        self.path = path
+        self._ledger = Ledger(path, strict, limits)
+        self._store, alone = _connect(path, source or path)
+        try:
+            _only_tables(path, self._store)
+            self._rows = Rows(self._store, self._ledger, _pages(self._store, source or path) if alone else None)
+            named = _topics(self._store)
+            counts, *ends = self._survey(list(named))
+        except LogError:
+            self._store.close()
+            raise
+        except DAMAGE as problem:
+            self._store.close()
+            interrupted(problem)
+            advice = f"type: sqlite3 {path} .recover | sqlite3 whole.db3"
+            raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; {advice}") from None
+        self.start_ns, self.end_ns = span(ends if counts else (), self._ledger)
+        topics, self._topic_of = Topics(), {}
+        for number, (name, kind, encoding, definition, dialect, metadata) in named.items():
+            count = counts.get(number, 0)
+            self._topic_of[number] = topics.add(name, kind, encoding, definition, dialect, count, metadata)
+        self.topics: tuple[Topic, ...] = topics.all()
+        for number in counts.keys() - named.keys():
+            self._ledger.lost(-number, None, counts[number], None, f"no row says what topic {number} is")
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was found wrong so far; reading on may add to it."""
+        return self._ledger.findings
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all) in the order stored, one batch per topic and block of rows."""
+        wanted = {number: topic for number, topic in self._topic_of.items() if ids is None or topic in ids}
+        if wanted:
+            blocks = self._rows.blocks(None if ids is None else wanted)
+            found = (batch for block in blocks for batch in _batches(block, wanted))
+            yield from unpacked(found, self.topics, self._ledger)
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """None: that takes a pass over all rows."""
+        return {}
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._store.close()
+
+    def __enter__(self) -> "Db3Log":
+        """The log itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+    def _survey(self, numbers: list[int]) -> tuple[dict[int, int], int, int]:
+        """Messages by topic id in the file, first and last log time (ns)."""
+        try:
+            counts = self._counts(numbers)
+            if self._store.execute("PRAGMA index_list(messages)").fetchall():  # two look-ups instead of a scan
+                times = [self._store.execute(f"SELECT {end}(timestamp) FROM messages").fetchone()[0] for end in _ENDS]
+            else:
+                times = self._store.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+            if all(type(value) is int for value in (*counts, *(times if counts else ()))):
+                return counts, times[0] or 0, times[1] or 0
+        except DAMAGE as problem:
+            interrupted(problem)
+            self._ledger.warn(f"the table of messages is damaged: {problem}")
+        counts, ends = {}, []
+        for block in self._rows.blocks(None):
+            for topic in block.topic.tolist():
+                counts[topic] = counts.get(topic, 0) + 1
+            ends += [int(block.log_ns.min()), int(block.log_ns.max())]
+        return counts, min(ends, default=0), max(ends, default=0)
+
+    def _counts(self, numbers: list[int]) -> dict[int, int]:
+        """Messages by topic id in the file; of few topics they are added up, which is twice as fast as grouping."""
+        if 0 < len(numbers) <= _FEW_TOPICS:
+            sums = ", ".join(f"sum(topic_id = {number})" for number in numbers)
+            whole, *each = self._store.execute(f"SELECT count(*), {sums} FROM messages").fetchone()
+            if whole == sum(count or 0 for count in each):
+                return {number: count for number, count in zip(numbers, each, strict=True) if count}
+        return dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
+
+
+def _connect(path: Path, source: Path) -> tuple[sqlite3.Connection, bool]:
+    """The database, and whether all of it is in that one file."""
+    pending = [beside for end in ("-wal", "-journal") if (beside := source.with_name(source.name + end)).is_file()]
+    if not any(beside.stat().st_size for beside in pending):
+        address = f"file:{quote(os.fsencode(source.resolve()))}?mode=ro&immutable=1"
+        return _opened(address, source.stat().st_size), True
+    needed = sum(part.stat().st_size for part in (source, *pending))
+    with scratch() as folder:
+        if shutil.disk_usage(folder).free < 2 * needed:
+            raise LogError(f"{path}: {pending[0].name} holds unsaved rows; {2 * needed} bytes are needed in {folder}")
+        for part in (source, *pending):
+            shutil.copyfile(part, folder / part.name)
+        store = _opened(f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw", 2 * needed)
+        store.execute("SELECT count(*) FROM sqlite_master").fetchall()
+        return store, False
+
+
+def _pages(store: sqlite3.Connection, source: Path) -> Pages | None:
+    """The pages of the table of messages; None where its columns are not those that rosbag2 gives it."""
+    columns = [(name, kind.upper(), key) for _, name, kind, _, _, key in store.execute("PRAGMA table_info(messages)")]
+    found = store.execute("SELECT rootpage FROM sqlite_master WHERE lower(name) = 'messages'").fetchone()
+    if found is None or tuple(name for name, _, _ in columns) != _COLUMNS or columns[0][1:] != ("INTEGER", 1):
+        return None
+    try:
+        return Pages(mapped(source), found[0])
+    except FormatError:
+        return None
+
+
+def _opened(address: str, size: int) -> sqlite3.Connection:
+    store = sqlite3.connect(address, uri=True, check_same_thread=False)
+    store.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(1 << 16, min(_LARGEST, size)))
+    store.text_factory = _text
+    store.execute("PRAGMA trusted_schema = OFF")
+    store.set_progress_handler(lambda: 0, _STEPS)
+    return store
+
+
+def _only_tables(path: Path, store: sqlite3.Connection) -> None:
+    """LogError where rows would be computed: by a view, which may never end, a virtual table or a generated column."""
+    for name in _TABLES:
+        found = store.execute("SELECT type, rootpage FROM sqlite_master WHERE lower(name) = ?", (name,)).fetchall()
+        kinds = [kind if kind != "table" or page else "virtual table" for kind, page in found]
+        if any(kind != "table" for kind in kinds):
+            raise LogError(f"{path}: {name} is a {kinds[0]}, where rosbag2 keeps a table; record the log again")
+        hidden = [row[1] for row in store.execute(f"PRAGMA table_xinfo({name})") if row[6]]
+        if hidden:
+            raise LogError(f"{path}: {name}.{hidden[0]} is computed, where rosbag2 stores values; record the log again")
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode(errors="replace")
+
+
+def _topics(store: sqlite3.Connection) -> dict[int, tuple[str, str, str, bytes, str, dict[str, str]]]:
+    """Id in the file -> name, type, encoding, definition, its dialect, metadata."""
+    columns = [row[1] for row in store.execute("PRAGMA table_info(topics)")]
+    kept = [name for name in ("offered_qos_profiles", "type_description_hash") if name in columns]
+    chosen = ", ".join(["id", "name", "type", "serialization_format", *kept])
+    definitions = _definitions(store)
+    topics = {}
+    for number, name, kind, encoding, *rest in store.execute(f"SELECT {chosen} FROM topics"):
+        if type(number) is not int:
+            continue  # a damaged row; its messages are said to be of an unknown topic
+        metadata = {key: str(value) for key, value in zip(kept, rest, strict=True) if value}
+        definition, dialect = definitions.get(kind) or _standard(normalised(str(kind)))
+        topics[number] = (str(name), str(kind), str(encoding or "cdr"), definition, dialect, metadata)
+    return topics
+
+
+def _definitions(store: sqlite3.Connection) -> dict[str, tuple[bytes, str]]:
+    if not store.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchall():
+        return {}
+    rows = store.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
+    return {kind: (str(text).encode(), str(dialect)) for kind, dialect, text in rows if text}
+
+
+def _standard(kind: str) -> tuple[bytes, str]:
+    """The definition of a type every ROS 2 has, or nothing."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    if kind not in store.fielddefs:
+        return b"", ""
+    return store.generate_msgdef(kind, ros_version=2)[0].encode(), "ros2msg"
+
+
+def _batches(block: Block, wanted: dict[int, int]) -> Iterator[Batch]:
+    numbers, where = np.unique(block.topic, return_inverse=True)
+    topic = np.array([wanted.get(number, -1) for number in numbers.tolist()], np.int64)[where]
+    return split(topic, block.log_ns, block.data, block.offset, block.length)

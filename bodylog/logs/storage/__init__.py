@@ -1,0 +1,1 @@
+"""Bytes: mapped files, remote files, compression."""

@@ -1,0 +1,162 @@
+"""Decompress one chunk after another into one buffer that stays: fresh buffers cost more than lz4 itself."""
+
+import bz2
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import FormatError, LogError
+from ...settings import LIMITS, Input
+from ...types import Array
+
+NAMES = ("", "none", "lz4", "zstd", "bz2")
+"""Compressions of chunks, as MCAP and ROS 1 bags name them."""
+
+STORED = ("", "none")
+"""Those that leave the bytes as they are."""
+
+_RATIO, _LIKELY = 1024, 16
+"""Times the bytes packed that all of a file, and one chunk or message, may unpack to whatever the limits are."""
+
+_PIECE = 128 << 10
+
+
+class Allowance:
+    """How much may be unpacked: of one chunk or message, and of a file in all."""
+
+    def __init__(self, path: Path | None, limits: Input) -> None:
+        """Nothing unpacked yet of the log at `path`."""
+        self._path, self._limits = path, limits
+        self._packed = self._unpacked = 0
+
+    def single(self, packed: int) -> int:
+        """Bytes that one chunk or message of `packed` bytes may unpack to."""
+        return max(int(self._limits.max_message_mb * 1e6), _LIKELY * packed)
+
+    def take(self, packed: int, size: int) -> None:
+        """Count `size` bytes that `packed` bytes unpack to: FormatError for too large a one, LogError for too many."""
+        if size > self.single(packed):
+            asked = f"type in robot.toml: [input] max_message_mb = {math.ceil(size / 1e6)}"
+            raise FormatError(f"{packed} packed bytes claim to hold {size}; to unpack them, {asked}")
+        self._packed, self._unpacked = self._packed + packed, self._unpacked + size
+        self.check(self._packed, self._unpacked)
+
+    def check(self, packed: int, size: int) -> None:
+        """LogError, which names the setting, where a file of `packed` bytes unpacks to `size` and may not."""
+        whole = self._limits.max_unpacked_gb
+        if size > max(int(whole * 1e9), _RATIO * packed):
+            said = f"{self._path}: it unpacks to more than {whole:g} GB, {_RATIO} times its size or more"
+            raise LogError(f"{said}; to read it, type in robot.toml: [input] max_unpacked_gb = {math.ceil(4 * whole)}")
+
+
+class Buffer:
+    """The reused buffer; what `load` returns is valid until the next `load`."""
+
+    def __init__(self, path: Path | None = None, limits: Input = LIMITS) -> None:
+        """Start empty, for the log at `path`; the buffer grows to the largest chunk."""
+        self._bytes: Array = np.empty(0, np.uint8)
+        self._allowance = Allowance(path, limits)
+
+    def load(self, compression: str, packed: memoryview, size: int, partly: bool = False) -> Array:
+        """The `size` bytes (size,) uint8 that `packed` unpacks to; FormatError if it does not, or claims too much.
+
+        `partly`: `packed` is cut off, and as many bytes are given as come before that.
+        """
+        if compression in STORED:
+            if len(packed) != size and not partly:
+                raise FormatError(f"{len(packed)} bytes stored where {size} are declared")
+            return np.frombuffer(packed, np.uint8)
+        if compression not in _PIECES:
+            raise FormatError(f"compression {compression!r}; known are none, lz4, zstd, bz2")
+        self._allowance.take(len(packed), size)
+        if size > len(self._bytes):
+            self._bytes = np.empty(size, np.uint8)
+        return self._bytes[: _fill(self._bytes[:size], compression, packed, partly)]
+
+
+def _fill(target: Array, compression: str, packed: memoryview, partly: bool) -> int:
+    """How many bytes were filled: all, unless only some are asked for."""
+    at, view = 0, target.data
+    try:
+        for count in _PIECES[compression](packed, view):
+            at += count
+    except (OSError, EOFError, RuntimeError, ValueError, _zstd_error()) as problem:
+        if not partly:
+            raise FormatError(f"{compression} data is damaged after {at} bytes: {problem}") from None
+    if at != len(target) and not partly:
+        raise FormatError(f"{compression} data holds {at} bytes where {len(target)} are declared")
+    return min(at, len(target))
+
+
+def _zstd_error() -> type[Exception]:
+    import zstandard
+
+    return zstandard.ZstdError
+
+
+def _zstd(packed: memoryview, target: memoryview) -> Iterator[int]:
+    import zstandard
+
+    with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
+        at = 0
+        while at < len(target) and (count := reader.readinto(target[at:])):
+            at += count
+            yield count
+        yield len(reader.read(1))
+
+
+def _lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
+    import lz4.frame as lz4
+
+    context, used, at, ended = lz4.create_decompression_context(), 0, 0, False
+    while (not ended and used < len(packed)) or (at < len(target) and not ended):
+        piece, taken, ended = lz4.decompress_chunk(context, packed[used:], max_length=_PIECE)
+        if not piece and not taken:
+            return
+        used += taken
+        yield _place(piece, target, at)
+        at += len(piece)
+
+
+def _bz2(packed: memoryview, target: memoryview) -> Iterator[int]:
+    unpacker, at, rest = bz2.BZ2Decompressor(), 0, packed
+    while not unpacker.eof:
+        piece = unpacker.decompress(rest, max_length=_PIECE)
+        if not piece and unpacker.needs_input and not rest:
+            return
+        rest = packed[:0]
+        yield _place(piece, target, at)
+        at += len(piece)
+
+
+def _place(piece: bytes, target: memoryview, at: int) -> int:
+    if at + len(piece) > len(target):
+        raise ValueError(f"more than the {len(target)} bytes declared")
+    target[at : at + len(piece)] = piece
+    return len(piece)
+
+
+_PIECES: dict[str, Any] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
+
+
+def unpack_zstd(payload: memoryview, allowance: Allowance) -> bytes:
+    """One zstd frame, as large as is allowed; FormatError if it is damaged or larger."""
+    import zstandard
+
+    try:
+        size = zstandard.get_frame_parameters(payload).content_size
+        known = size != zstandard.CONTENTSIZE_UNKNOWN
+        if known:
+            allowance.take(len(payload), size)
+        with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
+            content = bytes(reader.read((size if known else allowance.single(len(payload))) + 1))
+    except zstandard.ZstdError as problem:
+        raise FormatError(f"zstd data is damaged: {problem}") from None
+    if not known:
+        allowance.take(len(payload), len(content))
+    elif size != len(content):
+        raise FormatError(f"zstd data holds {len(content)} bytes where {size} are declared")
+    return content

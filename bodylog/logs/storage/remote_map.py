@@ -1,0 +1,84 @@
+"""A remote file as a map of memory of which only what was fetched is there: a sparse file, filled block by block."""
+
+import mmap
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Lock
+from weakref import finalize
+
+from ...io.temporary import scratch
+
+_BLOCK = 1 << 18
+_ENDS = 1 << 20
+
+Read = Callable[[int, int], bytes]
+"""The bytes of a remote file from one to before another; more than those where the store gives no less."""
+
+
+class Sparse(mmap.mmap):
+    """See the module; `bring` before touching."""
+
+    missing: set[int]
+    remote: Read
+    lock: Lock
+    handle: int
+
+    def bring(self, start: int, end: int) -> None:
+        """Fetch what is not there yet of the bytes from `start` to before `end`, whole blocks, in few requests."""
+        with self.lock:
+            wanted = sorted(self.missing.intersection(range(start // _BLOCK, -(-end // _BLOCK))))
+            for first, last in _runs(wanted):
+                low, high = first * _BLOCK, min((last + 1) * _BLOCK, len(self))
+                data = self.remote(low, high)
+                if len(data) == len(self):
+                    low, first, last = 0, 0, len(self) // _BLOCK
+                elif len(data) != high - low:
+                    raise OSError(f"{len(data)} bytes came where {high - low} were asked for")
+                os.pwrite(self.handle, data, low)
+                self.missing.difference_update(range(first, last + 1))
+
+
+def _runs(blocks: list[int]) -> Iterator[tuple[int, int]]:
+    first = last = None
+    for block in blocks:
+        if first is None or last is None or block != last + 1:
+            if first is not None and last is not None:
+                yield first, last
+            first = block
+        last = block
+    if first is not None and last is not None:
+        yield first, last
+
+
+_GLIMPSED: dict[Path, tuple[Read, int]] = {}
+
+
+@contextmanager
+def glimpse(name: str, size: int, read: Read) -> Iterator[Path]:
+    """A path that `mapping.mapped` maps as a Sparse file of `size` bytes, its head there for who looks at the magic."""
+    with scratch() as folder:
+        path = folder / name
+        with path.open("wb") as stream:
+            stream.write(read(0, min(size, 64))[:64])
+            stream.truncate(size)
+        _GLIMPSED[path] = read, size
+        try:
+            yield path
+        finally:
+            del _GLIMPSED[path]
+
+
+def sparse(path: Path) -> Sparse | None:
+    """The map of a glimpsed file, its ends there; None for any other path."""
+    if path not in _GLIMPSED:
+        return None
+    read, size = _GLIMPSED[path]
+    handle = os.open(path, os.O_RDWR)
+    found = Sparse(handle, 0, access=mmap.ACCESS_READ)
+    finalize(found, os.close, handle)
+    found.missing, found.remote, found.lock, found.handle = set(range(-(-size // _BLOCK))), read, Lock(), handle
+    found.bring(0, min(_BLOCK, size))
+    found.bring(max(0, size - _ENDS), size)
+    return found

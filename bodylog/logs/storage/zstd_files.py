@@ -1,0 +1,111 @@
+"""zstd around what a log holds: whole files, unpacked to a temporary file, and single messages (rosbag2)."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ...errors import FormatError, LogError
+from ...io.temporary import scratch
+from ...settings import LIMITS, Input
+from ...types import Array, Batch, Topic
+from ..diagnostics import Ledger
+from .compression import Allowance, unpack_zstd
+
+ZSTD = b"\x28\xb5\x2f\xfd"
+"""How a zstd frame begins; no CDR payload does."""
+
+_MARGIN = 256 << 20
+_HEAD = 32
+_PIECE = 128 << 10
+"""A block of zstd: of the piece with the damage nothing is had."""
+
+_TOGETHER = 16 << 20
+"""Bytes that are unpacked together, if no message is longer."""
+
+Opened = TypeVar("Opened")
+
+
+def unpack_file(
+    path: Path,
+    use: Callable[[Path], Opened],
+    limits: Input = LIMITS,
+    check: Callable[[bytes], object] = lambda first: None,
+) -> Opened:
+    """What `use` makes of the unpacked file, which is unlinked afterwards; LogError when disk or limits are too small.
+
+    `check` sees the first bytes, and may refuse them, before the rest is unpacked.
+    """
+    with scratch() as folder:
+        inner = folder / path.stem
+        from shutil import disk_usage
+
+        _unpack(path, inner, disk_usage(folder).free - _MARGIN, limits, check)
+        return use(inner)
+
+
+def _unpack(path: Path, inner: Path, limit: int, limits: Input, check: Callable[[bytes], object]) -> None:
+    import zstandard
+
+    written, packed, allowance = 0, path.stat().st_size, Allowance(path, limits)
+    with path.open("rb") as stream, inner.open("wb") as target:
+        reader = zstandard.ZstdDecompressor().stream_reader(stream, read_across_frames=True)
+        try:
+            while piece := reader.read(_PIECE):
+                if not written:
+                    check(piece[:_HEAD])
+                written += len(piece)
+                allowance.check(packed, written)
+                if written > limit:
+                    room = f"the {max(0, limit)} bytes free in {inner.parent.parent}"
+                    raise LogError(f"{path}: unpacked it takes more than {room}; name a larger folder in TMPDIR")
+                target.write(piece)
+        except zstandard.ZstdError as problem:
+            if not written:
+                raise LogError(f"{path}: zstd data is damaged: {problem}; copy it again") from None
+    if not written:
+        said = f"nothing comes out of its {path.stat().st_size} bytes"
+        raise LogError(f"{path}: zstd data is damaged: {said}; copy it again")
+
+
+def unpacked(batches: Iterable[Batch], topics: tuple[Topic, ...], ledger: Ledger) -> Iterator[Batch]:
+    """The batches, with CDR payloads that rosbag2 packed one by one unpacked."""
+    cdr, allowance = {topic.id for topic in topics if topic.encoding == "cdr"}, Allowance(ledger.path, ledger.limits)
+    for batch in batches:
+        first = batch.data[batch.offset[0] : batch.offset[0] + 4].tobytes()
+        if first == ZSTD and batch.topic_id in cdr:
+            yield from _each(batch, ledger, allowance)
+        elif len(batch.length):
+            yield batch
+
+
+def _each(batch: Batch, ledger: Ledger, allowance: Allowance) -> Iterator[Batch]:
+    """The batch unpacked, in parts of some megabytes: of very many bytes never more at once than of one message."""
+    kept: list[int] = []
+    payloads: list[bytes] = []
+    size = 0
+    for i, payload in enumerate(_views(batch)):
+        try:
+            payloads.append(unpack_zstd(payload, allowance))
+            kept.append(i)
+            size += len(payloads[-1])
+        except FormatError as problem:
+            ledger.lost(int(batch.offset[i]), len(payload), 1, 0.0, f"a message packed by itself: {problem}")
+        if size > _TOGETHER:
+            yield _joined(batch, kept, payloads)
+            kept, payloads, size = [], [], 0
+    if kept:
+        yield _joined(batch, kept, payloads)
+
+
+def _joined(batch: Batch, kept: list[int], payloads: list[bytes]) -> Batch:
+    length = np.array([len(payload) for payload in payloads], np.int64)
+    data: Array = np.frombuffer(payloads[0] if len(payloads) == 1 else b"".join(payloads), np.uint8)
+    return replace(batch, log_ns=batch.log_ns[kept], data=data, offset=np.cumsum(length) - length, length=length)
+
+
+def _views(batch: Batch) -> Iterator[memoryview]:
+    for start, size in zip(batch.offset.tolist(), batch.length.tolist(), strict=True):
+        yield batch.data.data[start : start + size]

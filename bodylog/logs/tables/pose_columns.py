@@ -1,0 +1,159 @@
+"""What each column of a table of poses is, by its name: joint, place in an image, image file, time, or nothing used."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import LogError
+from ...types import Array
+from .table_file import Table
+
+IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+_UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+_TIME = re.compile(
+    r"(?:unix|epoch|ros)?_?(?:t|time|stamp|timestamp|secs?|seconds|unix|epoch)(?:_(ns|us|ms|s|sec))?", re.IGNORECASE
+)
+_LABEL = re.compile(
+    r"pose|row|index|idx|id|no|nr|num|number|n|#|count|frame|sample|episode|unnamed.*|\w+_(id|index|idx)", re.IGNORECASE
+)
+_PLACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[uv])")
+_STD = re.compile(r"(?P<name>.+)[_.](?:std[_.](?P<axis>[uv])|(?P<before>[uv])[_.]std|std)")
+_SPACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[xyz]|q[xyzw])", re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """joints (names) · tracks {name: places (N,2) px} · std {name: (N,2) px} · images {column: file names} · t (N,) s.
+
+    `time`: the column of times, None where rows are numbered · remarks on what was made of the columns.
+    """
+
+    joints: Mapping[str, Array]
+    tracks: Mapping[str, Array]
+    std: Mapping[str, Array]
+    images: Mapping[str, Array]
+    t: Array
+    time: str | None
+    remarks: tuple[str, ...]
+
+
+def poses(table: Table, path: str) -> Poses:
+    """The columns by what they are; LogError when there is no joint and no place."""
+    left, remarks = dict(table.numbers), list[str]()
+    images = {name: files for name, files in table.texts.items() if _are_images(files)}
+    time, t = _time(left, table.rows, remarks)
+    tracks, std = _tracks(left)
+    labels = [name for name in left if label(name)]
+    spaces = _spaces(left)
+    empty = [name for name, values in left.items() if not np.isfinite(values).any()]
+    lone = [name for name in left if _PLACE.fullmatch(name)]
+    unused = dict.fromkeys([*(n for n in table.texts if n not in images), *labels, *spaces, *empty, *lone])
+    joints = {name: values for name, values in left.items() if name not in unused}
+    if not joints and not tracks and not images:
+        have = ", ".join(table.names[:12])
+        raise LogError(f"{path}: no column is a joint, NAME_u and NAME_v, or image files; the columns are {have}")
+    remarks += _used(joints, tracks, images, time)
+    if unused:
+        remarks.append(f"columns not used: {', '.join(unused)}")
+    return Poses(joints, tracks, std, images, t, time, tuple(remarks))
+
+
+def _are_images(files: Array) -> bool:
+    """Whether most of a column's texts end as an image file's name does."""
+    filled = [str(name) for name in files.tolist() if name]
+    return bool(filled) and sum(name.lower().endswith(IMAGES) for name in filled) > len(filled) / 2
+
+
+def _time(left: dict[str, Array], rows: int, remarks: list[str]) -> tuple[str | None, Array]:
+    """The column of times, taken out of `left`, and the rows' times (N,) s: their numbers where no column is sound."""
+    name, t = time_column(left)
+    if name is None:
+        remarks.append("no column of times; t is the row's number, counted from 0")
+        return None, np.arange(rows, dtype=float)
+    left.pop(name)
+    for other in [other for other in left if _TIME.fullmatch(other)]:
+        left.pop(other)
+        remarks.append(f"column {other} is a second column of times; {name} is used")
+    if not np.isfinite(t).all() or (np.diff(np.sort(t)) <= 0).any() or np.abs(t).max() > 9e9:
+        remarks.append(f"column {name} does not date every row differently; t is the row's number, counted from 0")
+        return None, np.arange(rows, dtype=float)
+    if np.diff(np.sort(t)).max(initial=0) > 86_400 / 2:
+        remarks.append(f"column {name} leaps by more than half a day; t is the row's number, counted from 0")
+        return None, np.arange(rows, dtype=float)
+    return name, t
+
+
+def time_column(numbers: Mapping[str, Array]) -> tuple[str | None, Array]:
+    """The first column that is a time by its name, and its times (N,) s; None where there is none."""
+    name = next((name for name in numbers if _TIME.fullmatch(name)), None)
+    return (None, np.empty(0)) if name is None else (name, numbers[name] * _scale(name))
+
+
+def label(name: str) -> bool:
+    """Whether a column counts or names its rows, by its own name."""
+    return _LABEL.fullmatch(name) is not None
+
+
+def _scale(name: str) -> float:
+    """Seconds in a unit of a column of times, by the end of its name."""
+    match = _TIME.fullmatch(name)
+    unit = (match[1] or "s").lower() if match else "s"
+    return _UNITS.get(unit, 1.0)
+
+
+def _tracks(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Places (N,2) px of NAME_u and NAME_v, and their standard deviations, taken out of `left`."""
+    axes: dict[str, dict[str, str]] = {}
+    for column in left:
+        if match := _PLACE.fullmatch(column):
+            axes.setdefault(match["name"], {})[match["axis"].lower()] = column
+    pairs = {name: (found["u"], found["v"]) for name, found in axes.items() if len(found) == 2}
+    tracks = {name: np.column_stack([left.pop(u), left.pop(v)]) for name, (u, v) in pairs.items()}
+    unseen = {name: ~np.isfinite(places).all(axis=1) for name, places in tracks.items()}
+    for name, places in tracks.items():
+        places[unseen[name]] = np.nan
+    stds: dict[str, dict[str, str]] = {}
+    for column in left:
+        match = _STD.fullmatch(column)
+        if match and match["name"] in tracks:
+            stds.setdefault(match["name"], {})[(match["axis"] or match["before"] or "both").lower()] = column
+    return tracks, {name: _std(found, left) for name, found in stds.items()}
+
+
+def _std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
+    """Standard deviations (N,2) px from columns for each axis or one for both; NaN where not positive."""
+    columns = {axis: left.pop(column) for axis, column in found.items()}
+    both = columns.get("both")
+    unknown = np.full(len(next(iter(columns.values()))), np.nan) if both is None else both
+    std = np.column_stack([columns.get("u", unknown), columns.get("v", unknown)])
+    return np.where(std > 0, std, np.nan)
+
+
+def _spaces(left: Mapping[str, Array]) -> list[str]:
+    """Columns of places and turns in space: NAME_x, NAME_y and NAME_z together, and quaternions beside them."""
+    axes: dict[str, dict[str, str]] = {}
+    for column in left:
+        if match := _SPACE.fullmatch(column):
+            axes.setdefault(match["name"], {})[match["axis"].lower()] = column
+    wholes = ({"x", "y", "z"}, {"qx", "qy", "qz", "qw"})
+    spaces = [found for found in axes.values() if any(whole <= set(found) for whole in wholes)]
+    return [column for found in spaces for column in found.values()]
+
+
+def _used(
+    joints: Mapping[str, Array], tracks: Mapping[str, Array], images: Mapping[str, Array], time: str | None
+) -> list[str]:
+    """What the columns in use are taken for; which joints may be in degrees."""
+    said = [f"joints: {', '.join(joints)}"] if joints else []
+    said += [f"tracks: {', '.join(tracks)}"] if tracks else []
+    said += [f"images: {', '.join(images)}"] if images else []
+    said += [f"time: {time}"] if time else []
+    found = [f"still poses, each by itself; {'; '.join(said)}"]
+    return found
+
+
+def in_degrees(joints: Mapping[str, Array]) -> list[str]:
+    """Joints whose values spread over more than two whole turns: such are degrees, or no joints."""
+    return [name for name, values in joints.items() if np.ptp(values[np.isfinite(values)]) > 4.0 * np.pi]

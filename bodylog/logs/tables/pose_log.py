@@ -1,0 +1,166 @@
+"""A table of measured poses as a log: its rows as messages, so that whatever reads logs reads it."""
+
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from ...annotating.messages import TRACK, TRACK_NAMES, escape, from_joints
+from ...annotating.schemas import definition
+from ...errors import BodylogError, LogError
+from ...settings import LIMITS, Input
+from ...types import Array, Batch, Finding, Outgoing, Series, Topic
+from ..decode.ros1_to_cdr import known_definition
+from ..encode import cdr
+from ..encode.cdr import Field
+from ..topics import INDEPENDENT
+from .pose_columns import in_degrees, poses
+from .table_file import kind, read
+
+JOINTS = "/joint_states"
+VECTOR = "bodylog_msgs/msg/Vector"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+_LARGEST = 64 << 20
+_AS_THEY_ARE = (".jpg", ".jpeg", ".png", ".webp")
+
+
+class PoseLog:
+    """A CSV, Parquet or YAML table of poses; see containers.Log."""
+
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
+        """Read the table `source` (default: `path` itself) whole; LogError when it holds no poses."""
+        source, self.path = source or path, path
+        with source.open("rb") as stream:
+            self.format = kind(path, stream.read(4)) or "csv"
+        table = read(source, self.format)
+        self._strict, self._findings = strict, list[Finding]()
+        found = poses(table, str(path))
+        self._add("info", *found.remarks)
+        self._add("warning", *table.odd)
+        self._add("lost", *table.lost)
+        if far := in_degrees(found.joints):
+            text = f"{', '.join(far)}: more than two turns; are these degrees? type: [body] unit = \"deg\""
+            self._add("warning", text)
+        first = found.t.min()
+        # a stamp of zero means none, so times begin a second after it
+        t = found.t if first >= 1.0 else found.t - first + 1.0
+        self._ns = np.rint(t * 1e9).astype(np.int64)
+        self._outgoing = [*self._joints(found.joints), *self._tracks(found.tracks, found.std)]
+        self._images = {len(self._outgoing) + k: files for k, files in enumerate(found.images.values())}
+        cameras = zip(self._images.items(), found.images, strict=True)
+        self.topics: tuple[Topic, ...] = (
+            *(_topic(k, out) for k, out in enumerate(self._outgoing)),
+            *(_camera(k, name, sum(map(bool, files))) for (k, files), name in cameras),
+        )
+        self.start_ns, self.end_ns = int(self._ns.min()), int(self._ns.max())
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What was made of the columns, and what is wrong with the rows."""
+        return tuple(dict.fromkeys(self._findings))
+
+    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
+        """Messages of the topics `ids` (None: all), one topic after the other; images are read one by one."""
+        for number, out in enumerate(self._outgoing):
+            if ids is None or number in ids:
+                yield Batch(number, out.log_ns, out.data, out.offset, out.length)
+        for number, files in self._images.items():
+            if ids is None or number in ids:
+                yield from self._files(number, files)
+
+    def spans(self) -> dict[int, tuple[int, int]]:
+        """First and last time (ns) of every topic."""
+        return {topic.id: (self.start_ns, self.end_ns) for topic in self.topics}
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+    def __enter__(self) -> "PoseLog":
+        """The log itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Nothing stays open."""
+
+    def _add(self, severity: str, *texts: str) -> None:
+        """Findings; LogError at a loss where the log is read strictly."""
+        if severity == "lost" and texts and self._strict:
+            raise LogError(f"{self.path}: {texts[0]}; type the command without --strict to use the rest")
+        self._findings += [Finding(severity, f"{self.path}: {text}") for text in texts]
+
+    def _joints(self, joints: Mapping[str, Array]) -> list[Outgoing]:
+        if not joints:
+            return []
+        values = np.column_stack(list(joints.values()))
+        first = int(self._ns.min())
+        t = (self._ns - first) / 1e9
+        return [from_joints(JOINTS, Series(t, values, tuple(joints), "rad", self._ns), first)]
+
+    def _tracks(self, tracks: Mapping[str, Array], std: Mapping[str, Array]) -> Iterator[Outgoing]:
+        for name, places in tracks.items():
+            data = np.hstack([places, std.get(name, np.full(places.shape, np.nan))])
+            fields: list[Field] = [*cdr.header(self._ns), ("string[]", TRACK_NAMES), ("float64[]", data)]
+            made = cdr.serialise(len(data), fields)
+            topic = TRACK + escape(name)
+            yield Outgoing(topic, VECTOR, definition(VECTOR), self._ns, made.data, made.offset, made.length)
+
+    def _files(self, number: int, files: Array) -> Iterator[Batch]:
+        """One batch per image; a file that is not there, or too large, is counted as lost."""
+        missing: list[str] = []
+        for ns, name in zip(self._ns.tolist(), files.tolist(), strict=True):
+            if not name:
+                continue
+            data = self._image(str(name))
+            if data is None:
+                missing.append(str(name))
+                continue
+            made = cdr.serialise(1, _image_fields(ns, data))
+            yield Batch(number, np.array([ns]), made.data, made.offset, made.length)
+        if missing:
+            self._add("lost", f"{len(missing)} images cannot be read: {', '.join(missing[:3])}")
+
+    def _image(self, name: str) -> Array | None:
+        """The bytes of an image beside the table, of another form than JPEG, PNG, WebP as PNG; None: unreadable."""
+        file = self.path.parent / name
+        try:
+            if not file.is_file() or not 0 < file.stat().st_size <= _LARGEST:
+                return None
+            data = np.fromfile(file, np.uint8)
+        except (OSError, ValueError):
+            return None
+        return data if file.suffix.lower() in _AS_THEY_ARE else _as_png(data)
+
+
+def image_files(path: Path) -> tuple[Path, ...]:
+    """The images that a table of poses names, where they lie; none of any other file."""
+    if not path.is_file() or (form := kind(path)) is None:
+        return ()
+    try:
+        found = poses(read(path, form), str(path)).images
+    except BodylogError:
+        return ()
+    return tuple(path.parent / str(name) for files in found.values() for name in files.tolist() if name)
+
+
+def _as_png(data: Array) -> Array | None:
+    import cv2
+
+    image = cv2.imdecode(data, cv2.IMREAD_COLOR)
+    return None if image is None else np.asarray(cv2.imencode(".png", image)[1]).reshape(-1)
+
+
+def _topic(number: int, out: Outgoing) -> Topic:
+    metadata = INDEPENDENT if out.topic == JOINTS else {}
+    return Topic(number, out.topic, out.type, "cdr", out.definition, "ros2msg", len(out.log_ns), metadata)
+
+
+def _camera(number: int, column: str, images: int) -> Topic:
+    text = known_definition(COMPRESSED) or b""
+    return Topic(number, f"/{escape(column)}/compressed", COMPRESSED, "cdr", text, "ros2msg", images)
+
+
+def _image_fields(ns: int, data: Array) -> list[Field]:
+    form = "png" if bytes(data[:4]) == b"\x89PNG" else "jpeg"
+    return [*cdr.header(np.array([ns])), ("string", form), ("uint8[]", data[None])]

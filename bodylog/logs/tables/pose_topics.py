@@ -1,0 +1,48 @@
+"""Poses of a frame in another from a topic of stamped poses, with or without a covariance."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ...types import Poses
+from ..decode.columns import Columns, columns
+from ..formats import open_log
+
+TRUTH = "/truth/effector_pose"
+"""Where a log carries the effector's true poses in the robot's base."""
+_PLAIN = "geometry_msgs/msg/PoseStamped"
+_COVARIANT = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_AXES = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
+_HEADER = ("header.stamp", "header.frame_id")
+POSED = (*_HEADER, *(f"pose.pose.{field}" for field in _AXES), "pose.covariance")
+"""The fields of a PoseWithCovarianceStamped."""
+_FIELDS = {_PLAIN: (*_HEADER, *(f"pose.{field}" for field in _AXES)), _COVARIANT: POSED}
+
+
+def true_poses(path: Path, start_ns: int) -> Poses | None:
+    """The effector's true poses that a log carries, t in s since `start_ns`; None where it has none."""
+    with open_log(path) as log:
+        topic = next((topic for topic in log.topics if topic.name == TRUTH and topic.type in _FIELDS), None)
+        return None if topic is None else poses(columns(log, topic, _FIELDS[topic.type]), start_ns)
+
+
+def poses(found: Columns, start_ns: int) -> Poses | None:
+    """The poses of a topic in order of t; None where there are none, rows that are no numbers left out."""
+    rows, covs, stamps, logged, frames = [], [], [], [], list[str]()
+    for part in found.parts:
+        stamp, frame, *values = part.values
+        numbers = np.column_stack([np.asarray(value, float).reshape(len(part.rows), -1) for value in values])
+        rows.append(numbers[:, :7])
+        covs.append(numbers[:, 7:])
+        stamps.append(np.asarray(stamp, np.int64))
+        logged.append(found.log_ns[part.rows])
+        frames.append(str(np.asarray(frame).reshape(-1)[0]))
+    if not rows:
+        return None
+    pose, cov, ns, log_ns = (np.concatenate(part) for part in (rows, covs, stamps, logged))
+    length = np.linalg.norm(pose[:, 3:], axis=1)
+    sound = np.isfinite(pose).all(axis=1) & (np.abs(length - 1.0) < 0.1)
+    order = np.flatnonzero(sound)[np.argsort(ns[sound], kind="stable")]
+    known = cov[order].reshape(-1, 6, 6) if cov.shape[1] == 36 else None
+    turn = pose[order, 3:] / length[order, None]
+    return Poses((ns[order] - start_ns) / 1e9, pose[order, :3], turn, frames[0], log_ns[order], known)

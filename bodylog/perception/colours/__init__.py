@@ -1,0 +1,1 @@
+"""Coloured things in images: ranges, blobs, centres, tracks."""

@@ -1,0 +1,158 @@
+"""Coloured blobs measured at full resolution: windows of like size side by side on a sheet."""
+
+from collections.abc import Sequence
+from math import isfinite
+
+import numpy as np
+
+from ...types import Array
+from .coarse_search import CANDIDATES, FAINT, Window, windows
+from .hsv_ranges import Range, mask
+from .subpixel_centroid import counts, measure
+
+U, V, STD_U, STD_V, MASS, STRENGTH, BORDER = range(7)
+FIELDS = 7
+PLACES = CANDIDATES + FAINT
+_SMALLEST = 9
+# a straight edge this many radii from a disc's centre cuts a hundredth of its area off
+_WHOLE = 0.935
+# what is done to a mask reaches 5 px: so many empty ones keep a window's neighbours out of it
+_GUARD = 5
+_ALIKE = 1.3
+_PIXELS = 1 << 19
+
+
+def look(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
+    """Blobs of each colour in images (H,W,3) BGR: (N,colours,PLACES,FIELDS) px, as `tables` gives them."""
+    return tables(list(windows(dict(enumerate(images)), ranges)), len(images), ranges)
+
+
+def tables(found: Sequence[Window], count: int, ranges: Sequence[Range]) -> Array:
+    """Blobs of each colour in the windows of `count` pictures: (count,colours,PLACES,FIELDS) px."""
+    by_colour: list[list[Window]] = [[] for _ in ranges]
+    for window in found:
+        by_colour[window.colour].append(window)
+    if not ranges:
+        return np.empty((count, 0, CANDIDATES, FIELDS))
+    return np.stack([_table(some, count, one) for some, one in zip(by_colour, ranges, strict=True)], axis=1)
+
+
+def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
+    """One colour's blobs in the windows of `count` pictures, strongest first: (count,PLACES,FIELDS) px, else NaN.
+
+    MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where
+    more of the blob than a hundredth leaves the picture. Faint ones come after CANDIDATES places.
+    """
+    blobs = np.full((count, PLACES, FIELDS), np.nan)
+    clear = _by_picture([window for window in found if not window.faint], colour)
+    faint = _by_picture([window for window in found if window.faint], colour)
+    for picture in {*clear, *faint}:
+        first = _distinct(clear.get(picture, []), [])
+        blobs[picture, : len(first)] = first or np.empty((0, FIELDS))
+        if more := _distinct(faint.get(picture, []), first):
+            blobs[picture, CANDIDATES : CANDIDATES + len(more)] = more
+    return blobs
+
+
+def _by_picture(found: Sequence[Window], colour: Range) -> dict[int, list[list[float]]]:
+    """FIELDS of the blob in each window, by picture."""
+    rows: dict[int, list[list[float]]] = {}
+    for some in _alike(found):
+        for window, row in zip(some, _rows(some, colour).tolist(), strict=True):
+            if isfinite(row[U]):
+                rows.setdefault(window.picture, []).append(row)
+    return rows
+
+
+def enlarged(blobs: Array, scale: Array) -> Array:
+    """Blobs (N,…,FIELDS) of pictures shrunk so many times (N,) as they are in the whole pictures."""
+    by = scale.reshape(-1, *[1] * (blobs.ndim - 2)).astype(np.float64)
+    whole = blobs.copy()
+    # pixel k of a shrunk picture is the mean of those from scale k to scale (k + 1) - 1
+    whole[..., U], whole[..., V] = by * blobs[..., U] + (by - 1) / 2, by * blobs[..., V] + (by - 1) / 2
+    whole[..., STD_U], whole[..., STD_V] = by * blobs[..., STD_U], by * blobs[..., STD_V]
+    whole[..., MASS], whole[..., STRENGTH] = by**2 * blobs[..., MASS], by**2 * blobs[..., STRENGTH]
+    return whole
+
+
+def _alike(found: Sequence[Window]) -> list[list[Window]]:
+    """Windows of like size together, no more than a sheet's worth."""
+    sheets: list[list[Window]] = []
+    least = 0
+    for side, number in sorted((_side(window), number) for number, window in enumerate(found)):
+        if not sheets or side > _ALIKE * least or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
+            sheets.append([])
+            least = side
+        sheets[-1].append(found[number])
+    return sheets
+
+
+def _side(window: Window) -> int:
+    """The side (px) of the square that holds a window and its guard, a multiple of 8."""
+    return -(-(int(max(window.pixels.shape[:2])) + _GUARD) // 8) * 8
+
+
+def _rows(some: Sequence[Window], colour: Range) -> Array:
+    """FIELDS of the blob in each window: (K,FIELDS); NaN where full resolution finds too little of the colour."""
+    sheet, valid = _sheet(some)
+    core = _largest(sheet, valid, colour)
+    rows = np.full((len(some), FIELDS), np.nan)
+    enough = np.flatnonzero(counts(core) >= _SMALLEST)
+    if not enough.size:
+        return rows
+    if enough.size < len(some):
+        sheet, core, valid = sheet[:, enough], core[:, enough], valid[:, enough]
+    u, v, std_u, std_v, mass, contrast = measure(sheet, core, valid)
+    corner = np.array([(some[k].left, some[k].top) for k in enough.tolist()])
+    last = np.array([some[k].size for k in enough.tolist()]) - 1
+    centre, std = np.stack([u, v], axis=1) + corner, np.stack([std_u, std_v], axis=1)
+    radius, inside = np.sqrt(mass / np.pi), np.minimum(centre, last - centre)
+    border = inside.min(axis=1) < _WHOLE * radius - 0.5
+    std = np.hypot(std, _cut(radius[:, None], inside))
+    rows[enough] = np.column_stack([centre, std, mass, mass * contrast, border])
+    return rows
+
+
+def _sheet(some: Sequence[Window]) -> tuple[Array, Array]:
+    """The windows (S,K,S,3), each in the upper left corner of its square, and 1 where they are: (S,K,S) uint8."""
+    side = max(map(_side, some))
+    sheet, valid = np.zeros((side, len(some), side, 3), np.uint8), np.zeros((side, len(some), side), np.uint8)
+    for k, window in enumerate(some):
+        height, width = window.pixels.shape[:2]
+        sheet[:height, k, :width] = window.pixels
+        valid[:height, k, :width] = 1
+    return sheet, valid
+
+
+def _cut(radius: Array, inside: Array) -> Array:
+    """How far (px) the picture's edge, `inside` px away plus half a pixel, pushes a disc's centre that it may cut.
+
+    A disc of radius r has the share (4√2/3π) (h/r)^1.5 in a low segment of height h, at r from its centre.
+    """
+    return 0.6 * np.maximum(radius - 0.5 - inside, 0.0) ** 1.5 / np.sqrt(radius)
+
+
+def _largest(sheet: Array, valid: Array, colour: Range) -> Array:
+    """1 on the largest component of the colour in each square of a sheet, and on its holes: (S,K,S) uint8."""
+    import cv2
+
+    side = len(sheet)
+    seen = mask(cv2.cvtColor(sheet.reshape(1, -1, 3), cv2.COLOR_BGR2HSV), colour).reshape(side, -1)
+    seen &= valid.reshape(side, -1)
+    largest: dict[int, Array] = {}
+    for outline in cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        k = int(outline[0, 0, 0]) // side
+        if k not in largest or len(outline) > len(largest[k]):
+            largest[k] = outline
+    core = np.zeros_like(seen)
+    cv2.drawContours(core, list(largest.values()), -1, 1, cv2.FILLED)
+    return core.reshape(valid.shape)
+
+
+def _distinct(rows: list[list[float]], others: list[list[float]]) -> list[list[float]]:
+    """Strongest first, each blob once and none of the others: two coarse pieces of one blob have the same centre."""
+    kept: list[list[float]] = []
+    for row in sorted(rows, key=lambda row: -row[STRENGTH]):
+        if all(abs(row[U] - other[U]) + abs(row[V] - other[V]) > 2 for other in (*others, *kept)):
+            kept.append(row)
+    return kept

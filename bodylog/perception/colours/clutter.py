@@ -1,0 +1,254 @@
+"""Which of many blobs of one colour is the arm's: the one whose place the joints foretell.
+
+A thing that stands still while the joints move is foreign. Of the rest, a smooth function of the joints is fitted to
+candidate places in rounds: each round keeps, of every image, the candidate nearest to what the function foretells,
+within a gate that closes. Several starts are tried, and the one that explains most held-out motion is taken.
+"""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from ...types import Array, Series
+from ..tracking import joint_motion
+from ..tracking.target_selection import linked
+from .blob_measurement import MASS, U, V
+
+_REACH = 3.0
+_ROUNDS = 12
+_RUNS = (0.5, 0.9)
+_SAME = 0.8
+_VAGUE = 0.04
+_STEADY = 0.3
+_DIFFERENT = 0.2
+_SAME_PLACE = 0.008
+_SPREAD = 0.3
+_OFTEN = 0.02
+_FEWEST = 20
+_SEEDS = 4
+_NEAR = 1.0
+_FAR = 0.08
+_RARELY = 0.05
+EXPLAINED = 0.25
+"""Less held-out motion than this that the joints explain is that of a foreign thing."""
+
+
+class Choice(NamedTuple):
+    """Of each image the candidate that is the arm's (N,), -1 for none.
+
+    place (N,2) px is where the joints foretell it, `spread` (N,) px off, and radius (N,) px how large; `explained` the
+    share (0..1) of its held-out motion that the joints explain, `beyond_chance` of what angles of other times leave;
+    `delay` s by which the camera's stamps lag the joints'.
+    """
+
+    number: Array
+    place: Array
+    spread: Array
+    radius: Array
+    explained: float
+    beyond_chance: float
+    delay: float
+
+
+class _Rows(NamedTuple):
+    """Candidates one under the other: image (R,), which of the image's (R,), place (R,2) px, area (R,) px²."""
+
+    frame: Array
+    which: Array
+    place: Array
+    area: Array
+
+    def only(self, kept: Array) -> "_Rows":
+        return _Rows(*(column[kept] for column in self))
+
+
+def choose(t: Array, found: Array, joints: Series | None, width: float) -> Choice | None:
+    """The arm's among blobs found (N,candidates,FIELDS) at t (N,) s; None where the joints explain none of them."""
+    q = joint_motion.angles(joints, t)
+    rows = _rows(found)
+    if not q.shape[1] or len(np.unique(rows.frame)) < _FEWEST:
+        return None
+    still = _still(rows, q, width)
+    best = _nothing(q)
+    for start in _starts(t, found, rows.only(still < 0), q, width):
+        if len(start.frame) < _FEWEST or (best.beyond_chance and _within(start, best.place, width) > _SAME):
+            continue
+        best = max(best, _follow(t, rows, still, start, q, width), key=_worth)
+    if best.beyond_chance < EXPLAINED:
+        return None
+    late = _late(t, rows, best, joints, width)
+    if late:
+        again = _follow(t, rows, still, _chosen(rows, best.number), joint_motion.angles(joints, t, late), width)
+        best = max(best, again._replace(delay=late), key=_worth)
+    return best
+
+
+def _rows(found: Array) -> _Rows:
+    frame, which = np.nonzero(np.isfinite(found[:, :, U]))
+    row = found[frame, which]
+    return _Rows(frame, which, row[:, [U, V]], row[:, MASS])
+
+
+def _within(rows: _Rows, place: Array, width: float) -> float:
+    """The share of rows that lie where another start has put the thing already."""
+    return float((np.hypot(*(rows.place - place[rows.frame]).T) < _SAME_PLACE * width).mean())
+
+
+def _worth(choice: Choice) -> float:
+    return choice.beyond_chance * np.count_nonzero(choice.number >= 0)
+
+
+def _still(rows: _Rows, q: Array, width: float) -> Array:
+    """Of each row the number of the place where something stands while the joints move, else -1: (R,)."""
+    still, left, number = np.full(len(rows.frame), -1), np.ones(len(rows.frame), bool), 0
+    cell, most = max(3.0, _SAME_PLACE * width), max(5.0, _OFTEN * len(q))
+    moved = np.sqrt(q.var(axis=0).sum())
+    while left.any():
+        cells = np.floor(rows.place[left] / cell)
+        _, inverse, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        if counts.max() < most / 4:
+            break
+        middle = np.median(rows.place[left][inverse.ravel() == counts.argmax()], axis=0)
+        away = np.hypot(*(rows.place - middle).T)
+        there = left & (away < cell)
+        frames = np.unique(rows.frame[there])
+        stands = len(frames) >= most and np.median(away[there]) < _STEADY * cell
+        if stands and np.sqrt(q[frames].var(axis=0).sum()) > _SPREAD * moved:
+            still[there] = number
+            number += 1
+        left &= ~there
+    return still
+
+
+def _starts(t: Array, found: Array, moving: _Rows, q: Array, width: float) -> Iterator[_Rows]:
+    """Rows to start from: what moves, of it the runs through time that the joints explain, and the best runs alone."""
+    packed = np.full(found.shape, np.nan)
+    rank = np.arange(len(moving.frame)) - np.searchsorted(moving.frame, moving.frame)
+    packed[moving.frame, rank] = found[moving.frame, moving.which]
+    scored = []
+    for frames, table in linked(t, packed, width):
+        if len(frames) >= _FEWEST:
+            place = table[:, [U, V]]
+            share = joint_motion.explained(q[frames], place, width)
+            scored.append((share, _Rows(frames, 0 * frames, place, table[:, MASS])))
+    for least in _RUNS:
+        if alike := [run for share, run in scored if share > least]:
+            yield _Rows(*(np.concatenate(columns) for columns in zip(*alike, strict=True)))
+    best = sorted(scored, key=lambda one: -one[0] * len(one[1].frame))
+    yield from (run for share, run in best[:_SEEDS] if share)
+    yield moving
+
+
+def _follow(t: Array, rows: _Rows, still: Array, start: _Rows, q: Array, width: float) -> Choice:
+    """The candidates that a function of the angles foretells, from some rows on: of each image the nearest."""
+    allowed, chosen, last = rows.only(still < 0), start, -1
+    usual = _usual(q, chosen, width)
+    for _ in range(_ROUNDS):
+        place, spread = _foretold(t, chosen, usual, q, width)
+        reach = np.hypot(2 * usual, spread)
+        chosen = _nearest(allowed, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
+        if len(chosen.frame) < _FEWEST:
+            return _nothing(q)
+        off = np.hypot(*(chosen.place - place[chosen.frame]).T)
+        usual = max(_least(width), float(np.median(off)))
+        if len(chosen.frame) <= last:
+            allowed = rows.only(~_foreign(rows, still, place, width))
+        last = len(chosen.frame)
+    radius, chosen = _of_right_size(q, chosen)
+    if len(chosen.frame) < _FEWEST:
+        return _nothing(q)
+    for _ in range(2):
+        place, spread = _foretold(t, chosen, usual, q, width)
+        reach = np.hypot(2 * usual, spread)
+        fitting = allowed.only(_alike(allowed, radius))
+        chosen = _nearest(fitting, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
+    number = np.full(len(q), -1)
+    number[chosen.frame] = chosen.which
+    share = joint_motion.explained(q[chosen.frame], chosen.place, width)
+    beyond = joint_motion.beyond_chance(q, chosen.frame, chosen.place, width)
+    near = float(np.median(np.hypot(*(chosen.place - place[chosen.frame]).T)))
+    return Choice(number, place, np.hypot(near, spread), radius, share, beyond, 0.0)
+
+
+def _of_right_size(q: Array, chosen: _Rows) -> tuple[Array, _Rows]:
+    """The radius (N,) px that the joints foretell, and the rows that have it: larger ones are two things in one."""
+    radius = np.sqrt(chosen.area / np.pi)
+    usual = float(np.median(radius))
+    kept = np.flatnonzero(np.abs(radius / usual - 1) < 0.5)
+    foretold = np.full(len(q), usual)
+    for _ in range(3):
+        some = kept[joint_motion.thinned(len(kept), 300)]
+        noise = np.full(len(some), 0.05 * usual)
+        fitted = joint_motion.Regression.fit(q[chosen.frame[some]], radius[some, None], noise, 0.5 * usual)
+        foretold = np.maximum(fitted.predict(q)[0][:, 0], 0.3 * usual)
+        kept = np.flatnonzero(_alike(chosen, foretold))
+        if len(kept) < _FEWEST:
+            break
+    return foretold, chosen.only(kept)
+
+
+def _alike(rows: _Rows, radius: Array) -> Array:
+    """Which rows (R,) have the area that is foretold of their images by radius (N,) px."""
+    return np.abs(rows.area / (np.pi * radius[rows.frame] ** 2) - 1) < _DIFFERENT
+
+
+def _least(width: float) -> float:
+    return max(1.0, 0.004 * width)
+
+
+def _usual(q: Array, start: _Rows, width: float) -> float:
+    """How far (px) rows usually are from what the angles foretell in held-out time."""
+    order = np.argsort(start.frame, kind="stable")
+    rest = joint_motion.residuals(q[start.frame[order]], start.place[order], width)
+    return max(_least(width), float(np.median(np.hypot(*rest.T))))
+
+
+def _nothing(q: Array) -> Choice:
+    unknown = np.full(len(q), np.nan)
+    return Choice(np.full(len(q), -1), np.full((len(q), 2), np.nan), unknown, unknown, 0.0, 0.0, 0.0)
+
+
+def _foretold(t: Array, chosen: _Rows, std: float, q: Array, width: float) -> tuple[Array, Array]:
+    """Where the joints, and what they leave nearby in time, put the thing in each image: (N,2) px, spread (N,) px."""
+    noise = np.full(len(chosen.frame), std)
+    place, spread = joint_motion.regression(q[chosen.frame], chosen.place, noise, width).predict(q)
+    return place + _left(t, chosen.frame, chosen.place - place[chosen.frame]), spread
+
+
+def _left(t: Array, frame: Array, rest: Array) -> Array:
+    """The median of what is left (n,2) px within _NEAR s of each image: (N,2); 0 where there is little."""
+    low, high = np.searchsorted(t[frame], t - _NEAR), np.searchsorted(t[frame], t + _NEAR, side="right")
+    left = np.zeros((len(t), 2))
+    for image in np.flatnonzero(high - low >= 5).tolist():
+        left[image] = np.median(rest[low[image] : high[image]], axis=0)
+    return left
+
+
+def _nearest(rows: _Rows, place: Array, spread: Array) -> _Rows:
+    """Of each image the row nearest to its place (N,2) px, if within _REACH spreads (N,) px."""
+    away = np.hypot(*(rows.place - place[rows.frame]).T)
+    order = np.lexsort((away, rows.frame))
+    first = order[np.unique(rows.frame[order], return_index=True)[1]]
+    return rows.only(first[away[first] <= _REACH * spread[rows.frame[first]]])
+
+
+def _foreign(rows: _Rows, still: Array, place: Array, width: float) -> Array:
+    """Which rows (R,) stand where something also stands while the arm's thing is foretold far away."""
+    foreign = np.zeros(len(still), bool)
+    for number in range(int(still.max(initial=-1)) + 1):
+        there = still == number
+        far = np.hypot(*(place - np.median(rows.place[there], axis=0)).T) > _FAR * width
+        occupied = np.count_nonzero(far[np.unique(rows.frame[there])])
+        if occupied > _RARELY * np.count_nonzero(far):
+            foreign |= there
+    return foreign
+
+
+def _chosen(rows: _Rows, number: Array) -> _Rows:
+    return rows.only(rows.which == number[rows.frame])
+
+
+def _late(t: Array, rows: _Rows, choice: Choice, joints: Series | None, width: float) -> float:
+    chosen = _chosen(rows, choice.number)
+    return joint_motion.delay(joints, t[chosen.frame], chosen.place, width)

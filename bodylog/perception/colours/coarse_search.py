@@ -1,0 +1,138 @@
+"""Where each colour is in a picture: a search of every few pixels, and a window about each find."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+
+from ...types import Array
+from .hsv_ranges import Range, mask
+
+CANDIDATES = 4
+FAINT = 8
+"""Places for what is much smaller than the largest find, or one too many, beside the CANDIDATES."""
+_COARSE_WIDTH = 128
+_SMALL = 0.25
+_MARGIN = 8
+
+
+class Window(NamedTuple):
+    """Pixels (h,w,3) BGR about one find: of which picture and colour, from where, in what size (W,H) px of picture.
+
+    `faint` where it is much smaller than the largest, or one too many.
+    """
+
+    picture: int
+    colour: int
+    left: int
+    top: int
+    size: tuple[int, int]
+    pixels: Array
+    faint: bool
+
+
+def gray(image: Array) -> Array:
+    """A picture (H,W,3) BGR in gray, (H,W) uint8, in memory of its own."""
+    import cv2
+
+    if _turned(image):
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(image[..., ::-1]), cv2.COLOR_RGB2GRAY))
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2GRAY))
+
+
+def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Window]:
+    """Windows about what may be each colour in images (H,W,3) BGR, by the numbers of their pictures.
+
+    At most CANDIDATES and FAINT ones of each colour in a picture, without the images: they may go once all are taken.
+    """
+    alike: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
+    images = images if ranges else {}
+    for picture, image in images.items():
+        alike.setdefault((image.shape, image.strides), []).append(picture)
+    for ((height, width, _), _), pictures in alike.items():
+        step = max(1, round(width / _COARSE_WIDTH))
+        seen = _coarse([images[picture] for picture in pictures], step, tuple(ranges))
+        for index in range(len(ranges)):
+            for which, (x, y, w, h), faint in _boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
+                left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
+                image = images[pictures[which]]
+                part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
+                yield Window(pictures[which], index, left, top, (width, height), _copy(part), faint)
+
+
+@lru_cache
+def _table(ranges: tuple[Range, ...]) -> Array:
+    """A bit for each range in which a colour of 16 bits (65536,) may lie: the middle or a corner of its cell of BGR."""
+    import cv2
+
+    colours = np.arange(1 << 16, dtype=np.uint16).view(np.uint8).reshape(256, 256, 2)
+    lowest = cv2.cvtColor(colours, cv2.COLOR_BGR5652BGR)
+    table = np.zeros((256, 256), np.min_scalar_type((1 << len(ranges)) - 1))
+    for within in ((4, 2, 4), *product((0, 7), (0, 3), (0, 7))):
+        hsv = cv2.cvtColor(lowest + np.array(within, np.uint8), cv2.COLOR_BGR2HSV)
+        for index, colour in enumerate(ranges):
+            table[mask(hsv, colour) > 0] |= table.dtype.type(1 << index)
+    return table.ravel()
+
+
+def _coarse(images: Sequence[Array], step: int, ranges: tuple[Range, ...]) -> Array:
+    """Every step-th pixel of every step-th row of images alike, a bit for each range: (n,H/step+1,W/step).
+
+    The last row of each is empty, so that nothing goes on from one to the next.
+    """
+    import cv2
+
+    turned = _turned(images[0])
+    some = np.stack([_picked(image[..., ::-1] if turned else image, step) for image in images])
+    count, height, width = some.shape[:3]
+    some = some.view(np.uint8).reshape(count * height, width, -1)
+    code = getattr(cv2, _CODES[turned, some.shape[2]])
+    seen = _table(ranges).take(cv2.cvtColor(some, code).view(np.uint16)[..., 0]).reshape(count, height, width)
+    return np.concatenate([seen, np.zeros_like(seen[:, :1])], axis=1)
+
+
+def _turned(image: Array) -> bool:
+    """Whether a picture was kept as RGB and is seen backwards."""
+    return image.strides[2] == -1
+
+
+_CODES = {
+    (False, 3): "COLOR_BGR2BGR565", (False, 4): "COLOR_BGRA2BGR565",
+    (True, 3): "COLOR_RGB2BGR565", (True, 4): "COLOR_RGBA2BGR565",
+}  # fmt: skip
+
+
+def _picked(image: Array, step: int) -> Array:
+    """Every step-th pixel of every step-th row: (H/step,W/step,3), or (H/step,W/step) of four bytes, the last idle."""
+    height, width = max(1, image.shape[0] // step), image.shape[1] // step
+    if step == 1 or not image.flags.c_contiguous:
+        return image[::step, ::step][:height, :width]
+    # four bytes at a time is a third of the work; the last pixel taken has another after it, as step is above 1
+    return np.ndarray((height, width), np.uint32, image.data, 0, (step * image.strides[0], step * image.strides[1]))
+
+
+def _copy(image: Array) -> Array:
+    """A picture's pixels in memory of their own, BGR also where they were kept as RGB and are seen backwards."""
+    import cv2
+
+    return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if _turned(image) else image.copy()
+
+
+def _boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int], bool]]:
+    """Of the largest components of each mask (n,h,w), whose last rows are empty: which mask; x, y, w, h; if faint."""
+    import cv2
+
+    rows = seen.shape[1]
+    found: dict[int, list[Array]] = {}
+    for outline in cv2.findContours(seen.reshape(-1, seen.shape[2]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        found.setdefault(int(outline[0, 0, 1]) // rows, []).append(outline)
+    for which, outlines in found.items():
+        largest = sorted(outlines, key=len, reverse=True)
+        clear = sum(len(outline) >= _SMALL * len(largest[0]) for outline in largest[:CANDIDATES])
+        for number, outline in enumerate(largest[: clear + FAINT]):
+            x, y, w, h = cv2.boundingRect(outline)
+            # single pixels are grain: the search lets in what is only near a colour
+            if number < clear or min(w, h) > 1:
+                yield which, (x, y - which * rows, w, h), number >= clear

@@ -1,0 +1,65 @@
+"""Which colours some images of a log offer: the peaks of their hues."""
+
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array, Recording
+from .hsv_ranges import SATURATION, VALUE, Range, between, hues, nearest
+
+_LOOKED_AT = 120
+_WIDTH = 9
+_SHARE = 2e-4
+
+
+def picked(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]:
+    """Times and pictures, evenly picked, at most _LOOKED_AT of them, decoded one by one; what cannot be is left out."""
+    frames = recording.frames or (lambda: iter(()))
+    every = -(-sum(1 for _ in frames()) // _LOOKED_AT)
+
+    def pictures() -> Iterator[tuple[float, Array]]:
+        for frame in (frame for index, frame in enumerate(frames()) if index % every == 0):
+            try:
+                image = frame.decode(1)
+            except FormatError:
+                continue
+            yield frame.t, image
+
+    return pictures
+
+
+def why_none(recording: Recording) -> str:
+    """Why there are no pictures: there are none, or the first cannot be decoded."""
+    for frame in recording.frames() if recording.frames else ():
+        try:
+            frame.decode(1)
+        except FormatError as problem:
+            return f"no picture can be decoded: {problem}"
+    return "no pictures to look for features in"
+
+
+def peaks(images: Iterable[Array]) -> list[int]:
+    """The peaks of the pictures' hue histogram over saturated pixels, each holding a notable share of all pixels."""
+    counts, pixels = np.zeros(180), 0
+    for image in images:
+        some, of = hues(image)
+        counts, pixels = counts + some, pixels + of
+    smooth = np.convolve(np.concatenate([counts[-_WIDTH:], counts, counts[:_WIDTH]]), np.ones(2 * _WIDTH + 1), "valid")
+    found: list[int] = []
+    for hue in np.argsort(-smooth, kind="stable").tolist():
+        apart = all(abs((hue - other + 90) % 180 - 90) > 2 * _WIDTH for other in found)
+        if apart and smooth[hue] >= _SHARE * pixels:
+            found.append(hue)
+    return found
+
+
+def around(hue: int) -> Range:
+    """The range about a hue 0..179."""
+    return between(((hue - _WIDTH) % 180, SATURATION, VALUE), ((hue + _WIDTH) % 180, 255, 255))
+
+
+def name(colour: Range) -> str:
+    """The name of a range's middle hue."""
+    low, high = colour.parts[0][0], colour.parts[-1][1]
+    return nearest((low[0] + ((high[0] - low[0]) % 180) / 2) % 180)

@@ -1,0 +1,165 @@
+"""Pictures to colour tracks: where each colour was, what became of every picture, and what else there was to see."""
+
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextvars import ContextVar
+from itertools import islice
+
+import numpy as np
+
+from ...errors import InputError
+from ...settings import Colour
+from ...types import Array, Finding, Frame, Health, Series, Watched
+from ..tracking import target_selection
+from ..tracking.contract import Tracker
+from ..tracking.frame_search import Looking, Seen
+from . import clutter, overlap
+from .coarse_search import CANDIDATES
+from .hsv_ranges import Range, covered, hues, nearest, resolve
+
+THREADS: ContextVar[int] = ContextVar("threads", default=2)
+"""How many threads look at pictures: one where whole logs are worked on side by side."""
+_NOTABLE = 1e-4
+_SEVERAL = 0.02
+"""Share of the pictures that show several things of a colour from which on the joints decide between them."""
+
+Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
+
+
+def looking(
+    colours: Mapping[str, Colour],
+    progress: Callable[[int], None] | None,
+    fast: bool,
+    trackers: Sequence[Tracker] = (),
+) -> Looking:
+    """To be told of pictures; `progress` is told how many more are done, `fast` looks at compressed ones at half scale.
+
+    `trackers` look at the same pictures. Raises ConfigError for a colour that means nothing.
+    """
+    ranges = [resolve(colour, name) for name, colour in colours.items()]
+    return Looking(ranges, progress, fast, THREADS.get(), trackers)
+
+
+def look(
+    frames: Callable[[], Iterator[Frame]],
+    colours: Mapping[str, Colour],
+    progress: Callable[[int], None] | None = None,
+    fast: bool = False,
+    trackers: Sequence[Tracker] = (),
+) -> Seen:
+    """What pictures show, which are looked at now, as by `looking`."""
+    t: list[float] = []
+    source_ns: list[int] = []
+    with looking(colours, progress, fast, trackers) as looks:
+        for frame in frames():
+            t.append(frame.t)
+            source_ns.append(frame.source_ns)
+            looks(frame)
+    return looks.seen(Watched(np.array(t), np.array(source_ns, dtype=np.int64), np.arange(len(t)), looks))
+
+
+def track(
+    frames: Callable[[], Iterator[Frame]],
+    colours: Mapping[str, Colour],
+    progress: Callable[[int], None] | None = None,
+    fast: bool = False,
+) -> Tracks:
+    """The `tracks` of a `look`."""
+    return tracks(look(frames, colours, progress, fast), frames, colours)
+
+
+def tracks(
+    seen: Seen,
+    frames: Callable[[], Iterator[Frame]],
+    colours: Mapping[str, Colour],
+    joints: Series | None = None,
+) -> Tracks:
+    """One Series (u, v in px with std; NaN where not seen) per named colour, its Health, and findings.
+
+    Of several things of one colour the one is taken that moves as the `joints` do; the hand is nobody's joint. Into
+    some frames one more look is taken where a colour was never seen, or where two things of it run together.
+    """
+    t, source_ns, found, broken, width = seen[:5]
+    tracks, health, findings = {}, {}, []
+    for index, name in enumerate(colours):
+        moves = None if name == "hand" else joints
+        track, reasons = _chosen(t, found[:, index], width, frames, resolve(colours[name], name), moves)
+        tracks[name] = Series(t, track[:, :2], ("u", "v"), "px", source_ns, track[:, 2:])
+        health[name] = _health(t, track, reasons, broken)
+    unseen = [name for name in colours if health[name].used == 0]
+    if not t.size:
+        findings.append(Finding("warning", "camera: no picture in this log; no tracks, no strokes"))
+    elif unseen and not broken.all():
+        instead = _saturated(frames(), t.size)
+        taken = {other for name, colour in colours.items() for other in covered(resolve(colour, name))}
+        findings += [_unseen(name, colours[name], t.size, instead, taken) for name in unseen]
+    if broken.any():
+        said = f"{int(broken.sum())} of {t.size} pictures could not be decoded"
+        findings.append(Finding("lost", f"{said}, the first for this: {_why(frames(), int(broken.argmax()))}"))
+    return tracks, health, tuple(findings)
+
+
+def _chosen(
+    t: Array, found: Array, width: float, frames: Callable[[], Iterator[Frame]], colour: Range, joints: Series | None
+) -> tuple[Array, Array]:
+    """u, v, std_u, std_v (N,4) px of the target among blobs found (N,PLACES,FIELDS), and why not (N,) str."""
+    several = np.count_nonzero(np.isfinite(found[:, 1:, 0]).any(axis=1))
+    choice = clutter.choose(t, found, joints, width) if several > _SEVERAL * len(t) else None
+    if choice is None:
+        return target_selection.best(t, found[:, :CANDIDATES], width)
+    track, why = target_selection.best(t, overlap.settle(found, choice, frames, colour, width), width)
+    why[(choice.number < 0) & np.isfinite(found[:, :, 0]).any(axis=1) & (why == target_selection.HIDDEN)] = (
+        target_selection.FOREIGN
+    )
+    return track, why
+
+
+def _why(frames: Iterator[Frame], number: int) -> str:
+    """What is wrong with a frame."""
+    try:
+        next(islice(frames, number, None)).decode(1)
+    except InputError as problem:
+        return str(problem)
+    return "unknown"
+
+
+def _health(t: Array, track: Array, reasons: Array, broken: Array) -> Health:
+    """Counts of one track: rejected = frames looked at that gave no point, by reason."""
+    used = np.isfinite(track[:, 0])
+    reasons = np.where(broken, "undecodable picture", reasons)
+    kinds, counts = np.unique(reasons[~used].astype(str), return_counts=True)
+    gaps = np.diff(t[used])
+    return Health(
+        int(t.size),
+        int(used.sum()),
+        {str(kind): int(count) for kind, count in zip(kinds, counts, strict=True)},
+        float(gaps.max()) if gaps.size else 0.0,
+    )
+
+
+def _saturated(frames: Iterator[Frame], count: int) -> dict[str, float]:
+    """Share (0..1) of each colour name among all pixels of a dozen pictures, where saturated, largest first."""
+    counts, pixels = np.zeros(180), 0
+    for index, frame in enumerate(frames):
+        if index % max(1, count // 12):
+            continue
+        try:
+            some, of = hues(frame.decode(1))
+        except InputError:
+            continue
+        counts, pixels = counts + some, pixels + of
+    shares: dict[str, float] = {}
+    for hue in np.flatnonzero(counts):
+        name = nearest(float(hue))
+        shares[name] = shares.get(name, 0.0) + float(counts[hue]) / pixels
+    return dict(sorted(shares.items(), key=lambda item: -item[1]))
+
+
+def _unseen(name: str, colour: Colour, count: int, instead: Mapping[str, float], taken: Collection[str]) -> Finding:
+    """What was seen instead; of it the first colour that no feature is set to is proposed."""
+    wanted = f"'{colour}'" if isinstance(colour, str) else str(dict(colour))
+    shares = {other: share for other, share in instead.items() if share >= _NOTABLE}
+    others = ", ".join(f"{other} ({share:.2%} of the pixels)" for other, share in shares.items())
+    free = next((other for other in shares if other not in taken), None)
+    hint = f"; type: [colours] {name.rpartition('/')[2]} = \"{free}\"" if free else ""
+    severity = "info" if name == "hand" else "warning"
+    return Finding(severity, f"{name}: {wanted} was never found in {count} pictures; seen: {others or 'none'}{hint}")

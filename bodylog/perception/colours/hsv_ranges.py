@@ -1,0 +1,105 @@
+"""Colours by name: what a name means in OpenCV's HSV (h 0..179, s and v 0..255)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import ConfigError
+from ...settings import Colour
+from ...types import Array
+
+_NAMED: dict[str, tuple[int, int]] = {
+    "red": (170, 9),
+    "orange": (8, 22),
+    "yellow": (20, 36),
+    "green": (37, 85),
+    "cyan": (80, 100),
+    "blue": (98, 132),
+    "magenta": (133, 172),
+}
+SATURATION, VALUE = 90, 50
+"""What is less saturated, or darker, has no colour."""
+
+Bound = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Range:
+    """What counts as a colour: one or, where the hue wraps round, two boxes of HSV (low, high), both ends included."""
+
+    parts: tuple[tuple[Bound, Bound], ...]
+
+
+def between(low: Bound, high: Bound) -> Range:
+    """The range from low to high, round the end of the hues where low hue is above high hue."""
+    if low[0] <= high[0]:
+        return Range(((low, high),))
+    return Range(((low, (180, high[1], high[2])), ((0, low[1], low[2]), high)))
+
+
+def resolve(colour: Colour, key: str) -> Range:
+    """The HSV range of a setting `key`; raises ConfigError for a name not in the table or bounds out of range."""
+    if isinstance(colour, str):
+        return _by_name(colour, key)
+    try:
+        bounds = np.array([colour["low"], colour["high"]], dtype=np.int64)
+    except (KeyError, TypeError, ValueError):
+        bounds = np.zeros(0, dtype=np.int64)
+    if bounds.shape != (2, 3) or (bounds < 0).any() or (bounds > (180, 255, 255)).any():
+        raise ConfigError(
+            f"colours.{key}: found {dict(colour)}; possible: low = [h, s, v] and high = [h, s, v] with h 0..180, "
+            f"s and v 0..255; type: {key} = {{low = [37, 90, 50], high = [85, 255, 255]}}"
+        )
+    low, high = bounds.tolist()
+    return between((low[0], low[1], low[2]), (high[0], high[1], high[2]))
+
+
+def mask(hsv: Array, colour: Range) -> Array:
+    """255 where hsv (H,W,3) lies in the range, else 0: (H,W) uint8."""
+    import cv2
+
+    seen = cv2.inRange(hsv, *colour.parts[0])
+    for low, high in colour.parts[1:]:
+        cv2.bitwise_or(seen, cv2.inRange(hsv, low, high), seen)
+    return np.asarray(seen)
+
+
+def hues(image: Array) -> tuple[Array, int]:
+    """How many of a picture's pixels, one in 16, have each hue (180,), where saturated; and how many those are."""
+    import cv2
+
+    hsv = cv2.cvtColor(np.ascontiguousarray(image[::4, ::4]), cv2.COLOR_BGR2HSV)
+    hue, saturation, value = np.moveaxis(hsv, -1, 0)
+    return np.bincount(hue[(saturation >= SATURATION) & (value >= VALUE)], minlength=180), hue.size
+
+
+def nearest(hue: float) -> str:
+    """The name of an OpenCV hue 0..179."""
+    return min(_NAMED, key=lambda name: abs((hue - _middle(*_NAMED[name]) + 90) % 180 - 90))
+
+
+def covered(colour: Range) -> set[str]:
+    """The names of the hues in a range: those whose middle lies in it, and the one nearest its own middle."""
+    low, high = colour.parts[0][0][0], colour.parts[-1][1][0]
+    span = (high - low) % 180
+    return {nearest(_middle(low, high))} | {name for name in _NAMED if (_middle(*_NAMED[name]) - low) % 180 <= span}
+
+
+def _middle(low: int, high: int) -> float:
+    return (low + ((high - low) % 180) / 2) % 180
+
+
+def _by_name(colour: str, key: str) -> Range:
+    if colour not in _NAMED:
+        raise ConfigError(
+            f"colours.{key}: found '{colour}'; possible: {', '.join(_NAMED)}, or low and high in HSV; "
+            f"type: {key} = \"{_closest(colour)}\""
+        )
+    low, high = _NAMED[colour]
+    return between((low, SATURATION, VALUE), (high, 255, 255))
+
+
+def _closest(colour: str) -> str:
+    from difflib import get_close_matches
+
+    return get_close_matches(colour, _NAMED, n=1, cutoff=0.0)[0]

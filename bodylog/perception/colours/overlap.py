@@ -1,0 +1,111 @@
+"""A second look where the arm's blob runs into another of its colour or is partly hidden: its outline decides."""
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import InputError
+from ...types import Array, Frame
+from ..tracking.joint_motion import thinned
+from . import outline
+from .blob_measurement import BORDER, FIELDS, MASS, STD_U, STD_V, STRENGTH, U, V
+from .clutter import Choice
+from .hsv_ranges import Range, mask
+
+_COMPARED, _FEWEST = 60, 10
+_FARTHEST = 0.02
+"""Share of the image width by which the joints may be wrong about where to look."""
+_COLOURED = 0.7
+
+
+def settle(
+    found: Array, choice: Choice, frames: Callable[[], Iterator[Frame]], colour: Range, width: float
+) -> Array:
+    """The arm's blob in each image, (N,1,FIELDS) px, NaN for none: by its outline where no blob of its own was found.
+
+    `found` (N,candidates,FIELDS) are those chosen from.
+    """
+    rows = np.full((len(found), FIELDS), np.nan)
+    there = choice.number >= 0
+    rows[there] = found[there, choice.number[there]]
+    sure = np.flatnonzero(there & (rows[:, BORDER] == 0))
+    asked = np.flatnonzero(~there & (choice.spread < _FARTHEST * width) & np.isfinite(found[:, :, U]).any(axis=1))
+    compared = sure[thinned(len(sure), _COMPARED)] if asked.size else asked
+    parts = _parts(frames, {*asked.tolist(), *compared.tolist()}, choice)
+    circles = {k: _circle(parts[k], choice.radius[k], colour) for k in compared.tolist() if k in parts}
+    known = {k: circle for k, circle in circles.items() if circle}
+    if len(known) >= _FEWEST:
+        # a blob's area says where its colour ends, its outline where half of the light does
+        excess = float(np.median([circle.excess for circle in known.values()]))
+        offset = np.array([(circle.u, circle.v) - rows[k, [U, V]] for k, circle in known.items()])
+        strength = float(np.median(rows[sure, STRENGTH]))
+        for k in asked.tolist():
+            if k in parts and (circle := _circle(parts[k], choice.radius[k] + excess, colour)):
+                rows[k] = _row(circle, offset, float(choice.radius[k]), strength)
+    return rows[:, None]
+
+
+def _row(circle: outline.Outline, offset: Array, radius: float, strength: float) -> Array:
+    """The fields of a blob whose outline was fitted, as if its centre were measured like those of whole blobs.
+
+    `offset` (n,2) px is what outlines' centres lie beyond those of whole blobs.
+    """
+    middle = np.median(offset, axis=0)
+    row = np.zeros(FIELDS)
+    row[[U, V]] = np.array([circle.u, circle.v]) - middle
+    row[[STD_U, STD_V]] = np.hypot(1.4826 * np.median(np.abs(offset - middle), axis=0), circle.std)
+    row[[MASS, STRENGTH, BORDER]] = np.pi * radius**2, strength, 0
+    return row
+
+
+class _Part(NamedTuple):
+    """Pixels (h,w,3) BGR about where the ball is foretold: their corner (2,), that place (2,) and its spread, px."""
+
+    pixels: Array
+    corner: Array
+    place: Array
+    spread: float
+
+
+def _parts(frames: Callable[[], Iterator[Frame]], wanted: set[int], choice: Choice) -> dict[int, _Part]:
+    """Of some images what is about the place foretold, by their numbers."""
+    found: dict[int, _Part] = {}
+    last = max(wanted, default=-1)
+    for number, frame in enumerate(frames()) if wanted else ():
+        if number in wanted:
+            with suppress(InputError):
+                found[number] = _part(frame.decode(1), choice, number)
+        if number >= last:
+            break
+    return found
+
+
+def _part(image: Array, choice: Choice, number: int) -> _Part:
+    place, spread = choice.place[number], float(choice.spread[number])
+    margin = int(np.ceil(2 * choice.radius[number] + 3 * spread)) + 4
+    corner = np.maximum(0, place.astype(int) - margin)
+    end = np.maximum(0, place.astype(int) + margin)
+    return _Part(np.ascontiguousarray(image[corner[1] : end[1], corner[0] : end[0]]), corner, place, spread)
+
+
+def _circle(part: _Part, radius: float, colour: Range) -> outline.Outline | None:
+    """The outline (px of the image) of a ball of that radius about where it is foretold, if whole and of its colour."""
+    import cv2
+
+    if min(part.pixels.shape[:2]) < 2 * radius:
+        return None
+    reach = max(2.5, 2 * part.spread)
+    circle = outline.fit(part.pixels.astype(np.float32), part.place - part.corner, radius, reach)
+    if circle is None:
+        return None
+    height, width = part.pixels.shape[:2]
+    down, across = np.mgrid[:height, :width]
+    inside = np.hypot(across - circle.u, down - circle.v) < 0.8 * radius
+    seen = mask(cv2.cvtColor(part.pixels, cv2.COLOR_BGR2HSV), colour)[inside] > 0
+    whole = min(circle.u, circle.v, width - 1 - circle.u, height - 1 - circle.v) >= 0.9 * radius
+    if not whole or not seen.size or seen.mean() < _COLOURED:
+        return None
+    left, top = part.corner.tolist()
+    return circle._replace(u=circle.u + left, v=circle.v + top)

@@ -1,0 +1,233 @@
+"""The centres of blobs to a fraction of a pixel, and how far they may be off.
+
+The centre is that of the blob's mixing weight: how far each pixel lies from the surround's colour towards the blob's
+own, which an anti-aliased or blurred edge crosses linearly and a mask does not. K blobs are measured at once, each in
+a square of S×S px; the squares lie side by side on one sheet, whose rows are long enough for OpenCV to be fast.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+
+from ...types import Array
+
+_SOFT, _GUARD = 3, 2
+_DEADBAND, _FULL = 0.15, 0.97
+_CORRELATED = 9.0
+_FEWEST, _MANY = 12, 1000
+_QUIETEST = 0.001
+_ROUNDING = 1 / 12
+# share of a lit ball's shift that a plane leaves: rms over lights 15 to 75 degrees off the view, with 30 to 70 % of the
+# light from everywhere, and radii of 6 to 14 px
+_UNEVEN = 0.16
+# share of the shift between these levels that a lit ball's centre is off by: rms over 300 drawn ones, 6 to 14 px, under
+# one light or two 15 to 75 degrees off the view, with 30 to 70 % of the light from everywhere, noise and compression
+_LOW, _HIGH, _LEVELS = 0.3, 0.7, 0.6
+# shifts that noise makes on flat discs are 2 to 4 times what the outline's ripple says
+_SURE = 5.0
+_ERODE = np.ones((5, 5), dtype=np.uint8)
+_GROW = np.ones((2 * _SOFT + 1, 2 * _SOFT + 1), dtype=np.uint8)
+_CLEAR = np.ones((2 * _GUARD + 1, 2 * _GUARD + 1), dtype=np.uint8)
+
+
+def measure(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """u, v, std_u, std_v (px, in each square), area (px²) and contrast (grey levels) of K blobs: (K,) each.
+
+    `sheet` is (S,K,S,3) BGR, `core` (S,K,S) uint8 is 1 where the pixel surely is the blob's, `valid` where there is a
+    pixel at all. NaN where no weight is left.
+    """
+    inner, grown, outer = _zones(core, valid)
+    ground = _mean(_planes(sheet, 2), _squares(outer[::2, :, ::2]))
+    top, left, side = _around(grown)
+    near = np.s_[top : top + side, :, left : left + side]
+    inner, grown, core = (_squares(each[near]) for each in (inner, grown, core))
+    x = _powers(side)
+    mixing, contrast = _mixing(sheet[near], inner, grown * (1 - core), ground)
+    mean, plane, graded = _shade(mixing, inner, x, _ROUNDING / contrast**2)
+    weight = _weight(mixing / plane, grown)
+    mass, u, v = _centroid(weight, x)
+    variance = _QUIETEST**2 + _ripple(weight, mass, u, v)
+    doubt = np.zeros((2, len(u)))
+    if graded.any():
+        flat = _weight(mixing[graded] / mean[graded, None, None], grown[graded])
+        doubt[:, graded] = _UNEVEN * (np.stack([u, v])[:, graded] - _centroid(flat, x)[1:])
+        shift = _unlevel(mixing[graded] / plane[graded], grown[graded], x)
+        clear = shift > _SURE * np.sqrt(variance[graded])
+        variance[graded] += np.where(clear, (_LEVELS * shift) ** 2 / 2, 0)
+    std_u, std_v = np.sqrt(variance + doubt**2)
+    return u + left, v + top, std_u, std_v, mass, contrast
+
+
+def _zones(core: Array, valid: Array) -> tuple[Array, Array, Array]:
+    """Surely inside, perhaps inside, and surely outside each blob: (S,K,S) uint8 each."""
+    import cv2
+
+    flat = core.reshape(len(core), -1)
+    inner = cv2.erode(flat | (1 - valid).reshape(flat.shape), _ERODE).reshape(core.shape) & core
+    few = counts(inner) < _FEWEST
+    inner[:, few] = core[:, few]
+    grown = cv2.dilate(flat, _GROW)
+    outer = valid & (1 - cv2.dilate(grown, _CLEAR).reshape(core.shape))
+    return inner, grown.reshape(core.shape) & valid, outer
+
+
+def _around(where: Array) -> tuple[int, int, int]:
+    """Top, left and side (a multiple of 8) of the smallest square, of those in each (S,K,S), that holds all not 0."""
+    down = np.flatnonzero(where.reshape(len(where), -1).max(axis=1))
+    right = np.flatnonzero(where.max(axis=0).max(axis=0))
+    side = -(-int(max(np.ptp(down), np.ptp(right)) + 1) // 8) * 8
+    most = len(where) - side
+    return min(int(down[0]), most), min(int(right[0]), most), side
+
+
+def counts(where: Array) -> Array:
+    """How many of each square's pixels (S,K,S) uint8 are 1: (K,)."""
+    return np.asarray(where.sum(axis=0, dtype=np.uint16).sum(axis=1, dtype=np.int64))
+
+
+def _squares(sheet: Array) -> Array:
+    """A sheet's squares (s,K,t), each lying together: (K,s,t) float32."""
+    return np.ascontiguousarray(sheet.swapaxes(0, 1), np.float32)
+
+
+@lru_cache(maxsize=64)
+def _powers(size: int) -> Array:
+    """1, x, x² of the pixels of a row or column: (3,size)."""
+    x = np.arange(size, dtype=np.float32)
+    return np.stack([np.ones_like(x), x, x * x])
+
+
+def _mixing(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Array, Array]:
+    """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (K,S,S); how far apart they are (K,).
+
+    Fisher's discriminant: the direction in colour that tells the two apart best given how the blob scatters and the
+    rim round it, so that what stands beside the blob, or bleeds into it as JPEG's colours do, weighs little. Pixels
+    the edge mixes lie on the line between the two colours, and scatter along that line turns no direction.
+    """
+    colours, every = _planes(sheet), 2 if inner[0].size > _MANY else 1
+    some, inner, rim = colours[:, :, ::every, ::every], inner[:, ::every, ::every], rim[:, ::every, ::every]
+    blob = _mean(some, inner)
+    away = some - blob.astype(np.float32)[:, :, None, None]
+    step, scatter = blob - ground, _scatter(away, inner) + _scatter(away, rim)
+    # as much again of white noise keeps the direction sane where the colours hardly scatter
+    white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, 1e-3)
+    axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
+    axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
+    # eight lines at a time: too little for a linear algebra library to start threads of its own among ours
+    lines = colours.reshape(len(colours), 3, -1, 8 * colours.shape[3]).swapaxes(1, 2)
+    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(len(colours), *colours.shape[2:])
+    mixing -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None]
+    return mixing, np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))
+
+
+def _planes(sheet: Array, every: int = 1) -> Array:
+    """The channels of every so manyth colour of squares (s,K,t,3) uint8: (K,3,s/every,t/every) float32, one by one."""
+    import cv2
+
+    lines = np.ascontiguousarray(sheet[::every])
+    height, count, width, _ = lines.shape
+    planes = np.empty((count, 3, height, -(-width // every)), np.float32)
+    for index, channel in enumerate(cv2.split(lines.reshape(height, -1, 3))):
+        planes[:, index] = channel.reshape(height, count, width)[:, :, ::every].swapaxes(0, 1)
+    return planes
+
+
+def _scatter(away: Array, where: Array) -> Array:
+    """Covariance (K,3,3) of colours (K,3,s,t), given from somewhere near, where 1; zeros of none."""
+    flat = away.reshape(len(away), 3, -1)
+    chosen = where.reshape(len(where), 1, -1)
+    share = 1 / np.maximum(chosen.sum(axis=2, keepdims=True), 1)
+    mean = (flat @ chosen.transpose(0, 2, 1)) * share
+    return np.asarray((flat * chosen) @ flat.transpose(0, 2, 1) * share - mean * mean.transpose(0, 2, 1), np.float64)
+
+
+def _mean(colours: Array, where: Array) -> Array:
+    """Mean (K,3) of colours (K,3,s,t) where 1; zeros of none."""
+    chosen = where.reshape(len(where), -1, 1).astype(np.float32)
+    sums = (colours.reshape(len(colours), 3, -1) @ chosen)[:, :, 0]
+    return np.asarray(sums / np.maximum(chosen.sum(axis=1), 1), dtype=np.float64)
+
+
+def _shade(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Array, Array, Array]:
+    """The mean mixing of each blob (K,), the plane of it (K,S,S), and whether light grades it beyond chance (K,).
+
+    `rounding` (K,) is the variance of mixing that whole grey levels alone make.
+    """
+    inside = mixing * inner
+    own, graded = _sums(inner, x), _sums(inside, x)
+    n, sx, sxx, sy, sxy, syy = own[:, 0, 0], own[:, 0, 1], own[:, 0, 2], own[:, 1, 0], own[:, 1, 1], own[:, 2, 0]
+    z, zx, zy = graded[:, 0, 0], graded[:, 0, 1], graded[:, 1, 0]
+    mean, mid_x, mid_y = z / n, sx / n, sy / n
+    xx, yy, xy = sxx - sx * mid_x, syy - sy * mid_y, sxy - sx * mid_y
+    xz, yz = zx - z * mid_x, zy - z * mid_y
+    determinant = np.maximum(xx * yy - xy * xy, 1e-9)
+    slope_x, slope_y = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
+    explained = slope_x * xz + slope_y * yz
+    rest = np.einsum("kij,kij->k", inside, inside) - z * mean - explained
+    rest = np.maximum(rest, n * rounding)
+    chance = rest / np.maximum((n / _CORRELATED - 3) * explained, 1e-12)
+    trust = np.where(n > 3 * _CORRELATED, np.maximum(1 - 6 * chance, 0), 0)
+    tilt_x, tilt_y = (trust * slope_x)[:, None], (trust * slope_y)[:, None]
+    along, down = tilt_x * (x[1] - mid_x[:, None]), tilt_y * (x[1] - mid_y[:, None]) + mean[:, None]
+    plane = along.astype(np.float32)[:, None, :] + down.astype(np.float32)[:, :, None]
+    return mean.astype(np.float32), np.clip(plane, 0.4, 2.0, out=plane), trust > 0
+
+
+def _unlevel(share: Array, grown: Array, x: Array) -> Array:
+    """How far (px, K) the centre moves from where the blob's share (K,S,S) is above a low level to above a high one.
+
+    An edge that only blur softens is cut symmetrically at every level; light that fades towards a side is not.
+    """
+    low, high = (_centroid((share > level) * grown, x)[1:] for level in (_LOW, _HIGH))
+    return np.asarray(np.hypot(*(high - low)))
+
+
+def _sums(field: Array, x: Array) -> Array:
+    """Sums of y^i x^j field over each square, for the powers in x: (K,n,n) float64."""
+    return np.asarray(x @ (field @ x.T), dtype=np.float64)
+
+
+def _weight(mixing: Array, grown: Array) -> Array:
+    """Covered share of each pixel, with what is little set to none: (K,S,S) 0..1."""
+    mixing -= np.float32(_DEADBAND)
+    mixing *= np.float32(1 / (_FULL - _DEADBAND))
+    np.clip(mixing, 0, 1, out=mixing)
+    mixing *= grown
+    return mixing
+
+
+def _centroid(weight: Array, x: Array) -> Array:
+    """Sum of the weights of each square and their centre u, v: (3,K); NaN where there is none."""
+    sums = _sums(weight, x[:2])
+    mass = np.where(sums[:, 0, 0] > 0, sums[:, 0, 0], np.nan)
+    return np.stack([mass, sums[:, 0, 1] / mass, sums[:, 1, 0] / mass])
+
+
+def _ripple(weight: Array, mass: Array, u: Array, v: Array) -> Array:
+    """Variance (px², K) of one coordinate of each centre, from the waves of orders 3 and 5 round the blob's outline.
+
+    A wave of order 1 is a shift of the centre. An outline that is its own mirror image through the centre has no waves
+    of odd order, so those are what noise, compression and the pixels' grid make; order 1 gets as much as they do.
+    """
+    x, y = (np.arange(weight.shape[1]) - np.stack([u, v])[:, :, None]).astype(np.float32)
+    square = (y * y)[:, :, None] + (x * x)[:, None, :] + np.float32(1e-6)
+    across, down = _six(x), _six(y)
+    # a wave of order n is the sum of weight r (e^iφ)^n, with r e^iφ = x + iy
+    weight = weight / square
+    third = down[:, :4] @ (weight @ across[:, :4].transpose(0, 2, 1))
+    weight /= square
+    fifth = down @ (weight @ across.transpose(0, 2, 1))
+    waves = [
+        third[:, 0, 3] - 3 * third[:, 2, 1], 3 * third[:, 1, 2] - third[:, 3, 0],
+        fifth[:, 0, 5] - 10 * fifth[:, 2, 3] + 5 * fifth[:, 4, 1],
+        5 * fifth[:, 1, 4] - 10 * fifth[:, 3, 2] + fifth[:, 5, 0],
+    ]  # fmt: skip
+    return np.asarray(np.square(waves, dtype=np.float64).sum(axis=0) / 4 / mass**2)
+
+
+def _six(x: Array) -> Array:
+    """1, x … x⁵ of (K,S): (K,6,S)."""
+    powers = np.ones((len(x), 6, x.shape[1]), np.float32)
+    for order in range(1, 6):
+        np.multiply(powers[:, order - 1], x, out=powers[:, order])
+    return powers

@@ -1,0 +1,1 @@
+"""A patch without a marker, followed from image to image."""

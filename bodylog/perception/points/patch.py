@@ -1,0 +1,123 @@
+"""A patch of one image laid over other images: an affine map, by least squares, with its covariance."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ...types import Array
+from ..tags.quads import sample
+
+_TURNS, _STILL = 15, 0.01
+_EXCESS = 2.5
+"""Variance beside that of independent pixels: neighbouring pixels of an image err alike."""
+_FLOOR, _STRETCHED = 0.015, 0.08
+"""px of the first image: what all pixels of a patch may err by together, and what is added per factor e by which it is
+stretched or shrunk: it was not seen so exactly then, or is not now."""
+_LEAST_EDGE = 20.0
+"""Sum of squared gradients across the patch's weakest direction, per px and gray level squared: below, it may slide."""
+
+
+class Laid(NamedTuple):
+    """Where a patch lies: map (2,3) from px about its middle to px · alike: correlation, 0..1 · cov (2,2) px²."""
+
+    map: Array
+    alike: float
+    cov: Array
+
+    @property
+    def uv(self) -> Array:
+        """The patch's middle (2,) px."""
+        return np.asarray(self.map[:, 2])
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """The pixels within `half` px of a place: grid (n,2) px about it · levels (n,) · solve (8,n), what fits a patch."""
+
+    half: int
+    grid: Array
+    levels: Array
+    columns: Array
+    solve: Array
+    inverse: Array
+
+    @property
+    def edge(self) -> float:
+        """How well the patch is held in its weakest direction: below 1 it shows nothing to follow."""
+        gradient = self.columns[:, 4:6]
+        return float(np.linalg.eigvalsh(gradient.T @ gradient)[0] / len(self.grid) / _LEAST_EDGE)
+
+
+def cut(gray: Array, uv: Array, half: int) -> Patch | None:
+    """The patch about a place (2,) px; None where it leaves the image."""
+    side = np.arange(-half, half + 1.0)
+    grid = np.stack(np.meshgrid(side, side), axis=-1)
+    about = sample(gray, grid + uv)
+    if not np.isfinite(about).all():
+        return None
+    down, across = np.gradient(about)
+    x, y, levels = grid[..., 0].ravel(), grid[..., 1].ravel(), about.ravel()
+    gu, gv = across.ravel(), down.ravel()
+    columns = np.stack([gu * x, gu * y, gv * x, gv * y, gu, gv, levels, np.ones_like(levels)], axis=1)
+    inverse = np.linalg.pinv(columns.T @ columns)
+    return Patch(half, grid.reshape(-1, 2), levels, columns, np.linalg.pinv(columns), inverse)
+
+
+def at(uv: Array) -> Array:
+    """The map (2,3) of a patch that lies upright at a place (2,) px."""
+    return np.column_stack([np.eye(2), uv])
+
+
+def lay(gray: Array, patch: Patch, begin: Array) -> Laid | None:
+    """The patch where it fits the image best near a map (2,3), in any light; None where it leaves the image.
+
+    None also where it would be turned too far from the camera. Inverse compositional Gauss-Newton (Baker & Matthews
+    2004) with gain and offset of the light.
+    """
+    map_ = begin
+    for _ in range(_TURNS):
+        levels = sample(gray, (patch.grid @ map_[:, :2].T + map_[:, 2])[None])[0]
+        if not np.isfinite(levels).all():
+            return None
+        found = patch.solve @ levels
+        if found[6] <= 0.1:
+            return None
+        by = found[:6] / found[6]
+        map_ = _without(map_, by)
+        if not _sound(map_):
+            return None
+        if np.abs(by[4:]).max() < _STILL:
+            break
+    rest = levels - patch.columns @ found
+    apart = levels - levels.mean()
+    alike = 1 - (rest @ rest) / max(float(apart @ apart), 1e-9)
+    variance = _EXCESS * (rest @ rest) / (len(rest) - 8) / found[6] ** 2
+    shared = _FLOOR + _STRETCHED * float(np.abs(np.log(np.linalg.svd(map_[:, :2], compute_uv=False))).max())
+    cov = map_[:, :2] @ (variance * patch.inverse[4:6, 4:6] + shared**2 * np.eye(2)) @ map_[:, :2].T
+    return Laid(map_, float(np.sqrt(max(alike, 0.0))), cov)
+
+
+def drawn(patch: Patch, map_: Array) -> Array:
+    """The patch (2 half + 1)² uint8 as it looks turned and stretched by a map (2,3), about its middle."""
+    import cv2
+
+    size = 2 * patch.half + 1
+    turned = map_[:, :2]
+    whole = np.column_stack([turned, patch.half - turned @ (patch.half, patch.half)])
+    levels = patch.levels.reshape(size, size).astype(np.float32)
+    seen = cv2.warpAffine(levels, whole, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
+
+
+def _without(map_: Array, by: Array) -> Array:
+    """The map after the inverse of x -> x + (a x + b y + e, c x + d y + f)."""
+    turn = np.eye(2) + by[:4].reshape(2, 2)
+    inverse = np.linalg.pinv(turn)
+    return np.column_stack([map_[:, :2] @ inverse, map_[:, 2] - map_[:, :2] @ inverse @ by[4:]])
+
+
+def _sound(map_: Array) -> bool:
+    """Whether the map neither mirrors nor stretches the patch more than a view from the side may."""
+    wide, thin = np.linalg.svd(map_[:, :2], compute_uv=False)
+    return bool(np.linalg.det(map_[:, :2]) > 0 and thin > 0.3 and wide < 3.0 and wide / thin < 3.0)

@@ -1,0 +1,1 @@
+"""Tags and boards in images: quads, codes, corners."""

@@ -1,0 +1,232 @@
+"""ChArUco boards: the markers say where the board lies, its chessboard's corners are then measured one by one."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ...sources import CharucoSource, board_points, track_names
+from ...types import Array, Finding
+from ..tracking.contract import HIDDEN, UNDECODABLE, Tracked, Tracker
+from . import quads, saddle, search
+from .codes import codes, read
+
+_LEAST_MARKERS, _MOST_OF = 3, 0.5
+_OFF = 3.0
+_OFF_SIDE = 0.2
+"""How far a marker's corner may lie beside its place on a flat board before a camera without distortion: px, sides."""
+_REACH = 0.7
+"""Half a corner's window, in the gap between it and the nearest marker."""
+_SQUARE = 0.12
+"""Where a corner's four squares are looked at, in sides of a square from it."""
+_RELIEF = 0.4
+"""How much of the board's usual contrast they must show."""
+_KEPT = 0.7
+"""Share of the last frame's corners that must be found again where they are expected."""
+_NEAR = 2.5
+"""Squares: how far from a marker that was read a corner may lie."""
+
+
+class Layout(NamedTuple):
+    """A board: its inner corners (K,2) and its markers' (n,4,2), in squares.
+
+    white (K,4): which of each corner's four squares, from top left clockwise, are white.
+    """
+
+    corners: Array
+    markers: Array
+    white: Array
+
+
+class Seen(NamedTuple):
+    """A board in a frame: H (3,3) from squares to px · corners (K,2) px, NaN where not seen · cov (K,2,2) px²."""
+
+    pose: Array
+    uv: Array
+    cov: Array
+
+
+def trackers(features: Mapping[str, CharucoSource]) -> list[Tracker]:
+    """One per board."""
+    return [CharucoTracker(name, source) for name, source in features.items()]
+
+
+def layout(source: CharucoSource, legacy: bool) -> Layout:
+    """Where corners and markers lie on a board."""
+    columns, rows = source.shape
+    corners = np.array(board_points(source))[:, :2] / source.square
+    white = [(x, y) for y in range(rows) for x in range(columns) if (x + y) % 2 == (rows % 2 == 0 and legacy) ^ 1]
+    middle = np.array(white) + 0.5
+    half = source.marker / source.square / 2
+    square = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    about = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
+    cells = np.floor(corners[:, None] + about).astype(int)
+    known = set(white)
+    around = [[tuple(cell) in known for cell in four] for four in cells.tolist()]
+    return Layout(corners, middle[:, None] + square, np.array(around))
+
+
+class CharucoTracker:
+    """Follows one board."""
+
+    def __init__(self, name: str, source: CharucoSource) -> None:
+        """Nothing is loaded before the first frame."""
+        self._name, self._source = name, source
+        alike = source.shape[1] % 2 == 1  # an odd number of rows begins and ends with a black square in both patterns
+        kinds = (False, True) if source.legacy is None and not alike else (bool(source.legacy),)
+        self._layouts = {legacy: layout(source, legacy) for legacy in kinds}
+        self._votes = dict.fromkeys(self._layouts, 0)
+        self._frames: list[Seen | None] = []
+        self._broken: list[int] = []
+        self._read = 0
+
+    def add(self, gray: Array | None) -> None:
+        """The next frame (H,W) uint8; None: undecodable."""
+        if gray is None:
+            self._broken.append(len(self._frames))
+        self._frames.append(None if gray is None else self._followed(gray) or self._anywhere(gray))
+
+    def tracked(self) -> Tracked:
+        """All corners that were ever seen."""
+        names = track_names(self._name, self._source)
+        values = np.full((len(self._frames), len(names), 4), np.nan)
+        for row, seen in enumerate(self._frames):
+            if seen is not None:
+                values[row, :, :2] = seen.uv
+                values[row, :, 2:] = np.sqrt(np.diagonal(seen.cov, axis1=1, axis2=2))
+        values[np.isnan(values[..., 0])] = np.nan
+        reasons = np.where(np.isfinite(values[..., 0]).any(axis=1), "", HIDDEN).astype(object)
+        reasons[self._broken] = UNDECODABLE
+        ever = np.isfinite(values[..., 0]).any(axis=0)
+        ever = ever if ever.any() else np.arange(len(names)) == 0
+        kept = tuple(name for name, there in zip(names, ever, strict=True) if there)
+        return Tracked(kept, values[:, ever], reasons, self._findings(int(ever.sum()), len(names)))
+
+    def _findings(self, seen: int, count: int) -> tuple[Finding, ...]:
+        if any(self._votes.values()):
+            pattern = f", legacy = {str(self._legacy()).lower()}" if len(self._layouts) > 1 else ""
+            said = f"{self._name}: {seen} of the board's {count} corners seen{pattern}"
+            return (Finding("info", said),)
+        if self._read:
+            columns, rows = self._source.shape
+            hint = f'; type: charuco = "{rows}x{columns}"' if rows != columns else ""
+            said = f"{self._name}: {self._read} markers were read, but not as on a {self._source.charuco} board{hint}"
+            return (Finding("warning", said),)
+        return ()
+
+    def _legacy(self) -> bool:
+        return max(self._votes, key=lambda legacy: self._votes[legacy])
+
+    def _layout(self) -> Layout:
+        return self._layouts[self._legacy()]
+
+    def _anywhere(self, gray: Array) -> Seen | None:
+        """The board as its markers lie in the whole image."""
+        count = len(self._layout().markers)
+        tags = search.whole(gray, codes(self._source.dictionary), np.arange(count))
+        self._read += len(tags.number)
+        if len(tags.number) < _LEAST_MARKERS:
+            return None
+        poses = {legacy: _pose(board, tags) for legacy, board in self._layouts.items()}
+        for legacy, (_, count) in poses.items():
+            self._votes[legacy] += count
+        pose, _ = poses[self._legacy()]
+        return None if pose is None else self._measured(gray, pose)
+
+    def _followed(self, gray: Array) -> Seen | None:
+        """The board where it is expected, if most of its corners are there and its markers are its own."""
+        expected = self._expected()
+        if expected is None:
+            return None
+        seen = self._measured(gray, expected)
+        before = self._frames[-1]
+        if seen is None or before is None:
+            return None
+        count, kept = np.isfinite(before.uv[:, 0]).sum(), np.isfinite(seen.uv[:, 0]).sum()
+        return seen if kept >= _KEPT * count else None
+
+    def _expected(self) -> Array | None:
+        """H (3,3) of the next frame, the corners moving on as they did."""
+        last = self._frames[-1] if self._frames else None
+        if last is None:
+            return None
+        before = self._frames[-2] if len(self._frames) > 1 else None
+        moved = last.uv + (last.uv - before.uv if before is not None else 0.0)
+        return _homography(self._layout().corners, moved)
+
+    def _measured(self, gray: Array, pose: Array) -> Seen | None:
+        """The board's corners near where H (3,3) from squares to px puts them."""
+        board = self._layout()
+        gap = (1 - self._source.marker / self._source.square) / 2
+        for _ in range(2):
+            uv = quads.project(pose[None], board.corners)[0]
+            reach = np.clip(_REACH * gap * _scale(pose, board.corners), 1.5, 6.0)
+            found = saddle.refine(gray, uv, reach)
+            found = _kept(gray, pose, board, found)
+            better = _homography(board.corners, found.uv)
+            if better is None:
+                return None
+            pose = better
+        near = self._near_read(gray, pose, board)
+        if near is None:
+            return None
+        return Seen(pose, np.where(near[:, None], found.uv, np.nan), found.cov)
+
+    def _near_read(self, gray: Array, pose: Array, board: Layout) -> Array | None:
+        """Corners (K,) bool near markers that read as their own; None where fewer than a few do."""
+        known = codes(self._source.dictionary)
+        places = quads.project(pose[None], board.markers.reshape(-1, 2))[0].reshape(-1, 4, 2)
+        bits, _ = quads.cells(gray, places, known.side)
+        there = np.flatnonzero(np.isfinite(bits).all(axis=1))
+        if not there.size:
+            return None
+        seen = read(bits[there], known, np.arange(len(board.markers)))
+        own = there[(seen.tag == there) & (seen.turn == 0) & (seen.wrong <= known.correctable)]
+        if len(own) < _LEAST_MARKERS:
+            return None
+        middles = board.markers[own].mean(axis=1)
+        away = np.linalg.norm(board.corners[:, None] - middles, axis=2).min(axis=1)
+        return np.asarray(away <= _NEAR)
+
+
+def _pose(board: Layout, tags: search.Tags) -> tuple[Array | None, int]:
+    """H (3,3) from squares to px as most markers lie, and how many do."""
+    import cv2
+
+    plane, image = board.markers[tags.number].reshape(-1, 2), tags.quads.reshape(-1, 2)
+    side = float(np.median(np.linalg.norm(tags.quads[:, 0] - tags.quads[:, 1], axis=1)))
+    pose, inside = cv2.findHomography(plane, image, cv2.RANSAC, max(_OFF, _OFF_SIDE * side))
+    if pose is None:
+        return None, 0
+    count = int(inside.reshape(-1, 4).all(axis=1).sum())
+    return (np.asarray(pose), count) if count >= max(_LEAST_MARKERS, _MOST_OF * len(tags.number)) else (None, 0)
+
+
+def _homography(plane: Array, image: Array) -> Array | None:
+    """H (3,3) by least squares through points (K,2) that are not NaN; None of fewer than 6."""
+    import cv2
+
+    there = np.isfinite(image).all(axis=1)
+    if there.sum() < 6:
+        return None
+    pose, _ = cv2.findHomography(plane[there], image[there], cv2.RANSAC, _OFF)
+    return None if pose is None else np.asarray(pose)
+
+
+def _scale(pose: Array, points: Array) -> Array:
+    """The shortest px a square's side has at points (K,2) of the plane: (K,)."""
+    here, right, down = (quads.project(pose[None], points + by)[0] for by in ((0, 0), (0.5, 0), (0, 0.5)))
+    return np.asarray(2 * np.minimum(np.linalg.norm(right - here, axis=1), np.linalg.norm(down - here, axis=1)))
+
+
+def _kept(gray: Array, pose: Array, board: Layout, found: saddle.Corners) -> saddle.Corners:
+    """Corners about which white and black squares lie as on the board."""
+    about = _SQUARE * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    expected = quads.project(pose[None], board.corners)[0]
+    points = quads.project(pose[None], (board.corners[:, None] + about).reshape(-1, 2))[0].reshape(-1, 4, 2)
+    levels = quads.sample(gray, points + np.nan_to_num(found.uv - expected)[:, None])
+    light = np.where(board.white, levels, np.inf).min(axis=1)
+    dark = np.where(board.white, -np.inf, levels).max(axis=1)
+    relief = light - dark
+    usual = np.nanmedian(np.where(relief > 0, relief, np.nan)) if (relief > 0).any() else np.inf
+    return found._replace(uv=np.where((relief > _RELIEF * usual)[:, None], found.uv, np.nan))

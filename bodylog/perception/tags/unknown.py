@@ -1,0 +1,56 @@
+"""Which tags of the common dictionaries a few images show, where nobody says which there are."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...sources import TagSource
+from ...types import Array
+from ..colours.coarse_search import gray
+from . import search
+from .codes import codes
+
+COMMON = (
+    "apriltag_36h11", "mip_36h12", "6x6_250", "aruco_original", "apriltag_25h9", "5x5_100", "7x7_100", "4x4_100",
+)  # fmt: skip
+"""Dictionaries looked for: those that printed tags mostly come from, the most distinct patterns first."""
+_CLEAR = 0.8
+"""How alike a tag and its pattern are, -1..1, where nobody says that it is there."""
+_SIDE = 6
+"""Bits along a side, for how near other edges may be: those of the common dictionaries have 4 to 7."""
+_TWICE = 2
+"""Images, of more than that, that must show a tag: chance patterns are not seen again."""
+
+
+class Found(NamedTuple):
+    """A tag: its source · in how many images it was seen · where its centre was in each, (I,2) px, NaN where not."""
+
+    source: TagSource
+    seen: int
+    uv: Array
+
+
+def present(images: Sequence[Array], dictionaries: Sequence[str] = COMMON) -> list[Found]:
+    """The tags in images (H,W,3) BGR, those seen most often first; a quad is read as one dictionary's tag alone."""
+    where: dict[tuple[str, int], Array] = {}
+    for row, image in enumerate(images):
+        for name, tags in _in_one(gray(image), dictionaries).items():
+            for number, centre in zip(tags.number.tolist(), tags.centres, strict=True):
+                where.setdefault((name, number), np.full((len(images), 2), np.nan))[row] = centre
+    found = [Found(TagSource(n, d), int(np.isfinite(uv[:, 0]).sum()), uv) for (d, n), uv in where.items()]
+    least = min(_TWICE, len(images))
+    return sorted((one for one in found if one.seen >= least), key=lambda one: (-one.seen, one.source.tag))
+
+
+def _in_one(image: Array, dictionaries: Sequence[str]) -> dict[str, search.Tags]:
+    """The tags in one image (H,W) uint8, by dictionary."""
+    candidates = search.refined(image, search.candidates(image), _SIDE)
+    taken, found = np.empty((0, 2)), {}
+    for name in dictionaries:
+        tags = search.recognised(image, candidates, codes(name))
+        far = np.linalg.norm(tags.centres[:, None] - taken, axis=2).min(axis=1, initial=np.inf) > 2
+        found[name] = tags.chosen(np.flatnonzero(far & (tags.score >= _CLEAR)))
+        taken = np.concatenate([taken, found[name].centres])
+    return found
+

@@ -1,0 +1,1 @@
+"""Touches of the skin, strokes seen, and how they match in time."""

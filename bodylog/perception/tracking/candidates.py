@@ -1,0 +1,146 @@
+"""Which features a log offers: tags, then colours, each with how much of its motion the joints explain."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import LogError
+from ...settings import Colour
+from ...sources import ColourSource, Source, TagSource
+from ...types import Array, Recording
+from ..colours import blob_measurement, clutter, colour_proposals
+from ..colours.coarse_search import CANDIDATES
+from ..colours.hsv_ranges import Range, covered, resolve
+from ..tags import unknown
+from . import joint_motion, target_selection
+
+_FEW = 12
+"""Images in which tags of unknown kinds are looked for."""
+_SHOWN = 6
+_FEWEST = 20
+TAG, COLOUR = "tag", "colour"
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One thing that may be followed: where its track would come from, and why it is not the arm's ("": it is).
+
+    seen: share (0..1) of the images looked at · strays px · explained: share (0..1) of its held-out motion that the
+    joints explain · track (n,2) px in those images, NaN where not seen.
+    """
+
+    name: str
+    kind: str
+    source: Source
+    seen: float
+    strays: float
+    explained: float
+    why: str
+    track: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Survey:
+    """Candidates, the likeliest of the arm first · images {number: (H,W,3) BGR} to show them in · how many in all."""
+
+    candidates: tuple[Candidate, ...]
+    images: Mapping[int, Array]
+    count: int
+
+    @property
+    def arm(self) -> Candidate | None:
+        """What moves as the joints do; None where nothing does."""
+        return next((one for one in self.candidates if not one.why), None)
+
+
+def survey(recording: Recording, hand: Colour, effector_uv: tuple[float, float] | None = None) -> Survey:
+    """What some images of a recording offer; LogError where there are none.
+
+    `effector_uv` (px) says where the effector is in the first image: what is found there comes first. What has the
+    `hand`'s colour is never the arm's.
+    """
+    picked = colour_proposals.picked(recording)
+    t = np.array([moment for moment, _ in picked()])
+    if not t.size:
+        raise LogError(f"{colour_proposals.why_none(recording)}; type: bodylog info LOG")
+    ranges = [colour_proposals.around(hue) for hue in colour_proposals.peaks(image for _, image in picked())]
+    tags = _tags(image for index, (_, image) in enumerate(picked()) if index % max(1, -(-len(t) // _FEW)) == 0)
+    shown = set(joint_motion.thinned(len(t), _SHOWN).tolist())
+    found, seen, images, width = list[Array](), list[Array](), dict[int, Array](), 0
+    for index, (_, image) in enumerate(picked()):
+        found.append(blob_measurement.look([image], ranges)[0])
+        seen.append(_centres(image, tags))
+        width = max(width, image.shape[1])
+        if index in shown:
+            images[index] = np.array(image)
+    q = joint_motion.angles(recording.joints, t)
+    judged = [
+        *(_tag(tag, np.stack(seen)[:, k], q, width) for k, tag in enumerate(tags)),
+        *(_colour(one, np.stack(found)[:, k], t, recording, width, hand) for k, one in enumerate(ranges)),
+    ]
+    return Survey(tuple(sorted(judged, key=lambda one: _rank(one, effector_uv))), images, len(t))
+
+
+def _tags(images: Iterator[Array]) -> list[TagSource]:
+    """The tags of the common dictionaries that some images show."""
+    return [one.source for one in unknown.present(list(images))]
+
+
+def _centres(image: Array, tags: list[TagSource]) -> Array:
+    """Where each tag's centre is in an image: (K,2) px, NaN where not seen."""
+    where = np.full((len(tags), 2), np.nan)
+    for one in unknown.present([image], sorted({tag.dictionary for tag in tags})) if tags else ():
+        if one.source in tags:
+            where[tags.index(one.source)] = one.uv[0]
+    return where
+
+
+def _tag(source: TagSource, track: Array, q: Array, width: float) -> Candidate:
+    return _candidate(f"tag {source.tag} ({source.dictionary})", TAG, source, track, q, width)
+
+
+def _colour(one: Range, found: Array, t: Array, recording: Recording, width: float, hand: Colour) -> Candidate:
+    low, high = one.parts[0][0], one.parts[-1][1]
+    choice = clutter.choose(t, found, recording.joints, width) if np.isfinite(found[:, 1:, 0]).any() else None
+    if choice is None:
+        track = target_selection.best(t, found[:, :CANDIDATES], width)[0][:, :2]
+    else:
+        track = np.where(choice.number[:, None] >= 0, found[np.arange(len(t)), choice.number, :2], np.nan)
+    q = joint_motion.angles(recording.joints, t, 0.0 if choice is None else choice.delay)
+    source = ColourSource({"low": low, "high": high})
+    why = "the hand's colour" if colour_proposals.name(one) in covered(resolve(hand, "hand")) else ""
+    if choice is None and not why and np.isfinite(found[:, 1, 0]).mean() > 0.5:
+        why = "several things of this colour are in view, and none moves as the joints do"
+    return _candidate(colour_proposals.name(one), COLOUR, source, track, q, width, why)
+
+
+def _candidate(
+    name: str, kind: str, source: Source, track: Array, q: Array, width: float, why: str = ""
+) -> Candidate:
+    there = np.flatnonzero(np.isfinite(track[:, 0]))
+    strays = float(np.hypot(*track[there].std(axis=0))) if there.size else 0.0
+    share = joint_motion.explained(q[there], track[there], width) if there.size else 0.0
+    few = f"seen in {there.size} of {len(track)} images, {_FEWEST} are needed" if there.size < _FEWEST else ""
+    said = why or few or foreign(q, there, track[there], width)
+    return Candidate(name, kind, source, there.size / len(track), strays, share, said, track)
+
+
+def foreign(q: Array, frames: Array, place: Array, width: float) -> str:
+    """Why a thing seen at places (n,2) px in some images (n,) is not the arm's, by the joints' angles q (N,M)."""
+    if not q.shape[1]:
+        return "no joint moves"
+    if joint_motion.stands(place, width):
+        return "it stands still while the joints move"
+    if joint_motion.beyond_chance(q, frames, place, width) >= clutter.EXPLAINED:
+        return ""
+    return f"it does not move as the joints do: they explain {joint_motion.explained(q[frames], place, width):.0%}"
+
+
+def _rank(one: Candidate, effector_uv: tuple[float, float] | None) -> tuple[float, bool, bool, float, float]:
+    """Smaller is likelier: by distance from where the effector is said to be; the arm's, tags, what joints explain."""
+    seen = one.track[np.isfinite(one.track[:, 0])]
+    away = 0.0
+    if effector_uv is not None:
+        away = float(np.hypot(*(seen[0] - effector_uv))) if len(seen) else np.inf
+    return away, bool(one.why), one.kind != TAG, -one.explained * one.seen, -one.strays

@@ -1,0 +1,193 @@
+"""Pictures to blobs on several threads: each takes a few pictures in their order, looks at them and lets them go."""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from threading import Condition
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from ...errors import InputError
+from ...runtime.blas_threads import later, one_opencv
+from ...types import Array, Frame, Watched
+from ..colours import blob_measurement as blobs
+from ..colours import coarse_search
+from ..colours.coarse_search import Window, gray
+from ..colours.hsv_ranges import Range
+from .contract import Tracked, Tracker
+from .in_order import InOrder
+
+# pictures a thread takes at once; takes that wait; takes whose finds are measured together: with more, what is worked
+# on outgrows the memory a process keeps, and is faulted in anew
+_TAKEN, _AHEAD, _SHEET = 4, 4, 8
+_AT_ONCE = 1 << 23
+"""Bytes of pictures that are searched together."""
+
+
+class Seen(NamedTuple):
+    """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS) px · undecodable (N,) bool · greatest width, px.
+
+    size: width and height (px) of the log's first picture; None where it cannot be read. tracked: what each tracker
+    found in all pictures told of; number (N,): which of those the frames are.
+    """
+
+    t: Array
+    source_ns: Array
+    blobs: Array
+    broken: Array
+    width: float
+    size: tuple[int, int] | None
+    tracked: tuple[Tracked, ...] = ()
+    number: Array = np.empty(0, np.int64)
+
+
+Take = tuple[int, list[Frame]]
+"""Pictures in order, and how many such lists came before."""
+
+Look = tuple[list[Window], list[tuple[int, int, int]]]
+"""What some pictures show; of each its width and height in px as looked at (0: undecodable), how often it is shrunk."""
+
+
+class Looking:
+    """To be told of pictures one by one, within a `with`: this thread and `threads` - 1 others look at them.
+
+    No more than a few wait, and the same bytes come of them whichever thread takes which: what is measured together
+    depends on their order alone. Whoever tells of a picture too many looks at some itself. `progress` may be told by
+    any of the threads. `trackers` get every picture, whole, in the order of the file.
+    """
+
+    def __init__(
+        self,
+        ranges: Sequence[Range],
+        progress: Callable[[int], None] | None,
+        fast: bool,
+        threads: int,
+        trackers: Sequence[Tracker] = (),
+    ) -> None:
+        """Nothing is loaded and no thread begins before there is a picture."""
+        self._ranges, self._progress, self._threads = ranges, progress, threads
+        self._fast, self._trackers, self._in_order = fast and not trackers, trackers, InOrder(trackers)
+        self._begun, self._others = ExitStack(), list[Future[None]]()
+        self._ready, self._told, self._over = Condition(), list[Frame](), False
+        self._waiting, self._takes = deque[Take](), 0
+        self._sheets: dict[int, dict[int, Look]] = {}
+        self._measured: dict[int, tuple[Array, Array]] = {}
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __call__(self, frame: Frame) -> None:
+        """One more picture; its time does not matter. What went wrong on another thread is raised here."""
+        self._told.append(frame)
+        if len(self._told) == _TAKEN:
+            self._hand_out()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Look at what is left, unless something went wrong."""
+        with self._begun:
+            if kind is None and self._told:
+                self._hand_out()
+            with self._ready:
+                self._over = True
+                if kind is not None:
+                    self._waiting.clear()
+                self._ready.notify_all()
+            self._work()
+        for other in self._others if kind is None else ():
+            other.result()
+
+    def seen(self, watched: Watched) -> Seen:
+        """What the frames among the pictures show."""
+        for sheet, looks in self._sheets.items():
+            self._measured[sheet] = _measured(looks, self._ranges)
+        parts = [_measured({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
+        found, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
+        first = next(((width, height) for width, height, _ in sizes[:1].tolist() if width), None)
+        wide, _, scale = sizes[watched.number].T
+        whole = blobs.enlarged(found[watched.number], scale)
+        width, tracked = float((wide * scale).max(initial=0)), tuple(tracker.tracked() for tracker in self._trackers)
+        return Seen(watched.t, watched.source_ns, whole, wide == 0, width, first, tracked, watched.number)
+
+    def _begin(self) -> None:
+        self._begun.enter_context(one_opencv())
+        pool = self._begun.enter_context(ThreadPoolExecutor(self._threads, initializer=later))
+        self._others += [pool.submit(self._work) for _ in range(self._threads - 1)]
+
+    def _hand_out(self) -> None:
+        if not self._takes:
+            self._begin()
+        with self._ready:
+            self._waiting.append((self._takes, self._told))
+            self._takes, self._told = self._takes + 1, []
+            mine = self._waiting.popleft() if len(self._waiting) > _AHEAD else None
+            self._ready.notify()
+        for other in self._others:
+            if other.done():
+                other.result()
+        if mine:
+            self._look(*mine)
+
+    def _work(self) -> None:
+        """Look at pictures until there will be no more."""
+        while True:
+            with self._ready:
+                self._ready.wait_for(lambda: self._waiting or self._over)
+                if not self._waiting:
+                    return
+                number, frames = self._waiting.popleft()
+            self._look(number, frames)
+
+    def _look(self, number: int, frames: Sequence[Frame]) -> None:
+        """Look at pictures; who brings the last look of a sheet measures it."""
+        grays: list[Array | None] | None = [] if self._trackers else None
+        found = _look(frames, self._ranges, self._fast, 0 if number else 1, grays)
+        if grays is not None:
+            self._in_order.put(number, grays)
+        sheet = number // _SHEET
+        with self._ready:
+            self._sheets.setdefault(sheet, {})[number] = found
+            whole = self._sheets.pop(sheet) if len(self._sheets[sheet]) == _SHEET else None
+            if self._progress:
+                self._progress(len(frames))
+        if whole:
+            self._measured[sheet] = _measured(whole, self._ranges)
+
+
+def _look(
+    frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int, grays: list[Array | None] | None
+) -> Look:
+    """What some pictures show, the first so many looked at whole also when in haste; `grays` gets them in gray."""
+    found: list[Window] = []
+    images: dict[int, Array] = {}
+    sizes: list[tuple[int, int, int]] = []
+    for picture, frame in enumerate(frames):
+        scale = 2 if fast and frame.shrinks and picture >= whole else 1
+        image = _decoded(frame, scale)
+        sizes.append((0, 0, scale) if image is None else (image.shape[1], image.shape[0], scale))
+        if grays is not None:
+            grays.append(None if image is None else gray(image))
+        if image is not None:
+            images[picture] = image
+        if sum(image.size for image in images.values()) > _AT_ONCE:
+            found += coarse_search.windows(images, ranges)
+            images.clear()
+    return [*found, *coarse_search.windows(images, ranges)], sizes
+
+
+def _decoded(frame: Frame, scale: int) -> Array | None:
+    with suppress(InputError):
+        return frame.decode(scale)
+    return None
+
+
+def _measured(looks: Mapping[int, Look], ranges: Sequence[Range]) -> tuple[Array, Array]:
+    """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,3) of looks by their number."""
+    found: list[Window] = []
+    sizes: list[tuple[int, int, int]] = []
+    for _, (windows, measured) in sorted(looks.items()):
+        found += [window._replace(picture=window.picture + len(sizes)) for window in windows]
+        sizes += measured
+    return blobs.tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(-1, 3)

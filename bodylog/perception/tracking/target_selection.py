@@ -1,0 +1,247 @@
+"""Which blob is the target: blobs linked to runs through time, runs judged by size and motion."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import hypot
+
+import numpy as np
+
+from ...types import Array
+from ..colours.blob_measurement import BORDER, MASS, STD_U, STD_V, STRENGTH, U, V
+from .std_smoothing import steady
+
+_PATIENCE = 0.5
+_REACH = 0.08
+_RESIZED = 2.5
+_LARGER = 1.6
+_SMALL = 0.4
+_STILL = 3.0
+_MOVING = 12.0
+_EVIDENCE = 5
+_DEFICIT = 0.12
+_CHANGE = 0.05
+_NEAR = 0.5
+
+HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY, FOREIGN = (
+    "hidden", "at the border", "two candidates", "wrong size", "too far away", "partly hidden",
+    "not where the joints put it",
+)
+
+
+@dataclass
+class _Run:
+    """One blob followed through time: frame indices and its rows of fields."""
+
+    frames: list[int] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
+
+    @cached_property
+    def table(self) -> Array:
+        return np.array(self.rows)
+
+
+def best(t: Array, found: Array, width: float) -> tuple[Array, Array]:
+    """u, v, std_u, std_v (N,4) px of the target among found (N,candidates,FIELDS), NaN where unsure; why (N,) str."""
+    track = np.full((len(t), 4), np.nan)
+    why = np.full(len(t), HIDDEN, dtype=object)
+    runs = _link(t, found, _REACH * width)
+    if not runs:
+        return track, why
+    runs = _of_right_size(_undominated(runs, why), why)
+    runs = _reachable(t, runs, _REACH * width, why)
+    mass = np.full(len(t), np.nan)
+    for run in runs:
+        rows = run.table
+        clear = (rows[:, BORDER] == 0) & (why[run.frames] != RIVAL)
+        index = np.array(run.frames)
+        why[index[rows[:, BORDER] == 1]] = EDGE
+        track[index[clear]] = rows[clear][:, [U, V, STD_U, STD_V]]
+        mass[index[clear]] = rows[clear][:, MASS]
+    track[:, 2:] = steady(t, track[:, 2:])
+    _drop_partly_hidden(t, track, mass, why)
+    return track, why
+
+
+def linked(t: Array, found: Array, width: float) -> list[tuple[Array, Array]]:
+    """Blobs found (N,candidates,FIELDS) joined through time: of each run its frames (n,) and rows (n,FIELDS)."""
+    return [(np.array(run.frames), run.table) for run in _link(t, found, _REACH * width)]
+
+
+def _link(t: Array, found: Array, reach: float) -> list[_Run]:
+    """Blobs joined to the nearest open run that is close enough and of like size; others open a run."""
+    open_runs: list[_Run] = []
+    closed: list[_Run] = []
+    seen = np.isfinite(found[:, :, U])
+    some = np.flatnonzero(seen[:, 0])
+    times, frames, ends, at = t[some].tolist(), some.tolist(), _alone(t[some], found[some], reach), 0
+    while at < len(frames):
+        index = frames[at]
+        closed += [run for run in open_runs if times[at] - t[run.frames[-1]] > _PATIENCE]
+        open_runs = [run for run in open_runs if times[at] - t[run.frames[-1]] <= _PATIENCE]
+        taken: set[int] = set()
+        for row in found[index, seen[index]].tolist():
+            run = _nearest(open_runs, taken, row, reach)
+            if run is None:
+                run = _Run()
+                open_runs.append(run)
+            taken.add(id(run))
+            run.frames.append(index)
+            run.rows.append(row)
+        at, end = at + 1, ends[at]
+        if len(open_runs) == 1 and at < end:  # nothing else that any of these frames could belong to
+            open_runs[0].frames += frames[at:end]
+            open_runs[0].rows += found[some[at:end], 0].tolist()
+            at = end
+    return sorted(closed + open_runs, key=lambda run: run.frames[0])
+
+
+def _alone(t: Array, found: Array, reach: float) -> list[int]:
+    """For each frame (n,), up to which one each shows a single blob that goes on where the one before was."""
+    place, mass, border = found[:, 0, [U, V]], found[:, 0, MASS], found[:, 0, BORDER] == 1
+    step, grown = np.hypot(*np.diff(place, axis=0).T), mass[1:] / mass[:-1]
+    alike = border[1:] | border[:-1] | (grown > 1 / _RESIZED) & (grown < _RESIZED)
+    single = np.isfinite(found[:, :, U]).sum(axis=1) == 1
+    follows = single[1:] & single[:-1] & alike & (step <= reach) & (np.diff(t) <= _PATIENCE)
+    breaks = np.append(np.flatnonzero(~follows) + 1, len(t))
+    return list(breaks[np.searchsorted(breaks, np.arange(len(t)), side="right")].tolist())
+
+
+def _nearest(runs: list[_Run], taken: set[int], row: list[float], reach: float) -> _Run | None:
+    best_run, best_distance = None, reach
+    for run in runs:
+        last = run.rows[-1]
+        distance = hypot(row[U] - last[U], row[V] - last[V])
+        alike = row[BORDER] or last[BORDER] or 1 / _RESIZED < row[MASS] / last[MASS] < _RESIZED
+        if distance <= best_distance and alike and id(run) not in taken:
+            best_run, best_distance = run, distance
+    return best_run
+
+
+def _undominated(runs: list[_Run], why: Array) -> list[_Run]:
+    """Runs that lose to no run they share frames with; where two tie, those frames are marked RIVAL."""
+    beaten: set[int] = set()
+    for first in range(len(runs)):
+        for second in range(first + 1, len(runs)):
+            if runs[second].frames[0] > runs[first].frames[-1]:
+                break
+            shared = np.intersect1d(runs[first].frames, runs[second].frames)
+            if not shared.size:
+                continue
+            winner = _winner(runs[first], runs[second])
+            if winner is None:
+                why[shared] = RIVAL
+            else:
+                beaten.add(second if winner == 0 else first)
+    return [run for index, run in enumerate(runs) if index not in beaten]
+
+
+def _winner(first: _Run, second: _Run) -> int | None:
+    """0 or 1 for the stronger run, or else for the moving one beside a still one; None when neither is clear."""
+    ratio = np.median(first.table[:, STRENGTH]) / np.median(second.table[:, STRENGTH])
+    if ratio >= _LARGER or ratio <= 1 / _LARGER:
+        return 0 if ratio > 1 else 1
+    extents = [_extent(first), _extent(second)]
+    if min(extents) < _STILL and max(extents) > _MOVING:
+        return int(np.argmax(extents))
+    return None
+
+
+def _extent(run: _Run) -> float:
+    """How far (px) a run strays: the larger of its central 80 % ranges in u and v."""
+    low, high = np.quantile(run.table[:, [U, V]], (0.1, 0.9), axis=0)
+    return float((high - low).max())
+
+
+def _of_right_size(runs: list[_Run], why: Array) -> list[_Run]:
+    """Runs not much weaker than the longest one."""
+    usual = np.median(max(runs, key=lambda run: len(run.frames)).table[:, STRENGTH])
+    kept = []
+    for run in runs:
+        if np.median(run.table[:, STRENGTH]) >= _SMALL * usual or run.table[:, BORDER].any():
+            kept.append(run)
+        else:
+            why[run.frames] = SIZE
+    return kept
+
+
+def _reachable(t: Array, runs: list[_Run], reach: float, why: Array) -> list[_Run]:
+    """The runs without still ones, in a log that moves, that the target cannot have jumped to at its speed."""
+    speed = 2.0 * max(_fastest(t, run) for run in runs)
+    moving = max(_extent(run) for run in runs) > _MOVING
+    kept: list[_Run] = []
+    for run in sorted(runs, key=lambda run: -len(run.frames)):
+        still = moving and len(run.frames) >= _EVIDENCE and _extent(run) < _STILL
+        if not still or all(_within(t, run, other, reach, speed) for other in kept):
+            kept.append(run)
+        else:
+            why[run.frames] = JUMP
+    return kept
+
+
+def _within(t: Array, run: _Run, other: _Run, reach: float, speed: float) -> bool:
+    early, late = (run, other) if run.frames[0] < other.frames[0] else (other, run)
+    gap = float(t[late.frames[0]] - t[early.frames[-1]])
+    step = late.table[0] - early.table[-1]
+    return gap < 0 or hypot(step[U], step[V]) <= reach + speed * gap
+
+
+def _fastest(t: Array, run: _Run) -> float:
+    """The 95th percentile of a run's speed, px/s."""
+    if len(run.frames) < 3:
+        return 0.0
+    step = np.diff(run.table[:, [U, V]], axis=0)
+    return float(np.quantile(np.hypot(step[:, 0], step[:, 1]) / np.maximum(np.diff(t[run.frames]), 1e-3), 0.95))
+
+
+def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None:
+    """Rows where area is missing against the views around them go; a little missing area widens their std."""
+    seen = np.flatnonzero(np.isfinite(mass))
+    if not seen.size:
+        return
+    usual, spread = _usual(t[seen], mass[seen])
+    missing = 1 - mass[seen] / usual
+    most = max(_DEFICIT, 5 * spread)
+    bad = np.union1d(seen[missing > most], _vanishing(mass, most))
+    track[bad] = np.nan
+    why[bad] = PARTLY
+    # a disc of radius r that lost a share f of its area has its centre off by about f r
+    shift = np.maximum(missing - max(_CHANGE, 4 * spread), 0) * np.sqrt(usual / np.pi)
+    track[seen, 2:] = np.hypot(track[seen, 2:], shift[:, None])
+
+
+def _vanishing(mass: Array, most: float) -> Array:
+    """Indices beside unseen frames whose area is a share `most` short of the two seen frames' next to them."""
+    mass, found = mass.copy(), []
+    for _ in range(3):
+        padded = np.pad(mass, 2, constant_values=np.nan)
+        forward, backward = 2 * padded[1:-3] - padded[:-4], 2 * padded[3:-1] - padded[4:]
+        last, first = np.isnan(padded[3:-1]) & (forward > 0), np.isnan(padded[1:-3]) & (backward > 0)
+        short = (last & (mass < (1 - most) * forward)) | (first & (mass < (1 - most) * backward))
+        found.append(np.flatnonzero(short))
+        mass[short] = np.nan
+    return np.concatenate(found)
+
+
+def _usual(t: Array, mass: Array) -> tuple[Array, float]:
+    """The area expected at each time from lines through the whole views around it, and the share it scatters by."""
+    whole = np.ones(len(t))
+    expected, spread = mass, 0.0
+    for _ in range(3):
+        expected = _lines(t, mass, whole)
+        missing = 1 - mass / expected
+        spread = 1.4826 * float(np.median(np.abs(missing)))
+        whole = (missing < max(_CHANGE, 3 * spread)).astype(float)
+    return expected, spread
+
+
+def _lines(t: Array, values: Array, weight: Array) -> Array:
+    """At each time, the weighted line through the values within _NEAR s: (N,); the value itself if none count."""
+    low, high = np.searchsorted(t, t - _NEAR), np.searchsorted(t, t + _NEAR, side="right")
+    columns = weight[:, None] * np.column_stack([np.ones_like(t), t, t * t, values, t * values])
+    running = np.vstack([np.zeros(5), np.cumsum(columns, axis=0)])
+    n, s, ss, v, sv = (running[high] - running[low]).T
+    n = np.maximum(n, 1e-12)
+    middle = s / n
+    slope = (sv - middle * v) / np.maximum(ss - middle * s, 1e-9)
+    slope = np.where(ss - middle * s > 1e-6, slope, 0.0)
+    return np.where(n > 0.5, np.maximum(v / n + slope * (t - middle), 1.0), values)

@@ -1,0 +1,47 @@
+"""What to follow where nothing is configured and the default colour is not the arm's: what moves as the joints do."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...errors import InputError
+from ...settings import Settings
+from ...types import Features, Recording, Series
+from . import candidates, joint_motion
+from .candidates import Survey
+
+_ENOUGH, _FEWEST = 200, 50
+_RARELY = 0.05
+_CLEARLY = 0.5
+
+
+class Instead(NamedTuple):
+    """Why the effector's track is not the arm's, and what else there is to see."""
+
+    why: str
+    survey: Survey
+
+
+def instead(recording: Recording, features: Features, settings: Settings) -> Instead | None:
+    """What else a recording shows where the effector's track is not the arm's; None where it may be."""
+    effector, size = features.effector, features.picture_size
+    if effector is None or size is None or not (why := _foreign(recording, effector, size[0])):
+        return None
+    try:
+        return Instead(why, candidates.survey(recording, settings.colours.hand))
+    except InputError:
+        return None
+
+
+def _foreign(recording: Recording, track: Series, width: float) -> str:
+    """Why a track is not the arm's; "" where it may be."""
+    q = joint_motion.angles(recording.joints, track.t)
+    frames = np.flatnonzero(np.isfinite(track.values[:, 0]))
+    if not q.shape[1]:
+        return ""
+    if len(frames) < max(1.0, _RARELY * len(track.t)):
+        return f"seen in {len(frames)} of {len(track.t)} images"
+    some = frames[joint_motion.thinned(len(frames), _ENOUGH)]
+    if len(some) < _FEWEST or joint_motion.explained(q[some], track.values[some], width) > _CLEARLY:
+        return ""
+    return candidates.foreign(q, some, track.values[some], width)

@@ -1,0 +1,64 @@
+"""What of a dataset stays with its signals in the MCAP made of it: names, units, and topics that play no role."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from ..annotating.messages import escape
+from ..logs.formats import open_log
+from ..logs.joint_units import SOURCE_UNIT, UNIT
+from ..logs.topics import INDEPENDENT
+from ..settings import Settings
+from ..types import Batch, Outgoing, Recording, Topic
+
+JOINTS = "/joint_states"
+_OURS = "bodylog."
+Beside = tuple[Outgoing, Mapping[str, str]]
+"""Messages of a topic, and its metadata."""
+
+
+def of_episode(path: Path, settings: Settings) -> tuple[Settings, list[Beside]]:
+    """The settings with all cameras of an episode of a dataset, and its topics that are neither joints nor images.
+
+    Of any other log the settings alone; cameras that are named stay the only ones.
+    """
+    from ..logs.datasets.episode_log import EpisodeLog
+
+    with open_log(path, settings.input.strict, settings.input) as log:
+        if not isinstance(log, EpisodeLog):
+            return settings, []
+        cameras = tuple(topic.name for topic in log.topics if topic.id in log.cameras)
+        beside = [topic for topic in log.topics if topic.name != JOINTS and topic.id not in log.cameras]
+        kept = [_outgoing(topic, batch) for topic in beside for batch in log.batches((topic.id,))]
+    if settings.topics.camera is None and cameras:
+        settings = replace(settings, topics=replace(settings.topics, camera=cameras))
+    return settings, kept
+
+
+def _outgoing(topic: Topic, batch: Batch) -> Beside:
+    fields = (topic.name, topic.type, topic.definition, batch.log_ns, batch.data, batch.offset, batch.length)
+    return Outgoing(*fields), topic.metadata
+
+
+def kept_metadata(recording: Recording) -> dict[str, dict[str, str]]:
+    """Metadata of the topics that a recording is written as, by /joint_states, and /camera or /NAME of cameras."""
+    found = {JOINTS: {**joints_metadata(recording), **(INDEPENDENT if recording.poses else {})}}
+    for role in recording.roles:
+        if role.partition("/")[0] == "camera":
+            under = f"/{escape(role.partition('/')[2])}" if "/" in role else "/camera"
+            found[under] = role_metadata(recording, role)
+    return {topic: about for topic, about in found.items() if about}
+
+
+def joints_metadata(recording: Recording) -> dict[str, str]:
+    """The metadata of the joints' topic; the unit is that of the joints as they are read."""
+    about = role_metadata(recording, "joints")
+    if recording.joints is None or UNIT not in about:
+        return about
+    return {**about, UNIT: recording.joints.unit, SOURCE_UNIT: about.get(SOURCE_UNIT, about[UNIT])}
+
+
+def role_metadata(recording: Recording, role: str) -> dict[str, str]:
+    """What the topic of a role says of the dataset it came from."""
+    topic = next((topic for topic in recording.topics if topic.name == recording.roles.get(role)), None)
+    return {} if topic is None else {k: v for k, v in topic.metadata.items() if k.startswith(_OURS)}

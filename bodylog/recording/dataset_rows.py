@@ -1,0 +1,255 @@
+"""A recorded log as rows of a dataset: the first camera's images are the rows, with the nearest reading of all else."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..annotating.messages import stamps
+from ..errors import BodylogError, FormatError, LogError
+from ..logs.datasets.episode_log import DTYPE, FEATURE, JOINT_STATE, TEXT, VECTOR
+from ..logs.formats import open_log
+from ..logs.joint_units import SOURCE_UNIT, UNIT
+from ..logs.library import OpenLog
+from ..settings import Settings
+from ..types import Array, Finding, Frame, Recording, Topic
+from . import dataset_metadata, roles
+from .cameras import camera_name
+from .recording import read
+
+STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
+_OURS = "/bodylog/"
+
+
+@dataclass(frozen=True, eq=False)
+class Feature:
+    """Numbers of a dataset: values (N,K), names (K,), own times ns (N,) int64, declared dtype and unit, "" for none."""
+
+    values: Array
+    names: tuple[str, ...]
+    ns: Array
+    dtype: str = ""
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A camera of a dataset: size (width, height) px, own times ns (N,) int64, and what gives an image for each row.
+
+    `unread`: which rows have no readable image and show the one before; known once they were asked for.
+    """
+
+    size: tuple[int, int]
+    ns: Array
+    images: Callable[[], Iterator[Array]]
+    unread: set[int] = field(default_factory=set)
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """An episode to write: times of the rows ns (N,) int64, features and cameras by name, task, rate (Hz), robot."""
+
+    ns: Array
+    features: Mapping[str, Feature]
+    views: Mapping[str, View]
+    task: str
+    fps: float
+    robot: str | None
+    findings: Sequence[Finding]
+
+
+def rows(
+    path: Path, settings: Settings, task: str | None = None, start: float | None = None, end: float | None = None
+) -> Rows:
+    """The rows of a log from `start` to `end` (s since its first joints); LogError without joints and images."""
+    recording = read(path, _every_camera(path, settings), settings.input.strict)
+    joints = dataset_metadata.joints_metadata(recording)
+    findings = list(recording.findings)
+    features, text = _features(path, recording, joints, findings)
+    films = {} if recording.frames is None else {"": recording.frames}
+    films |= dict(recording.views)
+    taken = {name: np.array([_ns(recording, one) for one in film()], np.int64) for name, film in films.items()}
+    ns = _chosen(path, [*taken.values(), *(one.ns for one in features.values())], recording.start_ns, start, end)
+    views = {
+        _camera(name, recording): view
+        for name in films
+        if (view := _view(path, name, films[name], taken[name], ns, findings)) is not None
+    }
+    at_rows = {name: _at(one, ns) for name, one in features.items()}
+    findings += _apart(path, {**at_rows, **views}, ns)
+    task = text if task is None else task
+    return Rows(ns, at_rows, views, task, _rate(joints, ns), joints.get("bodylog.robot"), findings)
+
+
+def nearest(of: Array, at: Array) -> Array:
+    """Which of the times `of` (n,), ascending, is nearest to each of `at` (m,); the earlier one where two are."""
+    after = np.minimum(np.searchsorted(of, at), len(of) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(at - of[before]) <= np.abs(of[after] - at), before, after)
+
+
+def _every_camera(path: Path, settings: Settings) -> Settings:
+    """The settings; where they name no camera, with all of the log's."""
+    if settings.topics.camera is not None:
+        return settings
+    with open_log(path, settings.input.strict, settings.input) as log:
+        some = {topic.name for topic in log.topics if roles.is_raw(topic) and _is_camera(topic)}
+    return replace(settings, topics=replace(settings.topics, camera=tuple(sorted(some)) or None))
+
+
+def _is_camera(topic: Topic) -> bool:
+    return roles.camera_rank(topic) is not None and roles.problem(topic) is None
+
+
+def _ns(recording: Recording, frame: Frame) -> int:
+    return recording.start_ns + round(frame.t * 1e9)
+
+
+def _features(
+    path: Path, recording: Recording, about: Mapping[str, str], findings: list[Finding]
+) -> tuple[dict[str, Feature], str]:
+    """Signals of a log by the names of their features, and the first task that it tells."""
+    found: dict[str, Feature] = {}
+    if recording.skin is not None:
+        skin = recording.skin
+        found["observation.skin"] = Feature(skin.values, skin.names, stamps(skin.t, recording.start_ns))
+    paths, left, task = list(recording.roles.values()), list[str](), ""
+    used = {t.name for t in recording.topics for path in paths if path == t.name or path.startswith(f"{t.name}.")}
+    with OpenLog(path) as log:
+        if recording.joints is not None and len(recording.joints.t):
+            found = {about.get(FEATURE, STATE): _joints(log, recording, about)} | found
+        for topic in recording.topics:
+            if topic.name in used or topic.name.startswith(_OURS) or not topic.messages or _is_camera(topic):
+                continue
+            if topic.type == TEXT and topic.metadata.get(FEATURE) == "task":
+                task = str(next(iter(log.messages([topic.name]))).value.data)
+            elif (one := _numbers(log, topic)) is not None:
+                found.setdefault(topic.metadata.get(FEATURE) or _name(topic, found), one)
+            else:
+                left.append(topic.name)
+    if left:
+        findings.append(Finding("info", f"{path}: topics that the dataset leaves out: {', '.join(sorted(left))}"))
+    return found, task
+
+
+def _joints(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Feature:
+    """The joints as their topic has them, where it is a single one that is read whole; else as they are read."""
+    joints = recording.joints
+    assert joints is not None
+    ns, names = stamps(joints.t, recording.start_ns), joints.names
+    topic = next((one for one in recording.topics if one.name == recording.roles.get("joints")), None)
+    own = None if topic is None else _numbers(log, topic)
+    values, unit = joints.values, joints.unit
+    if own is not None and own.names == names and np.array_equal(own.ns, ns):
+        values, unit = own.values, about.get(UNIT, "") if topic is None else topic.metadata.get(UNIT, joints.unit)
+    if unit == "rad" and about.get(SOURCE_UNIT) == "deg":
+        values, unit = np.rad2deg(values), "deg"
+    return Feature(values, names, ns, about.get(DTYPE, ""), unit)
+
+
+def _numbers(log: OpenLog, topic: Topic) -> Feature | None:
+    """The joints or numbers of a topic, in order of time; None for one of another type, or of changing names."""
+    fields = {JOINT_STATE: ("name", "position"), VECTOR: ("names", "data")}.get(topic.type)
+    if fields is None:
+        return None
+    try:
+        table = log.read({topic.name: ["header.stamp", *fields]})[topic.name]
+    except BodylogError:
+        return None
+    names, values, ns = (table[name] for name in (*fields, "header.stamp"))
+    if values.ndim != 2 or not values.size or names.shape != values.shape or (names != names[0]).any():
+        return None
+    order = np.argsort(ns, kind="stable")
+    about = topic.metadata
+    texts = tuple(map(str, names[0]))
+    return Feature(np.asarray(values, float)[order], texts, ns[order], about.get(DTYPE, ""), about.get(UNIT, ""))
+
+
+def _name(topic: Topic, taken: Mapping[str, Feature]) -> str:
+    """`action` for the first commands of joints, else observation.TOPIC."""
+    if topic.type == JOINT_STATE and roles.is_wished(topic) and ACTION not in taken:
+        return ACTION
+    return f"observation.{topic.name.strip('/').replace('/', '.')}"
+
+
+def _chosen(path: Path, streams: Sequence[Array], start_ns: int, start: float | None, end: float | None) -> Array:
+    """The times of the rows: those of the first stream that has any."""
+    first = next((ns for ns in streams if len(ns)), None)
+    if first is None:
+        raise LogError(f"{path}: neither joints nor images to make rows of; type: bodylog info {path}")
+    ns = np.unique(first)
+    t = (ns - start_ns) / 1e9
+    within = (t >= (-np.inf if start is None else start)) & (t <= (np.inf if end is None else end))
+    if not within.any():
+        raise LogError(f"{path}: no rows in the time asked for; it has some from {t[0]:.3f} to {t[-1]:.3f} s")
+    return np.asarray(ns[within])
+
+
+def _at(one: Feature, ns: Array) -> Feature:
+    which = nearest(one.ns, ns)
+    return replace(one, values=one.values[which], ns=one.ns[which])
+
+
+def _camera(name: str, recording: Recording) -> str:
+    """The name of a camera's feature: as the log's dataset called it, else after its topic."""
+    known = dataset_metadata.role_metadata(recording, f"camera/{name}" if name else "camera").get(FEATURE)
+    return known or f"{IMAGES}{(name or camera_name(recording.roles['camera'])).replace('/', '.')}"
+
+
+def _view(
+    path: Path, name: str, film: Callable[[], Iterator[Frame]], taken: Array, ns: Array, findings: list[Finding]
+) -> View | None:
+    """A camera with an image for each row; None, and a remark, for one without readable images."""
+    size = next((found for frame in film() if (found := _size(frame)) is not None), None)
+    if size is None:
+        findings.append(Finding("lost", f"{path}: camera {name or 'camera'}: no image can be read; it is left out"))
+        return None
+    which, unread = nearest(taken, ns), set[int]()
+    return View(size, taken[which], partial(_images, film, which, size, unread), unread)
+
+
+def _size(frame: Frame) -> tuple[int, int] | None:
+    try:
+        height, width = frame.decode(1).shape[:2]
+    except FormatError:
+        return None
+    return width, height
+
+
+def _images(
+    film: Callable[[], Iterator[Frame]], which: Array, size: tuple[int, int], unread: set[int]
+) -> Iterator[Array]:
+    """An image for each row; where it cannot be read the one before, black where there is none."""
+    frames, number = enumerate(film()), -1
+    image: Array = np.zeros((size[1], size[0], 3), np.uint8)
+    for row, wanted in enumerate(which.tolist()):
+        if number < wanted:
+            number, frame = next((k, one) for k, one in frames if k == wanted)
+            try:
+                image, sound = frame.image, True
+            except FormatError:
+                sound = False
+        unread.update(() if sound else (row,))
+        yield image
+
+
+def _apart(path: Path, streams: Mapping[str, Feature | View], ns: Array) -> Iterator[Finding]:
+    """Streams whose readings were not taken when the rows were."""
+    far = {name: float(np.abs(one.ns - ns).max()) / 1e9 for name, one in streams.items()}
+    off = [f"{name} up to {distance:.3g} s" for name, distance in far.items() if distance > 0]
+    if off:
+        said = "rows are the first camera's images, or else the joints; the nearest reading of others is taken"
+        yield Finding("info", f"{path}: {said}: {', '.join(off)} apart; their own times are kept in NAME.stamp_ns")
+
+
+def _rate(about: Mapping[str, str], ns: Array) -> float:
+    """Rows per second: as the dataset declared, else their median, to four digits."""
+    try:
+        declared = float(about.get("bodylog.fps", ""))
+    except ValueError:
+        declared = 0.0
+    if 0 < declared < 1e5:
+        return declared
+    return float(f"{1e9 / float(np.median(np.diff(ns))):.4g}") if len(ns) > 1 else 1.0

@@ -1,0 +1,281 @@
+"""One dated stream per role: columns read in one pass, put on one clock, every message accounted for."""
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+
+from ..errors import BodylogError, ConfigError, FormatError, LogError
+from ..logs.decode.columns import Columns, Source, columns, columns_of
+from ..logs.formats import Log
+from ..logs.images import messages
+from ..logs.joint_units import joint_unit
+from ..logs.topics import independent
+from ..settings import Settings
+from ..settings import counts as counted
+from ..types import Array, Batch, Finding, Health, Series, Topic
+from . import role_values
+from .clocks import Dated, date, largest_gap, median, seconds
+from .roles import Role
+from .stamp_field import stamp_field
+
+_MINUTE = 60_000_000_000
+_JOINT_FIELDS = ("name", "position")
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One role's messages, dated: values (m,D), log_ns (m,), and the counts behind its health."""
+
+    role: Role
+    dated: Dated
+    values: Array
+    names: tuple[str, ...]
+    log_ns: Array
+    rows: Array
+    counts: tuple[int, ...]
+    rejected: Mapping[str, int]
+    fallback: int
+    shifted_s: float = 0.0
+    beyond: int = 0
+    wraps: Mapping[str, int] = field(default_factory=dict)
+    sets: tuple[role_values.Named, ...] = ()
+    unit: str = "rad"
+
+
+def streams(
+    log: Source, found: Mapping[str, Role], settings: Settings, name: str
+) -> tuple[dict[str, Stream], tuple[Finding, ...]]:
+    """The roles of a log that hold usable messages, and remarks on guesses that do not.
+
+    LogError when a role named in robot.toml holds none.
+    """
+    alone = sum(role.role == "joints" for role in found.values()) < 2
+    read = _columns(log, found, name)
+    dated = _rising({role: _stream(*source, settings, name, alone) for role, source in read.items()})
+    usable = {role: stream for role, stream in dated.items() if len(stream.dated.t_ns)}
+    empty = (_empty(stream, settings, name) for role, stream in dated.items() if role not in usable)
+    return _one_epoch(usable), tuple(empty)
+
+
+def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
+    """The joints a JointState topic's first messages name; "" for each position without a name."""
+
+    def names(topic: Topic) -> tuple[str, ...]:
+        try:
+            found = columns(_Beginning(log), topic, ("name", "position"))
+        except BodylogError:
+            return ()
+        nameless = max((np.shape(part.values[1])[-1] for part in found.parts), default=0)
+        said = [name for part in found.parts if isinstance(part.values[0], tuple) for name in part.values[0]]
+        return tuple(dict.fromkeys(said)) or ("",) * nameless
+
+    return names
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """A log's first batch of what is asked for."""
+
+    log: Log
+
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
+        return islice(self.log.batches(ids), 1)
+
+
+def _columns(log: Source, found: Mapping[str, Role], name: str) -> dict[str, tuple[Role, tuple[Columns, ...]]]:
+    fields: dict[int, dict[str, None]] = {}
+    topics = {topic.id: topic for role in found.values() for topic in role.topics}
+    for role in found.values():
+        for topic in role.topics:
+            stamp = stamp_field(topic)
+            wanted = dict.fromkeys([stamp] if stamp else []) | dict.fromkeys(_fields(role))
+            fields.setdefault(topic.id, {}).update(wanted)
+    try:
+        read = columns_of(log, {id_: (topics[id_], tuple(names)) for id_, names in fields.items()})
+    except ConfigError as problem:
+        asked = ", ".join(f'{role.role} = "{role.path}"' for role in found.values() if role.field)
+        raise ConfigError(f"{name}: [topics] {asked}: {problem}") from problem
+    except FormatError as problem:
+        raise FormatError(f"{name}: {problem}") from problem
+    return {name: (role, tuple(read[topic.id] for topic in role.topics)) for name, role in found.items()}
+
+
+def _fields(role: Role) -> tuple[str, ...]:
+    if role.role == "camera":
+        return (messages.text_field(role.topics[0]),)
+    return (role.field,) if role.field else _JOINT_FIELDS
+
+
+def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str, alone: bool) -> Stream:
+    stamp = stamp_field(role.topics[0])
+    found = list(role_values.blocks(read, stamp, _fields(role)))
+    signal = _signal(role, found, settings, f"{name}: {role.topic}", alone)
+    log_ns = np.concatenate([some.log_ns for some in read])
+    choice = getattr(settings.time, role.role)
+    if choice == "header" and signal.stamp_ns is None and len(signal.rows):
+        raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
+    by_name = role.role in ("joints", "truth", "reference")
+    dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
+    values, idle, beyond, wraps = signal.values[dated.rows], 0, 0, dict[str, int]()
+    # what is true is told in rad or degrees, never in an encoder's counts
+    said = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
+    unit = joint_unit(role.topics[0].metadata, said)
+    if by_name:
+        told = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
+        keep, values, idle = role_values.merged(dated.t_ns, told)
+        dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
+        values, beyond, turns = role_values.angles(values[keep], None if independent(role.topics) else unit.turn)
+        wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
+    elif values.dtype.kind == "f":
+        values, beyond = role_values.believed(values)
+    rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(dated.rejected))
+    rejected.update({"same stamp again": idle} if idle else {})
+    rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in read)
+    slow = sum(some.fallback for some in read)
+    return Stream(
+        role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond, wraps=wraps,
+        sets=signal.sets, unit=unit.unit if by_name else "",
+    )  # fmt: skip
+
+
+def _signal(
+    role: Role, found: list[role_values.Block], settings: Settings, what: str, alone: bool
+) -> role_values.Signal:
+    if role.role == "camera":
+        seen = {str(text) for _, _, (names,) in found for text in names}
+        return role_values.texts(found, {text: messages.refusal(role.topics[0], text) for text in seen})
+    if not role.field:
+        wanted = settings.body.joints if alone or role.role != "joints" else None
+        return role_values.joints(found, wanted, what, every=role.role == "joints")
+    signal = role_values.array(found)
+    if role.role == "skin" or not len(signal.rows):
+        return role_values.proximities(signal) if role.unsure else signal
+    nameless = [(signal.rows, signal.stamp_ns, ((), signal.values))]
+    return role_values.joints(nameless, settings.body.joints, what)
+
+
+def _empty(stream: Stream, settings: Settings, name: str) -> Finding:
+    why, role = _reasons(stream) or "it is empty", stream.role
+    if getattr(settings.topics, role.role) is not None:
+        raise LogError(f"{name}: no usable message on {role.topic}: {why}")
+    return Finding("warning", f"{role.role}: {role.topic} was considered, but has no usable message: {why}")
+
+
+def _rising(found: dict[str, Stream]) -> dict[str, Stream]:
+    """Of streams whose times fall while others' rise, no message can be used; where all fall, the file is turned."""
+    falling = [role for role, stream in found.items() if stream.dated.falls]
+    if len(falling) == len([stream for stream in found.values() if len(stream.rows)]):
+        return found
+    return found | {role: _without(found[role]) for role in falling}
+
+
+def _without(stream: Stream) -> Stream:
+    """The stream with all its messages rejected."""
+    none = replace(stream.dated, t_ns=stream.dated.t_ns[:0], rows=stream.dated.rows[:0])
+    rejected = Counter(stream.rejected) + Counter({"time runs backwards": len(stream.rows)})
+    return replace(
+        stream, dated=none, values=stream.values[:0], log_ns=stream.log_ns[:0], rows=stream.rows[:0], rejected=rejected
+    )
+
+
+def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
+    """Bring streams whose clocks are more than a minute apart to the first one's, by way of their log times."""
+    behind = {role: (s.dated.offset_ns or 0) if s.dated.clock == "header" else 0 for role, s in found.items()}
+    first = next(iter(behind.values()), 0)
+    return {role: _shifted(stream, behind[role] - first) for role, stream in found.items()}
+
+
+def _shifted(stream: Stream, by_ns: int) -> Stream:
+    if abs(by_ns) < _MINUTE:
+        return stream
+    return replace(stream, dated=replace(stream.dated, t_ns=stream.dated.t_ns + by_ns), shifted_s=by_ns / 1e9)
+
+
+def series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
+    """A stream as the record other stages read."""
+    if stream is None:
+        return None
+    return Series(seconds(stream.dated.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
+
+
+def health(stream: Stream) -> Health:
+    """What became of a stream's messages."""
+    used = sum(stream.counts) - sum(stream.rejected.values())
+    return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.dated.t_ns))
+
+
+def remarks(stream: Stream) -> Iterator[Finding]:
+    """What there is to say about a stream: its clocks, and what was sorted, slow or rejected."""
+    dated, name = stream.dated, f"{stream.role.role} {stream.role.topic}"
+    if dated.offset_ns is not None:
+        late = f"{dated.offset_ns / 1e9:.6g} s after the header's, 5 to 95 % within {dated.spread_s:.3g} s"
+        yield Finding("info", f"{name}: {dated.clock} time; log times are at the median {late}")
+    if stream.shifted_s:
+        by = f"{stream.shifted_s:.6g} s"
+        yield Finding("warning", f"{name}: its clock is not the others'; shifted by {by} to meet them")
+    if len(dated.backwards):
+        yield Finding("warning", f"{name}: {_backwards(stream)}")
+    if dated.out_of_order:
+        yield Finding("info", f"{name}: {dated.out_of_order} messages out of order were sorted")
+    if stream.fallback:
+        yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
+    if stream.beyond:
+        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {role_values.FARTHEST:g} are taken for none")
+    yield from (Finding("warning", f"{name}: {text}") for text in (*_changing(stream), *_vanishing(stream)))
+    for joint, count in stream.wraps.items():
+        yield Finding("info", f"{name}: {joint} wraps around, {count} times; read as one motion, without whole turns")
+    if stream.rejected:
+        yield Finding("warning", f"{name}: rejected {_reasons(stream)} of {sum(stream.counts)} messages")
+
+
+_GONE, _RARE = 1.0, 10.0
+"""s, and usual steps, that a joint says nothing at an end of its topic after which it is said to be missing there."""
+_NAMED = 4
+
+
+def _changing(stream: Stream) -> Iterator[str]:
+    """That a topic's messages do not all name the same joints, or not in one order, and what that may mean."""
+    if len(stream.sets) < 2:
+        return
+    some = "; ".join(f"{', '.join(one.names)} ({len(one.rows)} messages)" for one in stream.sets[:_NAMED])
+    more = f"; and {len(stream.sets) - _NAMED} more" if len(stream.sets) > _NAMED else ""
+    which = np.concatenate([np.full(len(one.rows), k) for k, one in enumerate(stream.sets)])
+    which = which[np.argsort(np.concatenate([one.rows for one in stream.sets]), kind="stable")]
+    switches = int((np.diff(which) != 0).sum())
+    why = "the list changes" if switches < 2 * len(stream.sets) else f"in turn, {switches} times: several publishers"
+    yield f"{len(stream.sets)} lists of joints on one topic, {why}: {some}{more}"
+
+
+def _vanishing(stream: Stream) -> Iterator[str]:
+    """Joints that say nothing at the beginning or the end of a topic that goes on."""
+    if stream.role.role not in ("joints", "truth", "reference") or len(stream.dated.t_ns) < 2:
+        return
+    t = seconds(stream.dated.t_ns, int(stream.dated.t_ns[0]))
+    for name, column in zip(stream.names, stream.values.T, strict=True):
+        known = t[np.isfinite(column)]
+        if len(known) < 2:
+            continue
+        long = max(_GONE, _RARE * median(np.diff(known)))
+        if t[-1] - known[-1] > long:
+            yield f"{name} vanishes: no reading after {known[-1]:.3f} s, while others go on until {t[-1]:.3f} s"
+        if known[0] > long:
+            yield f"{name} has no reading before {known[0]:.3f} s"
+
+
+def _backwards(stream: Stream) -> str:
+    """How many times ran backwards, where, and what was made of it."""
+    dated = stream.dated
+    first = min(int(stream.log_ns.min()), int(dated.backwards[0]))
+    begin, end = ((int(ns) - first) / 1e9 for ns in (dated.backwards[0], dated.backwards[-1]))
+    said = f"times run backwards: {len(dated.backwards)} of {sum(stream.counts)} messages, {begin:.3f} to {end:.3f} s"
+    if "time runs backwards" in dated.rejected:
+        return f"{said} after its first, are dated apart from the rest and left out"
+    insist = f'type [time] {stream.role.role} = "header" in robot.toml to insist on header time'
+    return f"{said} after its first, are dated apart from the rest by the header; log time is used instead, {insist}"
+
+
+def _reasons(stream: Stream) -> str:
+    return ", ".join(f"{count} ({reason})" for reason, count in sorted(stream.rejected.items()))

@@ -1,0 +1,106 @@
+"""The camera's frames, told of while the log is read, or lazily and in time order; each holds its own bytes."""
+
+import heapq
+from collections.abc import Callable, Collection, Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from ..logs.decode.cursor import Payload
+from ..logs.formats import Log, open_log, payloads
+from ..logs.images import messages
+from ..logs.storage.mmapped import lasts
+from ..settings import Input
+from ..types import Array, Batch, Frame, Topic, Watched, Watcher
+from .clocks import seconds
+
+
+class Told:
+    """A log whose camera's pictures are told of on their way to who reads its batches."""
+
+    def __init__(self, log: Log, topics: tuple[Topic, ...], watch: Watcher, limits: Input) -> None:
+        """The camera's topics: one name, several ids where it has several schemas."""
+        self._log, self._watch, self._count = log, watch, 0
+        self._decoders = {topic.id: messages.decoder(topic, limits.max_image_mpx) for topic in topics}
+        self._shrinks = {topic.id: topic.type in messages.COMPRESSED for topic in topics}
+        self._numbers: dict[int, list[Array]] = {topic.id: [np.empty(0, np.int64)] for topic in topics}
+
+    def batches(self, ids: Collection[int]) -> Iterator[Batch]:
+        """Those of the log."""
+        for batch in self._log.batches(ids):
+            if batch.topic_id in self._decoders:
+                self._tell(batch)
+            yield batch
+
+    def watched(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> Watched:
+        """Of all told the frames, dated t_ns (n,): the messages rows (n,), counted through the topics in order."""
+        numbers = np.concatenate([number for some in self._numbers.values() for number in some])
+        return Watched(seconds(t_ns, start_ns), source_ns, numbers[rows], self._watch)
+
+    def _tell(self, batch: Batch) -> None:
+        id_ = batch.topic_id
+        self._numbers[id_].append(np.arange(self._count, self._count + len(batch.log_ns)))
+        self._count += len(batch.log_ns)
+        for log_ns, decode in zip(batch.log_ns.tolist(), _decodes(batch, self._decoders[id_]), strict=True):
+            self._watch(Frame(float("nan"), log_ns, decode, self._shrinks[id_]))
+
+
+def frames(
+    path: Path,
+    limits: Input,
+    topics: tuple[Topic, ...],
+    counts: tuple[int, ...],
+    rows: Array,
+    t_ns: Array,
+    start_ns: int,
+) -> Callable[[], Iterator[Frame]]:
+    """A function that reads the log again and yields the frames dated t_ns (m,), which are the messages rows (m,).
+
+    Rows count through the topics in order, `counts` messages each. Messages that come early wait, so memory
+    grows with the disorder of the file, not with its length.
+    """
+    rank = np.full(sum(counts), -1)
+    rank[rows] = np.arange(len(rows))
+    starts = np.concatenate([[0], np.cumsum(counts)])[:-1]
+    places = {topic.id: rank[start : start + n] for topic, start, n in zip(topics, starts, counts, strict=True)}
+    decoders = {topic.id: messages.decoder(topic, limits.max_image_mpx) for topic in topics}
+    shrink = {topic.id: topic.type in messages.COMPRESSED for topic in topics}
+    t = seconds(t_ns, start_ns)
+
+    def read() -> Iterator[Frame]:
+        waiting: list[tuple[int, Frame]] = []
+        due = 0
+        for number, frame in _frames(path, limits, places, decoders, shrink, t):
+            heapq.heappush(waiting, (number, frame))
+            while waiting and waiting[0][0] == due:
+                yield heapq.heappop(waiting)[1]
+                due += 1
+
+    return read
+
+
+def _frames(
+    path: Path,
+    limits: Input,
+    places: dict[int, Array],
+    decoders: dict[int, Callable[[Payload, int], Array]],
+    shrink: dict[int, bool],
+    t: Array,
+) -> Iterator[tuple[int, Frame]]:
+    seen = dict.fromkeys(places, 0)
+    with open_log(path, limits.strict, limits) as log:
+        for batch in log.batches(tuple(places)):
+            id_ = batch.topic_id
+            numbers = places[id_][seen[id_] : seen[id_] + len(batch.log_ns)].tolist()
+            seen[id_] += len(batch.log_ns)
+            decodes = _decodes(batch, decoders[id_])
+            for number, log_ns, decode in zip(numbers, batch.log_ns.tolist(), decodes, strict=True):
+                if number >= 0:
+                    yield number, Frame(float(t[number]), log_ns, decode, shrink[id_])
+
+
+def _decodes(batch: Batch, decode: Callable[[Payload, int], Array]) -> Iterator[Callable[[int], Array]]:
+    """What decodes each message of a batch, from bytes of its own unless the batch's stay."""
+    keep = lasts(batch.data)
+    return (partial(decode, payload if keep else bytes(payload)) for payload in payloads(batch))

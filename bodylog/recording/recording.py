@@ -1,0 +1,209 @@
+"""A log -> one Recording: roles, dated signals, lazy frames, and what became of every message."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import BodylogError
+from ..logs.formats import Log, open_log, without_images
+from ..logs.images import video_file
+from ..logs.topics import independent
+from ..settings import Settings
+from ..sources import TableSource, TopicSource
+from ..types import Features, Finding, Frame, Health, Recording, Series, Topic, Watched, Watcher
+from . import cameras, joint_topics, role_hints, roles
+from . import frames as camera
+from .dated_streams import Stream, health, joints_of, remarks, series, streams
+
+_OURS, _VIEW = "/bodylog/", "camera/"
+
+
+def read(
+    path: Path, settings: Settings, strict: bool = False, watching: Callable[[], Watcher] | None = None
+) -> Recording:
+    """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come.
+
+    Who is `watching` is told of the first camera's pictures on the way, unless the log may tell what they show.
+    """
+    with open_log(path, strict, settings.input) as log:
+        settings = _remembered(log, settings)
+        found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
+        to_be_seen = "camera" in found and not _is_ours(log)
+        with watching() if watching and to_be_seen else nullcontext() as watch:
+            told = camera.Told(log, found["camera"].topics, watch, settings.input) if watch else None
+            heard, silent = streams(told or without_images(log), found, settings, str(path))
+        start_ns = _start_ns(heard, log)
+        features = _features(log, start_ns)
+        named = _named(log, path, settings, heard, start_ns, features)
+        findings = (*log.findings, *silent, *_findings(log, heard, settings))
+    sidecars = _sidecars(path, settings)
+    videos = {key: said for key, said in cameras.cameras(settings.topics).items() if key in sidecars}
+    films = _films(path, strict, heard, sidecars, settings, start_ns)
+    return Recording(
+        name=path.name,
+        format=log.format,
+        start_ns=start_ns,
+        duration_s=_duration(heard, log),
+        topics=log.topics,
+        roles={role: stream.role.path for role, stream in heard.items()} | videos,
+        joints=joint_topics.series(heard, settings, start_ns, str(path)),
+        skin=series(heard.get("skin"), start_ns, "0..1"),
+        truth=series(heard.get("truth"), start_ns, "rad"),
+        reference=series(heard.get("reference"), start_ns, "rad"),
+        frames=films.get("camera"),
+        features=features,
+        health={stream.role.topic: health(stream) for stream in heard.values()} | _seen(sidecars),
+        findings=findings,
+        views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
+        settings=settings,
+        watched=_watched(told, heard.get("camera"), start_ns),
+        poses=any(independent(stream.role.topics) for stream in joint_topics.streams_of(heard)),
+        beside=joint_topics.beside(heard, settings),
+        tracks={name: track for name, (track, _) in named.items()},
+        track_health={name: health for name, (_, health) in named.items()},
+    )
+
+
+def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
+    """What is in a log, as plain values: topics, rates, roles, joint names, clocks, findings."""
+    with open_log(path, strict, settings.input) as log:
+        settings = _remembered(log, settings)
+        heard: dict[str, Stream] = {}
+        found: dict[str, roles.Role] = {}
+        try:
+            found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
+            heard, silent = streams(without_images(log), found, settings, str(path))
+            found = {role: stream.role for role, stream in heard.items()}
+            remarked = (*silent, *_findings(log, heard, settings))
+        except BodylogError as error:
+            remarked = (Finding("warning", str(error).removeprefix(f"{path}: ")),)
+        spans = _spans(log, heard)
+        return {
+            "path": str(path),
+            "format": log.format,
+            "start_ns": log.start_ns,
+            "duration_s": (log.end_ns - log.start_ns) / 1e9,
+            "topics": [_topic(topic, spans) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
+            "roles": {role: source.path for role, source in found.items()},
+            "joints": list(joint_topics.names(heard)),
+            "unit": joint_topics.unit(heard),
+            "clock": {role: _clock(stream) for role, stream in heard.items()},
+            "findings": [{"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)],
+        }
+
+
+def _spans(log: Log, heard: Mapping[str, Stream]) -> dict[int, tuple[int, int]]:
+    """First and last log time (ns) by topic id: its own where that is known, else the log's."""
+    whole = dict.fromkeys((topic.id for topic in log.topics), (log.start_ns, log.end_ns))
+    alone = {stream.role.topics[0].id: stream.log_ns for stream in heard.values() if len(stream.role.topics) == 1}
+    return whole | {id_: (int(ns.min()), int(ns.max())) for id_, ns in alone.items()} | dict(log.spans())
+
+
+def _topic(topic: Topic, spans: Mapping[int, tuple[int, int]]) -> dict[str, Any]:
+    first, last = spans[topic.id]
+    rate = (topic.messages - 1) / (last - first) * 1e9 if topic.messages > 1 and last > first else None
+    return {"topic": topic.name, "type": topic.type, "messages": topic.messages, "rate_hz": rate}
+
+
+def _clock(stream: Stream) -> dict[str, Any]:
+    dated = stream.dated
+    offset_s = None if dated.offset_ns is None else dated.offset_ns / 1e9
+    return {"clock": dated.clock, "offset_s": offset_s, "spread_s": dated.spread_s}
+
+
+def _start_ns(heard: Mapping[str, Stream], log: Log) -> int:
+    for stream in joint_topics.streams_of(heard)[:1]:
+        return int(stream.dated.t_ns[0])
+    return min((int(stream.dated.t_ns[0]) for stream in heard.values()), default=log.start_ns)
+
+
+def _duration(heard: Mapping[str, Stream], log: Log) -> float:
+    if not heard:
+        return (log.end_ns - log.start_ns) / 1e9
+    first = min(int(stream.dated.t_ns[0]) for stream in heard.values())
+    return (max(int(stream.dated.t_ns[-1]) for stream in heard.values()) - first) / 1e9
+
+
+def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
+    said = cameras.cameras(settings.topics).items()
+    return {key: video_file.find(name, path, settings.topics) for key, name in said if cameras.is_video("camera", name)}
+
+
+def _seen(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:
+    return {one.path.name: Health(one.frames, one.frames, {}, 1 / one.rate) for one in sidecars.values()}
+
+
+def _films(
+    path: Path,
+    strict: bool,
+    heard: Mapping[str, Stream],
+    sidecars: Mapping[str, video_file.Sidecar],
+    settings: Settings,
+    start_ns: int,
+) -> dict[str, Callable[[], Iterator[Frame]]]:
+    """The pictures of every camera, by its role."""
+    start = settings.topics.start
+    first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
+    limits = replace(settings.input, strict=strict)
+    beside = {key: video_file.frames(sidecar, first_s, start_ns) for key, sidecar in sidecars.items()}
+    return beside | {
+        key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.dated.t_ns, start_ns)
+        for key, s in heard.items()
+        if s.role.role == "camera"
+    }
+
+
+def _remembered(log: Log, settings: Settings) -> Settings:
+    """The settings, and where they leave something to be guessed, what the run of ours was told that wrote the log."""
+    if not _is_ours(log):
+        return settings
+    from .saved_settings import remembered
+
+    return remembered(log, settings)
+
+
+def _features(log: Log, start_ns: int) -> Features | None:
+    if not _is_ours(log):
+        return None
+    from ..annotating.read_back import read_features
+
+    return read_features(log, start_ns)
+
+
+def _watched(told: camera.Told | None, seen: Stream | None, start_ns: int) -> Watched | None:
+    if told is None or seen is None:
+        return None
+    return told.watched(seen.rows, seen.dated.t_ns, seen.log_ns, start_ns)
+
+
+def _named(
+    log: Log, path: Path, settings: Settings, heard: Mapping[str, Stream], start_ns: int, carried: Features | None
+) -> dict[str, tuple[Series, Health]]:
+    """Tracks of topics and tables that [features] names, but those the log carries of an earlier run."""
+    known = () if carried is None else carried.tracks
+    rest = {name: source for name, source in settings.features.items() if name not in known}
+    if not any(isinstance(source, TopicSource | TableSource) for source in rest.values()):
+        return {}
+    from . import table_tracks, topic_tracks
+
+    asked = replace(settings, features=rest)
+    dated = next((stream.dated for stream in joint_topics.streams_of(heard)), None)
+    late_ns = (dated.offset_ns or 0) if dated is not None and dated.clock == "header" else 0
+    found = dict(topic_tracks.tracks(log, asked, start_ns, late_ns))
+    return found | dict(table_tracks.tracks(path, asked, start_ns, _duration(heard, log)))
+
+
+def _is_ours(log: Log) -> bool:
+    return any(topic.name.startswith(_OURS) for topic in log.topics)
+
+
+def _findings(log: Log, heard: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
+    found = {role: stream.role for role, stream in heard.items()}
+    advice = role_hints.advice(found)
+    unused = (role_hints.unused_joints, role_hints.unused_cameras)
+    more = [finding for tell in unused for finding in tell(log.topics, settings.topics, found)]
+    said = [Finding("info", f"roles, ready for robot.toml: {advice}")] if heard else []
+    broken = [Finding("warning", f"{text}; not considered for any role") for text in role_hints.unreadable(log.topics)]
+    return (*said, *more, *broken, *(finding for stream in heard.values() for finding in remarks(stream)))

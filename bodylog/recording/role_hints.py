@@ -1,0 +1,52 @@
+"""What is said of the roles that were guessed: as robot.toml would name them, and what else could play them."""
+
+import json
+from collections.abc import Mapping, Sequence
+
+from ..logs.images import messages
+from ..settings import Topics
+from ..types import Finding, Topic
+from .cameras import camera_name
+from .roles import RANKS, ROLES, Role, camera_rank, is_raw, joints_rank, problem
+
+
+def advice(found: Mapping[str, Role]) -> str:
+    """The roles as one line ready to paste into robot.toml."""
+    paths = {role: [one.path for one in found.values() if one.role == role] for role in ROLES}
+    lines = (f"{role} = {json.dumps(said if len(said) > 1 else said[0])}" for role, said in paths.items() if said)
+    return f"topics = {{ {', '.join(lines)} }}"
+
+
+def unused_joints(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
+    """That a log has more joint states than those guessed to be the robot's, and what to type to use them."""
+    others = sorted({topic.name for topic in topics if is_raw(topic) and joints_rank(topic) is not None})
+    used = [role.topic for role in found.values() if role.role == "joints"]
+    others = [name for name in others if used and name not in used]
+    if settings.joints is not None or not others:
+        return ()
+    said = f"joints: {', '.join(used)} is used, {', '.join(others)} not"
+    typed = f"type: [topics] joints = {json.dumps(others[0])}; for both, joints = {json.dumps([*used, others[0]])}"
+    return (Finding("info", f"{said}; for another, {typed}"),)
+
+
+def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
+    """That a log has more cameras than the one guessed, or only such as are not read, and what to type."""
+    if not settings.cameras and "camera" not in found:
+        unread = (topic for topic in topics if is_raw(topic) and messages.is_packets(topic))
+        return tuple(Finding("warning", f"camera: {topic.name} holds {messages.PACKETS}") for topic in unread)
+    if settings.cameras:
+        return ()
+    ranked = sorted(topic.name for topic in topics if is_raw(topic) and camera_rank(topic) is not None)
+    by_name = {camera_name(topic): topic for topic in reversed(ranked)} | {camera_name(found["camera"].path): ""}
+    others = sorted(topic for topic in by_name.values() if topic)
+    if not others:
+        return ()
+    first = found["camera"].path
+    said = f"camera: {first} is used, {', '.join(others)} not; for more, type: [topics] camera = "
+    return (Finding("info", said + json.dumps([first, *others])),)
+
+
+def unreadable(topics: Sequence[Topic]) -> list[str]:
+    """Why topics that could play a role cannot: their definitions are broken."""
+    likely = [topic for topic in topics if any(rank(topic) is not None for rank in RANKS.values())]
+    return [why for topic in likely if (why := problem(topic)) is not None]

@@ -1,0 +1,242 @@
+"""Columns -> one signal: joints put in order by name, arrays side by side, whatever does not fit counted."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..errors import LogError
+from ..logs.decode.columns import Columns
+from ..types import Array
+
+_TURN = 2.0 * np.pi
+_NEAR = 1.0 / _TURN
+"""Turns, one radian, that a step may differ from a whole turn where a joint wraps around."""
+FARTHEST = 1e9
+"""rad: no joint has turned further; a reading beyond is none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Named:
+    """The messages, by their rows (k,), that name these joints in this order."""
+
+    names: tuple[str, ...]
+    rows: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Rows (m,) into the messages read · stamp_ns (m,) or None · values (m,D) · names (D,) · rejected by reason.
+
+    sets: the messages by the joints they name, the most frequent first.
+    """
+
+    rows: Array
+    stamp_ns: Array | None
+    values: Array
+    names: tuple[str, ...]
+    rejected: Mapping[str, int] = field(default_factory=dict)
+    sets: tuple[Named, ...] = ()
+
+
+Block = tuple[Array, Array | None, tuple[Array | tuple[str, ...], ...]]
+"""Rows, stamps and the remaining fields of messages of one shape."""
+
+
+def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str]) -> Iterator[Block]:
+    """The parts of several topics of one name, rows counted through all of them."""
+    first = 0
+    for some in columns:
+        places = [some.fields.index(name) for name in fields]
+        for part in some.parts:
+            found = part.values[some.fields.index(stamp)] if stamp in some.fields else None
+            times = found if isinstance(found, np.ndarray) and found.dtype == np.int64 else None
+            stamps = times if times is not None and times.ndim == 1 else None
+            yield part.rows + first, stamps, tuple(part.values[p] for p in places)
+        first += len(some.log_ns)
+
+
+def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True) -> Signal:
+    """Named joints (names, positions): values by name, NaN where a message lacks one or names it twice.
+
+    LogError when `every` wanted joint must be there and one is not, or when the joints have no names.
+    """
+    rejected: Counter[str] = Counter()
+    good = []
+    for rows, stamps, (names, positions) in sorted(found, key=lambda block: int(block[0].min())):
+        if not isinstance(names, tuple) or not isinstance(positions, np.ndarray):
+            wrong = "names that are no texts" if isinstance(positions, np.ndarray) else "positions that are no numbers"
+            rejected[wrong] += len(rows)
+            continue
+        positions = positions.reshape(len(rows), -1)  # of a single joint JSON gives one number a message
+        if not names and positions.shape[1]:
+            names = _nameless(positions.shape[1], wanted, what)
+        if len(names) != positions.shape[1] or not names:
+            rejected[_unfit(len(names), positions.shape[1])] += len(rows)
+            continue
+        names, positions = _told_once(names, positions)
+        if not names:
+            rejected["every joint is named more than once"] += len(rows)
+            continue
+        good.append((rows, stamps, names, positions))
+    order = _order([names for _, _, names, _ in good], wanted, what, every)
+    values = [_by_name(names, positions, order) for _, _, names, positions in good]
+    return replace(_joined([(r, s) for r, s, _, _ in good], values, order, rejected), sets=_sets(good))
+
+
+def _sets(good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]]) -> tuple[Named, ...]:
+    """Messages by the joints they name, the most frequent first."""
+    rows: dict[tuple[str, ...], list[Array]] = {}
+    for some, _, names, _ in good:
+        rows.setdefault(names, []).append(some)
+    return tuple(Named(n, np.concatenate(r)) for n, r in sorted(rows.items(), key=lambda one: -sum(map(len, one[1]))))
+
+
+def _unfit(names: int, positions: int) -> str:
+    if names and positions:
+        return f"{positions} positions for {names} names"
+    return "no positions" if names else "no joints"
+
+
+def _told_once(names: tuple[str, ...], positions: Array) -> tuple[tuple[str, ...], Array]:
+    """Without joints that one message names more than once: which of their positions it is, nobody knows."""
+    if len(set(names)) == len(names):
+        return names, positions
+    kept = [place for place, name in enumerate(names) if names.count(name) == 1]
+    return tuple(names[place] for place in kept), positions[:, kept]
+
+
+def _nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[str, ...]:
+    if wanted is None:
+        raise LogError(f"{what}: the {count} joints have no names; say in robot.toml: [body] joints = [{count} names]")
+    if len(wanted) != count:
+        said = f"[body] joints names {len(wanted)}; name all {count}"
+        raise LogError(f"{what}: the {count} joints have no names, but {said}")
+    return wanted
+
+
+def _order(seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what: str, every: bool) -> tuple[str, ...]:
+    there = tuple(dict.fromkeys(name for names in seen for name in names))
+    if wanted is None or not there:
+        return wanted or there
+    unknown = [name for name in wanted if name not in there]
+    if unknown and every:
+        raise LogError(f"{what}: [body] joints names {unknown[0]!r}; the log has {', '.join(sorted(there))}")
+    return tuple(name for name in wanted if name in there)
+
+
+def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -> Array:
+    if names == order:
+        return positions
+    values = np.full((len(positions), len(order)), np.nan)
+    for place, name in enumerate(order):
+        if name in names:
+            values[:, place] = positions[:, names.index(name)]
+    return values
+
+
+def believed(values: Array) -> tuple[Array, int]:
+    """Readings (N,D) with NaN for what none reads, beyond FARTHEST in any unit, and how many these were."""
+    beyond = np.abs(values) > FARTHEST
+    count = int(beyond.sum())
+    return (np.where(beyond, np.nan, values) if count else values), count
+
+
+def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array]:
+    """Angles (N,D) rad as motions: without readings beyond FARTHEST, how many these were, and turns taken back (D,).
+
+    From one reading to the next no joint makes a whole turn, within a radian: it wraps around there. Independent poses
+    do not follow each other (`turn` None): their readings stay as they are. `turn`: one whole turn in the values' unit.
+    """
+    values, beyond = believed(values)
+    values, turns = values.copy(), np.zeros(values.shape[1], int)
+    whole = turn or _TURN
+    for column in range(0 if turn is None else values.shape[1]):
+        known = np.flatnonzero(np.isfinite(values[:, column]))
+        steps = np.diff(values[known, column])
+        wraps = np.where(np.abs(np.abs(steps) / whole - 1.0) < _NEAR, np.sign(steps), 0.0)
+        if wraps.any():
+            values[known[1:], column] -= whole * np.cumsum(wraps)
+            turns[column] = np.count_nonzero(wraps)
+    return values, beyond, turns
+
+
+def array(found: Sequence[Block]) -> Signal:
+    """Arrays of numbers: as wide as most messages are, the others rejected, and all where none holds a number."""
+    widths: Counter[int] = Counter()
+    shaped, texts_ = [], 0
+    for rows, stamps, (values,) in found:
+        if isinstance(values, np.ndarray):
+            flat = values.reshape(len(values), -1)
+            widths[flat.shape[1]] += len(rows)
+            shaped.append((rows, stamps, flat))
+        else:
+            texts_ += len(rows)
+    width = widths.most_common(1)[0][0] if widths else 0
+    rejected = Counter({f"{w} values, not {width}": n for w, n in widths.items() if w != width})
+    rejected.update({"values that are no numbers": texts_} if texts_ else {})
+    good = [(r, s, v) for r, s, v in shaped if v.shape[1] == width and width]
+    if widths and not width:
+        rejected["empty array"] = widths[0]
+    names = tuple(str(cell) for cell in range(width))
+    if good and all(np.isnan(values).all() for _, _, values in good):
+        rejected["no number in it"], good = sum(len(rows) for rows, _, _ in good), []
+    return _joined([(r, s) for r, s, _ in good], [v for _, _, v in good], names, rejected)
+
+
+def proximities(signal: Signal) -> Signal:
+    """The signal if all it says lies within 0..1, otherwise none of it."""
+    values = signal.values
+    if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))):
+        return signal
+    reason = {"values beyond 0..1 on a topic whose name speaks of no skin": len(signal.rows)}
+    return Signal(signal.rows[:0], None, values[:0], signal.names, {**signal.rejected, **reason})
+
+
+def texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> Signal:
+    """Messages told apart by one text (an image's encoding); those `refused` gives a reason for are rejected."""
+    rejected: Counter[str] = Counter()
+    good = []
+    for rows, stamps, (text,) in found:
+        reason = refused.get(str(text[0]) if len(text) else "", None)
+        if reason is None:
+            good.append((rows, stamps))
+        else:
+            rejected[reason] += len(rows)
+    return _joined(good, [np.empty((len(rows), 0)) for rows, _ in good], (), rejected)
+
+
+def _joined(
+    places: Sequence[tuple[Array, Array | None]],
+    values: Sequence[Array],
+    names: tuple[str, ...],
+    rejected: Counter[str],
+) -> Signal:
+    if not places:
+        return Signal(np.empty(0, np.int64), None, np.empty((0, len(names))), names, dict(rejected))
+    rows, joined = np.concatenate([r for r, _ in places]), np.concatenate(values)
+    stamps = [s for _, s in places if s is not None]
+    stamp_ns = np.concatenate(stamps) if len(stamps) == len(places) else None
+    if (np.diff(rows) < 0).any():
+        order = np.argsort(rows, kind="stable")
+        rows, joined, stamp_ns = rows[order], joined[order], None if stamp_ns is None else stamp_ns[order]
+    return Signal(rows, stamp_ns, joined, names, dict(rejected))
+
+
+def merged(t_ns: Array, values: Array) -> tuple[Array, Array, int]:
+    """Rows to keep (n,) so that each stamp is there once · values (n,D) · how many messages told nothing new.
+
+    What a later message of the same stamp knows and the first does not (the other half of the joints) fills its NaN.
+    """
+    keep = np.concatenate([[True], np.diff(t_ns) != 0]) if len(t_ns) else np.ones(0, bool)
+    if keep.all():
+        return keep, values, 0
+    first = np.maximum.accumulate(np.where(keep, np.arange(len(keep)), 0))
+    values, idle = values.copy(), 0
+    for row in np.flatnonzero(~keep):
+        target = values[first[row]]
+        new = np.isnan(target) & ~np.isnan(values[row])
+        target[new] = values[row][new]
+        idle += not new.any()
+    return keep, values, idle

@@ -1,0 +1,259 @@
+"""Which topic is what: guessed from types, names and counts, or as robot.toml says."""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from ..errors import BodylogError, ConfigError, LogError
+from ..logs.decode.columns import definition_of
+from ..logs.decode.definitions import PRIMITIVES, Definition
+from ..logs.decode.dynamic import reader
+from ..logs.decode.message_path import parse
+from ..logs.images import messages
+from ..settings import Topics
+from ..types import Topic
+from .cameras import cameras, is_video
+from .joint_names import named as joint_topics
+from .joint_names import topic_name
+
+ROLES = ("joints", "camera", "skin", "truth", "reference")
+_ANGLES = ("joints", "truth", "reference")
+_OURS = "/bodylog/"
+_FEWEST = 10
+"""Messages below which a further topic of joints says too little to be joined."""
+_JOINTS = "sensor_msgs/msg/JointState"
+_ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
+_WISHED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint|(^|/)actions?(/|$)", re.IGNORECASE)
+_TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)", re.IGNORECASE)
+_TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
+_COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
+_DEPTH = re.compile(r"depth|disparity|mask|segment", re.IGNORECASE)
+_GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
+
+
+@dataclass(frozen=True, eq=False)
+class Role:
+    """One role's source: the topic (several records when it has several schemas) and the field, "" for the message.
+
+    `unsure`: guessed from a type that other things share, so that its values must look like the role's.
+    """
+
+    role: str
+    topic: str
+    field: str
+    topics: tuple[Topic, ...]
+    unsure: bool = False
+
+    @property
+    def path(self) -> str:
+        """As it is written in robot.toml."""
+        return f"{self.topic}.{self.field}" if self.field else self.topic
+
+
+def roles(
+    topics: Sequence[Topic],
+    settings: Topics,
+    name: str,
+    joints_of: Callable[[Topic], tuple[str, ...]] = lambda topic: (),
+) -> dict[str, Role]:
+    """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have.
+
+    The reference, which only logs to learn from have, is left out where its topic is not there; the cameras where a log
+    has their tracks alone.
+
+    `joints_of` looks which joints a topic speaks of, where several could be the robot's: the one with the most of them
+    is, and those beside it whose names are others.
+    """
+    found: dict[str, Role] = {}
+    names = [topic.name for topic in topics]
+    for role in ROLES:
+        said = _said(role, settings)
+        known = {key: text for key, text in said.items() if text}
+        if role == "reference":
+            there = [s for s in said.values() if s and parse(s, names).topic in names]
+            found.update((role, _named(role, s, topics, name)) for s in there)
+        elif not any(said.values()):
+            guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
+            found.update({role: guessed} if guessed else {})
+            if role == "joints" and guessed:
+                found.update(_beside(guessed, topics, joints_of))
+        elif role != "camera" or not _tracks_alone(topics):
+            found.update({key: _named(role, s, topics, name) for key, s in known.items() if not is_video(role, s)})
+    return found
+
+
+def _said(role: str, settings: Topics) -> Mapping[str, str | None]:
+    """What robot.toml names for a role: of cameras and joints there may be several."""
+    if role == "camera":
+        return cameras(settings)
+    return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
+
+
+def _beside(
+    first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
+) -> dict[str, Role]:
+    """Further topics of joints, the most frequent first, none of whose names occurs twice."""
+    ranked = [(rank, t) for t in topics if is_raw(t) and (rank := joints_rank(t)) is not None and rank[0]]
+    if len({topic.name for _, topic in ranked}) < 2:
+        return {}
+    taken = {name for topic in first.topics for name in joints_of(topic)}
+    found: dict[str, Role] = {}
+    for _, topic in sorted(ranked, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
+        if topic.name == first.topic or topic.messages < _FEWEST or problem(topic) is not None:
+            continue
+        names = {name for one in _same(topics, topic) for name in joints_of(one)}
+        if names and "" not in names | taken and not names & taken:
+            found[f"joints/{topic_name(topic.name)}"] = Role("joints", topic.name, "", _same(topics, topic))
+            taken |= names
+    return found
+
+
+def _tracks_alone(topics: Sequence[Topic]) -> bool:
+    """Whether a log carries tracks of an earlier run without the pictures."""
+    return any(topic.name.startswith(f"{_OURS}track/") for topic in topics) and not any(
+        camera_rank(topic) is not None for topic in topics
+    )
+
+
+def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> Sequence[Topic]:
+    """The topics, less those joint states that are about as frequent as the best but speak of fewer joints."""
+    ranks = {topic.name: rank for topic in topics if is_raw(topic) and (rank := joints_rank(topic)) is not None}
+    most = max(ranks.values(), default=(0, 0))
+    rivals = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
+    if len(rivals) < 2:
+        return topics
+    joints = {name: max(len(joints_of(t)) for t in topics if t.name == name and t.type == _JOINTS) for name in rivals}
+    fewer = {name for name in rivals if joints[name] < max(joints.values())}
+    return [topic for topic in topics if topic.name not in fewer]
+
+
+def is_wished(topic: Topic) -> bool:
+    """Whether a topic of joints tells where they should be, by its name."""
+    return _WISHED.search(topic.name) is not None
+
+
+def is_raw(topic: Topic) -> bool:
+    """Whether a topic holds messages that are not ours."""
+    return topic.messages > 0 and not topic.name.startswith(_OURS)
+
+
+def problem(topic: Topic) -> str | None:
+    """Why a topic's definition cannot be used, or None."""
+    try:
+        if topic.encoding == "protobuf":
+            reader(topic)
+        elif topic.encoding != "json":
+            definition_of(topic)
+    except BodylogError as error:
+        return str(error)
+    return None
+
+
+def _guess(role: str, topics: Sequence[Topic]) -> Role | None:
+    ranked = [(RANKS[role](topic), topic) for topic in topics if is_raw(topic)]
+    usable = [(rank, topic) for rank, topic in ranked if rank is not None]
+    for _, topic in sorted(usable, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
+        field = _field(role, topic)
+        if field is not None and problem(topic) is None:
+            unsure = role == "skin" and not (_TOUCHED.search(topic.name) or "Skin" in topic.type)
+            return Role(role, topic.name, field, _same(topics, topic), unsure)
+    return None
+
+
+def _same(topics: Sequence[Topic], topic: Topic) -> tuple[Topic, ...]:
+    return tuple(other for other in topics if other.name == topic.name and other.type == topic.type)
+
+
+def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
+    try:
+        path = parse(said, [topic.name for topic in topics])
+    except ConfigError as problem:
+        raise ConfigError(f"{name}: [topics] {role}: {problem}") from problem
+    same = [topic for topic in topics if topic.name == path.topic]
+    likely = [topic.name for topic in topics if RANKS[role](topic) is not None]
+    others = [topic.name for topic in topics if topic.name != path.topic and not _mistaken(role, topic)]
+    none = "none, the log has no other" if topics else "none, the log is empty"
+    possible = f"possible: {', '.join(sorted(likely or others)[:10]) or none}"
+    if not same:
+        raise LogError(f'{name}: [topics] {role} = "{said}", but there is no topic {path.topic!r}; {possible}')
+    best = max(same, key=lambda topic: topic.messages)
+    named = said[len(path.topic) :].removeprefix(".")
+    if not named and _mistaken(role, best):
+        what = best.type + (f" ({messages.PACKETS})" if messages.is_packets(best) else "")
+        raise LogError(f'{name}: [topics] {role} = "{said}", but {path.topic} is {what}; {possible}')
+    field = named or _field(role, best)
+    if field is None:
+        raise LogError(f'{name}: {said} ({best.type}) has no array; say which: [topics] {role} = "{said}.field[:]"')
+    return Role(role, path.topic, field, _same(topics, best))
+
+
+def _mistaken(role: str, topic: Topic) -> bool:
+    """Whether a topic named for a role is of a type that another role reads whole, or a camera's without pictures."""
+    if role != "camera" or topic.type == _JOINTS:
+        return topic.type in (*messages.COMPRESSED, *messages.RAW, *(() if role in _ANGLES else (_JOINTS,)))
+    if topic.type in messages.COMPRESSED + messages.RAW or topic.encoding in ("json", "protobuf") or problem(topic):
+        return messages.is_packets(topic)
+    definition = definition_of(topic)
+    return not {field.name for field in definition.types[definition.root]}.issuperset(messages.FIELDS)
+
+
+def joints_rank(topic: Topic) -> tuple[int, ...] | None:
+    """How likely a topic tells the robot's joints; None when it cannot."""
+    if topic.type != _JOINTS or _TRUTH.search(topic.name):
+        return None
+    return (not _WISHED.search(topic.name), topic.messages)
+
+
+def _truth_rank(topic: Topic) -> tuple[int, ...] | None:
+    return (topic.messages,) if topic.type == _JOINTS and _TRUTH.search(topic.name) else None
+
+
+def camera_rank(topic: Topic) -> tuple[int, ...] | None:
+    """How likely a topic shows the robot; None when it cannot."""
+    if topic.type not in messages.COMPRESSED + messages.RAW or _DEPTH.search(topic.name):
+        return None
+    colour, grey = bool(_COLOUR.search(topic.name)), bool(_GREY.search(topic.name))
+    return (colour - grey, topic.messages, topic.type in messages.COMPRESSED)
+
+
+def _skin_rank(topic: Topic) -> tuple[int, ...] | None:
+    named, skin = bool(_TOUCHED.search(topic.name)), "Skin" in topic.type
+    if not (named or skin or topic.type in _ARRAYS) or topic.type in (_JOINTS, *messages.COMPRESSED, *messages.RAW):
+        return None
+    return (named, skin, not _WISHED.search(topic.name), topic.messages)
+
+
+RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
+    "joints": joints_rank,
+    "truth": _truth_rank,
+    "reference": _truth_rank,
+    "camera": camera_rank,
+    "skin": _skin_rank,
+}
+
+
+def _field(role: str, topic: Topic) -> str | None:
+    """The field a role reads when none was named: "" for whole messages, None when there is nothing to read."""
+    if role == "camera" or topic.type == _JOINTS:
+        return ""
+    if topic.encoding in ("json", "protobuf"):
+        return None
+    return array_field(definition_of(topic)) if problem(topic) is None else None
+
+
+def array_field(definition: Definition) -> str | None:
+    """Path of the first array of numbers: `data`, or within an array of structs `data[:].prox[0]`."""
+    fields = definition.types[definition.root]
+    for wanted in ("f", "iu"):
+        for field in fields:
+            if field.size is not None and PRIMITIVES.get(field.type, "?")[0] in wanted:
+                return field.name
+        for field in fields:
+            inner = definition.types.get(field.type, ()) if field.size is not None else ()
+            arrays = [f for f in inner if f.size is not None and PRIMITIVES.get(f.type, "?")[0] in wanted]
+            single = [f for f in inner if f.size is None and PRIMITIVES.get(f.type, "?")[0] in wanted]
+            if arrays:
+                return f"{field.name}[:].{arrays[0].name}[0]"
+            if single and wanted == "f":
+                return f"{field.name}[:].{single[0].name}"
+    return None

@@ -1,0 +1,69 @@
+"""What an earlier run of ours was told of a log holds for the log it wrote, too, unless told otherwise."""
+
+from contextlib import suppress
+from dataclasses import replace
+from typing import Any, TypeVar, get_args, get_type_hints
+
+from ..annotating.read_back import read_metadata
+from ..errors import ConfigError, LogError
+from ..io.values import read_json
+from ..logs.decode.message_path import parse
+from ..logs.formats import Log
+from ..settings import Body, Settings, Time, Topics
+from ..sources import Source
+from ..sources import parse as parse_source
+
+Text = str | tuple[str, ...]
+Section = TypeVar("Section", Topics, Body, Time)
+
+
+def remembered(log: Log, settings: Settings) -> Settings:
+    """The settings; what is at its default in [topics], [body] and [time] as the log's metadata record has it.
+
+    So with [features] where there are none. Topics that the log does not have are left to be guessed.
+    """
+    said: Any = {}
+    with suppress(LogError, ValueError, KeyError):
+        said = read_json(read_metadata(log.path)["settings"])
+    names = [topic.name for topic in log.topics]
+    topics = {role: text for role, text in _texts(said, "topics").items() if _there(text, names)}
+    return replace(
+        settings,
+        topics=_filled(settings.topics, topics),
+        body=_filled(settings.body, _texts(said, "body")),
+        time=_filled(settings.time, _texts(said, "time")),
+        features=settings.features or _features(said),
+    )
+
+
+def _features(said: Any) -> dict[str, Source]:
+    """The sources of [features] as a metadata record has them; none where one is damaged."""
+    values = said.get("features") if isinstance(said, dict) else None
+    with suppress(ConfigError):
+        items = values.items() if isinstance(values, dict) else ()
+        return {str(name): parse_source(str(name), value, "metadata") for name, value in items}
+    return {}
+
+
+def _texts(said: Any, section: str) -> dict[str, Text]:
+    """The texts, and lists of texts, of a section."""
+    values = said.get(section) if isinstance(said, dict) else None
+    plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()} if isinstance(values, dict) else {}
+    return {k: v for k, v in plain.items() if v and isinstance(v, str | tuple) and all(isinstance(t, str) for t in v)}
+
+
+def _there(text: Text, names: list[str]) -> bool:
+    return all(parse(path, names).topic in names for path in ((text,) if isinstance(text, str) else text))
+
+
+def _filled(section: Section, said: dict[str, Text]) -> Section:
+    """The section with what is at its default replaced by what was said of it, where that is of its type."""
+    hints, default = get_type_hints(type(section)), type(section)()
+    at_default = [name for name in said if name in hints and getattr(section, name) == getattr(default, name)]
+    known: Any = {name: said[name] for name in at_default if _fits(said[name], hints[name])}
+    return replace(section, **known)
+
+
+def _fits(text: Text, hint: Any) -> bool:
+    kind: Any = str if isinstance(text, str) else tuple[str, ...]
+    return kind in (hint, *get_args(hint))

@@ -1,0 +1,93 @@
+"""Tracks from a table beside the log: rows of time, u and v that a keypoint network or a person wrote."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ConfigError, LogError
+from ..logs.tables.pose_columns import time_column
+from ..logs.tables.table_file import Table, kind, read
+from ..settings import Settings
+from ..sources import TableSource
+from ..types import Array, Health, Series
+
+EPOCH = 1e8
+"""s: a later time is counted from 1970, an earlier one from the log's first joints."""
+
+
+def tracks(log: Path, settings: Settings, start_ns: int, end_s: float) -> Iterator[tuple[str, tuple[Series, Health]]]:
+    """Every feature of [features] that a table has, t in s since start_ns; the log ends at end_s."""
+    read_: dict[Path, Table] = {}
+    for name, source in settings.features.items():
+        if isinstance(source, TableSource):
+            path = _path(log, name, source)
+            if path not in read_:
+                with path.open("rb") as stream:
+                    read_[path] = read(path, kind(path, stream.read(4)) or "csv")
+            yield name, _track(path, read_[path], name, source, start_ns, end_s)
+
+
+def _path(log: Path, name: str, source: TableSource) -> Path:
+    """The table, looked for as it is and beside the log."""
+    for path in (Path(source.table), log.parent / source.table):
+        if path.is_file():
+            return path
+    said = f"[features] {name}: there is no table {source.table!r}, here or beside the log"
+    raise LogError(f"{log}: {said}")
+
+
+def _track(
+    path: Path, table: Table, name: str, source: TableSource, start_ns: int, end_s: float
+) -> tuple[Series, Health]:
+    """One feature's places (N,2) px in order of time."""
+    places, std = _columns(path, table, name, source)
+    column, t = time_column(table.numbers)
+    if column is None:
+        have = ", ".join(table.names[:12])
+        said = "has no column of times (t, time, stamp, unix_s, stamp_ns, ...)"
+        raise ConfigError(f"{path}: [features] {name}: the table {said}; its columns are {have}")
+    absolute = np.nanmedian(t) > EPOCH if np.isfinite(t).any() else False
+    # whole seconds apart before they are subtracted, or microseconds of 1970 would be lost
+    t = t - start_ns // 10**9 - start_ns % 10**9 / 1e9 if absolute else t
+    dated = np.isfinite(t)
+    order = np.flatnonzero(dated)[np.argsort(t[dated], kind="stable")]
+    order = order[np.append(True, np.diff(t[order]) > 0)] if len(order) else order
+    rejected = {"no time of its own": table.rows - len(order)} if len(order) < table.rows else {}
+    t, places = t[order], places[order]
+    seen: Array = np.asarray(np.isfinite(places).all(axis=1))
+    within: Array = np.asarray(seen & (t >= -1.0) & (t <= end_s + 1.0))
+    if not within.any():
+        span = f"{t[0]:.3f} to {t[-1]:.3f} s" if len(t) else "no row has a time"
+        said = f"no place within the log, which is 0 to {end_s:.3f} s; the table is {span} since the log's start"
+        raise LogError(f"{path}: [features] {name}: {said}")
+    if not seen.all():
+        rejected["empty"] = int((~seen).sum())
+    source_ns = start_ns + np.rint(t * 1e9).astype(np.int64)
+    values, known = np.where(seen[:, None], places, np.nan), None if std is None else std[order]
+    found = Series(t, values, ("u", "v"), "px", source_ns, known)
+    gap = float(np.diff(t).max()) if len(t) > 1 else 0.0
+    return found, Health(table.rows, int(seen.sum()), rejected, gap)
+
+
+def _columns(path: Path, table: Table, name: str, source: TableSource) -> tuple[Array, Array | None]:
+    """Places (N,2) px and their standard deviations: two columns, and one or two more for the latter."""
+    wanted = source.columns or _own(table, name)
+    if len(wanted) not in (2, 3, 4):
+        raise ConfigError(f"{path}: [features] {name}: columns must name u and v, and one or two more for their std")
+    if missing := [column for column in wanted if column not in table.numbers]:
+        have = ", ".join(table.numbers) or "none"
+        raise ConfigError(f"{path}: [features] {name}: no column of numbers {missing[0]!r}; possible: {have}")
+    columns = [table.numbers[column] for column in wanted]
+    std = np.column_stack([columns[2], columns[-1]]) if len(columns) > 2 else None
+    return np.column_stack(columns[:2]), None if std is None else np.where(std > 0, std, np.nan)
+
+
+def _own(table: Table, name: str) -> tuple[str, ...]:
+    """NAME_u, NAME_v and their std; u and v where the table has no such columns."""
+    there = set(table.numbers)
+    for before in (f"{name}_", f"{name}.", ""):
+        if {f"{before}u", f"{before}v"} <= there:
+            std = [(f"{before}std_u", f"{before}std_v"), (f"{before}u_std", f"{before}v_std"), (f"{before}std",)]
+            return (f"{before}u", f"{before}v", *next((some for some in std if set(some) <= there), ()))
+    return (f"{name}_u", f"{name}_v")

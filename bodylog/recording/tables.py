@@ -1,0 +1,122 @@
+"""A recording's signals as tables, one CSV or Parquet file per role; and what was found in it, as CSV files."""
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from pathlib import Path
+from urllib.parse import quote
+
+import numpy as np
+
+from ..errors import UsageError
+from ..io.atomic_files import made, replacing
+from ..types import Array, Features, Recording, Series
+from .tidy import ALWAYS, Window, cut, signals
+
+FORMATS = ("csv", "parquet")
+_ROWS = 65536
+
+
+def saver(form: str) -> Callable[[Mapping[str, Array], Path], None]:
+    """What writes a table to a file of that form; UsageError for an unknown one, or for Parquet without pyarrow."""
+    if form not in FORMATS:
+        raise UsageError(f"export as {form!r}: possible are {', '.join(FORMATS)}")
+    return _csv if form == "csv" else _parquet()
+
+
+def export(recording: Recording, folder: Path, form: str, window: Window = ALWAYS) -> tuple[Path, ...]:
+    """Write joints, truth and skin to folder/<role>.<form>, a row per message: stamp_ns, t (s), one column per name.
+
+    UsageError for an unknown form, or when Parquet is asked for and pyarrow is not installed.
+    """
+    save = saver(form)
+    made(folder)
+    paths = []
+    for role, series in signals(recording).items():
+        paths.append(folder / f"{role}.{form}")
+        with replacing(paths[-1]) as beside:
+            save(_table(cut(series, recording.start_ns, window)), beside)
+    return tuple(paths)
+
+
+def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
+    """Write tracks_<name>.csv, strokes.csv and, where there was a skin, touches.csv and synchrony.csv to folder.
+
+    Times in s since the log's start, places in px; what was not seen stays empty. What cannot stand in a file's name
+    is written %XX.
+    """
+    tables = {f"tracks_{quote(name, safe='')}": _track(track) for name, track in features.tracks.items()}
+    tables["strokes"] = _rows(
+        ("start", "end", "start_u", "start_v", "end_u", "end_v"),
+        [(stroke.start, stroke.end, *stroke.start_px, *stroke.end_px) for stroke in features.strokes],
+    )
+    if features.touches is not None:
+        tables["touches"] = _rows(
+            ("onset", "offset", "peak", "strongest", "cells"),
+            [(one.onset, one.offset, one.peak, one.strongest, _joined(one.cells)) for one in features.touches],
+        )
+        pairs = features.synchrony
+        tables["synchrony"] = _rows(
+            ("touch", "stroke", "delay", "weight"),
+            [(pair.touch, "" if pair.stroke is None else pair.stroke, pair.delay, pair.weight) for pair in pairs],
+        )
+    made(folder)
+    paths = []
+    for name, table in tables.items():
+        paths.append(folder / f"{name}.csv")
+        with replacing(paths[-1]) as beside:
+            _csv(table, beside)
+    return tuple(paths)
+
+
+def _track(track: Series) -> dict[str, Array]:
+    std = np.full(track.values.shape, np.nan) if track.std is None else track.std
+    columns = np.column_stack([track.t, track.values, std]).T
+    return dict(zip(("t", "u", "v", "std_u", "std_v"), columns, strict=True))
+
+
+def _rows(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, Array]:
+    """Rows as columns, each value kept as it is."""
+    table = np.empty((len(rows), len(names)), dtype=object)
+    for index, row in enumerate(rows):
+        table[index] = row
+    return dict(zip(names, table.T, strict=True))
+
+
+def _joined(cells: Sequence[int]) -> str:
+    return " ".join(map(str, cells))
+
+
+def _table(series: Series) -> dict[str, Array]:
+    names = [name if name not in ("stamp_ns", "t") else f"{name}_" for name in series.names]
+    columns = dict(zip(names, series.values.T, strict=True))
+    return {"stamp_ns": series.source_ns, "t": series.t, **columns}
+
+
+def _csv(table: Mapping[str, Array], path: Path) -> None:
+    """Numbers as short as they read back exactly; NaN stays empty."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        stream.write(",".join(_quoted(name) for name in table) + "\n")
+        for first in range(0, len(next(iter(table.values()))), _ROWS):
+            texts = [_texts(column[first : first + _ROWS]) for column in table.values()]
+            stream.writelines(",".join(row) + "\n" for row in zip(*texts, strict=True))
+
+
+def _texts(column: Array) -> list[str]:
+    return ["" if value != value else str(value) for value in column.tolist()]
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"' if set(name) & set(',"\n\r') else name
+
+
+def _parquet() -> Callable[[Mapping[str, Array], Path], None]:
+    try:
+        pyarrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
+    except ImportError:
+        raise UsageError('Parquet needs pyarrow; type: pip install "bodylog[parquet]", or use --csv') from None
+
+    def save(table: Mapping[str, Array], path: Path) -> None:
+        with path.open("wb") as stream:
+            parquet.write_table(pyarrow.table(dict(table)), stream)
+
+    return save

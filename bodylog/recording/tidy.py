@@ -1,0 +1,156 @@
+"""Any recorded log as one tidy MCAP: roles named alike, every message dated by the clock chosen for its stream."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..annotating.annotate import add, verify
+from ..annotating.image_messages import Kind, Picture, pictures
+from ..annotating.messages import from_joints, from_skin, from_track, stamps
+from ..errors import LogError
+from ..io.atomic_files import replacing
+from ..io.outputs import Output, guard
+from ..logs.conversion.transcode import LIBRARY, PROFILE
+from ..logs.episode_files import digest
+from ..logs.mcap.encode import Messages
+from ..logs.mcap.prefix import NAME
+from ..logs.mcap.writer import CHUNK_BYTES, Contents, Writer
+from ..settings import Settings
+from ..types import Finding, Outgoing, Recording, Series
+from .dataset_metadata import kept_metadata, of_episode
+from .recording import read
+
+JOINTS, TRUTH, SKIN = "/joint_states", "/truth/joint_states", "/skin"
+Window = tuple[float, float]
+"""First and last time that is kept (s)."""
+
+ALWAYS: Window = (-np.inf, np.inf)
+
+
+def ingest(
+    path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None
+) -> tuple[Finding, ...]:
+    """`out` becomes an MCAP of the log's signals and pictures from `start` to `end` (s since its first joints).
+
+    LogError when the log has neither signals nor pictures there, UsageError when `out` is the log.
+    """
+    guard([path], [Output(out)])
+    settings, further = of_episode(path, settings)
+    recording = read(path, settings, settings.input.strict)
+    begun = -recording.start_ns / 1e9
+    window = (begun if start is None else max(start, begun), np.inf if end is None else end)
+    heard = [*outgoing(recording, window), *_within_window(further, recording.start_ns, window)]
+    with replacing(out) as beside:
+        with beside.open("wb") as stream:
+            writer = Writer(stream, Contents())
+            writer.begin(PROFILE, LIBRARY)
+            add(writer, heard, kept_metadata(recording) | {one.topic: about for one, about in further})
+            unread: dict[str, list[str]] = {}
+            found = pictures(path, recording, unread)
+            seen, early = _pictures(found, recording.start_ns, window, writer, kept_metadata(recording))
+            count = sum(len(o.log_ns) for o in heard) + seen
+            if not count:
+                lacking = f"no joints, skin, truth or pictures {_within(start, end)}"
+                raise LogError(f"{path}: {lacking}; type: bodylog info {path}")
+            writer.about(NAME, {"source": path.name, "source_sha256": digest(path)})
+            writer.finish()
+        verify(beside, count, out)
+    early += sum(int((series.t < begun).sum()) for series in signals(recording).values())
+    return (*recording.findings, *_left_out(path, unread), *_unwritten(path, early if start is None else 0))
+
+
+def _within_window(
+    further: Sequence[tuple[Outgoing, Mapping[str, str]]], start_ns: int, window: Window
+) -> Iterator[Outgoing]:
+    """The messages of further topics within `window`."""
+    for one, _ in further:
+        t = (one.log_ns - start_ns) / 1e9
+        rows = np.flatnonzero((t >= window[0]) & (t <= window[1]))
+        yield replace(one, log_ns=one.log_ns[rows], offset=one.offset[rows], length=one.length[rows])
+
+
+def _left_out(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
+    """Images that contradict their definition, by topic."""
+    for topic, reasons in unread.items():
+        what = f"{len(reasons)} images cannot be read and are left out"
+        yield Finding("lost", f"{path}: {topic}: {what}, the first for this: {reasons[0].removeprefix(f'{topic}: ')}")
+
+
+def _unwritten(path: Path, early: int) -> tuple[Finding, ...]:
+    """What is said of messages dated before the clock's 0, which an MCAP cannot tell."""
+    said = "are dated before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
+    return (Finding("warning", f"{path}: {early} messages {said}"),) if early else ()
+
+
+def outgoing(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
+    """The recording's signals within `window` as messages under their tidy names, logged when they were dated."""
+    start_ns = recording.start_ns
+    named = {role: cut(series, start_ns, window) for role, series in signals(recording).items()}
+    out = [from_joints(topic, named[role], start_ns) for role, topic in _JOINTS.items() if role in named]
+    out += [from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else []
+    # what a table of poses says of places is measured, not ours
+    places = recording.features.tracks if recording.poses and recording.features is not None else {}
+    cuts = {name: cut(track, start_ns, window) for name, track in places.items()}
+    return out + [from_track(name, track, start_ns, "") for name, track in cuts.items()]
+
+
+_JOINTS = {"joints": JOINTS, "truth": TRUTH}
+
+
+def signals(recording: Recording) -> dict[str, Series]:
+    """The recording's signals by role."""
+    found = {"joints": recording.joints, "truth": recording.truth, "skin": recording.skin}
+    return {role: series for role, series in found.items() if series is not None}
+
+
+def cut(series: Series, start_ns: int, window: Window) -> Series:
+    """The rows within `window`, logged when they were dated."""
+    rows = (series.t >= window[0]) & (series.t <= window[1])
+    t = series.t[rows]
+    std = None if series.std is None else series.std[rows]
+    return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=std)
+
+
+def _pictures(
+    found: Iterable[Picture], start_ns: int, window: Window, writer: Writer, about: Mapping[str, Mapping[str, str]]
+) -> tuple[int, int]:
+    """Write the pictures within `window`, about a chunk at a time; returns how many, and how many came before it.
+
+    about {camera's topic without /image…: metadata}.
+    """
+    pending: list[Picture] = []
+    channels: dict[Kind, int] = {}
+    size = count = early = 0
+    for picture in found:
+        if not window[0] <= picture.t <= window[1]:
+            early += picture.t < window[0]
+            continue
+        if picture.kind not in channels:
+            kind = picture.kind
+            own = about.get(kind.topic.partition("/image")[0], {})
+            channels[kind] = writer.topic(kind.topic, kind.type, "cdr", kind.definition, kind.form, own)
+        pending.append(picture)
+        size += len(picture.payload)
+        if size >= CHUNK_BYTES:
+            writer.write(_messages(pending, channels, count, start_ns))
+            count, size, pending = count + len(pending), 0, []
+    if pending:
+        writer.write(_messages(pending, channels, count, start_ns))
+    return count + len(pending), early
+
+
+def _messages(pending: list[Picture], channels: dict[Kind, int], count: int, start_ns: int) -> Messages:
+    log_ns = stamps(np.array([picture.t for picture in pending]), start_ns)
+    length = np.array([len(picture.payload) for picture in pending])
+    data = np.frombuffer(b"".join(picture.payload for picture in pending), np.uint8)
+    channel = np.array([channels[picture.kind] for picture in pending])
+    sequence = count + np.arange(len(pending))
+    return Messages(channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length)
+
+
+def _within(start: float | None, end: float | None) -> str:
+    if start is None and end is None:
+        return "in it"
+    return f"from {'the start' if start is None else f'{start} s'} to {'the end' if end is None else f'{end} s'}"

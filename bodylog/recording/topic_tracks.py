@@ -1,0 +1,158 @@
+"""Tracks that another detector published: a place per message of a topic, by its type or by a message path."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from ..errors import ConfigError, FormatError, LogError
+from ..logs.decode.columns import Columns, columns
+from ..logs.formats import Log
+from ..settings import Settings
+from ..sources import TopicSource
+from ..types import Array, Health, Series, Topic
+from .clocks import date, largest_gap, seconds
+from .stamp_field import stamp_field
+
+ENDS: Sequence[tuple[str, ...]] = (
+    (".x", ".y"),
+    (".u", ".v"),
+    (".position.x", ".position.y"),
+    (".point.x", ".point.y"),
+    (".centre.x", ".centre.y"),
+    (".center.x", ".center.y"),
+    (".center.position.x", ".center.position.y"),
+    (".bbox.center.position.x", ".bbox.center.position.y"),
+    (".bbox.center.x", ".bbox.center.y"),
+    (".x0", ".y0", ".x1", ".y1", ".x2", ".y2", ".x3", ".y3"),
+    (".data[0]", ".data[1]", ".data[2]", ".data[3]"),
+    (".data[0]", ".data[1]"),
+    ("[0]", "[1]"),
+)
+"""How a path may end at a place: x and y, a point, a box's centre, four corners, or u, v and their std in an array."""
+BY_TYPE: Mapping[str, str] = {
+    "apriltag_msgs/msg/AprilTagDetectionArray": ".detections[:]{id==7}.centre",
+    "vision_msgs/msg/Detection2DArray": '.detections[:]{id=="hand"}.bbox.center',
+    "fiducial_msgs/msg/FiducialArray": ".fiducials[:]{fiducial_id==7}",
+    "foxglove_msgs/msg/ImageAnnotations": ".circles[0].position",
+    "foxglove.ImageAnnotations": ".circles[0].position",
+}
+"""Types whose messages hold several places, and a path to one of them."""
+
+Read = tuple[Series, Health]
+
+
+def track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns: int, late_ns: int) -> Read:
+    """A feature's places (N,2) px and what became of the messages; t in s since start_ns, `late_ns` for a log's clock.
+
+    LogError where the topic is not there or shows no place at all, ConfigError for a path that leads to none.
+    """
+    topic = _topic(log, name, source)
+    ends, found = _read(log, topic, name, source)
+    rows, stamps, places, rejected = _places(found, ends, stamp_field(topic))
+    empty = int((~np.isfinite(places[:, :2]).all(axis=1)).sum())
+    if empty == len(rows):
+        rejected = {**rejected, **({"not in the message": empty} if empty else {})}
+        why = ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "no message can be read"
+        raise LogError(f"{log.path}: [features] {name}: {source.topic} shows no place: {why}")
+    dated = date(found.log_ns[rows], stamps, settings.time.camera)
+    own = (dated.offset_ns or 0) if dated.clock == "header" else 0
+    shift = own - late_ns if abs(own - late_ns) > 60_000_000_000 else 0
+    values = places[dated.rows]
+    std = values[:, 2:] if values.shape[1] == 4 else None
+    known = std is not None and bool(np.isfinite(std).any())
+    t = seconds(dated.t_ns + shift, start_ns)
+    series = Series(t, values[:, :2], ("u", "v"), "px", found.log_ns[rows][dated.rows], std if known else None)
+    seen = np.isfinite(series.values).all(axis=1)
+    hidden = {"not in the message": int((~seen).sum())} if not seen.all() else {}
+    counts = Counter(rejected) + Counter(dated.rejected) + Counter(hidden)
+    return series, Health(len(found.log_ns), int(seen.sum()), dict(counts), largest_gap(dated.t_ns))
+
+
+def _topic(log: Log, name: str, source: TopicSource) -> Topic:
+    there = [topic for topic in log.topics if topic.name == source.topic]
+    if not there:
+        names = ", ".join(sorted({topic.name for topic in log.topics})[:10]) or "none"
+        raise LogError(f"{log.path}: [features] {name}: there is no topic {source.topic!r}; possible: {names}")
+    return max(there, key=lambda topic: topic.messages)
+
+
+def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple[str, ...], Columns]:
+    """The ends that lead to places and their columns; ConfigError with what to type where none does."""
+    path = source.path or ""
+    if not path and (several := BY_TYPE.get(topic.type)):
+        said = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"
+        raise ConfigError(f'{log.path}: {said}: {{ topic = "{topic.name}", path = {several!r} }}')
+    stamp, problems = stamp_field(topic), list[str]()
+    for ends in ENDS:
+        fields = ((stamp,) if stamp else ()) + tuple((path + end).lstrip(".") for end in ends)
+        try:
+            found = columns(log, topic, fields)
+        except (ConfigError, FormatError) as problem:
+            problems.append(str(problem))
+            continue
+        if any(_is_numbers(part.values) for part in found.parts):
+            return ends, found
+    said = f"[features] {name}: no place at {topic.name}{path} ({topic.type})"
+    why = next((text for text in problems if path and path.strip(".").split("[")[0].split(".")[0] in text), "")
+    wanted = "it must lead to x and y, to a point, a box, four corners or an array"
+    raise ConfigError(f"{log.path}: {said}: {why or wanted}")
+
+
+def _is_numbers(values: tuple[Array | tuple[str, ...], ...]) -> bool:
+    return all(isinstance(value, np.ndarray) for value in values)
+
+
+def _places(
+    found: Columns, ends: tuple[str, ...], stamp: str | None
+) -> tuple[Array, Array | None, Array, dict[str, int]]:
+    """Rows (n,), stamps (n,) or None, places (n,2 or 4), NaN where a message has none; and what was rejected."""
+    rows, stamps, places, rejected = [], [], list[Array](), Counter(found.rejected)
+    first = int(stamp is not None)
+    for part in found.parts:
+        columns_ = part.values[first:]
+        if not _is_numbers(columns_):
+            rejected["no numbers"] += len(part.rows)
+            continue
+        place = _one(np.stack([_flat(np.asarray(c), len(part.rows)) for c in columns_], axis=2), ends)
+        if place is None:
+            rejected["several places"] += len(part.rows)
+            continue
+        rows.append(part.rows)
+        places.append(place)
+        dated = part.values[0] if first else None
+        stamps.append(dated if isinstance(dated, np.ndarray) and dated.dtype == np.int64 else None)
+    if not rows:
+        return np.empty(0, np.int64), None, np.empty((0, 2)), dict(rejected)
+    order = np.argsort(np.concatenate(rows), kind="stable")
+    whole = None if any(s is None for s in stamps) else np.concatenate([s for s in stamps if s is not None])[order]
+    return np.concatenate(rows)[order], whole, np.concatenate(places)[order], dict(rejected)
+
+
+def _flat(column: Array, count: int) -> Array:
+    return column.reshape(count, -1).astype(float)
+
+
+def _one(matches: Array, ends: tuple[str, ...]) -> Array | None:
+    """The place (n,2 or 4) of messages with that many matches (n,K,E): NaN for none, None for several."""
+    if matches.shape[1] > 1:
+        return None
+    width = 4 if len(ends) == 4 else 2
+    if not matches.shape[1]:
+        return np.full((len(matches), width), np.nan)
+    place = matches[:, 0]
+    place = place.reshape(len(place), 4, 2).mean(axis=1) if len(ends) == 8 else place
+    sound: Array = np.asarray(np.isfinite(place[:, :2]).all(axis=1))
+    return np.where(sound[:, None], place, np.nan)
+
+
+def tracks(
+    log: Log, settings: Settings, start_ns: int, late_ns: int
+) -> Iterator[tuple[str, Read]]:
+    """Every feature of [features] that a topic has."""
+    for name, source in settings.features.items():
+        if isinstance(source, TopicSource):
+            try:
+                yield name, track(log, name, source, settings, start_ns, late_ns)
+            except FormatError as problem:
+                raise FormatError(f"{log.path}: [features] {name}: {problem}") from None

@@ -1,0 +1,90 @@
+"""A blank matplotlib figure that is saved whole, without a display, and with the same bytes for the same drawing."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from ...errors import UsageError
+from ...io.atomic_files import replacing
+
+FORMATS = {
+    ".png": {"format": "png", "metadata": {"Software": None}},
+    ".svg": {"format": "svg", "metadata": {"Date": None, "Creator": None}},
+}
+"""Suffix -> how matplotlib is told to write it without dates or version stamps."""
+
+INK, FELT, SEEN, TRUTH = "#20262e", "#e07b1f", "#7a52c7", "#111111"
+LINES = ("#1f77d0", "#d1495b", "#2a9d68", "#b5862a", "#7a52c7", "#159aa8", "#d267b0", "#6b7280")
+TRACKS = {"effector": "#2a9d68", "hand": "#d1495b"}
+
+_STYLE = {
+    "svg.hashsalt": "bodylog",
+    "text.parse_math": False,  # names from a log are text, whatever dollars they hold
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#8a929c",
+    "axes.titlesize": 9,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e6e8eb",
+    "legend.frameon": False,
+    "legend.fontsize": 8,
+    "lines.linewidth": 1.1,
+    "savefig.dpi": 130,
+}
+
+
+@contextmanager
+def figure(out: Path, width: float, height: float) -> Iterator[Any]:
+    """An empty Figure of width x height inches, written to `out` at the end; UsageError: no matplotlib, suffix."""
+    _known(out)
+    matplotlib = _matplotlib()
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # whatever the user's matplotlibrc says: same input, same bytes
+        matplotlib.rcParams.update(_STYLE)
+        drawing = matplotlib.figure.Figure(figsize=(width, height), layout="constrained")
+        matplotlib.backends.backend_agg.FigureCanvasAgg(drawing)
+        yield drawing
+        with replacing(out) as beside:
+            _save(drawing, beside, out.suffix.lower())
+
+
+def label(name: str, longest: int = 40) -> str:
+    """A name from a log as one printable line that matplotlib shows in a legend."""
+    clean = "".join(c if c.isprintable() else " " for c in name)
+    short = clean if len(clean) <= longest else clean[: longest - 1] + "…"
+    return f" {short}" if short.startswith("_") else short
+
+
+def colour(name: str, index: int) -> str:
+    """The colour of a track by its name, of anything else by its place."""
+    return TRACKS.get(name, LINES[index % len(LINES)])
+
+
+def _known(out: Path) -> None:
+    if out.suffix.lower() not in FORMATS:
+        better = " or ".join(str(out.with_suffix(suffix)) for suffix in FORMATS)
+        raise UsageError(f"{out}: '{out.suffix}' is not a kind of figure; type: {better}")
+
+
+def _matplotlib() -> Any:
+    try:
+        import matplotlib
+        import matplotlib.backends.backend_agg
+        import matplotlib.figure
+    except ImportError:
+        raise UsageError("no matplotlib to draw figures with; type: pip install 'bodylog[report]'") from None
+    return matplotlib
+
+
+def _save(drawing: Any, path: Path, suffix: str) -> None:
+    import warnings
+
+    with warnings.catch_warnings():
+        # a name in a script the font lacks is drawn as boxes: no reason to talk
+        warnings.filterwarnings("ignore", message="(Glyph|Matplotlib currently does not support)", category=UserWarning)
+        drawing.savefig(path, **FORMATS[suffix])

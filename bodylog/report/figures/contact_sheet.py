@@ -1,0 +1,73 @@
+"""A contact sheet: a few images of a log with every candidate outlined and numbered, and a line about each below."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+
+_WIDTH = 480
+_LINE, _MARGIN = 22, 10
+_ARM, _OTHER = (80, 230, 80), (190, 190, 190)
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """One candidate: the text below the images, whether it is the arm's, where it is in each image (n,2) px or NaN."""
+
+    text: str
+    arm: bool
+    track: Array
+
+
+def draw(images: Mapping[int, Array], marks: Sequence[Mark]) -> Array:
+    """The sheet (H,W,3) uint8 BGR of images {row of the tracks: (H,W,3)}."""
+    tiles = [_tile(image, number, marks) for number, image in sorted(images.items())]
+    size = np.max([tile.shape for tile in tiles], axis=0)
+    tiles = [_within(tile, size) for tile in tiles]
+    tiles += [np.zeros(size, np.uint8)] * (len(tiles) % 2)
+    half = len(tiles) // 2
+    pictures = np.vstack([np.hstack(tiles[:half]), np.hstack(tiles[half:])]) if half > 1 else np.hstack(tiles)
+    return np.vstack([pictures, _legend(marks, pictures.shape[1])])
+
+
+def _tile(image: Array, number: int, marks: Sequence[Mark]) -> Array:
+    """One image at the sheet's scale, with a numbered circle about each candidate; the arm's is drawn last."""
+    import cv2
+
+    scale = _WIDTH / image.shape[1]
+    tile = np.ascontiguousarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    for index in sorted(range(len(marks)), key=lambda index: marks[index].arm):
+        place = marks[index].track[number]
+        if np.isfinite(place).all():
+            u, v = np.rint(place * scale).astype(int).tolist()
+            colour = _ARM if marks[index].arm else _OTHER
+            cv2.circle(tile, (u, v), 14, (0, 0, 0), 3, cv2.LINE_AA)
+            cv2.circle(tile, (u, v), 14, colour, 1 + marks[index].arm, cv2.LINE_AA)
+            _write(tile, str(index + 1), (min(u + 17, tile.shape[1] - 20), max(v, 12)), colour)
+    return tile
+
+
+def _legend(marks: Sequence[Mark], width: int) -> Array:
+    strip = np.full((2 * _MARGIN + _LINE * max(1, len(marks)), width, 3), 24, np.uint8)
+    for row, mark in enumerate(marks):
+        text = f"{row + 1}  {mark.text}".encode("ascii", "replace").decode()
+        _write(strip, text, (_MARGIN, _MARGIN + _LINE * row + 15), _ARM if mark.arm else _OTHER)
+    return strip
+
+
+def _write(image: Array, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+    import cv2
+
+    size = min(0.48, 0.48 * (image.shape[1] - at[0]) / max(1, 8.6 * len(text))) if len(text) > 3 else 0.5
+    if len(text) <= 3:  # upon an image
+        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 3, cv2.LINE_AA)
+    cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
+
+
+def _within(image: Array, size: Array) -> Array:
+    """The picture in the upper left corner of a black one of that size (H,W,3)."""
+    whole = np.zeros(size, np.uint8)
+    whole[: image.shape[0], : image.shape[1]] = image
+    return whole

@@ -1,0 +1,141 @@
+"""Static figures, PNG or SVG by suffix: a recording (the paper's figure 3), a body (3b), an estimate (figure 4)."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import LogError, ModelError
+from ...types import Array, BodyModel, Estimate, Features, ForwardModel, Recording, Series
+from .canvas import INK, figure, label
+from .panels import belief, deviation, errors, events, free_energy, pixels, seen_tracks, signals, skin, trajectories
+from .reprojection import TRACKS as SHEETS
+from .reprojection import Sheet, Zero, offsets, plane, residuals
+
+Panel = Callable[[Any], None]
+
+_ROWS = 24
+_GRID = 61
+
+
+def recording_figure(recording: Recording, features: Features, out: Path) -> None:
+    """Draw a log as the paper's figure 3: joints, pixels, skin, events, trajectories; what is absent is left out."""
+    panels = _recording_panels(recording, features)
+    tracks = seen_tracks(features)
+    if not panels:
+        raise LogError("no joints, tracks, skin or events to draw; type: bodylog info LOG")
+    with figure(out, 11.0 if tracks else 8.0, 0.6 + 1.75 * len(panels)) as drawing:
+        grid = drawing.add_gridspec(len(panels), 2 if tracks else 1, width_ratios=(5, 3) if tracks else (1,))
+        drawing.suptitle(label(recording.name, 80), x=0.01, ha="left", weight="bold")
+        _stack(drawing, grid, panels, recording.duration_s)
+        if tracks:
+            trajectories(tracks, features.strokes, drawing.add_subplot(grid[:, 1]))
+
+
+def body_figure(body: BodyModel, out: Path, sheets: Sequence[Sheet] = (), zeros: Sequence[Zero] = ()) -> None:
+    """Draw each output's mean and standard deviation over the two joints that moved most, with its samples.
+
+    With a URDF, beside it the reprojection of every track and the joints' zeros.
+    """
+    if len(body.joints) < 2:
+        raise ModelError(f"body of {len(body.joints)} joint: a surface needs two; type: bodylog fit LOG --joints a,b")
+    rows = [(sense, model, d) for sense, model in body.senses.items() for d in range(len(model.outputs))][:_ROWS]
+    if not rows:
+        raise ModelError("body model without a sense: nothing to draw; type: bodylog info body.npz")
+    below = _kinematic(sheets, zeros)
+    with figure(out, 9.0, 0.4 + 3.1 * (len(rows) + -(-len(below) // 2))) as drawing:
+        grid = drawing.add_gridspec(len(rows) + -(-len(below) // 2), 2)
+        for k, draw in enumerate(below):
+            draw(drawing.add_subplot(grid[len(rows) + k // 2, k % 2]))
+        for row, (sense, model, d) in enumerate(rows):
+            _surface(drawing, grid[row, :], body.joints, f"{label(sense)} {label(model.outputs[d])}", model, d)
+
+
+def reprojection_figure(sheets: Sequence[Sheet], zeros: Sequence[Zero], out: Path) -> None:
+    """Draw each track in the image plane with what kinematics, and kinematics with the process, leave; the zeros."""
+    panels = _kinematic(sheets, zeros)
+    with figure(out, 9.0, 0.4 + 3.6 * -(-len(panels) // 2)) as drawing:
+        grid = drawing.add_gridspec(-(-len(panels) // 2), 2)
+        for k, draw in enumerate(panels):
+            draw(drawing.add_subplot(grid[k // 2, k % 2]))
+
+
+def _kinematic(sheets: Sequence[Sheet], zeros: Sequence[Zero]) -> list[Panel]:
+    """Two panels for every track, and one for the zeros where there are any."""
+    panels = [partial(draw, sheet) for sheet in sheets[:SHEETS] for draw in (plane, residuals)]
+    return [*panels, *([partial(offsets, zeros)] if zeros else [])]
+
+
+def estimate_figure(estimate: Estimate, truth: Series | None, recorded: Series | None, out: Path) -> None:
+    """Draw each joint's belief with its 2-sigma band, truth and encoder, its error; sense errors; free energy."""
+    names = estimate.joints.names[:_ROWS]
+    panels: list[Panel] = [partial(belief, estimate, m, truth, recorded) for m in range(len(names))]
+    panels += [partial(errors, sense, heard) for sense, heard in estimate.errors.items() if len(heard.t)]
+    panels.append(partial(free_energy, estimate))
+    real = truth if truth is not None and set(names) & set(truth.names) else None
+    with figure(out, 13.0 if real else 9.0, 0.6 + 1.75 * len(panels)) as drawing:
+        grid = drawing.add_gridspec(len(panels), 2 if real else 1)
+        axes = _stack(drawing, grid, panels, None, aside=len(names))
+        drawing.suptitle(f"{label(estimate.method)}: belief with its 2σ band", x=0.01, ha="left", weight="bold")
+        for m, name in enumerate(names):
+            if real and name in real.names:
+                deviation(estimate, m, real, recorded, drawing.add_subplot(grid[m, 1], sharex=axes[0]))
+
+
+def _recording_panels(recording: Recording, features: Features) -> list[Panel]:
+    panels: list[Panel] = []
+    if recording.joints is not None and len(recording.joints.t):
+        panels.append(partial(signals, recording.joints, "joints, rad"))
+    if seen_tracks(features):
+        panels.append(partial(pixels, features))
+    if recording.skin is not None and len(recording.skin.t):
+        panels.append(partial(skin, recording.skin))
+    if features.touches or features.strokes:
+        panels.append(partial(events, features))
+    return panels
+
+
+def _stack(drawing: Any, grid: Any, panels: list[Panel], duration: float | None, aside: int | None = None) -> list[Any]:
+    """One panel below the other on one time axis in s; the first `aside` (None: all) leave the right column free."""
+    axes: list[Any] = []
+    for row, draw in enumerate(panels):
+        cell = grid[row, 0] if aside is None or row < aside else grid[row, :]
+        ax = drawing.add_subplot(cell, sharex=axes[0] if axes else None)
+        draw(ax)
+        ax.tick_params(labelbottom=row == len(panels) - 1)
+        axes.append(ax)
+    axes[-1].set_xlabel("time, s")
+    axes[0].set_xlim(0.0, duration) if duration else axes[0].margins(x=0.01)
+    drawing.align_ylabels(axes)
+    return axes
+
+
+def _surface(drawing: Any, row: Any, joints: tuple[str, ...], title: str, model: ForwardModel, d: int) -> None:
+    samples = getattr(model, "samples", None)
+    first, second, x = _lattice(samples, len(joints))
+    means, _, variances = zip(*(model.predict(line) for line in x), strict=True)  # by line: little memory at any n
+    drawn = {"mean": np.stack(means)[..., d], "standard deviation": np.sqrt(np.stack(variances)[..., d])}
+    for cell, (what, values), cmap in zip(row.subgridspec(1, 2), drawn.items(), ("viridis", "magma"), strict=True):
+        ax = drawing.add_subplot(cell)
+        ax.grid(False)
+        filled = ax.contourf(x[0, :, first], x[:, 0, second], values, levels=24, cmap=cmap)
+        drawing.colorbar(filled, ax=ax, pad=0.01)
+        if samples is not None:
+            ax.plot(samples[:, first], samples[:, second], ".", color="white", mec=INK, mew=0.4, ms=4)
+        ax.set(title=f"{title}: {what}", xlabel=f"{label(joints[first])}, rad", ylabel=f"{label(joints[second])}, rad")
+
+
+def _lattice(samples: Array | None, joints: int) -> tuple[int, int, Array]:
+    """The two joints that moved most, and x (G,G,M) over them with the others at their median; ±π without samples."""
+    if samples is None or not len(samples):
+        low, high, middle = np.full(joints, -np.pi), np.full(joints, np.pi), np.zeros(joints)
+    else:
+        low, high, middle = samples.min(axis=0), samples.max(axis=0), np.median(samples, axis=0)
+    margin = np.maximum(0.1 * (high - low), 1e-3)
+    first, second = sorted(np.argsort(low - high, kind="stable")[:2])
+    x = np.broadcast_to(middle, (_GRID, _GRID, joints)).copy()
+    x[:, :, first] = np.linspace(low[first] - margin[first], high[first] + margin[first], _GRID)
+    x[:, :, second] = np.linspace(low[second] - margin[second], high[second] + margin[second], _GRID)[:, None]
+    return int(first), int(second), x

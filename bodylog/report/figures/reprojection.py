@@ -1,0 +1,209 @@
+"""The reprojection sheet: each track in the image plane, as measured, by kinematics alone and with the process."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import degrees, isfinite
+from typing import Any
+
+import numpy as np
+
+from ...types import Array, Estimate, Features
+from ..page.tables import escaped, table
+from .canvas import INK, LINES, label
+
+TRACKS, POINTS = 12, 300
+"""Most tracks that are drawn, and points of each."""
+_ZEROS = 64
+_ALONE, _BOTH, _SEEN = LINES[3], LINES[0], "#6b7280"
+_WIDTH, _HEIGHT, _SIDE = 460.0, 345.0, 345.0
+_LONG = 0.06
+"""Share of the image's width that a large residual is drawn as."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """One track: measured, expected by kinematics alone and with the process, each (N,2) px."""
+
+    name: str
+    measured: Array
+    kinematics: Array
+    both: Array
+
+    def some(self) -> "Sheet":
+        """At most POINTS of it, evenly spaced."""
+        rows = np.unique(np.linspace(0, len(self.measured) - 1, min(len(self.measured), POINTS)).round().astype(int))
+        return Sheet(self.name, self.measured[rows], self.kinematics[rows], self.both[rows])
+
+    @property
+    def errors(self) -> tuple[float, float]:
+        """RMS (px) of the distance that kinematics alone leaves, and that with the process leaves."""
+        return _rms(self.measured - self.kinematics), _rms(self.measured - self.both)
+
+    @property
+    def magnified(self) -> float:
+        """How many times longer than they are residuals are drawn: 1, 2, 5, 10, …"""
+        extent = float(np.ptp(self.measured, axis=0).max(initial=1.0))
+        size = max(float(np.quantile(np.linalg.norm(self.measured - self.kinematics, axis=1), 0.9)), 1e-6)
+        most = max(_LONG * extent / size, 1.0)
+        power = 10.0 ** np.floor(np.log10(most))
+        return float(power * max(step for step in (1, 2, 5) if step * power <= most))
+
+
+@dataclass(frozen=True)
+class Zero:
+    """One joint's zero: value ± std in `unit` (rad or m); value is None where it is not identifiable, and why."""
+
+    joint: str
+    value: float | None
+    std: float
+    unit: str = "rad"
+    confused: tuple[str, ...] = ()
+
+    @property
+    def shown(self) -> tuple[str, str]:
+        """Value ± std in degrees and rad, or in mm and m; or why there is none."""
+        if self.value is None:
+            return f"not identifiable: {' and '.join(self.confused) or 'not seen'}", ""
+        factor, unit = (degrees(1.0), "°") if self.unit == "rad" else (1e3, " mm")
+        return (
+            f"{factor * self.value:+.2f}{unit} ± {factor * self.std:.2f}{unit}",
+            f"{self.value:+.5f} ± {self.std:.5f} {self.unit}",
+        )
+
+
+def sheets(features: Features, estimate: Estimate) -> tuple[Sheet, ...]:
+    """Of every track that kinematics foretells what was seen of it beside what was expected before it was."""
+    found = []
+    for name, alone in estimate.kinematic.items():
+        track, both = features.tracks.get(name), estimate.predicted.get(name)
+        if track is None or both is None or alone.values.shape != both.values.shape or not len(track.t):
+            continue
+        rows = np.clip(np.searchsorted(track.t, alone.t - 1e-6), 0, len(track.t) - 1)
+        measured = track.values[rows]
+        sound = (np.abs(track.t[rows] - alone.t) < 1e-6) & np.isfinite(measured).all(axis=1)
+        sound &= np.isfinite(alone.values).all(axis=1) & np.isfinite(both.values).all(axis=1)
+        if sound.any():
+            found.append(Sheet(name, measured[sound], alone.values[sound], both.values[sound]))
+    return tuple(found)
+
+
+def zeros(told: Any) -> tuple[Zero, ...]:
+    """The zeros of a mapping {joint: {value, std, unit, confused_with}} as a file has it; what is none is left out."""
+    found = []
+    for joint, one in list(told.items())[:_ZEROS] if isinstance(told, Mapping) else ():
+        value, std = (one.get("value"), one.get("std")) if isinstance(one, Mapping) else (None, None)
+        if isinstance(std, int | float) and isfinite(std) and (value is None or _number(value)):
+            others = one.get("confused_with")
+            names = tuple(str(name) for name in others[:4]) if isinstance(others, list) else ()
+            known = None if value is None else float(value)
+            found.append(Zero(str(joint), known, float(std), "m" if one.get("unit") == "m" else "rad", names))
+    return tuple(found)
+
+
+def section(drawn: Sequence[Sheet], offsets: Sequence[Zero]) -> str:
+    """The sheet as part of a page, every name escaped; nothing where there is nothing to show."""
+    body = "\n".join(_figure(sheet.some()) for sheet in drawn[:TRACKS])
+    left = f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} tracks.</p>' if len(drawn) > TRACKS else ""
+    key = "dot: measured · amber: by kinematics alone · blue: with the process; lines lead from measured to expected"
+    shown = f'<h2>Reprojection</h2>\n<p class="soft">{key}</p>\n<div>\n{body}\n</div>{left}'
+    rows = [(zero.joint, *zero.shown) for zero in offsets]
+    told = table("Zeros of the joints", ("joint", "offset", ""), rows)
+    return "\n".join(part for part in (shown if drawn else "", told) if part)
+
+
+def _figure(sheet: Sheet) -> str:
+    alone, both = sheet.errors
+    times = sheet.magnified
+    text = f"{sheet.name}: {alone:.2f} px by kinematics alone, {both:.2f} px with the process (RMS); lines {times:g} ×"
+    width = _WIDTH + _SIDE + 10
+    return (
+        f'<figure><svg viewBox="0 0 {width:g} {_HEIGHT:g}" width="{width:g}" role="img">'
+        f"<title>{escaped(text)}</title>{''.join(_plane(sheet, times))}{''.join(_residuals(sheet))}</svg>"
+        f"<figcaption>{escaped(text)}</figcaption></figure>"
+    )
+
+
+def _plane(sheet: Sheet, times: float) -> Iterator[str]:
+    """The image plane with magnified residuals."""
+    low, span = sheet.measured.min(axis=0), np.maximum(np.ptp(sheet.measured, axis=0), 1.0)
+    scale = float(0.84 * min(_WIDTH / span[0], _HEIGHT / span[1]))
+    corner = 0.5 * (np.array([_WIDTH, _HEIGHT]) - scale * span)
+    places = (sheet.measured - low) * scale + corner
+    yield f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" fill="none" stroke="{_SEEN}" stroke-opacity="0.4"/>'
+    for expected, ink in ((sheet.kinematics, _ALONE), (sheet.both, _BOTH)):
+        ends = places + times * scale * (expected - sheet.measured)
+        lines = "".join(f"M{_xy(a)}L{_xy(b)}" for a, b in zip(places, ends, strict=True))
+        yield f'<path d="{lines}" stroke="{ink}" fill="none"/>'
+    yield from (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{_SEEN}"/>' for x, y in places)
+
+
+def _residuals(sheet: Sheet) -> Iterator[str]:
+    """Residuals about nought, px, with a ring at a round distance."""
+    left, reach = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured], _reach(sheet)
+    scale, centre = 0.45 * _SIDE / reach, np.array([_WIDTH + 10 + _SIDE / 2, _HEIGHT / 2])
+    ring = 10.0 ** np.floor(np.log10(reach))
+    x, y = centre
+    yield f'<circle cx="{x:g}" cy="{y:g}" r="{ring * scale:.1f}" fill="none" stroke="{_SEEN}" stroke-opacity="0.5"/>'
+    yield f'<text x="{x + ring * scale:.1f}" y="{y - 4:g}" font-size="11" fill="{_SEEN}">{ring:g} px</text>'
+    for part, ink in zip(left, (_ALONE, _BOTH), strict=True):
+        near = part[np.linalg.norm(part, axis=1) <= reach]
+        dots = (centre + scale * one for one in near)
+        yield from (f'<circle cx="{u:.1f}" cy="{v:.1f}" r="1.8" fill="{ink}" fill-opacity="0.6"/>' for u, v in dots)
+
+
+def _xy(place: Array) -> str:
+    return f"{place[0]:.1f} {place[1]:.1f}"
+
+
+def plane(sheet: Sheet, ax: Any) -> None:
+    """The image plane of one track with magnified residuals, in a figure."""
+    some, times = sheet.some(), sheet.magnified
+    for expected, ink, what in ((some.kinematics, _ALONE, "kinematics"), (some.both, _BOTH, "with process")):
+        off = times * (expected - some.measured)
+        arrows = {"angles": "xy", "scale_units": "xy", "scale": 1, "headwidth": 1, "headlength": 0, "width": 0.003}
+        ax.quiver(*some.measured.T, *off.T, color=ink, label=what, **arrows)
+    ax.plot(*some.measured.T, ".", color=INK, ms=2, label="measured")
+    ax.set(aspect="equal", title=f"{label(sheet.name)}: residuals {times:g} ×", xlabel="u, pixels", ylabel="v, pixels")
+    ax.invert_yaxis()
+    ax.legend(loc="best")
+
+
+def residuals(sheet: Sheet, ax: Any) -> None:
+    """What is left of one track, px, in a figure."""
+    alone, both = sheet.errors
+    for expected, ink, what in (
+        (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"), (sheet.both, _BOTH, f"with process: {both:.2f}"),
+    ):  # fmt: skip
+        ax.plot(*(expected - sheet.measured).T, ".", color=ink, ms=3, alpha=0.6, label=what)
+    reach = _reach(sheet)
+    ax.set(aspect="equal", title="expected minus measured", xlabel="u, pixels", ylabel="v, pixels")
+    ax.set(xlim=(-reach, reach), ylim=(reach, -reach))
+    ax.legend(loc="best")
+
+
+def offsets(found: Sequence[Zero], ax: Any) -> None:
+    """Each joint's zero with its standard deviation, in a figure; the name alone where it is not identifiable."""
+    for row, zero in enumerate(found):
+        factor = degrees(1.0) if zero.unit == "rad" else 1e3
+        if zero.value is None:
+            ax.text(0.0, row, " not identifiable", va="center", color=_SEEN, fontsize=8)
+        else:
+            ax.errorbar(factor * zero.value, row, xerr=factor * zero.std, fmt="o", color=LINES[0], capsize=3)
+    ax.axvline(0.0, color=_SEEN, lw=0.8)
+    ax.set_yticks(range(len(found)), [label(zero.joint, 22) for zero in found])
+    ax.set_ylim(len(found) - 0.5, -0.5)
+    ax.set(title="zeros of the joints ± σ", xlabel="offset, degrees (mm of joints that slide)")
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def _reach(sheet: Sheet) -> float:
+    """px about nought that holds nearly all residuals: the first of a log, before which nothing is known, is far."""
+    left = np.concatenate([sheet.kinematics - sheet.measured, sheet.both - sheet.measured])
+    return max(1.1 * float(np.quantile(np.linalg.norm(left, axis=1), 0.98)), 1e-3)
+
+
+def _rms(left: Array) -> float:
+    return float(np.sqrt(np.square(left).sum(axis=1).mean()))

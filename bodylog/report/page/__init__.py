@@ -1,0 +1,1 @@
+"""The HTML page: sections, traces, data, script."""

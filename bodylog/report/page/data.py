@@ -1,0 +1,79 @@
+"""Panels as plain JSON values: arrays thinned to a budget of points, quantised and in base64."""
+
+import base64
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...types import Array, Estimate, Features
+from .decimate import envelope, extremes
+from .traces import EVENTS, Panel, Trace
+
+BUDGET = 130_000
+"""Points kept on a whole page; each costs 11 characters, of a band 16."""
+
+_MOST, _LEAST = 4000, 60
+_TICKS = 2**32 - 1
+_DANGEROUS = str.maketrans({"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"})
+
+
+def most_points(panels: Sequence[Panel]) -> int:
+    """How many points each trace may keep so that the page stays within its budget."""
+    return min(_MOST, max(_LEAST, BUDGET // max(1, sum(len(panel.traces) for panel in panels))))
+
+
+def plain(panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: float) -> dict[str, Any]:
+    """{span (2,) s · marks over every panel · panels} with every number finite."""
+    span, points = _span(duration, panels), most_points(panels)
+    return {"span": span, "marks": list(marks), "panels": [_panel(panel, span, points) for panel in panels]}
+
+
+def marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
+    """What every panel shows in its background: touches, strokes, and the moment each fault began."""
+    felt = [(x.onset, x.offset, "felt") for x in (features.touches or ())[:EVENTS]]
+    seen = [(x.start, x.end, "seen") for x in features.strokes[:EVENTS]]
+    faults = [(x.since, x.since, "fault") for x in estimate.faults[:EVENTS]]
+    finite = [mark for mark in (*felt, *seen, *faults) if np.isfinite(mark[:2]).all()]
+    return [{"from": round(a, 4), "to": round(b, 4), "ink": ink} for a, b, ink in finite]
+
+
+def embedded(values: Any) -> str:
+    """JSON that no parser of HTML mistakes for a tag, an entity or the end of a line; the same for the same values."""
+    text = json.dumps(values, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":"))
+    return text.translate(_DANGEROUS)
+
+
+def _span(duration: float, panels: Sequence[Panel]) -> list[float]:
+    ends = [trace.t[[0, -1]] for panel in panels for trace in panel.traces if len(trace.t)]
+    low = min([0.0, *(float(pair[0]) for pair in ends)])
+    high = max([duration, *(float(pair[1]) for pair in ends)])
+    return [low, high if high > low else low + 1.0]
+
+
+def _panel(panel: Panel, span: list[float], points: int) -> dict[str, Any]:
+    rows = [{"name": x.name, "ink": x.ink, "spans": [[round(t, 4) for t in s] for s in x.spans]} for x in panel.rows]
+    traces = [_trace(trace, span, points) for trace in panel.traces if len(trace.t)]
+    look = {"half": panel.half, "limits": panel.limits, "floor": panel.floor, "shade": panel.shade}
+    return look | {"title": panel.title, "rows": rows, "traces": traces}
+
+
+def _trace(trace: Trace, span: list[float], points: int) -> dict[str, Any]:
+    """The trace thinned, t as uint32 shares of the span and y as float32, both little endian."""
+    look = {"name": trace.name, "ink": trace.ink, "kind": trace.kind}
+    if trace.high is not None:
+        t, low, high = envelope(trace.t, trace.y, trace.high, points)
+        return look | {"t": _ticks(t, span), "y": _floats(low), "high": _floats(high)}
+    keep = extremes(trace.y, points)
+    return look | {"t": _ticks(trace.t[keep], span), "y": _floats(trace.y[keep])}
+
+
+def _ticks(t: Array, span: list[float]) -> str:
+    share = np.clip((t - span[0]) / (span[1] - span[0]), 0.0, 1.0)
+    return base64.b64encode(np.rint(share * _TICKS).astype("<u4").tobytes()).decode()
+
+
+def _floats(y: Array) -> str:
+    drawable = np.abs(y) < float(np.finfo(np.float32).max)  # what float32 cannot hold is a gap
+    return base64.b64encode(np.where(drawable, y, np.nan).astype("<f4").tobytes()).decode()

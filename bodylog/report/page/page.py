@@ -1,0 +1,69 @@
+"""The report: one self-contained HTML page about one log, its estimate and how far to trust it."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ...io.atomic_files import replacing
+from ...types import Estimate, Features, Recording, Score
+from ..figures import reprojection
+from ..viewers.image_overlay import Picture
+from .data import marks, most_points, plain
+from .tables import escaped, faults, header, notes, score_table, settings, tables
+from .template import document, plots
+from .traces import panels
+
+_QUALITY = 82
+
+
+def write(
+    out: Path,
+    estimate: Estimate,
+    features: Features,
+    recording: Recording,
+    scores: Sequence[Score],
+    pictures: Sequence[Picture],
+    provenance: Mapping[str, str],
+) -> None:
+    """Write the page to `out`, whole or not at all: no network, the same bytes for the same input."""
+    drawn = panels(recording, features, estimate)
+    groups = [plain(drawn, marks(features, estimate), recording.duration_s)] if drawn else []
+    zeros = reprojection.zeros(estimate.settings.get("offsets"))
+    body = [
+        header(recording, estimate, scores),
+        faults(estimate),
+        _plots(most_points(drawn), notes(features, estimate)) if drawn else "",
+        _gallery(pictures),
+        reprojection.section(reprojection.sheets(features, estimate), zeros),
+        score_table(scores),
+        tables(recording, features, estimate),
+        settings(estimate, provenance),
+    ]
+    page = document(recording.name, "\n".join(part for part in body if part), groups)
+    with replacing(out) as beside:
+        beside.write_text(page, encoding="utf-8", newline="\n")
+
+
+def _plots(points: int, remarks: Sequence[str]) -> str:
+    marked = "Ground orange: touch felt, violet: stroke seen; red line: a fault begins. "
+    kept = f"Lines keep at most {points} points: the lowest and highest of every stretch and its gaps; "
+    return "<h2>Over time</h2>\n" + plots((f"{marked}{kept}bands are never narrower than the whole ones.", *remarks))
+
+
+def _gallery(pictures: Sequence[Picture]) -> str:
+    if not pictures:
+        return ""
+    shown = "\n".join(
+        f'<figure><img alt="the camera at {picture.t:.2f} s" src="data:image/jpeg;base64,{_jpeg(picture)}">'
+        f"<figcaption>{escaped(picture.caption)}</figcaption></figure>"
+        for picture in pictures
+    )
+    key = "yellow ring: seen · blue cross and ellipse: predicted, 2σ · white square: hand"
+    return f'<h2>Pictures</h2>\n<p class="soft">{key}</p>\n<div class="pictures">\n{shown}\n</div>'
+
+
+def _jpeg(picture: Picture) -> str:
+    import cv2
+
+    done = cv2.imencode(".jpg", picture.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1]
+    return base64.b64encode(done.tobytes()).decode()

@@ -1,0 +1,53 @@
+"""A self-contained HTML document: its style, its script and the data of its plots inside, and nothing else may run."""
+
+import base64
+import hashlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from .data import embedded
+from .tables import escaped
+
+_ASSETS = Path(__file__).parent / "assets"
+_POLICY = "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; style-src {}; script-src {}"
+_HELP = (
+    "drag: zoom · shift-drag, <kbd>←</kbd> <kbd>→</kbd>: move · "
+    "ctrl-wheel, <kbd>+</kbd> <kbd>-</kbd>: zoom · double click, <kbd>0</kbd>: whole"
+)
+
+
+def document(title: str, body: str, groups: Sequence[Mapping[str, Any]]) -> str:
+    """The page as text; `groups` are those of `packing.plain`, one for each `plots` in the body, in order."""
+    style = _asset("page.css")
+    script = _asset("panel.js") + _asset("view.js") if groups else ""
+    policy = _POLICY.format(_source(style), _source(script))
+    data = f'<script type="application/json" id="data">{embedded(groups)}</script>\n' if groups else ""
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escaped(title)}</title>\n<style>{style}</style>\n</head>\n<body>\n{body}\n{data}"
+        + (f"<script>{script}</script>\n" if script else "")
+        + "</body>\n</html>\n"
+    )
+
+
+def plots(remarks: Sequence[str] = ()) -> str:
+    """Where panels that share one time axis are drawn, with what moves them, and remarks below."""
+    said = "".join(f"<p>{escaped(remark)}</p>" for remark in remarks)
+    return (
+        '<section>\n<div class="bar"><button type="button">whole log</button><output></output>'
+        f'<span class="soft">{_HELP}</span></div>\n'
+        '<noscript><p class="warning">The plots need JavaScript; the tables do not.</p></noscript>\n'
+        f'<div class="panels"></div>\n<div class="soft">{said}</div>\n</section>'
+    )
+
+
+def _asset(name: str) -> str:
+    return (_ASSETS / name).read_text(encoding="utf-8")
+
+
+def _source(text: str) -> str:
+    """The one inline text the browser may use: nothing a log says can run."""
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

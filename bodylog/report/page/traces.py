@@ -1,0 +1,125 @@
+"""What the page plots: panels of traces over one time axis."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array, Estimate, Features, Recording, Series
+
+JOINTS, TRACKS, COLUMNS, EVENTS = 24, 12, 32, 2000
+"""Most joints, tracks, lines of one panel and touches or strokes that are drawn."""
+
+_INKS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One line, dashes, dots, stems or band (y to high) of colour `ink` of the style sheet: t (n,) s · y, high (n,)."""
+
+    name: str
+    ink: str
+    t: Array
+    y: Array
+    kind: str = "line"
+    high: Array | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """Spans of time (s) drawn as bars in one row of a panel."""
+
+    name: str
+    ink: str
+    spans: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Traces or rows under one title; `half` as wide as the page; y from `limits`, or at least from `floor`, shaded."""
+
+    title: str
+    traces: tuple[Trace, ...] = ()
+    rows: tuple[Row, ...] = ()
+    half: bool = False
+    limits: tuple[float, float] | None = None
+    floor: float | None = None
+    shade: tuple[float, float] | None = None
+
+
+def panels(recording: Recording, features: Features, estimate: Estimate) -> tuple[Panel, ...]:
+    """Every panel there is something to draw in, in reading order."""
+    drawn = [*_beliefs(recording, estimate), *_sights(features, estimate), *_feelings(recording, features)]
+    return tuple(panel for panel in drawn if panel.rows or any(np.isfinite(trace.y).any() for trace in panel.traces))
+
+
+def _beliefs(recording: Recording, estimate: Estimate) -> Iterator[Panel]:
+    for m in range(len(estimate.joints.names[:JOINTS])):
+        yield from _joint(recording, estimate, m)
+    for sense, errors in estimate.errors.items():
+        yield Panel(f"{sense}: prediction error, standard deviations", _columns(errors, "dots"), shade=(-2.0, 2.0))
+    yield Panel("free energy, nats", (Trace("free energy", "c0", estimate.joints.t, estimate.free_energy),))
+    if estimate.bias is not None:
+        yield Panel(f"encoder offset, {estimate.bias.unit}", _columns(estimate.bias))
+
+
+def _joint(recording: Recording, estimate: Estimate, m: int) -> Iterator[Panel]:
+    """The belief about one joint with what was recorded, and how far both are off the truth where there is one."""
+    name, t, mean = estimate.joints.names[m], estimate.joints.t, estimate.joints.values[:, m]
+    spread = 2.0 * np.sqrt(np.maximum(estimate.cov[:, m, m], 0.0))
+    encoder, truth = _line(recording.joints, name, "encoder", "encoder"), _line(recording.truth, name, "truth", "truth")
+    belief = Trace("2σ", "c0", t, mean - spread, "band", mean + spread), Trace("belief", "c0", t, mean)
+    yield Panel(f"{name}, rad", (*encoder, *belief, *truth), half=bool(truth))
+    for real in truth:
+        off = tuple(Trace(x.name, x.ink, x.t, x.y - np.interp(x.t, real.t, real.y)) for x in (*encoder, belief[1]))
+        band = Trace("2σ", "c0", t, -spread, "band", spread)
+        yield Panel(f"{name} minus truth, rad", (*off[:-1], band, off[-1]), half=True)
+
+
+def _sights(features: Features, estimate: Estimate) -> Iterator[Panel]:
+    for name, track in list(features.tracks.items())[:TRACKS]:
+        for d, axis in enumerate(track.names):
+            expected = _line(estimate.predicted.get(name), axis, "predicted", "c0")
+            band = _spread(estimate.predicted.get(name), axis)
+            seen = Trace("seen", f"c{2 + d}", track.t, track.values[:, d], "dots")
+            yield Panel(f"{name} {axis}, {track.unit}", (*band, *expected, seen), half=len(track.names) == 2)
+
+
+def _feelings(recording: Recording, features: Features) -> Iterator[Panel]:
+    if recording.skin is not None and recording.skin.values.size:
+        strongest = np.fmax.reduce(recording.skin.values, axis=1)
+        yield Panel("skin, 0..1", (Trace("strongest cell", "felt", recording.skin.t, strongest),))
+    touches = features.touches or ()
+    strokes = tuple((x.start, x.end) for x in features.strokes)
+    if touches or strokes:
+        felt = Row("felt", "felt", tuple((x.onset, x.offset) for x in touches[:EVENTS]))
+        seen = Row("seen", "seen", strokes[:EVENTS])
+        yield Panel("touches felt, strokes seen", rows=(felt, seen), limits=(0.0, 2.0))
+    if features.synchrony and touches:
+        onset = np.array([touches[pair.touch].onset for pair in features.synchrony])
+        weight = np.array([pair.weight for pair in features.synchrony])
+        delay = np.array([pair.delay for pair in features.synchrony])
+        yield Panel("synchrony, 0..1", (Trace("weight", "c4", onset, weight, "stems"),), limits=(0.0, 1.0), half=True)
+        yield Panel("seen minus felt, s", (Trace("delay", "c4", onset, delay, "stems"),), floor=0.0, half=True)
+
+
+def _columns(series: Series, kind: str = "line") -> tuple[Trace, ...]:
+    names = enumerate(series.names[:COLUMNS])
+    return tuple(Trace(name, f"c{d % _INKS}", series.t, series.values[:, d], kind) for d, name in names)
+
+
+def _line(series: Series | None, column: str, name: str, ink: str) -> tuple[Trace, ...]:
+    """The column as a trace, or () where there is none."""
+    if series is None or column not in series.names or not len(series.t):
+        return ()
+    kind = "dashes" if ink == "truth" else "line"
+    return (Trace(name, ink, series.t, series.values[:, series.names.index(column)], kind),)
+
+
+def _spread(series: Series | None, column: str) -> tuple[Trace, ...]:
+    """The column's 2-sigma band, or () where it does not say how sure it is."""
+    if series is None or series.std is None or column not in series.names or not len(series.t):
+        return ()
+    d = series.names.index(column)
+    low, high = (series.values[:, d] + k * series.std[:, d] for k in (-2.0, 2.0))
+    return (Trace("2σ", "c0", series.t, low, "band", high),)

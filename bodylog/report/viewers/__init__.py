@@ -1,0 +1,1 @@
+"""Layouts and recordings for Foxglove and Rerun."""

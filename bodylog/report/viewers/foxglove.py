@@ -1,0 +1,78 @@
+"""A layout for Foxglove and Lichtblick: the picture with its overlay, the belief, errors and free energy over time."""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ...io.atomic_files import replacing
+from ...types import Estimate
+
+ROOT = "/bodylog"
+
+
+def write(out: Path, camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> None:
+    """Write the layout as JSON to `out`, for the camera topics and the joints and senses of `estimate`."""
+    with replacing(out) as beside:
+        beside.write_text(json.dumps(layout(camera, estimate, views), indent=2) + "\n", encoding="utf-8")
+
+
+def layout(camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> dict[str, Any]:
+    """The layout's tree: panels by id, and how they share the window; `views`: topics of further cameras by name."""
+    joints = enumerate(estimate.joints.names)
+    senses = {name: errors.names for name, errors in estimate.errors.items()}
+    panels: dict[str, Any] = {
+        "Plot!belief": _plot([(_item("joint_states", "position", k), name) for k, name in joints]),
+        "Plot!errors": _plot(_errors(senses)),
+        "Plot!free_energy": _plot([(f"{ROOT}/free_energy.data", "free energy, nats")]),
+        "Image!camera": _image(camera, f"{ROOT}/annotations"),
+        "RawMessages!faults": {"topicPath": f"{ROOT}/faults"},
+    }
+    plots = _split("column", "Plot!belief", _split("column", "Plot!errors", "Plot!free_energy", 60), 45)
+    picture = _split("column", "Image!camera", "RawMessages!faults", 75)
+    for name, topic in views.items():
+        panels[f"Image!{name}"] = _image(topic, f"{ROOT}/annotations/{name}")
+        picture = _split("column", f"Image!{name}", picture, 40)
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("row", picture, plots, 45),
+    }
+
+
+def _errors(senses: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
+    return [
+        (_item(f"prediction_error/{sense}", "data", k), f"{sense} {name}, σ")
+        for sense, names in senses.items()
+        for k, name in enumerate(names)
+    ]
+
+
+def _item(topic: str, field: str, index: int) -> str:
+    return f"{_quoted(f'{ROOT}/{topic}')}.{field}[{index}]"
+
+
+def _quoted(topic: str) -> str:
+    """A topic in a message path: in double quotes where it holds more than letters, digits, underscores and slashes."""
+    if re.fullmatch("[A-Za-z0-9_/]+", topic):
+        return topic
+    escaped = topic.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'
+
+
+def _plot(lines: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    paths = [
+        {"value": value, "label": label, "enabled": True, "timestampMethod": "headerStamp"} for value, label in lines
+    ]
+    return {"paths": paths, "showLegend": True, "isSynced": True, "xAxisVal": "timestamp"}
+
+
+def _image(camera: str | None, annotations: str) -> dict[str, Any]:
+    return {"imageMode": {"imageTopic": camera or "", "annotations": {annotations: {"visible": True}}}}
+
+
+def _split(direction: str, first: Any, second: Any, share: int) -> dict[str, Any]:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": share}

@@ -1,0 +1,160 @@
+"""What was seen and what was expected, drawn on the picture itself."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import FormatError, UsageError
+from ...io.atomic_files import replacing
+from ...types import Array, Estimate, Features, Recording, Series
+
+_SEEN, _PREDICTED, _HAND = (80, 230, 250), (240, 150, 60), (240, 240, 240)  # BGR
+_WIDTH = 480
+_ACROSS, _TILE = 3, 320  # pictures in a row of a sheet, and px each is wide there
+_FINE = 4  # cv2 draws in 1/16 px with shift 4
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture with its marks drawn: t s · image (H,W,3) uint8 BGR · caption."""
+
+    t: float
+    image: Array
+    caption: str
+
+
+def overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Array | None, hand: Array | None) -> Array:
+    """A copy of image (H,W,3) BGR: seen ring, predicted cross, 2-sigma ellipse of cov (2,2) px², hand square."""
+    import cv2
+
+    drawn = image.copy()
+    for width, inks in ((4, ((20, 20, 20),) * 3), (2, (_SEEN, _PREDICTED, _HAND))):  # a dark rim: seen on any ground
+        if (place := _sound(predicted)) is not None:
+            for arm in (np.array([5.0, 0.0]), np.array([0.0, 5.0])):
+                cv2.line(drawn, _fixed(place - arm), _fixed(place + arm), inks[1], width, cv2.LINE_AA, _FINE)
+            _ellipse(drawn, place, cov, inks[1], width)
+        if (place := _sound(seen)) is not None:
+            cv2.circle(drawn, _fixed(place), 11 << _FINE, inks[0], width, cv2.LINE_AA, _FINE)
+        if (place := _sound(hand)) is not None:
+            cv2.rectangle(drawn, _fixed(place - 9.0), _fixed(place + 9.0), inks[2], width, cv2.LINE_AA, _FINE)
+    return drawn
+
+
+def pictures(recording: Recording, features: Features, estimate: Estimate, count: int = 6) -> tuple[Picture, ...]:
+    """`count` frames of each camera, evenly over the log, with what was seen and predicted; () without a camera."""
+    films = {} if recording.frames is None else {"": recording.frames}
+    wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
+    drawn: list[Picture] = []
+    for camera, frames in (films | dict(recording.views)).items():
+        due = iter(wanted)
+        after = next(due)
+        for frame in frames():
+            if frame.t >= after:
+                with suppress(FormatError):  # a damaged picture: health counts it, the next one is shown
+                    drawn.append(_picture(camera, frame.t, frame.image, features, estimate))
+                    if (after := next(due, np.inf)) == np.inf:
+                        break
+    return tuple(drawn)
+
+
+def overlay_sheet(drawn: Sequence[Picture], out: Path) -> None:
+    """Write the pictures side by side, each with a caption below, as one PNG; UsageError: none, suffix."""
+    if not drawn:
+        raise UsageError(f"{out}: no pictures to put on the sheet; type: bodylog info LOG to see its cameras")
+    tiles = [_tile(picture) for picture in drawn]
+    height = max(len(tile) for tile in tiles)
+    sheet = np.full((-(-len(tiles) // _ACROSS) * height, min(_ACROSS, len(tiles)) * _TILE, 3), 255, np.uint8)
+    for i, tile in enumerate(tiles):
+        top, left = i // _ACROSS * height, i % _ACROSS * _TILE
+        sheet[top : top + len(tile), left : left + _TILE] = tile
+    key = _words("ring: seen | cross and ellipse: predicted, 2 sigma | square: hand", sheet.shape[1])
+    write(np.vstack([sheet, key]), out)
+
+
+def write(image: Array, out: Path) -> None:
+    """Write an image (H,W,3) uint8 BGR as PNG; UsageError for another suffix."""
+    import cv2
+
+    if out.suffix.lower() != ".png":
+        raise UsageError(f"{out}: suffix '{out.suffix}' is not that of a sheet; type: {out.with_suffix('.png')}")
+    with replacing(out) as beside:
+        beside.write_bytes(cv2.imencode(".png", image)[1].tobytes())
+
+
+def scaled(image: Array, width: int) -> Array:
+    """The picture `width` px wide."""
+    import cv2
+
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    method = cv2.INTER_AREA if width < image.shape[1] else cv2.INTER_CUBIC
+    return cv2.resize(image, (width, height), interpolation=method)
+
+
+def _picture(camera: str, t: float, image: Array, features: Features, estimate: Estimate) -> Picture:
+    at = f"{camera}/" if camera else ""
+    name = f"{at}effector"
+    seen, hand = _at(features.tracks.get(name), t), _at(features.tracks.get(f"{at}hand"), t)
+    mean, row = _at(estimate.predicted.get(name), t), _nearest(estimate.predicted.get(name), t)
+    cov = estimate.predicted_cov[name][row] if row is not None and name in estimate.predicted_cov else None
+    said = f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
+    if seen is not None and mean is not None:
+        said += f" · {np.hypot(*(seen - mean)):.1f} px apart"
+    return Picture(t, _enlarged(image, seen, mean, cov, hand), said)
+
+
+def _enlarged(image: Array, seen: Array | None, mean: Array | None, cov: Array | None, hand: Array | None) -> Array:
+    """The overlay on the picture at `_WIDTH` px, where its marks are as large as they are meant to be."""
+    scale = _WIDTH / image.shape[1]
+    seen, mean, hand = (None if p is None else (p + 0.5) * scale - 0.5 for p in (seen, mean, hand))
+    return overlay(scaled(image, _WIDTH), seen, mean, None if cov is None else cov * scale**2, hand)
+
+
+def _at(track: Series | None, t: float) -> Array | None:
+    row = _nearest(track, t)
+    return None if track is None or row is None else _sound(track.values[row])
+
+
+def _nearest(track: Series | None, t: float, tolerance: float = 0.1) -> int | None:
+    """The row within `tolerance` s of t that is nearest."""
+    if track is None or not len(track.t):
+        return None
+    row = int(np.abs(track.t - t).argmin())
+    return row if abs(track.t[row] - t) <= tolerance else None
+
+
+def _sound(point: Array | None) -> Array | None:
+    """The point (2,) px if it is finite and of a size that can be drawn."""
+    return point if point is not None and bool((np.abs(point) < 1e5).all()) else None
+
+
+def _fixed(point: Array) -> tuple[int, int]:
+    return round(float(point[0]) * (1 << _FINE)), round(float(point[1]) * (1 << _FINE))
+
+
+def _ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int, int, int], width: int) -> None:
+    import cv2
+
+    if cov is None or not np.isfinite(cov).all():
+        return
+    variances, axes = np.linalg.eigh(cov)
+    if 0 < variances[-1] < 1e8:
+        radii = _fixed(2.0 * np.sqrt(np.maximum(variances, 0.0)))
+        angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
+        cv2.ellipse(image, _fixed(centre), radii, angle, 0, 360, ink, width, cv2.LINE_AA, _FINE)
+
+
+def _tile(picture: Picture) -> Array:
+    # cv2's fonts know ASCII alone
+    return np.vstack([scaled(picture.image, _TILE), _words(picture.caption.replace("·", "|"), _TILE)])
+
+
+def _words(text: str, width: int) -> Array:
+    """A strip (26,width,3) of dark words on white."""
+    import cv2
+
+    strip = np.full((26, width, 3), 255, np.uint8)
+    cv2.putText(strip, text, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (60, 50, 40), 1, cv2.LINE_AA)
+    return strip

@@ -1,0 +1,90 @@
+"""Rerun as a program: an MCAP as a recording (.rrd), recordings put together, a window opened."""
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+
+from ...errors import LogError, UsageError
+from ...io.atomic_files import replacing
+from ...io.temporary import scratch
+
+APPLICATION = "bodylog"
+PROGRAM = (sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())")
+"""Rerun with its exit code, which `python -m rerun_cli` drops."""
+_PASSED = re.compile(r"(?:\(entity: `(/[^`]*)`.*?\)|decode message on channel (\S+)): (?:.*\], )?(.*)")
+"""Of an error that is about one entity or topic, its path and what is wrong."""
+_WHERE = re.compile(r"^.* ERROR [\w:]+: ")
+"""The time, and a place in its own source."""
+Companion = Callable[[Path, str, Mapping[str, str]], None]
+"""Writes a recording to a file, by identity, beside one that lacks what of some entities could not be shown."""
+SECONDS = 600.0
+"""How long Rerun may take over one file; damaged ones have kept it busy for ever."""
+
+
+def ready() -> None:
+    """UsageError, before anything is read, where Rerun is not installed."""
+    if find_spec("rerun") is None or find_spec("rerun_cli") is None:
+        raise UsageError("view: rerun-sdk is not installed; type: pip install 'bodylog[view]'")
+
+
+def recording(source: Path, out: Path, identity: str, companion: Companion) -> dict[str, str]:
+    """Write an MCAP and what `companion` writes to a file as one recording (.rrd) of that identity.
+
+    Returns why by entity that Rerun cannot show, of which `companion` is told. LogError: Rerun refuses the log.
+    """
+    with scratch() as folder, replacing(out) as beside:
+        names = ("log.mcap", "log.rrd", "companion.rrd", "merged.rrd")
+        log, converted, drawn, merged = (folder / name for name in names)
+        log.symlink_to(source.resolve())  # names that are not UTF-8 end Rerun
+        merged.symlink_to(beside.resolve())
+        identity = identity.encode(errors="backslashreplace").decode()
+        named = ["--application-id", APPLICATION, "--recording-id", identity]
+        unshown = _run(["mcap", "convert", str(log), *named, "-o", str(converted)], folder, source)
+        companion(drawn, identity, unshown)
+        _run(["rrd", "merge", str(converted), str(drawn), "-o", str(merged)], folder, source)
+    return unshown
+
+
+def show(recorded: Path) -> None:
+    """Open a window on a recording and wait until it is closed; UsageError where there is no display."""
+    done = subprocess.run([*PROGRAM, str(recorded)], capture_output=True, text=True)
+    if done.returncode:
+        said = _last(done.stderr).rpartition(": ")[2]  # before that stand places in its own source
+        raise UsageError(f"view: Rerun could not open a window ({said}); type: bodylog view LOG -o out.rrd")
+
+
+def hushed(home: Path) -> None:
+    """Tell a Rerun whose home this is to count nobody's files."""
+    settings = home / ".config" / "rerun" / "analytics.json"
+    settings.parent.mkdir(parents=True, exist_ok=True)
+    settings.write_text(json.dumps({"analytics_enabled": False, "analytics_id": "", "metadata": {}}), encoding="utf-8")
+
+
+def _run(arguments: Sequence[str], home: Path, source: Path) -> dict[str, str]:
+    """One command of Rerun in a home of its own; why by entity what it passed by."""
+    hushed(home)
+    command, alone = [*PROGRAM, *arguments], {"HOME": str(home)}
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=alone)
+    except subprocess.TimeoutExpired:
+        raise LogError(f"{source}: Rerun did not end in {SECONDS:g} s; type: bodylog doctor {source}") from None
+    errors = [line for line in _plain(done.stderr).splitlines() if " ERROR " in line]
+    passed = [_PASSED.search(line) for line in errors]
+    if done.returncode or None in passed:  # it ends with 0 when it could read nothing
+        raise LogError(f"{source}: Rerun cannot read it ({_last(done.stderr)}); type: bodylog doctor {source}")
+    return {found[1] or found[2]: found[3] for found in passed if found}
+
+
+def _last(said: str) -> str:
+    """The last error, or else the last line, Rerun spoke of."""
+    lines = [line.strip() for line in _plain(said).splitlines() if line.strip()]
+    return ([_WHERE.sub("", line) for line in lines if " ERROR " in line] or lines or ["it said nothing"])[-1]
+
+
+def _plain(said: str) -> str:
+    """Without colours."""
+    return re.sub(r"\x1b\[[0-9;]*m", "", said)

@@ -1,0 +1,236 @@
+"""What Rerun does not draw from a log by itself: the overlay on the picture, the belief with its band, errors, events.
+
+Everything is laid out over `message_log_time`, as Rerun lays out the messages of an MCAP.
+"""
+
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import FormatError
+from ...types import Array, Estimate, Features, Frame, Series
+
+ROOT = "bodylog"
+"""Beside the log's own topics: what is drawn of joint names stands below /bodylog/belief and /bodylog/errors."""
+TIME = "message_log_time"
+SIGMAS, CORNERS = 2.0, 33
+_PLANE = "_image_plane"
+"""Rerun puts a picture of frame X into the frame X_image_plane, and what is not in it is not drawn on it."""
+CORNER = 0.5
+"""px: Rerun counts from the first pixel's corner, tracks from its centre."""
+Event = tuple[int, str, str]
+"""Log time in ns, level, text."""
+SEEN, PREDICTED, HAND, TRUTH = (80, 230, 110), (60, 150, 240), (250, 70, 60), (150, 150, 150)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """The pictures' topic, their frame_id, without which the overlay lies in another plane than the picture, and they.
+
+    None of `frames` where there is nothing to decode.
+    """
+
+    topic: str
+    frame_id: str
+    frames: Callable[[], Iterator[Frame]] | None = None
+
+    @property
+    def entity(self) -> str:
+        """Where Rerun puts the pictures."""
+        return _path(*_topic(self.topic))
+
+
+def write(
+    out: Path, identity: str, unshown: Container[str], cameras: Mapping[str, Camera], features: Features | None,
+    estimate: Estimate | None, truth: Series | None,
+) -> None:  # fmt: skip
+    """Write the companion of the recording `identity` to `out` (.rrd), with the layout of a window.
+
+    `cameras` are called as before the last / of their tracks' names: the first "". Pictures of `unshown` entities are
+    brought along.
+    """
+    import rerun
+
+    stream = rerun.RecordingStream(ROOT, recording_id=identity, send_properties=False)
+    stream.save(out)
+    for camera in cameras.values():
+        if camera.entity in unshown and camera.frames is not None:
+            _pictures(stream, camera, camera.frames())
+    if features is not None:
+        _seen(stream, cameras, features)
+    if estimate is not None:
+        _predicted(stream, cameras, estimate)
+        _belief(stream, estimate, truth)
+    _events(stream, features, estimate)
+    stream.send_blueprint(_window(tuple(cameras.values()), estimate))
+    stream.flush()
+    stream.disconnect()
+
+
+def _path(*parts: str) -> str:
+    """An entity's path: names from a log are names, whatever signs they hold."""
+    import rerun
+
+    return str(rerun.new_entity_path(list(parts)))
+
+
+def _topic(topic: str) -> tuple[str, ...]:
+    return tuple(part for part in topic.split("/") if part)
+
+
+def _pictures(stream: Any, camera: Camera, frames: Iterable[Frame]) -> None:
+    """Pictures that Rerun cannot read, as JPEG; those that nobody can are left out."""
+    import cv2
+    import rerun
+
+    if camera.frame_id:
+        stream.log(camera.entity, rerun.CoordinateFrame(f"{camera.frame_id}{_PLANE}"), static=True)
+    for frame in frames:
+        with suppress(FormatError):
+            packed = cv2.imencode(".jpg", frame.decode(1))[1].tobytes()
+            stream.set_time(TIME, timestamp=np.datetime64(frame.source_ns, "ns"))
+            stream.log(camera.entity, rerun.EncodedImage(contents=packed, media_type="image/jpeg"))
+    stream.reset_time()
+
+
+def _seen(stream: Any, cameras: Mapping[str, Camera], features: Features) -> None:
+    """Points where things were seen, below the entity of their camera's picture."""
+    for name, track in features.tracks.items():
+        if camera := cameras.get(name.rpartition("/")[0]):
+            _points(stream, camera, f"{name} seen", track, HAND if name == "hand" else SEEN)
+
+
+def _predicted(stream: Any, cameras: Mapping[str, Camera], estimate: Estimate) -> None:
+    """Points where they were predicted, with their 2-sigma ellipses."""
+    for name, track in estimate.predicted.items():
+        if camera := cameras.get(name.rpartition("/")[0]):
+            _points(stream, camera, f"{name} predicted", track, PREDICTED)
+            if name in estimate.predicted_cov:
+                _ellipses(stream, camera, f"{name} predicted, 2 sigma", track, estimate.predicted_cov[name])
+
+
+def _points(stream: Any, camera: Camera, name: str, track: Series, colour: tuple[int, int, int]) -> None:
+    """One point per row; none where nothing was seen, so that no old point stays."""
+    import rerun
+
+    seen = np.isfinite(track.values).all(axis=1)
+    columns = rerun.Points2D.columns(positions=track.values[seen] + CORNER)
+    look = rerun.Points2D.from_fields(colors=[colour], radii=rerun.Radius.ui_points(4.0))
+    path = _in_picture(stream, camera, name, look)
+    stream.send_columns(path, [_times(track.source_ns)], columns.partition(seen.astype(np.int64)))
+
+
+def _ellipses(stream: Any, camera: Camera, name: str, track: Series, cov: Array) -> None:
+    import rerun
+
+    known = np.isfinite(track.values).all(axis=1) & np.isfinite(cov).all(axis=(1, 2))
+    strips = list(ellipses(track.values[known] + CORNER, cov[known]))
+    columns = rerun.LineStrips2D.columns(strips=strips)
+    path = _in_picture(stream, camera, name, rerun.LineStrips2D.from_fields(colors=[PREDICTED]))
+    stream.send_columns(path, [_times(track.source_ns)], columns.partition(known.astype(np.int64)))
+
+
+def ellipses(centre: Array, cov: Array) -> Array:
+    """Closed outlines (K,33,2) px of the 2-sigma ellipses of cov (K,2,2) px² about centre (K,2) px."""
+    angle = np.linspace(0.0, 2.0 * np.pi, CORNERS)
+    variances, axes = np.linalg.eigh(cov)
+    radii = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.asarray(centre[:, None] + (circle * radii[:, None]) @ axes.transpose(0, 2, 1))
+
+
+def _in_picture(stream: Any, camera: Camera, name: str, look: Any) -> str:
+    import rerun
+
+    path = _path(*_topic(camera.topic), name)
+    stream.log(path, look, static=True)
+    if camera.frame_id:
+        stream.log(path, rerun.CoordinateFrame(f"{camera.frame_id}{_PLANE}"), static=True)
+    return path
+
+
+def _belief(stream: Any, estimate: Estimate, truth: Series | None) -> None:
+    ns, spread = estimate.joints.source_ns, 2.0 * np.sqrt(np.maximum(np.diagonal(estimate.cov, 0, 1, 2), 0.0))
+    for m, name in enumerate(estimate.joints.names):
+        mean = estimate.joints.values[:, m]
+        band = np.stack([mean, mean - spread[:, m], mean + spread[:, m]], axis=1)
+        _lines(stream, _path(ROOT, "belief", name), ns, band, (name, "-2 sigma", "+2 sigma"), PREDICTED)
+        if truth is not None and name in truth.names:
+            real = truth.values[:, [truth.names.index(name)]]
+            _lines(stream, _path(ROOT, "belief", name, "truth"), truth.source_ns, real, ("truth",), TRUTH)
+    for sense, errors in estimate.errors.items():
+        _lines(stream, _path(ROOT, "errors", sense), errors.source_ns, errors.values, errors.names, None)
+    energy = estimate.free_energy[:, None]
+    _lines(stream, _path(ROOT, "energy"), ns, energy, ("free energy, nats",), PREDICTED)
+
+
+def _lines(
+    stream: Any, path: str, ns: Array, values: Array, names: tuple[str, ...], colour: tuple[int, int, int] | None
+) -> None:
+    """Columns (N,D) as D lines of one entity; the second and later of a coloured one are fainter."""
+    import rerun
+
+    faint = None if colour is None else [(*colour, 255 if d == 0 else 110) for d in range(len(names))]
+    stream.log(path, rerun.SeriesLines(names=list(names), colors=faint), static=True)
+    if len(ns):
+        columns = rerun.Scalars.columns(scalars=np.asarray(values, float))
+        stream.send_columns(path, [_times(ns)], columns)
+
+
+def _events(stream: Any, features: Features | None, estimate: Estimate | None) -> None:
+    """Touches with their synchrony, and faults, as lines of text."""
+    import rerun
+
+    for ns, level, text in events(features, estimate):
+        stream.set_time(TIME, timestamp=np.datetime64(ns, "ns"))
+        stream.log(_path(ROOT, "events"), rerun.TextLog(text, level=level))
+    stream.reset_time()
+
+
+def events(features: Features | None, estimate: Estimate | None) -> list[Event]:
+    """Every touch and fault, in order of time."""
+    felt = () if features is None else _touches(features)
+    return sorted([*felt, *(() if estimate is None else _faults(estimate))])
+
+
+def _touches(features: Features) -> Iterator[Event]:
+    pairs = {pair.touch: pair for pair in features.synchrony}
+    for i, touch in enumerate(features.touches or ()):
+        said = f"touch of cells {', '.join(map(str, touch.cells[:8]))}"
+        if i in pairs:
+            said += f", seen {pairs[i].delay:+.3f} s later, synchrony {pairs[i].weight:.2f}"
+        yield touch.source_ns, "INFO", said
+
+
+def _faults(estimate: Estimate) -> Iterator[Event]:
+    rows = np.searchsorted(estimate.joints.t, [fault.since for fault in estimate.faults])
+    for fault, row in zip(estimate.faults, rows.tolist(), strict=True):
+        ns = int(estimate.joints.source_ns[min(row, len(estimate.joints.t) - 1)])
+        yield ns, "WARN", f"{fault.sense} {fault.name}: {fault.kind}, {fault.size:.4g} {fault.unit}"
+
+
+def _times(ns: Array) -> Any:
+    import rerun
+
+    return rerun.TimeColumn(TIME, timestamp=np.asarray(ns, np.int64).view("datetime64[ns]"))
+
+
+def _window(cameras: Sequence[Camera], estimate: Estimate | None) -> Any:
+    """The pictures with its overlay, beside the belief, errors, free energy and events over the log's time."""
+    import rerun.blueprint as rrb
+
+    pictures = [rrb.Spatial2DView(origin=camera.entity, name="picture") for camera in cameras]
+    plots = [
+        rrb.TimeSeriesView(origin=_path(ROOT, "belief", name), name=f"{name}, rad")
+        for name in (estimate.joints.names if estimate else ())
+    ] or [rrb.TimeSeriesView(origin="/", name="signals")]
+    if estimate is not None:
+        plots.append(rrb.TimeSeriesView(origin=_path(ROOT, "errors"), name="errors, standard deviations"))
+        plots.append(rrb.TimeSeriesView(origin=_path(ROOT, "energy"), name="free energy, nats"))
+    left = rrb.Vertical(*pictures, rrb.TextLogView(origin=_path(ROOT, "events"), name="touches and faults"))
+    columns = rrb.Horizontal(left, rrb.Vertical(*plots))
+    return rrb.Blueprint(columns, rrb.TimePanel(timeline=TIME), collapse_panels=True)

@@ -1,0 +1,198 @@
+"""The robot that a body is learned of: its URDF, from a file or the log, and what the log says of its cameras."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .errors import FormatError, LogError, ModelError
+from .settings import Settings
+from .types import Array, BodyModel, Features, Finding
+
+if TYPE_CHECKING:
+    from .body.kinematic.learn import Robotics
+    from .kinematics.links import CameraHint
+    from .kinematics.urdf import Limits, Robot
+    from .recording.robot_description import CameraInfo, Described
+
+
+FROM_LOG = "log"
+"""In place of a file: the log's own /robot_description."""
+
+
+def named(settings: Settings) -> tuple[Path, ...]:
+    """The URDF's file, where one is named and used."""
+    urdf = settings.kinematics.urdf if settings.kinematics.use else None
+    return () if urdf in (None, FROM_LOG) else (Path(str(urdf)),)
+
+
+def robot(
+    logs: Sequence[Path], features: Sequence[Features], settings: Settings
+) -> "tuple[Robotics | None, tuple[Finding, ...]]":
+    """What is known of the robot, or None where there is no URDF or none is to be used; a remark on one that is unfit.
+
+    A log's own URDF is used unasked. FormatError where one that is asked for cannot be read, LogError where the log's
+    own is asked for and it has none.
+    """
+    chosen = settings.kinematics
+    if not chosen.use or settings.fit.preset == "paper":
+        return None, ()
+    from math import radians
+
+    from .body.kinematic.learn import Robotics
+    from .kinematics import urdf
+    from .recording.robot_description import described
+
+    told = [described(log, settings.input) for log in logs]
+    texts = [(log, one.urdf) for log, one in zip(logs, told, strict=True) if one.urdf]
+    if chosen.urdf not in (None, FROM_LOG):
+        found = urdf.load(Path(str(chosen.urdf)))
+    elif texts:
+        try:
+            found = _from_log(*texts[0])
+        except (FormatError, ModelError) as problem:
+            if chosen.urdf is not None:
+                raise
+            return None, (Finding("warning", f"{problem}; the log's URDF is not used"),)
+    elif chosen.urdf is None:
+        return None, ()
+    else:
+        raise LogError(_NO_URDF.format(logs[0]))
+    asked = chosen.urdf is not None
+    hints = _hints(found, told, features)
+    return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
+
+
+def check(logs: Sequence[Path], settings: Settings) -> None:
+    """Refuse a URDF before images are read: FormatError where it cannot be read, ModelError where it is of no joint."""
+    chosen = settings.kinematics
+    if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
+        return
+    from .kinematics import urdf
+    from .recording.robot_description import described
+
+    found = urdf.load(Path(str(chosen.urdf)))
+    for log in logs:
+        names = described(log, settings.input).joints
+        if names and not set(names) & set(found.by_name):
+            have = ", ".join(list(found.by_name)[:12]) or "none"
+            raise ModelError(f"{chosen.urdf}: none of the joints of {log} ({', '.join(names)}) is in it; it has {have}")
+
+
+def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
+    """Joints' limits, of the URDF that is named or else the log's own, and where they are from; none where it has none.
+
+    FormatError where the URDF that is named cannot be read, LogError where the log's own is named and it has none.
+    """
+    from .kinematics import urdf
+    from .recording.robot_description import described
+
+    chosen = settings.kinematics
+    if not chosen.use:
+        return {}, ""
+    if chosen.urdf not in (None, FROM_LOG):
+        found, source = urdf.load(Path(str(chosen.urdf))), str(chosen.urdf)
+    elif text := described(log, settings.input).urdf:
+        found, source = _from_log(log, text), "/robot_description"
+    elif chosen.urdf == FROM_LOG:
+        raise LogError(_NO_URDF.format(log))
+    else:
+        return {}, ""
+    return {joint.name: joint.limits for joint in found.joints if joint.limits is not None}, source
+
+
+_NO_URDF = "{}: no /robot_description in it; give the URDF's file: --urdf ROBOT.urdf"
+
+
+def _from_log(log: Path, text: str) -> "Robot":
+    from .kinematics import urdf
+
+    return urdf.parse(text, f"{log}: /robot_description")
+
+
+def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:
+    """The body whose senses with kinematics know how the robot's root carries what they see."""
+    if known is None:
+        return body
+    from dataclasses import replace
+
+    from .body.kinematic.learn import still
+    from .body.kinematic.model import KinematicGP
+    from .kinematics.pose import based
+
+    held = still(features, body.joints)
+    senses = {
+        name: replace(one, base=based(known.robot, one.rig, one.theta, held))
+        if isinstance(one, KinematicGP) and one.base is None
+        else one
+        for name, one in body.senses.items()
+    }
+    return replace(body, senses=senses)
+
+
+def _hints(robot: "Robot", told: "Sequence[Described]", features: Sequence[Features]) -> "dict[str, CameraHint]":
+    """Of each camera by name, what the logs say."""
+    from .kinematics.links import CameraHint
+
+    names = {name.rpartition("/")[0] for found in features for name in found.tracks}
+    topics = {name: topic for found in features for name, topic in found.cameras.items()}
+    hints = {}
+    for name in sorted(names):
+        size = next((found.picture_size for found in features if found.picture_size and not name), None)
+        infos = [info for one in told if (info := _info(topics.get(name), one.cameras)) is not None]
+        hint = CameraHint(size=size or _extent(name, features))
+        for one, info in zip(told, infos, strict=False):
+            link, pose = _placed(info.frame, robot, one.transforms)
+            hint = CameraHint(link, pose, _lens(info), (info.width, info.height))
+            break
+        hints[name] = hint
+    return hints
+
+
+def _info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":
+    """The CameraInfo beside an image topic."""
+    from .recording.cameras import camera_name
+
+    if topic is None:
+        return None
+    known = {name.rpartition("/")[0].strip("/"): info for name, info in cameras.items()}
+    return known.get(camera_name(topic))
+
+
+def _extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
+    """A size of image (px) that holds all that was seen; None where nothing was."""
+    import numpy as np
+
+    seen = [s.values for f in features for n, s in f.tracks.items() if n.rpartition("/")[0] == name]
+    values = np.concatenate(seen) if seen else np.empty((0, 2))
+    with suppress(ValueError):
+        width, height = np.nanmax(values, axis=0)
+        return (640, 480) if width < 640 and height < 480 else (int(width * 1.1), int(height * 1.1))
+    return None
+
+
+def _placed(
+    frame: str, robot: "Robot", transforms: "Mapping[str, tuple[str, Array]]"
+) -> "tuple[str | None, Array | None]":
+    """The link that a frame hangs on by fixed transforms, and its pose (4,4) there, None where it is that link."""
+    import numpy as np
+
+    pose, seen = np.eye(4), {frame}
+    while frame not in robot.links and frame in transforms:
+        frame, step = transforms[frame]
+        pose = step @ pose
+        if frame in seen:
+            return None, None
+        seen.add(frame)
+    if frame not in robot.links:
+        return None, None
+    return frame, None if len(seen) == 1 else pose
+
+
+def _lens(info: "CameraInfo") -> "Array":
+    """The six numbers of a lens; distortion of other than radial models is left out."""
+    import numpy as np
+
+    radial = info.distortion[:2] if info.model == "plumb_bob" and len(info.distortion) > 1 else np.zeros(2)
+    fu, fv = info.matrix[0], info.matrix[4]
+    return np.array([np.log(fu), np.log(fv / fu), info.matrix[2], info.matrix[5], *radial])

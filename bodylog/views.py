@@ -1,0 +1,263 @@
+"""What a person looks at: figures, the page on a log, a viewer's layout, the features a log offers."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .checks import about, distinct
+from .default_features import toml_line
+from .errors import EvidenceError, FormatError, LogError
+from .io.atomic_files import is_archive, made
+from .io.outputs import Output
+from .io.remote import naming
+from .io.temporary import scratch
+from .pipeline import Progress, Result, doctor, folders, ingest, observe, topic_of
+from .scoring import judge
+from .settings import Settings, plain
+from .types import BodyModel, Estimate, Features, Finding, Recording
+
+if TYPE_CHECKING:
+    from .perception import Candidate
+    from .report.figures.reprojection import Sheet, Zero
+    from .report.viewers.image_overlay import Picture
+    from .report.viewers.rerun_recording import Camera
+
+
+def plot(source: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
+    """Draw a body model (.npz), or any log: joints, pixels, skin, events and trajectories over time."""
+    from .report.figures import figures
+
+    distinct([source], [Output(out)], settings)
+    if is_archive(source):
+        from .body import storage
+
+        learned = storage.load(source)
+        with about(source):
+            figures.body_figure(learned, out, *_reprojected(learned))
+        return Result(out)
+    read, features = observe(source, settings, progress)
+    with about(source):
+        figures.recording_figure(read, features, out)
+    health = {**read.health, **features.health}
+    return Result(out, (), health, (*read.findings, *features.findings), plain(settings))
+
+
+def _reprojected(learned: BodyModel) -> "tuple[tuple[Sheet, ...], tuple[Zero, ...]]":
+    """Of a body learned with a URDF: what it was learned from beside what it expects there, and the joints' zeros."""
+    from .body.kinematic.model import KinematicGP
+    from .body.kinematic.offsets import learned as told
+    from .body.kinematic.offsets import plain as values
+    from .report.figures import reprojection
+
+    senses = {name: sense for name, sense in learned.senses.items() if isinstance(sense, KinematicGP)}
+    if not senses:
+        return (), ()
+    drawn = tuple(
+        reprojection.Sheet(name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0])
+        for name, sense in senses.items()
+    )
+    return drawn, reprojection.zeros(values(told(learned)))
+
+
+def report(log: Path, out: Path, settings: Settings, figures: Path | None = None) -> Result:
+    """One page on an annotated log; with `figures`, the same as pictures in that folder."""
+    from .annotating import read_back
+    from .report.page import page
+    from .report.viewers import image_overlay
+
+    distinct([log], [Output(out), *folders("--figures", figures)], settings)
+    read, features = observe(log, settings)
+    found = read_back.read_estimate(log, read.start_ns)
+    shown = image_overlay.pictures(read, features, found)
+    page.write(out, found, features, read, judge(found, read), shown, read_back.read_metadata(log))
+    if figures is not None:
+        _figures(figures, read, features, found, shown)
+    return Result(out, judge(found, read), found.used, read.findings)
+
+
+def layout(log: Path, out: Path, settings: Settings) -> Result:
+    """A viewer's layout for an annotated log."""
+    from .annotating import read_back
+    from .recording import recording
+    from .report.viewers import foxglove as viewer
+
+    distinct([log], [Output(out)], settings)
+    read = recording.read(log, settings, settings.input.strict)
+    found = read_back.read_estimate(log, read.start_ns)
+    viewer.write(out, topic_of(read, "camera"), found, {name: _topic(read, name) for name in read.views})
+    return Result(out)
+
+
+def view(log: Path, out: Path | None, settings: Settings) -> Result:
+    """A log as a Rerun recording, what was seen and believed drawn over its pictures; without `out` in a window."""
+    from .report.viewers import rerun_process
+
+    if out is not None:
+        distinct([log], [Output(out)], settings)
+    rerun_process.ready()
+    with scratch() as folder:
+        recorded = folder / "log.rrd" if out is None else out
+        source, lost = _as_mcap(log, folder / "log.mcap", settings)
+        try:
+            result = _recorded(log, source, recorded, settings)
+        except LogError as refused:
+            source, lost = _tidied(log, folder / "tidy.mcap", settings, refused)
+            result = _recorded(log, source, recorded, settings)
+        if out is None:
+            rerun_process.show(recorded)
+    return replace(result, output=out, findings=(*lost, *result.findings))
+
+
+def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
+    """The recording of `source`, which holds what is to be seen of `log`."""
+    from .recording import recording
+    from .report.viewers import rerun_process, rerun_recording
+
+    read = recording.read(source, settings, settings.input.strict)
+    found, remarks = _estimate(log, source, read)
+    cameras = _cameras(source, read)
+    drawn = partial(rerun_recording.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
+    with naming(source, str(log)):
+        unshown = rerun_process.recording(source, out, f"{log.name} {read.start_ns}", drawn)
+    findings = (*read.findings, *remarks, *_left_out(log, unshown, cameras))
+    return Result(out, () if found is None else judge(found, read), findings=findings)
+
+
+def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
+    """What `ingest` makes of a log that Rerun `refused`, raised where that would be nothing, or no estimate."""
+    from .logs.formats import open_log
+
+    with open_log(log, settings.input.strict, settings.input) as opened:
+        ours = any(topic.name.startswith("/bodylog/") for topic in opened.topics)
+    with suppress(LogError):
+        if not ours:
+            lost = ingest(log, out, settings).findings
+            said = f"{str(refused).partition('; type: ')[0]}; its joints, skin and pictures alone are shown"
+            return out, (*lost, Finding("warning", said))
+    raise refused
+
+
+def _left_out(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, Camera]") -> list[Finding]:
+    """What Rerun cannot show and no camera of ours brings along."""
+    brought = {camera.entity for camera in cameras.values() if camera.frames is not None}
+    said = {entity: why for entity, why in unshown.items() if entity not in brought}
+    return [Finding("warning", f"{log}: {name}: left out, Rerun cannot show it: {why}") for name, why in said.items()]
+
+
+def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
+    """A log that Rerun reads whole: a sound one itself, else `out`: what is sound of it, or what ingest makes of it."""
+    from .logs.formats import open_log
+    from .logs.mcap.prefix import is_mcap
+
+    with open_log(log, settings.input.strict, settings.input) as opened:
+        kind, findings = opened.format, opened.findings
+    if kind != "mcap":
+        return out, ingest(log, out, settings).findings
+    if is_mcap(log) and all(finding.severity == "info" for finding in findings):
+        return log, ()
+    return out, doctor(log, out).findings
+
+
+def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None, tuple[Finding, ...]]:
+    """The estimate a log carries, or None and a remark on how to get one."""
+    from .annotating import read_back
+
+    if any(topic.name == "/bodylog/joint_covariance" for topic in read.topics):
+        return read_back.read_estimate(source, read.start_ns), ()
+    return None, (Finding("info", f"no estimate in it; type: bodylog estimate {log} --body body.npz -o out.mcap"),)
+
+
+def _cameras(log: Path, read: Recording) -> "dict[str, Camera]":
+    """Cameras by name, "" the first, but for videos beside the log."""
+    from .report.viewers.rerun_recording import Camera
+
+    frames = {"": read.frames, **read.views}
+    topics = {name: _topic(read, name) for name in frames}
+    return {name: Camera(topic, _frame_id(log, topic), frames[name]) for name, topic in topics.items() if topic}
+
+
+def _topic(read: Recording, camera: str) -> str:
+    """The topic of a camera's pictures, by its name; "" for a video's."""
+    return topic_of(read, f"camera/{camera}".strip("/")) or ""
+
+
+def _frame_id(log: Path, topic: str) -> str:
+    """The frame_id of a topic's first message, in its header or, as protobuf has it, beside it; "" without one."""
+    from .logs.decode.columns import columns
+    from .logs.formats import open_log
+
+    with open_log(log) as opened:
+        of = next(one for one in opened.topics if one.name == topic)  # two publishers may declare two schemas
+        for field in ("header.frame_id", "frame_id"):
+            with suppress(FormatError, LogError, IndexError):  # no such field, or no message
+                return str(np.ravel(columns(opened, of, (field,)).column(field))[0])
+    return ""
+
+
+@dataclass(frozen=True, eq=False)
+class Offered:
+    """What a log offers to follow, the likeliest of the arm first, as plain values; how many images were looked at."""
+
+    candidates: list[dict[str, Any]]
+    images: int
+    findings: tuple[Finding, ...]
+
+
+def features(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> Offered:
+    """Tags and colours in a log, and how much of their motion the joints explain; `out`: a contact sheet (PNG)."""
+    from .perception import survey
+    from .recording import recording
+    from .report.figures import contact_sheet
+    from .report.viewers import image_overlay
+
+    if out is not None:
+        distinct([log], [Output(out)], settings)
+    read = recording.read(log, settings, settings.input.strict)
+    with about(log):
+        found = survey(read, settings.colours.hand, effector)
+        if not found.candidates:
+            raise EvidenceError(f"no tag and no colour in {found.count} images; mount a printed tag: docs/recording.md")
+    rows = [_offered(one, one is found.arm) for one in found.candidates]
+    if out is not None:
+        marks = [
+            contact_sheet.Mark(_caption(row), row["arm"], one.track)
+            for row, one in zip(rows, found.candidates, strict=True)
+        ]
+        image_overlay.write(contact_sheet.draw(found.images, marks), out)
+    return Offered(rows, found.count, read.findings)
+
+
+def _offered(one: "Candidate", arm: bool) -> dict[str, Any]:
+    """A candidate as plain values."""
+    line = toml_line("effector", one.source)
+    share = {"seen": one.seen, "strays_px": one.strays, "explained": one.explained}
+    return {"name": one.name, "kind": one.kind, **share, "arm": arm, "why_not": one.why or None, "line": line}
+
+
+def _caption(row: Mapping[str, Any]) -> str:
+    said = f"{row['name']}: in {row['seen']:.0%} of the images, joints explain {row['explained']:.0%}"
+    also = "also moves as the joints do" if row["why_not"] is None else row["why_not"]
+    return f"{said}; the arm's: {row['line']}" if row["arm"] else f"{said}; {also}"
+
+
+def _figures(
+    folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[Picture]"
+) -> None:
+    from .report.figures import figures, reprojection
+    from .report.viewers import image_overlay
+
+    made(folder)
+    for suffix in (".png", ".svg"):
+        figures.recording_figure(read, features, folder / f"recording{suffix}")
+        figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")
+    drawn, zeros = reprojection.sheets(features, found), reprojection.zeros(found.settings.get("offsets"))
+    if drawn:
+        for suffix in (".png", ".svg"):
+            figures.reprojection_figure(drawn, zeros, folder / f"reprojection{suffix}")
+    if shown:
+        image_overlay.overlay_sheet(shown, folder / "overlay.png")
