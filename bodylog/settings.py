@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from .logs.limits import LIMITS as LIMITS
+from .logs.limits import Input as Input
 from .sources import Colour, ColourSource, Source, spelled
 
 __all__ = [
@@ -105,25 +107,6 @@ class Time:
     truth: str = "auto"
     reference: str = "auto"
     delay: str | Mapping[str, float] = "auto"
-
-
-@dataclass(frozen=True)
-class Input:
-    """[input]: whether a damaged log is refused instead of read as far as it is sound; how much it may unpack to.
-
-    Of what is larger than `max_image_mpx` (10⁶ pixels) no image is made, and of what is larger than `max_message_mb`
-    (10⁶ bytes) no packed message or chunk. `max_unpacked_gb` (10⁹ bytes) limits all of a file, unless that is at most
-    a thousand times as large as what is packed.
-    """
-
-    strict: bool = False
-    max_image_mpx: float = 32.0
-    max_message_mb: float = 128.0
-    max_unpacked_gb: float = 0.5
-
-
-LIMITS = Input()
-"""The limits where no settings are at hand."""
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,14 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Protocol, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from .logs.records import Array as Array
+from .logs.records import Batch as Batch
+from .logs.records import Finding as Finding
+from .logs.records import Frame as Frame
+from .logs.records import Outgoing as Outgoing
+from .logs.records import Topic as Topic
 from .settings import Settings
 
-Array = NDArray[Any]
 Board = tuple[tuple[str, ...], Array]
 """Names of K tracks that lie on one rigid thing, and where on it: (K,3) m."""
 
@@ -55,78 +57,6 @@ class Health:
     used: int
     rejected: Mapping[str, int] = field(default_factory=dict)
     largest_gap_s: float = 0.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One remark on a log: severity `info`, `warning` or `lost` (input was lost: exit 3), and one line of text."""
-
-    severity: str
-    text: str
-
-
-@dataclass(frozen=True, eq=False)
-class Topic:
-    """One channel of a log as its file declares it; `type` is normalised to package/msg/Name."""
-
-    id: int
-    name: str
-    type: str
-    encoding: str
-    definition: bytes
-    definition_encoding: str
-    messages: int
-    metadata: Mapping[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Messages of one topic id, undecoded: payload i is data[offset[i] : offset[i] + length[i]].
-
-    log_ns (n,) int64 · data (bytes,) uint8 · offset, length (n,) int64. `data` may be a reused buffer:
-    it is valid only until the next batch is asked for.
-    """
-
-    topic_id: int
-    log_ns: Array
-    data: Array
-    offset: Array
-    length: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Outgoing:
-    """Messages of one topic ready to be written: payloads as in Batch, log_ns (n,) int64 ascending."""
-
-    topic: str
-    type: str
-    definition: bytes
-    log_ns: Array
-    data: Array
-    offset: Array
-    length: Array
-    encoding: str = "cdr"
-    definition_encoding: str = "ros2msg"
-
-
-@dataclass(frozen=True, eq=False)
-class Frame:
-    """One picture, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
-
-    What it gives may be the log's own bytes: in any order of memory, and not to be written to.
-
-    `shrinks`: decode(2) may cost less than decode(1), and gives their means, 2 by 2.
-    """
-
-    t: float
-    source_ns: int
-    decode: Callable[[int], Array]
-    shrinks: bool = False
-
-    @property
-    def image(self) -> Array:
-        """The whole picture (H,W,3) uint8 BGR, to be drawn upon."""
-        return np.require(self.decode(1), requirements=("C", "W"))
 
 
 class Watcher(Protocol):

@@ -7,12 +7,13 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..errors import FormatError, LogError
+from ..errors import FormatError
 from ..io.atomic_files import replacing
 from ..io.outputs import Output, guard
 from ..logs.conversion.transcode import LIBRARY, PROFILE, carry
 from ..logs.mcap.encode import Messages
-from ..logs.mcap.prefix import NAME, Base, is_mcap, keepable, messages
+from ..logs.mcap.prefix import NAME, Base, is_mcap, keepable
+from ..logs.mcap.verification import verify
 from ..logs.mcap.writer import Contents, Writer
 from ..settings import LIMITS, Input
 from ..types import Finding, Outgoing
@@ -136,11 +137,3 @@ def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:
     )
 
 
-def verify(beside: Path, expected: int, out: Path) -> None:
-    """Open what was written and count it by its message indexes."""
-    try:
-        found = messages(beside)
-    except FormatError as problem:
-        raise LogError(f"{out}: was not written soundly ({problem}); is the disk full?") from None
-    if found != expected:
-        raise LogError(f"{out}: holds {found} messages where {expected} were written; is the disk full?")

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
-from ..io.values import read_json
+from ..io.values import believed, read_json
 from ..logs.decode.columns import columns_of
 from ..logs.formats import Log, open_log
 from ..logs.mcap.prefix import NAME, ROOT
 from ..logs.mcap.record_file import TopLevel
 from ..logs.mcap.records import HEAD, METADATA, METADATA_INDEX, parse
 from ..logs.tables.pose_topics import POSED, poses
-from ..recording.role_values import believed
 from ..types import (
     Array,
     Capabilities,

@@ -76,3 +76,14 @@ def _is_shallow(value: Any) -> bool:
         if not level:
             return True
     return False
+
+
+FARTHEST = 1e9
+"""rad: no joint has turned further; a reading beyond is none."""
+
+
+def believed(values: NDArray[Any]) -> tuple[NDArray[Any], int]:
+    """Readings (N,D) with NaN for what none reads, beyond FARTHEST in any unit, and how many these were."""
+    beyond = np.abs(values) > FARTHEST
+    count = int(beyond.sum())
+    return (np.where(beyond, np.nan, values) if count else values), count

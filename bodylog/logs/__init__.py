@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ..types import Finding
     from .decode.table import Table
     from .library import OpenLog
+    from .records import Finding
     from .writer import Writer
 
 __all__ = ["Writer", "convert", "examine", "open", "read", "repair"]

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from ..errors import LogError
-from ..settings import LIMITS, Input
-from ..types import Finding
+from .limits import LIMITS, Input
+from .records import Finding
 
 _SHOWN = 8
 

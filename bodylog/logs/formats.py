@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Protocol, Self
 from ..errors import LogError
 from ..io.atomic_files import lasting
 from ..recording.cameras import VIDEOS
-from ..settings import LIMITS, Input
-from ..types import Batch, Finding, Topic
 from . import episodes
+from .limits import LIMITS, Input
+from .records import Batch, Finding, Topic
 from .storage.zstd_files import ZSTD, unpack_file
 from .tables.table_file import kind as table_kind
 

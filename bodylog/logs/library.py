@@ -13,10 +13,10 @@ import numpy as np
 
 from ..errors import ConfigError, FormatError
 from ..io import remote
-from ..types import Batch, Finding, Frame, Topic
 from .decode.columns import columns_of, definition_of
 from .decode.table import Table, filled, leaf_paths, object_paths
 from .formats import Log, is_mcap, open_log, payloads, without_images
+from .records import Batch, Finding, Frame, Topic
 
 _OBJECTS = ("json", "protobuf")
 _HEADS = ("header", "encoding", "format", "name", "names", "position")

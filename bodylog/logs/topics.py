@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..io.values import LATEST_NS, is_time, text, times
-from ..types import Array, Batch, Topic
 from .diagnostics import Ledger
+from .records import Array, Batch, Topic
 
 INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
 """Metadata of a topic of joints whose messages are still poses that say nothing of each other."""

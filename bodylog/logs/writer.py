@@ -11,7 +11,6 @@ import numpy as np
 
 from ..errors import ConfigError, FormatError, UsageError
 from ..io.atomic_files import replacing
-from ..types import Array, Batch, Topic
 from .conversion.transcode import LIBRARY, PROFILE
 from .decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field, parse
 from .decode.ros1_to_cdr import known_definition
@@ -20,6 +19,7 @@ from .encode.cdr import Payloads
 from .mcap.encode import Messages, gather
 from .mcap.writer import Contents
 from .mcap.writer import Writer as Chunks
+from .records import Array, Batch, Topic
 
 _CDR_NAMES = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
 

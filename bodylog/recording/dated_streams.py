@@ -8,6 +8,7 @@ from itertools import islice
 import numpy as np
 
 from ..errors import BodylogError, ConfigError, FormatError, LogError
+from ..io.values import FARTHEST, believed
 from ..logs.decode.columns import Columns, Source, columns, columns_of
 from ..logs.formats import Log
 from ..logs.images import messages
@@ -130,7 +131,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
         values, beyond, turns = role_values.angles(values[keep], None if independent(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     elif values.dtype.kind == "f":
-        values, beyond = role_values.believed(values)
+        values, beyond = believed(values)
     rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(dated.rejected))
     rejected.update({"same stamp again": idle} if idle else {})
     rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in read)
@@ -223,7 +224,7 @@ def remarks(stream: Stream) -> Iterator[Finding]:
     if stream.fallback:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
     if stream.beyond:
-        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {role_values.FARTHEST:g} are taken for none")
+        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {FARTHEST:g} are taken for none")
     yield from (Finding("warning", f"{name}: {text}") for text in (*_changing(stream), *_vanishing(stream)))
     for joint, count in stream.wraps.items():
         yield Finding("info", f"{name}: {joint} wraps around, {count} times; read as one motion, without whole turns")

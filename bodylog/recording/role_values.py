@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError
+from ..io.values import believed
 from ..logs.decode.columns import Columns
 from ..types import Array
 
 _TURN = 2.0 * np.pi
 _NEAR = 1.0 / _TURN
 """Turns, one radian, that a step may differ from a whole turn where a joint wraps around."""
-FARTHEST = 1e9
-"""rad: no joint has turned further; a reading beyond is none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,13 +133,6 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
         if name in names:
             values[:, place] = positions[:, names.index(name)]
     return values
-
-
-def believed(values: Array) -> tuple[Array, int]:
-    """Readings (N,D) with NaN for what none reads, beyond FARTHEST in any unit, and how many these were."""
-    beyond = np.abs(values) > FARTHEST
-    count = int(beyond.sum())
-    return (np.where(beyond, np.nan, values) if count else values), count
 
 
 def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array]:

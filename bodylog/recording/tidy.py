@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..annotating.annotate import add, verify
+from ..annotating.annotate import add
 from ..annotating.image_messages import Kind, Picture, pictures
 from ..annotating.messages import from_joints, from_skin, from_track, stamps
 from ..errors import LogError
@@ -16,6 +16,7 @@ from ..logs.conversion.transcode import LIBRARY, PROFILE
 from ..logs.episode_files import digest
 from ..logs.mcap.encode import Messages
 from ..logs.mcap.prefix import NAME
+from ..logs.mcap.verification import verify
 from ..logs.mcap.writer import CHUNK_BYTES, Contents, Writer
 from ..settings import Settings
 from ..types import Finding, Outgoing, Recording, Series

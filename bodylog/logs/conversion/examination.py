@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import LogError
-from ...settings import LIMITS, Input
-from ...types import Finding
 from .. import episodes
 from ..diagnostics import Ledger
 from ..formats import Log, open_log
+from ..limits import LIMITS, Input
+from ..records import Finding
 from ..rosbag2.folder import METADATA, members, metadata_of
 from ..storage.mmapped import mapped, uncut
 from ..storage.zstd_files import ZSTD, unpack_file

@@ -4,11 +4,11 @@ import math
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...annotating.annotate import verify
 from ...errors import UsageError
 from ...io.atomic_files import replacing
-from ...types import Finding
 from ..formats import open_log
+from ..mcap.verification import verify
+from ..records import Finding
 from .transcode import Span, carry
 
 

@@ -9,17 +9,17 @@ from typing import BinaryIO
 import numpy as np
 
 from ...errors import FormatError
-from ...settings import LIMITS, Input
-from ...types import Array, Batch, Finding, Topic
 from ..decode.ros1_to_cdr import Converter, converter, known_definition
 from ..encode.cdr import Payloads, merge
 from ..formats import open_log
+from ..limits import LIMITS, Input
 from ..mcap.chunks import heads_at
 from ..mcap.encode import MESSAGE_HEAD, Messages, attachment, gather, metadata
 from ..mcap.prefix import NAME, ROOT, is_mcap, no_utf8
 from ..mcap.record_file import sound_heads
 from ..mcap.records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
 from ..mcap.writer import CHUNK_BYTES, Contents, Writer
+from ..records import Array, Batch, Finding, Topic
 from ..storage.zstd_files import unpack_file
 
 PROFILE = "ros2"

@@ -6,11 +6,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import BodylogError
-from ...settings import LIMITS, Input
-from ...types import Array, Batch
 from ..formats import payloads
 from ..images import messages
 from ..joint_units import joint_unit
+from ..limits import LIMITS, Input
+from ..records import Array, Batch
 from .episode_log import JOINTS, Camera, EpisodeLog, Signal
 from .lerobot_layout import Layout
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import LogError, UsageError
-from ...types import Array
+from ..records import Array
 from . import video
 from .extra import needed
 

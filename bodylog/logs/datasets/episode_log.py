@@ -9,10 +9,10 @@ import numpy as np
 
 from ...annotating.schemas import definition
 from ...errors import LogError
-from ...types import Array, Batch, Finding, Topic
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import Field, Payloads
+from ..records import Array, Batch, Finding, Topic
 
 JOINTS, ACTION = "/joint_states", "/action"
 FEATURE, DTYPE = "bodylog.feature", "bodylog.dtype"

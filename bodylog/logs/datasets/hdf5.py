@@ -11,9 +11,9 @@ import numpy as np
 from ...annotating.messages import escape
 from ...errors import LogError
 from ...io.values import times
-from ...settings import LIMITS, Input
-from ...types import Array, Finding
 from .. import episodes
+from ..limits import LIMITS, Input
+from ..records import Array, Finding
 from .episode_log import (
     ACTION,
     DTYPE,

@@ -9,7 +9,7 @@ from typing import Any
 
 from ...errors import FormatError, LogError
 from ...io.values import read_json
-from ...types import Finding
+from ..records import Finding
 from .extra import needed
 
 MAGIC = b"\x89HDF\r\n\x1a\n"

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...settings import Input
+from ..limits import Input
 
 if TYPE_CHECKING:
     from .episode_log import EpisodeLog

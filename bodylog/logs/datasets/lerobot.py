@@ -10,9 +10,9 @@ import numpy as np
 from ...annotating.messages import escape
 from ...errors import InputError, LogError
 from ...io.values import times
-from ...settings import LIMITS, Input
-from ...types import Array, Finding
 from .. import episodes
+from ..limits import LIMITS, Input
+from ..records import Array, Finding
 from . import parquet, video
 from .episode_log import (
     ACTION,

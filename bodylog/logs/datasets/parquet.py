@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, LogError
-from ...types import Array
+from ..records import Array
 from .extra import needed
 
 MOST_VALUES = 1 << 26

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...types import Array
+from ..records import Array
 
 _SAMPLE = 8
 """px between those that an image's statistics are taken of."""

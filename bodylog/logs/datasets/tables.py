@@ -15,9 +15,9 @@ import numpy as np
 from ...annotating.messages import escape
 from ...errors import BodylogError, LogError
 from ...io.values import times
-from ...settings import LIMITS, Input
-from ...types import Array, Finding
 from .. import episodes
+from ..limits import LIMITS, Input
+from ..records import Array, Finding
 from ..tables.pose_columns import IMAGES, label, time_column
 from ..tables.table_file import SUFFIXES, Table, read
 from . import video

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...types import Array
 from ..joint_units import TURN, UNIT
+from ..records import Array
 
 _WORDS = {
     "rad": "rad", "radian": "rad", "radians": "rad",

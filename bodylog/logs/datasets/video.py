@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import LogError
-from ...types import Array
+from ..records import Array
 from .extra import needed
 
 SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")

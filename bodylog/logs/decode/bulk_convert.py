@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array
 from ..encode.cdr import PRIMITIVES
+from ..records import Array
 
 _HEADER = "std_msgs/msg/Header"
 _SIZES = {**{name: np.dtype(code).itemsize for name, code in PRIMITIVES.items()}, "byte": 1, "char": 1, "octet": 1}

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array, Batch, Topic
+from ..records import Array, Batch, Topic
 from .cursor import CDR_KINDS, Payload
 from .definitions import Definition, parse
 from .gather import Template, agrees, gather, template, values

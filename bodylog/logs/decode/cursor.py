@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array
+from ..records import Array
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
 from .message_path import Only, Range, Step, is_index
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import FormatError
 from ...io.values import nanoseconds, number, read_json, text
-from ...types import Array, Batch, Topic
+from ..records import Array, Batch, Topic
 from .columns import Columns, Part, joined
 from .message_path import Only, Step
 from .object_places import number_of, shaped

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...types import Array
+from ..records import Array
 from .cursor import Leaf
 from .layout import Layout
 

@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import FormatError
 from ...io.values import read_json
 from ...io.values import text as encodable
-from ...types import Array
+from ..records import Array
 from .message_path import Step
 from .object_places import Item, Place, column, items, text
 

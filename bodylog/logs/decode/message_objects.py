@@ -5,7 +5,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ...errors import FormatError
-from ...types import Topic
+from ..records import Topic
 from .columns import definition_of, is_ros1, speaks_ros1
 from .definitions import PRIMITIVES, TEXTS, Definition, Field
 

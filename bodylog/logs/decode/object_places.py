@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import FormatError
 from ...io.values import LATEST_NS
-from ...types import Array
+from ..records import Array
 from .message_path import Step, is_index
 
 SECONDS = ("sec", "secs", "seconds")

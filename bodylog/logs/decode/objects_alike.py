@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array, Batch, Topic
+from ..records import Array, Batch, Topic
 from .json_layouts import JsonLayout, marked, skeleton
 from .message_path import Step
 from .protobuf import root_of

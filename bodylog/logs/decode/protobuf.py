@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import FormatError
-from ...types import Topic
+from ..records import Topic
 
 FIXED = {1: "<d", 2: "<f", 6: "<Q", 7: "<I", 15: "<i", 16: "<q"}
 MESSAGE, STRING, BYTES, _BOOL, _GROUP = 11, 9, 12, 8, 10

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array, Batch
+from ..records import Array, Batch
 from .gather import agrees, gather, template
 from .layout import Layout
 from .message_path import Step

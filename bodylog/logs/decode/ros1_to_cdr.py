@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ...errors import FormatError
-from ...types import Array, Topic
+from ..records import Array, Topic
 from .bulk_convert import alike
 
 _HEADER = "std_msgs/msg/Header"

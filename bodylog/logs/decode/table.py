@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import UsageError
-from ...types import Array, Topic
+from ..records import Array, Topic
 from .columns import Columns, definition_of
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition
 from .layout import leaf_field

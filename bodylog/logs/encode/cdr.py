@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...types import Array
+from ..records import Array
 
 Field = tuple[str, Any]
 """(kind, value): a primitive with an array (n,) or a constant · `string`, `string[]` with constants ·

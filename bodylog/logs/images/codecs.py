@@ -12,8 +12,8 @@ from zlib import crc32
 import numpy as np
 
 from ...errors import FormatError
-from ...settings import LIMITS
-from ...types import Array
+from ..limits import LIMITS
+from ..records import Array
 
 _PNG, _NEEDED = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"IDAT")
 _EOI, _TAIL = b"\xff\xd9", 64

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import FormatError
-from ...settings import LIMITS
-from ...types import Array, Topic
 from ..decode.columns import definition_of, is_ros1, speaks_ros1
 from ..decode.cursor import Payload
 from ..decode.dynamic import reader
 from ..decode.layout import Picker
+from ..limits import LIMITS
+from ..records import Array, Topic
 from .codecs import check_size, unpacked
 
 COMPRESSED = ("sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import LogError
 from ...settings import Topics
-from ...types import Array, Frame
+from ..records import Array, Frame
 
 _DATES = 1e8
 """s: times above are counted from 1970, those below from a start that the table does not tell."""

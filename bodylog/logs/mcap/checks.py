@@ -9,8 +9,8 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from ...types import Array
 from ..diagnostics import Ledger
+from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import forget
 from .chunks import Chunk, Messages, chunk_head, heads_at, index_of, load, messages

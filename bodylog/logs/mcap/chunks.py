@@ -9,8 +9,8 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from ...types import Array
 from ..diagnostics import Ledger
+from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import bring
 from .records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, Record, parse, walk

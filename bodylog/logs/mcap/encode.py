@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from isal.isal_zlib import crc32
 
-from ...types import Array
+from ..records import Array
 from .records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from ...errors import FormatError
-from ...types import Array
 from ..diagnostics import Ledger
+from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import fetch
 from .chunks import Chunk, Loose, unpack

@@ -1,52 +1,23 @@
 """MCAP files -> undecoded batches; nothing is read that the topics asked for do not need."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import FormatError
-from ...settings import LIMITS, Input
-from ...types import Array, Batch, Finding, Topic
 from ..diagnostics import Ledger
+from ..limits import LIMITS, Input
+from ..records import Array, Batch, Finding, Topic
 from ..storage.mmapped import bring, fetch, forget, mapped, uncut
 from ..storage.zstd_files import unpacked
 from ..topics import Topics, span, split
 from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, messages
 from .prefetch import unpacked_parts
-from .records import HEAD, MAGIC, SCHEMA, Record, parse
+from .records import HEAD, MAGIC, Record, parse
+from .survey import Survey
 from .time_ranges import spans_of
 from .uncompressed import runs, together
-
-
-@dataclass
-class Survey:
-    """What a file holds: schemas, channels and message counts by id, parts in file order, log times (ns)."""
-
-    schemas: dict[int, Record] = field(default_factory=dict)
-    channels: dict[int, Record] = field(default_factory=dict)
-    parts: list[Chunk | Loose] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)
-    times: list[int] = field(default_factory=list)
-
-    def declare(self, record: Record) -> None:
-        """Take in a Schema or Channel; the first one of an id stands."""
-        known = self.schemas if record.opcode == SCHEMA else self.channels
-        known.setdefault(record.fields["id"], record)
-
-    def knows(self, channels: Iterable[int]) -> bool:
-        """Whether every one of these channels, and its schema if it has one, was declared."""
-        known = [self.channels.get(channel) for channel in channels]
-        return all(one is not None and one.fields["schema_id"] in (0, *self.schemas) for one in known)
-
-    def count(self, channels: Array, log_ns: Array) -> None:
-        """Take in messages by their channel ids (n,) and log times (n,) ns."""
-        if len(channels):
-            numbers = np.bincount(channels)
-            for channel in np.flatnonzero(numbers).tolist():
-                self.counts[channel] = self.counts.get(channel, 0) + int(numbers[channel])
-            self.times += [int(log_ns.min()), int(log_ns.max())]
 
 
 class McapLog:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Collection, Iterator
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array
+from ..records import Array
 from ..storage.compression import NAMES
 from ..storage.mmapped import forget, void
 from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, following, heads_of

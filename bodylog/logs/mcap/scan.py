@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array
 from ..diagnostics import Ledger
+from ..records import Array
 from ..storage.compression import STORED, Buffer
 from ..storage.mmapped import bring, forget
 from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages, unpack
-from .reader import Survey
 from .records import (
     CHANNEL,
     CHUNK,
@@ -27,6 +26,7 @@ from .records import (
 )
 from .resync import sound_records
 from .summary import Summary, believe_counts, summary_of
+from .survey import Survey
 
 _BLOCK = 4096
 _BLOCK_BYTES = 16 << 20

@@ -11,8 +11,8 @@ from ..diagnostics import Ledger
 from ..storage.compression import STORED
 from ..storage.mmapped import bring, fetch
 from .chunks import Chunk
-from .reader import Survey
 from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, parse, walk
+from .survey import Survey
 
 _FOOTER = HEAD.size + 20
 _INDEX_HEAD, _INDEX_TAIL, _OFFSET = struct.Struct("<QQQQI"), struct.Struct("<QI"), struct.Struct("<HQ")

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from ...types import Array
+from ..records import Array
 from .chunks import Chunk, Loose, index_of
 
 

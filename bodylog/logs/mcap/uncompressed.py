@@ -8,7 +8,7 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from ...types import Array
+from ..records import Array
 from ..storage.compression import STORED
 from ..storage.mmapped import fetch
 from .chunks import Chunk, Loose, Messages, chunk_head, indexed, records_at

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array
 from ..diagnostics import Ledger
+from ..records import Array
 from ..storage.compression import Buffer
 from .records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, record_at, sound_records
 from .truncated import cut_at, unpacked

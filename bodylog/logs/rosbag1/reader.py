@@ -1,41 +1,18 @@
 """ROS 1 bags (format 2.0) -> undecoded batches; nothing is read that the topics asked for do not need."""
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ...settings import LIMITS, Input
-from ...types import Array, Batch, Finding, Topic
 from ..diagnostics import Ledger
+from ..limits import LIMITS, Input
+from ..records import Array, Batch, Finding, Topic
 from ..storage.compression import Buffer
 from ..storage.mmapped import forget, mapped, uncut
 from ..topics import Topics, span, split
-from .chunks import BagChunk, BagRun, Messages, load, messages, walked
-from .records import BagRecord, fields_of
-
-
-@dataclass
-class BagSurvey:
-    """What a bag holds: connections by id, counts by id, parts in file order, log times (ns)."""
-
-    connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
-    counts: dict[int, int] = field(default_factory=dict)
-    parts: list[BagChunk | BagRun] = field(default_factory=list)
-    times: list[int] = field(default_factory=list)
-
-    def declare(self, record: BagRecord, data: memoryview) -> None:
-        """Take in a connection; the first one of an id stands."""
-        said = {**fields_of(data, record.body, record.end), **record.fields}
-        self.connections.setdefault(record.number(b"conn"), {name: bytes(value) for name, value in said.items()})
-
-    def count(self, connections: Array, log_ns: Array) -> None:
-        """Take in messages by their connections (n,) and log times (n,) ns."""
-        if len(connections):
-            for connection, number in zip(*np.unique(connections, return_counts=True), strict=True):
-                self.counts[int(connection)] = self.counts.get(int(connection), 0) + int(number)
-            self.times += [int(log_ns.min()), int(log_ns.max())]
+from .chunks import BagRun, Messages, load, messages, walked
+from .survey import BagSurvey
 
 
 class BagLog:

@@ -9,8 +9,8 @@ from ...errors import FormatError
 from ..diagnostics import Ledger
 from ..storage.compression import STORED, Buffer
 from .chunks import BagChunk, BagRun, load, messages, walked
-from .reader import BagSurvey
 from .records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord, record_at, sound_records
+from .survey import BagSurvey
 from .truncated import cut_at, unpacked
 
 

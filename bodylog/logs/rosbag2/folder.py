@@ -9,10 +9,10 @@ from typing import Any
 
 from ...errors import InputError, LogError
 from ...io import atomic_files
-from ...settings import LIMITS, Input
-from ...types import Batch, Finding, Topic
 from ..diagnostics import Ledger
+from ..limits import LIMITS, Input
 from ..mcap.time_ranges import widen
+from ..records import Batch, Finding, Topic
 from ..topics import Topics
 
 SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import FormatError
-from ...types import Array
 from ..decode.gather import gather
+from ..records import Array
 from ..storage.mmapped import fetch, forget
 
 _INTERIOR, _LEAF = 5, 13

@@ -11,9 +11,9 @@ import numpy as np
 
 from ...errors import FormatError, LogError
 from ...io.temporary import scratch
-from ...settings import LIMITS, Input
-from ...types import Batch, Finding, Topic
 from ..diagnostics import Ledger
+from ..limits import LIMITS, Input
+from ..records import Batch, Finding, Topic
 from ..storage.mmapped import mapped
 from ..storage.zstd_files import unpacked
 from ..topics import Topics, normalised, span, split

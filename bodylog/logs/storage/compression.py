@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, LogError
-from ...settings import LIMITS, Input
-from ...types import Array
+from ..limits import LIMITS, Input
+from ..records import Array
 
 NAMES = ("", "none", "lz4", "zstd", "bz2")
 """Compressions of chunks, as MCAP and ROS 1 bags name them."""

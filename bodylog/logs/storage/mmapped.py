@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import BodylogError, LogError
-from ...types import Array
+from ..records import Array
 from .remote_map import Sparse, sparse
 
 _ADVICE = hasattr(mmap, "MADV_DONTNEED")

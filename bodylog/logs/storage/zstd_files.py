@@ -9,9 +9,9 @@ import numpy as np
 
 from ...errors import FormatError, LogError
 from ...io.temporary import scratch
-from ...settings import LIMITS, Input
-from ...types import Array, Batch, Topic
 from ..diagnostics import Ledger
+from ..limits import LIMITS, Input
+from ..records import Array, Batch, Topic
 from .compression import Allowance, unpack_zstd
 
 ZSTD = b"\x28\xb5\x2f\xfd"

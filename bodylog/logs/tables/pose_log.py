@@ -8,11 +8,12 @@ import numpy as np
 from ...annotating.messages import TRACK, TRACK_NAMES, escape, from_joints
 from ...annotating.schemas import definition
 from ...errors import BodylogError, LogError
-from ...settings import LIMITS, Input
-from ...types import Array, Batch, Finding, Outgoing, Series, Topic
+from ...types import Series
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import Field
+from ..limits import LIMITS, Input
+from ..records import Array, Batch, Finding, Outgoing, Topic
 from ..topics import INDEPENDENT
 from .pose_columns import in_degrees, poses
 from .table_file import kind, read

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, LogError, UsageError
-from ...types import Array
+from ..records import Array
 
 SUFFIXES = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".yaml": "yaml", ".yml": "yaml"}
 EMPTY = frozenset(("", "nan", "na", "n/a", "null", "none", "-"))

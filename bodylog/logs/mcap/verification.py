@@ -1,0 +1,16 @@
+"""A file that was written, counted by its message indexes before it takes its name."""
+
+from pathlib import Path
+
+from ...errors import FormatError, LogError
+from .prefix import messages
+
+
+def verify(beside: Path, expected: int, out: Path) -> None:
+    """Open what was written and count it by its message indexes."""
+    try:
+        found = messages(beside)
+    except FormatError as problem:
+        raise LogError(f"{out}: was not written soundly ({problem}); is the disk full?") from None
+    if found != expected:
+        raise LogError(f"{out}: holds {found} messages where {expected} were written; is the disk full?")
