@@ -3,19 +3,20 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from .version import __version__ as __version__
+
 if TYPE_CHECKING:
     from .body.storage import load as load_body
     from .config import load as load_settings
     from .errors import BodylogError
     from .estimation.live.estimator import Belief
     from .online import Estimator
-    from .pipeline import Result, estimate, evaluate, extract, fit, ingest, observe, record
+    from .pipeline import Result, convert, estimate, evaluate, extract, fit, ingest, observe, record
     from .settings import Settings
 
-__version__ = "0.1.0"
 __all__ = [
-    "Belief", "BodylogError", "Estimator", "Result", "Settings", "__version__", "estimate", "evaluate", "extract",
-    "fit", "ingest", "load_body", "load_settings", "observe", "record",
+    "Belief", "BodylogError", "Estimator", "Result", "Settings", "__version__", "convert", "estimate", "evaluate",
+    "extract", "fit", "ingest", "load_body", "load_settings", "observe", "record",
 ]  # fmt: skip
 
 _HOMES = {
@@ -23,7 +24,7 @@ _HOMES = {
     "BodylogError": ("errors", "BodylogError"),
     "Estimator": ("online", "Estimator"),
     "Settings": ("settings", "Settings"),
-    "load_body": ("body.model", "load"),
+    "load_body": ("body.storage", "load"),
     "load_settings": ("config", "load"),
 }
 """Where what is public stands, if not in the pipeline."""

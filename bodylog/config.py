@@ -13,7 +13,8 @@ from typing import Any
 from .errors import ConfigError
 from .io import toml_file
 from .io.toml_file import shown
-from .settings import Estimation, Settings, counts, spell
+from .logs.joint_units import counts
+from .settings import Estimation, Settings, spell
 from .sources import check_colour, parse, spelled
 
 

@@ -7,16 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import __version__, change_findings, default_features, effector_poses
+from . import change_findings, default_features, effector_poses
 from .checks import about, distinct, insist, same_camera, same_size, something_seen, teachable, to_learn
 from .errors import UsageError
 from .fault_findings import named, sightings, untold
 from .io.atomic_files import sha256
 from .io.outputs import Output
 from .joints_only import joints_alone, without_body
+from .logs.limits import LIMITS, Input
 from .scoring import against, bounded, judge, with_true_poses
-from .settings import LIMITS, Input, Settings, plain, wanted
+from .settings import Settings, plain, wanted
 from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
+from .version import __version__
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""

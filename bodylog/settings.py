@@ -1,17 +1,15 @@
 """Every setting with its default, one record per section of robot.toml; config.py resolves them."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from .logs.limits import LIMITS as LIMITS
-from .logs.limits import Input as Input
+from .logs.limits import Input
 from .sources import Colour, ColourSource, Source, spelled
 
 __all__ = [
-    "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Input", "Kinematics", "Settings", "Skin", "Source",
-    "Time", "Topics", "counts", "plain", "wanted",
+    "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Kinematics", "Settings", "Skin", "Source",
+    "Time", "Topics", "plain", "wanted",
 ]  # fmt: skip
 
 
@@ -48,16 +46,6 @@ class Body:
 
     joints: tuple[str, ...] | None = None
     unit: str = "rad"
-
-
-_COUNTS = re.compile(r"([0-9]{1,9}(?:\.[0-9]{1,9})?) counts(?: from (-?[0-9]{1,12}(?:\.[0-9]{1,9})?))?")
-
-
-def counts(unit: str) -> tuple[float, float] | None:
-    """Counts of one turn and the count at 0 rad of a [body] unit; None where it is no such unit."""
-    found = _COUNTS.fullmatch(unit)
-    turn, zero = (0.0, 0.0) if found is None else (float(found[1]), float(found[2] or 0.0))
-    return (turn, zero) if turn > 0.0 else None
 
 
 @dataclass(frozen=True)

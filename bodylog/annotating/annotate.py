@@ -11,11 +11,11 @@ from ..errors import FormatError
 from ..io.atomic_files import replacing
 from ..io.outputs import Output, guard
 from ..logs.conversion.transcode import LIBRARY, PROFILE, carry
+from ..logs.limits import LIMITS, Input
 from ..logs.mcap.encode import Messages
 from ..logs.mcap.prefix import NAME, Base, is_mcap, keepable
 from ..logs.mcap.verification import verify
 from ..logs.mcap.writer import Contents, Writer
-from ..settings import LIMITS, Input
 from ..types import Finding, Outgoing
 from .background_copy import Copy
 from .schema_conflicts import apart

@@ -14,8 +14,9 @@ from ..logs.encode import cdr
 from ..logs.encode.cdr import Field
 from ..logs.formats import open_log, payloads
 from ..logs.images import messages
+from ..logs.topic_names import escape
 from ..types import Array, Frame, Recording, Topic
-from .messages import escape, stamps
+from .messages import stamps
 
 COMPRESSED, RAW = "/camera/image/compressed", "/camera/image"
 _QUALITY = 95

@@ -1,38 +1,22 @@
 """What we write into a log: features and estimates as ready messages, each beside the message that caused it."""
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
 from ..logs.encode import cdr
 from ..logs.encode.cdr import Field, Payloads
+from ..logs.encode.schemas import definition
+from ..logs.topic_names import ROOT, TRACK, TRACK_NAMES, escape
 from ..types import Array, Estimate, Fault, Features, Outgoing, Poses, Series, Synchrony, Touch
 from . import image_annotations
-from .schemas import definition
 
-ROOT = "/bodylog/"
-TRACK = ROOT + "track/"
 PREDICTED = ROOT + "predicted/"
 KINEMATIC = ROOT + "kinematics/"
 ERROR = ROOT + "prediction_error/"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ANNOTATIONS = ROOT + "annotations"
-TRACK_NAMES = ("u", "v", "std_u", "std_v")
 PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
-
-
-_ILLEGAL = re.compile(r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])")
-
-
-def escape(name: str) -> str:
-    """`name`, whose / part it, as the end of a topic name: what ROS does not allow there becomes _x<hex>_."""
-    return _ILLEGAL.sub(lambda m: f"_x{ord(m[0]):x}_", name)
-
-
-def unescape(segment: str) -> str:
-    """The name that `escape` was given."""
-    return re.sub(r"_x([0-9a-f]+)_", lambda m: chr(int(m[1], 16)), segment)
 
 
 def from_features(features: Features, start_ns: int) -> list[Outgoing]:

@@ -11,11 +11,13 @@ import numpy as np
 from ..errors import ConfigError, FormatError, LogError
 from ..io.values import believed, read_json
 from ..logs.decode.columns import columns_of
-from ..logs.formats import Log, open_log
+from ..logs.formats import open_log
 from ..logs.mcap.prefix import NAME, ROOT
 from ..logs.mcap.record_file import TopLevel
 from ..logs.mcap.records import HEAD, METADATA, METADATA_INDEX, parse
-from ..logs.tables.pose_topics import POSED, poses
+from ..logs.protocol import Log
+from ..logs.topic_names import TRACK, TRACK_NAMES, unescape
+from ..recording.pose_topics import POSED, poses
 from ..types import (
     Array,
     Capabilities,
@@ -31,7 +33,7 @@ from ..types import (
     Topic,
     Touch,
 )  # fmt: skip
-from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES, TRACK, TRACK_NAMES, unescape
+from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES
 
 _VECTOR = ("header.stamp", "names", "data")
 _FIELDS: Mapping[str, tuple[str, ...]] = {

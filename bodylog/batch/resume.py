@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .. import __version__, pipeline
+from .. import pipeline
 from ..errors import BodylogError, LogError, ModelError, UsageError
 from ..io import remote
 from ..io.atomic_files import replacing, sha256
 from ..logs import episodes
 from ..logs.episode_files import digest
 from ..settings import Settings, plain
+from ..version import __version__
 from .folders import RESULT, ROW, mark
 from .jobs import Job, Row
 

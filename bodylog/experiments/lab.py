@@ -7,12 +7,13 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from .. import __version__, pipeline
+from .. import pipeline
 from ..io import atomic_files
 from ..io.temporary import scratch
 from ..settings import Body, Colours, Fit, Settings
 from ..types import Array, BodyModel, Features, Series
-from .records import jsonable
+from ..version import __version__
+from .json_values import jsonable
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 """The paper's shoulder 1, shoulder 2 and elbow, the order of x."""

@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..io import atomic_files
 from ..report.page.data import plain
 from ..report.page.template import document, plots
 from ..report.page.traces import Panel, Trace
 from ..types import Array
+from ..version import __version__
 from . import draw, figure_data
 from .draw import REAL
+from .json_values import jsonable
 from .judging import DEPENDS, Claim
-from .records import Readings, Trial, jsonable
+from .records import Readings, Trial
 from .table import EXPERIMENTS, TIMED
 from .tables import claim_tables, counts, outcomes_table, plain_table, readings_table
 

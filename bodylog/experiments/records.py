@@ -108,14 +108,3 @@ def panel(
     return {"title": title, "unit": unit, "axis": axis, "figure": figure, "t": shown, "lines": drawn}
 
 
-def jsonable(value: Any) -> Any:
-    """The value without numpy in it; what is not a finite number is null."""
-    if isinstance(value, Mapping):
-        return {str(key): jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(item) for item in value]
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    if isinstance(value, float | np.floating):
-        return float(value) if np.isfinite(value) else None
-    return value.item() if isinstance(value, np.generic) else value

@@ -58,22 +58,17 @@ def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
 
 def convert(
     path: str | Path, out: str | Path, topics: Sequence[str] | None = None,
-    start: float | None = None, end: float | None = None, to: str = "mcap",
+    start: float | None = None, end: float | None = None,
 ) -> "tuple[Finding, ...]":  # fmt: skip
     """Write a log as a chunked, indexed MCAP; ROS 1 messages become CDR.
 
-    topics: only these · start, end: only what was logged between them, s since the log's start. to: "lerobot" or
-    "lerobot-2.1" writes the folder of a dataset with this log as its episode, its images without loss.
+    topics: only these · start, end: only what was logged between them, s since the log's start. `bodylog.convert`
+    writes datasets.
     """
     from .conversion.extract import convert
     from .library import located
 
     with located(path) as here:
-        if to != "mcap":
-            from ..recording.lerobot_writer import write
-            from ..settings import Settings
-
-            return write([here], Path(out), Settings(), to, start=start, end=end)
         return convert(here, Path(out), topics, start, end)
 
 

@@ -1,61 +1,27 @@
 """Open any log: the file's first bytes say what it is, FORMATS who reads it."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import TYPE_CHECKING, Protocol, Self
+from typing import TYPE_CHECKING
 
 from ..errors import LogError
 from ..io.atomic_files import lasting
-from ..recording.cameras import VIDEOS
 from . import episodes
 from .limits import LIMITS, Input
-from .records import Batch, Finding, Topic
+from .protocol import Batches, Log, Opener
+from .records import Batch
 from .storage.zstd_files import ZSTD, unpack_file
 from .tables.table_file import kind as table_kind
 
 if TYPE_CHECKING:
     from .decode.columns import Source
 
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 _MP4 = b"ftyp"
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _LFS = b"version https://git-lfs"
-
-
-class Log(Protocol):
-    """One recorded log: its topics, when it was, and its messages, undecoded."""
-
-    path: Path
-    topics: tuple[Topic, ...]
-    start_ns: int
-    end_ns: int
-
-    @property
-    def format(self) -> str:
-        """mcap, bag, rosbag2, db3; csv, parquet or yaml for a table of poses."""
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """What was found wrong so far; reading on may add to it."""
-
-    def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
-        """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
-
-    def spans(self) -> Mapping[int, tuple[int, int]]:
-        """First and last log time (ns) by topic id, of the topics for which the file says so without being read."""
-
-    def close(self) -> None:
-        """Let go of the file."""
-
-    def __enter__(self) -> Self:
-        """The log itself."""
-
-    def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Close."""
 
 
 def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
@@ -188,14 +154,8 @@ def _folder(path: Path, strict: bool, limits: Input) -> Log:
 def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:
     from .rosbag2.folder import Rosbag2Log
 
-    return Rosbag2Log(path, strict, limits)
+    return Rosbag2Log(path, strict, limits, open_log)
 
-
-Batches = Callable[[Collection[int]], Iterator[Batch]]
-"""Topic ids -> their messages."""
-
-Opener = Callable[[Path, bool, Path, Input], Log]
-"""Log's path, strict, the file to read (unpacked, if it was packed), limits -> the log."""
 
 FORMATS: Mapping[bytes, Opener] = {
     b"\x89MCAP0\r\n": _mcap,

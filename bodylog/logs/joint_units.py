@@ -1,16 +1,24 @@
 """The unit of a topic's joints: as the topic's metadata declare it, else as [body] unit says."""
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-
-from ..settings import counts
 
 UNIT, TURN = "bodylog.unit", "bodylog.turn"
 """Metadata of a topic of joints: rad, deg, counts or unknown; how many of these make one whole turn."""
 SOURCE_UNIT = "bodylog.source_unit"
 """Metadata: the unit of the dataset that joints in rad came from."""
 _RAD = {"rad": 1.0, "deg": math.pi / 180.0}
+
+_COUNTS = re.compile(r"([0-9]{1,9}(?:\.[0-9]{1,9})?) counts(?: from (-?[0-9]{1,12}(?:\.[0-9]{1,9})?))?")
+
+
+def counts(unit: str) -> tuple[float, float] | None:
+    """Counts of one turn and the count at 0 rad of a [body] unit; None where it is no such unit."""
+    found = _COUNTS.fullmatch(unit)
+    turn, zero = (0.0, 0.0) if found is None else (float(found[1]), float(found[2] or 0.0))
+    return (turn, zero) if turn > 0.0 else None
 
 
 @dataclass(frozen=True)

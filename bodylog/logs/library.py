@@ -15,7 +15,8 @@ from ..errors import ConfigError, FormatError
 from ..io import remote
 from .decode.columns import columns_of, definition_of
 from .decode.table import Table, filled, leaf_paths, object_paths
-from .formats import Log, is_mcap, open_log, payloads, without_images
+from .formats import is_mcap, open_log, payloads, without_images
+from .protocol import Log
 from .records import Batch, Finding, Frame, Topic
 
 _OBJECTS = ("json", "protobuf")

@@ -4,9 +4,9 @@ import re
 from pathlib import PurePath
 
 from ..errors import ConfigError
+from ..logs.formats import VIDEOS
 from ..settings import Topics
 
-VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
 _PICTURE = re.compile(r"(/(image\w*|compressed|raw))+$", re.IGNORECASE)
 
 

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ..annotating.messages import escape
 from ..logs.formats import open_log
 from ..logs.joint_units import SOURCE_UNIT, UNIT
+from ..logs.topic_names import escape
 from ..logs.topics import INDEPENDENT
 from ..settings import Settings
 from ..types import Batch, Outgoing, Recording, Topic

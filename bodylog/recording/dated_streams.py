@@ -9,13 +9,14 @@ import numpy as np
 
 from ..errors import BodylogError, ConfigError, FormatError, LogError
 from ..io.values import FARTHEST, believed
-from ..logs.decode.columns import Columns, Source, columns, columns_of
-from ..logs.formats import Log
+from ..logs.decode.columns import Source, columns, columns_of
+from ..logs.decode.parts import Columns
 from ..logs.images import messages
+from ..logs.joint_units import counts as counted
 from ..logs.joint_units import joint_unit
+from ..logs.protocol import Log
 from ..logs.topics import independent
 from ..settings import Settings
-from ..settings import counts as counted
 from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import role_values
 from .clocks import Dated, date, largest_gap, median, seconds

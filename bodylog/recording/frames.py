@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from ..logs.decode.cursor import Payload
-from ..logs.formats import Log, open_log, payloads
+from ..logs.formats import open_log, payloads
 from ..logs.images import messages
+from ..logs.limits import Input
+from ..logs.protocol import Log
 from ..logs.storage.mmapped import lasts
-from ..settings import Input
 from ..types import Array, Batch, Frame, Topic, Watched, Watcher
 from .clocks import seconds
 

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import BodylogError
-from ..logs.formats import Log, open_log, without_images
+from ..logs.formats import open_log, without_images
 from ..logs.images import video_file
+from ..logs.protocol import Log
 from ..logs.topics import independent
 from ..settings import Settings
 from ..sources import TableSource, TopicSource
@@ -128,7 +129,9 @@ def _duration(heard: Mapping[str, Stream], log: Log) -> float:
 
 def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
     said = cameras.cameras(settings.topics).items()
-    return {key: video_file.find(name, path, settings.topics) for key, name in said if cameras.is_video("camera", name)}
+    return {
+        key: video_file.find(name, path, settings.topics.rate) for key, name in said if cameras.is_video("camera", name)
+    }
 
 
 def _seen(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:

@@ -8,9 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import BodylogError
-from ..logs.decode.columns import Columns, decoder, is_ros1
-from ..logs.formats import Log, open_log
-from ..settings import LIMITS, Input
+from ..logs.decode.columns import decoder, is_ros1
+from ..logs.decode.parts import Columns
+from ..logs.formats import open_log
+from ..logs.limits import LIMITS, Input
+from ..logs.protocol import Log
 from ..types import Array, Batch, Topic
 
 _MANY = 50

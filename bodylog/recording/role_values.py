@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import LogError
 from ..io.values import believed
-from ..logs.decode.columns import Columns
+from ..logs.decode.parts import Columns
 from ..types import Array
 
 _TURN = 2.0 * np.pi

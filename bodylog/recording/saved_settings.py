@@ -8,7 +8,7 @@ from ..annotating.read_back import read_metadata
 from ..errors import ConfigError, LogError
 from ..io.values import read_json
 from ..logs.decode.message_path import parse
-from ..logs.formats import Log
+from ..logs.protocol import Log
 from ..settings import Body, Settings, Time, Topics
 from ..sources import Source
 from ..sources import parse as parse_source

@@ -6,8 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
-from ..logs.decode.columns import Columns, columns
-from ..logs.formats import Log
+from ..logs.decode.columns import columns
+from ..logs.decode.parts import Columns
+from ..logs.protocol import Log
 from ..settings import Settings
 from ..sources import TopicSource
 from ..types import Array, Health, Series, Topic

@@ -99,7 +99,7 @@ def _array(draw: Draw, data: bytes) -> bytes:
             (*FLOATS, 0.0, -1.0)
         )
     elif kind == 2:
-        array = array * draw.of((1e300, 1e-300, -1.0, 1e150))
+        array = array * draw.of((1e300, 1e-300, -1.0, 1e150)) if array.dtype.kind in "biufc" else array
     elif kind == 3:
         array = array[: draw.random.randint(0, len(array))] if array.ndim else array
     else:

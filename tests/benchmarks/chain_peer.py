@@ -11,7 +11,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
-from bodylog.annotating.schemas import definition
+from bodylog.logs.encode.schemas import definition
 from bodylog.perception.colours import hsv_ranges
 from bodylog.types import Array, BodyModel
 

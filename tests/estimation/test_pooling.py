@@ -8,8 +8,9 @@ import pytest
 from bodylog.estimation import estimate
 from bodylog.estimation.inference import knot_problem as briefs
 from bodylog.estimation.inference import pooling
+from bodylog.estimation.inference.filter_records import Dynamics, Leaps, Readings
 from bodylog.estimation.inference.folds import Fold
-from bodylog.estimation.inference.scan import Dynamics, Leaps, Readings, scan
+from bodylog.estimation.inference.scan import scan
 from bodylog.settings import Estimation
 from tests.seeds import seeds
 

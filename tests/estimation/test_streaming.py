@@ -15,8 +15,8 @@ from bodylog import body as learning
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate
 from bodylog.estimation.inference import scalar_steps
+from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import Motion, hear
-from bodylog.estimation.inference.scan import Dynamics
 from bodylog.estimation.live.estimator import Belief, Estimator
 from bodylog.estimation.measurements import touch
 from bodylog.settings import Estimation, Settings

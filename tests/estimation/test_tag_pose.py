@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import Motion, hear
-from bodylog.estimation.inference.scan import Dynamics
 from bodylog.estimation.measurements.tag_pose import PoseModel, TagPose, solved, unmistakable
 from bodylog.estimation.noise.correlated_noise import PAST, Likeness, Memory, Sight
 from bodylog.kinematics.camera import lens, project

@@ -46,7 +46,8 @@ def test_an_estimate_comes_back_as_it_was(tmp_path, seed):
 
 
 def test_faults_of_a_log_that_had_no_std_are_read(tmp_path, monkeypatch):
-    from bodylog.annotating import messages, schemas
+    from bodylog.annotating import messages
+    from bodylog.logs.encode import schemas
 
     text = schemas._PARTS["bodylog_msgs/Fault"]
     monkeypatch.setitem(schemas._PARTS, "bodylog_msgs/Fault", text.replace("float64 std\n", ""))

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.errors import ConfigError, FormatError
-from bodylog.logs.decode.columns import Columns, columns
+from bodylog.logs.decode.columns import columns
+from bodylog.logs.decode.parts import Columns
 from bodylog.types import Batch, Topic
 
 from .writing import T0, joint_state

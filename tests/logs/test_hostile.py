@@ -15,10 +15,11 @@ from bodylog.logs.decode import definitions
 from bodylog.logs.diagnostics import Ledger
 from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.images.messages import decoder
+from bodylog.logs.limits import Input
 from bodylog.logs.rosbag2.folder import metadata_of
 from bodylog.logs.storage import zstd_files
 from bodylog.recording import recording
-from bodylog.settings import Input, Settings
+from bodylog.settings import Settings
 from bodylog.types import Topic
 from fixtures import by_hand
 

@@ -9,9 +9,10 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from bodylog.errors import LogError, UsageError
+from bodylog.logs.limits import Input
 from bodylog.recording.recording import read
 from bodylog.recording.tidy import cut, ingest, signals
-from bodylog.settings import Input, Settings, Time, Topics
+from bodylog.settings import Settings, Time, Topics
 
 from .written import START, by_pybag, by_rosbags, source
 

@@ -10,8 +10,8 @@ from bodylog.body import storage
 from bodylog.body.kinematic.offsets import learned
 from bodylog.config import load
 from bodylog.errors import ConfigError
-from bodylog.logs.joint_units import UNIT, joint_unit
-from bodylog.settings import Body, Kinematics, Settings, counts
+from bodylog.logs.joint_units import UNIT, counts, joint_unit
+from bodylog.settings import Body, Kinematics, Settings
 from tests.body.test_kinematic import OFFSETS, features
 from tests.kinematics.robots import ARM, JOINTS, angles
 

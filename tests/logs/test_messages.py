@@ -4,8 +4,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bodylog.annotating.messages import escape, from_joints, from_skin, unescape
-from bodylog.annotating.schemas import WRITTEN, definition
+from bodylog.annotating.messages import from_joints, from_skin
+from bodylog.logs.encode.schemas import WRITTEN, definition
+from bodylog.logs.topic_names import escape, unescape
 from bodylog.types import Series
 
 from .written import JOINTS, LATE, START, found, outgoing

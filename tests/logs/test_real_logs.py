@@ -10,8 +10,9 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.errors import BodylogError
-from bodylog.logs.decode.columns import Columns, columns, definition_of
+from bodylog.logs.decode.columns import columns, definition_of
 from bodylog.logs.decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition
+from bodylog.logs.decode.parts import Columns
 from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.images.messages import COMPRESSED, RAW, decoder
 from bodylog.recording.recording import info, read

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from bodylog.errors import BodylogError, FormatError
-from bodylog.logs.formats import Log, open_log, payloads
+from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.images import messages
+from bodylog.logs.protocol import Log
 from bodylog.types import Array, Topic
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "logs"

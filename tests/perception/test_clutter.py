@@ -68,7 +68,8 @@ def test_a_film_of_one_thing_is_seen_to_the_same_bytes_with_joints_and_without()
     wall = scenes.wall(rng)
     pictures = [scenes.jpeg(scenes.draw(wall, [Disc(*own, RADIUS)], rng)) for own in uv.tolist()]
     frames = scenes.frames(np.arange(60) / 10.0, pictures)
-    one, other = (colour_tracker.tracks(colour_tracker.look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
+    look, tracks = colour_tracker.look, colour_tracker.tracks
+    one, other = (tracks(look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
                   for joints in (film.joints, None))  # fmt: skip
     assert one[0]["effector"].values.tobytes() == other[0]["effector"].values.tobytes()
 

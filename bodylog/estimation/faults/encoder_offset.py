@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...types import Array, Fault
-from ..inference.gauss_newton import Problem, Solution
 from ..inference.offsets import WALKS
+from ..inference.problem import Problem, Solution
 from ..measurements.records import Encoders
 from ..noise.quantisation import grain
 from .offset_score import promise

@@ -4,7 +4,8 @@ import numpy as np
 
 from ...types import Array
 from .conditioning import MANY
-from .scan import EVEN, Leaps, Pooled, Readings, Trace
+from .filter_records import Leaps, Pooled, Readings
+from .scan import EVEN, Trace
 
 
 def means(trace: Trace, after: Array) -> Array:

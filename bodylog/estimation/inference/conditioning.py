@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 
 if TYPE_CHECKING:
-    from .scan import Pooled, Readings
+    from .filter_records import Pooled, Readings
 
 MANY = 0.6
 """Share of stretches above which all are worked on rather than some copied out and back."""

@@ -5,23 +5,18 @@ stretches of the log are filtered side by side from the ends of their predecesso
 the points of linearisation nor the starts move: the fixed point is the sequential filter's own.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ...types import Array
-from ..measurements.records import Evidence
-from ..measurements.timeline import Timeline
 from ..noise.correlated_noise import PAST
-from ..noise.noise_model import Precision
-from ..noise.posture_prior import Habit
-from ..noise.visibility import views
-from .conditioning import GATE
+from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import handed_over, outset, starts
 from .knot_problem import Brief, full, in_brief
-from .scan import Dynamics, Readings, Trace, rescan
+from .problem import Problem, Solution
+from .scan import rescan
 from .tangents import RESTING, Tangents
 
 SWEEPS = 40
@@ -31,65 +26,6 @@ STUCK = 1e-3
 """Standard deviations: smaller moves are left to die out."""
 SETTLED = 1e-8
 """Standard deviations: how little a stretch's start may still move."""
-
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """One log to be filtered: evidence, its instants, where the belief starts, the precisions.
-
-    path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say · habit: where
-    joints without an encoder are wont to be · anew: times (R,) s by which nothing is known any more of
-    joints (R,M) bool · stepwise: pictures alone lead it for long, where sweeps may rest in another posture ·
-    rivals: joints by number whose offsets explain nearly as much as that of another.
-    """
-
-    evidence: Evidence
-    timeline: Timeline
-    start: Array
-    precision: Precision
-    path: tuple[Array, Array] | None = None
-    habit: Habit | None = None
-    anew: tuple[Array, Array] | None = None
-    stepwise: bool = False
-    rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
-
-    def anew_at(self, t: Array) -> tuple[Array, Array]:
-        """Which of instants t (E,) s begin anew, and what joints (R,M) bool of them."""
-        if self.anew is None:
-            return np.empty(0, int), np.empty((0, len(self.start)), bool)
-        times, joints = self.anew
-        here = np.isin(times, t)
-        return np.searchsorted(t, times[here]), joints[here]
-
-    @property
-    def dynamics(self) -> Dynamics:
-        """How the state moves."""
-        recalled = None if self.habit is None else self.habit.joints
-        return Dynamics(self.precision.process, self.precision.drift, recalled)
-
-    @property
-    def more(self) -> Array | None:
-        """How many times the process variance (E,M) moves joints where fewer tracks are in view; None if nowhere."""
-        fewer, usual = self.precision.fewer, self.precision.process
-        if not fewer:
-            return None
-        found, which = views(self.evidence.sightings, self.timeline.t)
-        return np.stack([fewer.get(view, usual) / usual for view in found])[which]
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A filtered log: fold, its readings as last linearised, where that was, trace; and how it was told in brief."""
-
-    fold: Fold
-    readings: Readings
-    tangents: Tangents
-    trace: Trace
-    brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
-
-    def gated(self) -> Array:
-        """Instants (E,) with an encoder reading beyond the gate."""
-        return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))
 
 
 def solve(

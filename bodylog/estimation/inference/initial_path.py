@@ -5,13 +5,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
+from .filter_records import Dynamics, Leaps, Pooled
 from .folds import Fold
 from .reacquisition import START_STD
-from .scan import Dynamics, Leaps, Pooled, scan
+from .scan import scan
 from .tangents import Tangents
 
 if TYPE_CHECKING:
-    from .gauss_newton import Problem, Solution
+    from .problem import Problem, Solution
 
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""

@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import Memory, Sight
 from .conditioning import GATE
-from .scan import Dynamics
+from .filter_records import Dynamics
 
 ITERATIONS = 40
 RESTING = 1e-9

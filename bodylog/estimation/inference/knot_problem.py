@@ -7,12 +7,12 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.timeline import Timeline
+from .filter_records import Dynamics, Leaps, Pooled, Readings
 from .folds import Fold, fold_for
 from .pooling import Blocks, blocks, kept, loud, pooled
-from .scan import Dynamics, Leaps, Pooled, Readings
 
 if TYPE_CHECKING:
-    from .gauss_newton import Problem
+    from .problem import Problem
 
 
 @dataclass(frozen=True, eq=False)

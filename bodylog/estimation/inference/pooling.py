@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
+from .filter_records import Dynamics, Pooled
 from .folds import Fold
-from .scan import Dynamics, Pooled
 
 MOST = 24
 """Instants pooled into one at most."""

@@ -8,11 +8,11 @@ from ...types import Array
 from ..measurements.records import Sighting
 from ..noise.correlated_noise import PAST, WHOLE, Likeness, directions, reach, repeated, variances
 from ..noise.noise_model import Precision
+from .filter_records import Readings
 from .folds import Fold
-from .scan import Readings
 
 if TYPE_CHECKING:
-    from .gauss_newton import Problem
+    from .problem import Problem
 
 RESTING = 1e-9
 """rad: a frame whose point of linearisation is moved less keeps its tangent, for beliefs move by a tenth of that."""

@@ -9,13 +9,14 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import PAST, WHOLE, Likeness, Memory, Sight, reach
 from ..noise.posture_prior import LASTING, wont
+from .filter_records import Readings
 from .folds import Fold, fold_for
-from .gauss_newton import Problem, Solution
 from .initial_path import prior, priors
 from .instant import RESTING, Moment, Motion, hear
 from .knot_problem import encoder_rows, full
+from .problem import Problem, Solution
 from .reacquisition import SILENCE, Watch, forget
-from .scan import Readings, scan
+from .scan import scan
 from .tangents import Tangents
 
 ROUGHLY = 1e-3

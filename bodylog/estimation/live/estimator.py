@@ -10,11 +10,12 @@ from ...errors import LogError, UsageError
 from ...settings import Estimation
 from ...types import Array, BodyModel, ForwardModel, Health
 from ..inference import scalar_steps
+from ..inference.filter_records import Dynamics
 from ..inference.initial_path import OFFSET_STD
 from ..inference.instant import Motion, hear
 from ..inference.offsets import WALKS
 from ..inference.reacquisition import SILENCE, START_STD, VAGUE, Watch, forget
-from ..inference.scan import EVEN, Dynamics
+from ..inference.scan import EVEN
 from ..methods.table import METHODS
 from ..noise import typed
 from ..noise.correlated_noise import PAST, Likeness, Memory, Sight, reach

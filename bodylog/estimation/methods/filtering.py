@@ -12,7 +12,8 @@ from ...settings import Estimation
 from ...types import BodyModel, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.screening import screened
-from ..inference.gauss_newton import Problem, Restless, Solution, solve
+from ..inference.gauss_newton import Restless, solve
+from ..inference.problem import Problem, Solution
 from ..inference.reacquisition import named
 from ..inference.solver import DidNotConverge
 from ..inference.walk import led, walk

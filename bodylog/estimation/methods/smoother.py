@@ -12,11 +12,13 @@ import numpy as np
 from ...settings import Estimation
 from ...types import Array, BodyModel, Capabilities, Estimate, Features
 from ..inference import adjoint
+from ..inference.filter_records import Readings
 from ..inference.folds import Fold, fold_for
-from ..inference.gauss_newton import SWEEPS, Problem, Progress, Restless, Solution, begun, far
+from ..inference.gauss_newton import SWEEPS, Progress, Restless, begun, far
 from ..inference.initial_path import handed_over, starts
 from ..inference.knot_problem import full
-from ..inference.scan import Readings, Trace, rescan
+from ..inference.problem import Problem, Solution
+from ..inference.scan import Trace, rescan
 from ..inference.solver import DidNotConverge
 from ..inference.tangents import Tangents
 from ..inference.walk import walk

@@ -11,9 +11,9 @@ from ...types import Array, BodyModel, Estimate, Fault
 from ..faults import encoder_offset
 from ..inference.assemble import Assumed, assemble, outset
 from ..inference.beliefs import Instants, given_all, given_past
-from ..inference.gauss_newton import Problem
 from ..inference.motion_model import MotionModel
 from ..inference.offsets import Offsets, evidence, offsets
+from ..inference.problem import Problem
 from ..inference.solver import Solved, solve
 from ..noise.encoder_noise import Learned
 from ..noise.noise_model import Precision

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from ...types import Array
-from ..inference.gauss_newton import Problem, Solution, briefly
+from ..inference.gauss_newton import briefly
 from ..inference.initial_path import handed_over, priors
 from ..inference.knot_problem import Brief, tile
+from ..inference.problem import Problem, Solution
 from ..inference.scan import scan
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.timeline import timeline

@@ -15,9 +15,9 @@ import numpy as np
 
 from ...types import Array
 from ..inference import adjoint
-from ..inference.gauss_newton import Problem, Solution
 from ..inference.initial_path import handed_over, priors
 from ..inference.knot_problem import Brief, tile
+from ..inference.problem import Problem, Solution
 from ..inference.scan import scan
 from .correlated_noise import WHOLE
 from .visibility import LONG

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 from ...errors import LogError
 from .. import episodes
 from ..diagnostics import Ledger
-from ..formats import Log, open_log
+from ..formats import open_log
 from ..limits import LIMITS, Input
+from ..protocol import Log
 from ..records import Finding
 from ..rosbag2.folder import METADATA, members, metadata_of
 from ..storage.mmapped import mapped, uncut

@@ -6,11 +6,12 @@ from typing import Any
 from ...errors import LogError
 from ...io.atomic_files import replacing
 from ...io.outputs import Output, guard
-from ..formats import Log, open_log, payloads
+from ..formats import open_log, payloads
 from ..limits import LIMITS, Input
 from ..mcap.chunks import MESSAGE_HEAD
 from ..mcap.reader import McapLog
 from ..mcap.records import ATTACHMENT, HEAD, HEADER, METADATA, Record
+from ..protocol import Log
 from ..records import Finding, Topic
 
 _U64 = 1 << 64

@@ -1,4 +1,4 @@
-"""One episode of a dataset as a log: signals held as arrays, cameras decoded as they are read; see containers.Log."""
+"""One episode of a dataset as a log: signals held as arrays, cameras decoded as they are read; see protocol.Log."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
-from ...annotating.schemas import definition
 from ...errors import LogError
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import Field, Payloads
+from ..encode.schemas import definition
 from ..records import Array, Batch, Finding, Topic
 
 JOINTS, ACTION = "/joint_states", "/action"

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ...annotating.messages import escape
 from ...errors import LogError
 from ...io.values import times
 from .. import episodes
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
+from ..topic_names import escape
 from .episode_log import (
     ACTION,
     DTYPE,

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ...annotating.messages import escape
 from ...errors import InputError, LogError
 from ...io.values import times
 from .. import episodes
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
+from ..topic_names import escape
 from . import parquet, video
 from .episode_log import (
     ACTION,

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ...annotating.messages import escape
 from ...errors import BodylogError, LogError
 from ...io.values import times
 from .. import episodes
@@ -20,6 +19,7 @@ from ..limits import LIMITS, Input
 from ..records import Array, Finding
 from ..tables.pose_columns import IMAGES, label, time_column
 from ..tables.table_file import SUFFIXES, Table, read
+from ..topic_names import escape
 from . import video
 from .episode_log import EPOCH_NS, JOINT_STATE, JOINTS, Camera, Episode, EpisodeLog, Item, Signal, Texts
 from .units import unit

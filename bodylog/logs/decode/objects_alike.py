@@ -68,7 +68,7 @@ class JsonAlike:
     def _layout(self, key: bytes, payload: bytes) -> JsonLayout | None:
         if key not in self._known and len(self._known) < _MOST_LAYOUTS:
             try:
-                from .dynamic import follow
+                from .object_values import follow
 
                 self._known[key] = JsonLayout(payload, self._paths, follow)
             except _UNLIKE:
@@ -129,7 +129,7 @@ class ProtobufAlike:
         payload = batch.data[start : start + int(batch.length[index])].tobytes()
         self._count += 1
         try:
-            from .dynamic import follow
+            from .object_values import follow
 
             layout = ProtobufLayout(payload, self._types, self._root, self._paths, follow)
         except _UNLIKE:

@@ -10,10 +10,11 @@ import numpy as np
 
 from ...errors import UsageError
 from ..records import Array, Topic
-from .columns import Columns, definition_of
+from .columns import definition_of
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition
 from .layout import leaf_field
 from .message_path import is_index, steps
+from .parts import Columns
 
 Read = Callable[[Mapping[str, Sequence[str]]], Mapping[str, "Table"]]
 """Reads fields of topics in one pass."""

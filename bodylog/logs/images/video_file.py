@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from ...errors import LogError
-from ...settings import Topics
 from ..records import Array, Frame
 
 _DATES = 1e8
@@ -26,17 +25,17 @@ class Sidecar:
     t: Array | None = None
 
 
-def find(name: str, log: Path, settings: Topics) -> Sidecar:
-    """The video `name`, looked for as it is and beside the log; LogError when there is none or it has no rate."""
+def find(name: str, log: Path, rate: float | None) -> Sidecar:
+    """The video `name`, here or beside the log, at `rate` (1/s; None: its own); LogError when there is none."""
     path = next((p for p in (Path(name), log.parent / name) if p.is_file()), None)
     if path is None:
         raise LogError(f"{log}: [topics] camera = {name!r}, but there is no such file, here or beside the log")
     capture = _open(path)
-    rate, length = settings.rate or capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
+    own, length = capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
     capture.release()
-    if not 0 < rate < 1e6:
-        raise LogError(f"{path}: the video says {rate} frames per second; say in robot.toml: [topics] rate = 30")
-    return Sidecar(path, rate, max(length, 0), _times(path, length) if settings.rate is None else None)
+    if not 0 < (rate or own) < 1e6:
+        raise LogError(f"{path}: the video says {rate or own} frames per second; say in robot.toml: [topics] rate = 30")
+    return Sidecar(path, rate or own, max(length, 0), _times(path, length) if rate is None else None)
 
 
 def _times(path: Path, frames: int) -> Array | None:

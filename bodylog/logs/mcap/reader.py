@@ -21,7 +21,7 @@ from .uncompressed import runs, together
 
 
 class McapLog:
-    """One MCAP file, memory-mapped; see containers.Log."""
+    """One MCAP file, memory-mapped; see protocol.Log."""
 
     format = "mcap"
 

@@ -16,7 +16,7 @@ from .survey import BagSurvey
 
 
 class BagLog:
-    """One ROS 1 bag, memory-mapped; see containers.Log."""
+    """One ROS 1 bag, memory-mapped; see protocol.Log."""
 
     format = "bag"
 

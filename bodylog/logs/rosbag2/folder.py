@@ -1,7 +1,7 @@
 """rosbag2 folders -> one log: files in the order of metadata.yaml where it tells the truth, topics merged."""
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -10,8 +10,9 @@ from typing import Any
 from ...errors import InputError, LogError
 from ...io import atomic_files
 from ..diagnostics import Ledger
-from ..limits import LIMITS, Input
+from ..limits import Input
 from ..mcap.time_ranges import widen
+from ..protocol import Log
 from ..records import Batch, Finding, Topic
 from ..topics import Topics
 
@@ -23,14 +24,14 @@ _LONGEST = 1 << 20
 
 
 class Rosbag2Log:
-    """One rosbag2 folder; see containers.Log. Its files are opened one at a time."""
+    """One rosbag2 folder; see protocol.Log. Its files are opened one at a time."""
 
     format = "rosbag2"
 
-    def __init__(self, path: Path, strict: bool = False, limits: Input = LIMITS) -> None:
-        """Survey every file; LogError when none can be read, or when strict and one cannot."""
+    def __init__(self, path: Path, strict: bool, limits: Input, open_file: Callable[[Path, bool, Input], Log]) -> None:
+        """Survey every file, opened by `open_file`; LogError when none can be read, or when strict and one cannot."""
         self.path = path
-        self._strict = strict
+        self._strict, self._open = strict, open_file
         self._ledger = Ledger(path, strict, limits)
         self._members: list[tuple[Path, dict[int, int]]] = []
         self._findings: dict[Finding, None] = {}
@@ -51,12 +52,10 @@ class Rosbag2Log:
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all), file after file, one batch per topic and chunk or block."""
-        from ..formats import open_log
-
         for member, topic_of in self._members:
             inner = [own for own, topic in topic_of.items() if ids is None or topic in ids]
             if inner:
-                with open_log(member, self._strict, self._ledger.limits) as log:
+                with self._open(member, self._strict, self._ledger.limits) as log:
                     for batch in log.batches(inner):
                         yield replace(batch, topic_id=topic_of[batch.topic_id])
                     self._findings.update(dict.fromkeys(log.findings))
@@ -78,10 +77,8 @@ class Rosbag2Log:
 
     def _survey(self, member: Path, topics: Topics) -> list[int]:
         """Take in one file's topics; its first and last log time (ns), if it has messages."""
-        from ..formats import open_log
-
         try:
-            log = open_log(member, self._strict, self._ledger.limits)
+            log = self._open(member, self._strict, self._ledger.limits)
         except InputError as problem:
             self._ledger.lost(len(self._members), member.stat().st_size, None, None, str(problem))
             return []

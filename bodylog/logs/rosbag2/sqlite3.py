@@ -30,7 +30,7 @@ _STEPS = 1_000_000
 
 
 class Db3Log:
-    """One .db3 file; see containers.Log."""
+    """One .db3 file; see protocol.Log."""
 
     format = "db3"
 

@@ -1,24 +1,24 @@
 """A table of measured poses as a log: its rows as messages, so that whatever reads logs reads it."""
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ...annotating.messages import TRACK, TRACK_NAMES, escape, from_joints
-from ...annotating.schemas import definition
 from ...errors import BodylogError, LogError
-from ...types import Series
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import Field
+from ..encode.schemas import definition
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
+from ..topic_names import TRACK, TRACK_NAMES, escape
 from ..topics import INDEPENDENT
 from .pose_columns import in_degrees, poses
 from .table_file import kind, read
 
 JOINTS = "/joint_states"
+JOINT_STATE = "sensor_msgs/msg/JointState"
 VECTOR = "bodylog_msgs/msg/Vector"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _LARGEST = 64 << 20
@@ -26,7 +26,7 @@ _AS_THEY_ARE = (".jpg", ".jpeg", ".png", ".webp")
 
 
 class PoseLog:
-    """A CSV, Parquet or YAML table of poses; see containers.Log."""
+    """A CSV, Parquet or YAML table of poses; see protocol.Log."""
 
     def __init__(
         self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
@@ -95,17 +95,20 @@ class PoseLog:
         if not joints:
             return []
         values = np.column_stack(list(joints.values()))
-        first = int(self._ns.min())
-        t = (self._ns - first) / 1e9
-        return [from_joints(JOINTS, Series(t, values, tuple(joints), "rad", self._ns), first)]
+        # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
+        unknown = np.full(values.shape, np.nan)
+        rows: list[Field] = [("float64[]", values), ("float64[]", unknown), ("float64[]", unknown)]
+        return [self._outgoing_of(JOINTS, JOINT_STATE, [*cdr.header(self._ns), ("string[]", tuple(joints)), *rows])]
 
     def _tracks(self, tracks: Mapping[str, Array], std: Mapping[str, Array]) -> Iterator[Outgoing]:
         for name, places in tracks.items():
             data = np.hstack([places, std.get(name, np.full(places.shape, np.nan))])
             fields: list[Field] = [*cdr.header(self._ns), ("string[]", TRACK_NAMES), ("float64[]", data)]
-            made = cdr.serialise(len(data), fields)
-            topic = TRACK + escape(name)
-            yield Outgoing(topic, VECTOR, definition(VECTOR), self._ns, made.data, made.offset, made.length)
+            yield self._outgoing_of(TRACK + escape(name), VECTOR, fields)
+
+    def _outgoing_of(self, topic: str, kind: str, fields: Sequence[Field]) -> Outgoing:
+        made = cdr.serialise(len(self._ns), fields)
+        return Outgoing(topic, kind, definition(kind), self._ns, made.data, made.offset, made.length)
 
     def _files(self, number: int, files: Array) -> Iterator[Batch]:
         """One batch per image; a file that is not there, or too large, is counted as lost."""

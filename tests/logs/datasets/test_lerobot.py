@@ -273,7 +273,7 @@ def test_what_a_table_declares_is_checked_before_it_is_read(copied, monkeypatch)
 
 
 def test_a_video_of_large_images_is_not_decoded(copied):
-    from bodylog.settings import Input
+    from bodylog.logs.limits import Input
 
     with open_log(copied, limits=Input(max_image_mpx=0.001)) as log:
         assert [topic.name for topic in log.topics if "image" in topic.name] == []

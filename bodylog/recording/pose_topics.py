@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ...types import Poses
-from ..decode.columns import Columns, columns
-from ..formats import open_log
+from ..logs.decode.columns import columns
+from ..logs.decode.parts import Columns
+from ..logs.formats import open_log
+from ..types import Poses
 
 TRUTH = "/truth/effector_pose"
 """Where a log carries the effector's true poses in the robot's base."""
