@@ -5,8 +5,9 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
+from .body_model import BodyModel, ForwardModel
 from .settings import Settings
-from .types import Array, BodyModel, Features, Finding, ForwardModel
+from .types import Array, Features, Finding
 
 if TYPE_CHECKING:
     from .body.kinematic.learn import Robotics

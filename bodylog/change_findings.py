@@ -5,9 +5,10 @@ from dataclasses import replace
 from math import degrees, nan
 from typing import TYPE_CHECKING
 
+from .body_model import BodyModel
 from .evaluation.figures import EITHER, FIRST
 from .settings import Estimation
-from .types import BodyModel, Estimate, Fault, Features, Finding, Series
+from .types import Estimate, Fault, Features, Finding, Series
 
 if TYPE_CHECKING:
     from .body.kinematic.change import Change

@@ -6,12 +6,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from .body_model import BodyModel
 from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
 from .io.atomic_files import lasting
 from .io.outputs import Output, guard
 from .settings import Colours, Settings
 from .sources import TableSource, feature_of, group_of
-from .types import BodyModel, Features, Finding, Health, Recording
+from .types import Features, Finding, Health, Recording
 
 
 def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings | None = None) -> None:

@@ -5,14 +5,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from .body_model import BodyModel
 from .checks import about, gone, same_camera, same_size
 from .default_features import of_body
 from .errors import EvidenceError, InputError, UsageError
 from .fault_findings import named
-from .pipeline import Progress, infer, observe
+from .observed import Progress
+from .pipeline import infer, observe
 from .scoring import judge
 from .settings import Settings
-from .types import BodyModel, Features, Finding, Recording, Score
+from .types import Features, Finding, Recording, Score
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .body_model import BodyModel
 from .config import toml_value
 from .errors import ConfigError
 from .settings import Colours, Settings
 from .sources import Source, check_colour, parse, spelled
-from .types import BodyModel, Features, Finding, Recording
+from .types import Features, Finding, Recording
 
 if TYPE_CHECKING:
     from .perception import Survey

@@ -3,7 +3,8 @@
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from .types import Array, BodyModel, Estimate, Poses, Series
+from .body_model import BodyModel
+from .types import Array, Estimate, Poses, Series
 
 if TYPE_CHECKING:
     from .body.kinematic.model import KinematicGP

@@ -5,11 +5,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .body_model import BodyModel, ForwardModel
 from .io import remote
 from .io.atomic_files import is_archive
 from .io.values import read_json
 from .settings import Settings
-from .types import BodyModel, ForwardModel
 
 if TYPE_CHECKING:
     from .body.kinematic.model import KinematicGP

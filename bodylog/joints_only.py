@@ -4,9 +4,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from . import robot_model
+from .body_model import BodyModel
 from .errors import FormatError, LogError
 from .settings import Settings
-from .types import BodyModel, Features, Finding, Recording, Series
+from .types import Features, Finding, Recording, Series
 
 
 def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:

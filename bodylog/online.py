@@ -4,12 +4,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from .body.senses import encoder_function
+from .body_model import BodyModel
 from .estimation.live import estimator
 from .estimation.live.inputs import Angles, Place, finite
 from .estimation.measurements.gather import camera
 from .estimation.timing import correction
 from .settings import Estimation
-from .types import BodyModel
 
 
 class Estimator(estimator.Estimator):

@@ -1,13 +1,13 @@
 """The stages in order, each taking files and leaving files: reads as a table of contents."""
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from . import change_findings, default_features, effector_poses
+from .body_model import BodyModel
 from .checks import about, distinct, insist, same_camera, same_size, something_seen, teachable, to_learn
 from .errors import UsageError
 from .fault_findings import named, sightings, untold
@@ -15,13 +15,11 @@ from .io.atomic_files import sha256
 from .io.outputs import Output
 from .joints_only import joints_alone, without_body
 from .logs.limits import LIMITS, Input
+from .observed import Progress, moving, still_poses
 from .scoring import against, bounded, judge, with_true_poses
-from .settings import Settings, plain, wanted
-from .types import BodyModel, Estimate, Fault, Features, Finding, Health, Outgoing, Recording, Score, Watcher
-from .version import __version__
-
-Progress = Callable[[int], None]
-"""Told how many more pictures are done."""
+from .settings import Settings, plain
+from .types import Estimate, Fault, Features, Finding, Health, Recording, Score, Watcher
+from .written_messages import estimate_messages, feature_messages, provenance, topic_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,37 +58,11 @@ def observe(
         return perception.looking(settings, progress)
 
     read = recording.read(log, settings, settings.input.strict, looking)
-    look = _posed if read.poses else _observed
+    look = still_poses if read.poses else moving
     found = look(read, settings, progress)
     if guess:
         read, found = default_features.guessed(log, read, found, settings, partial(look, progress=progress))
     return read, replace(found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside)
-
-
-def _observed(read: Recording, settings: Settings, progress: Progress | None) -> Features:
-    """What a recording shows, or what it carries of an earlier run."""
-    from . import perception
-
-    if read.features is None:
-        return replace(perception.observe(read, settings, progress), cameras=_cameras(read))
-    carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
-    remarks = (*read.features.findings, carried)
-    boards = perception.rigid(wanted(read.settings), read.features.tracks)
-    tracks, health = {**read.tracks, **read.features.tracks}, {**read.features.health, **read.track_health}
-    return replace(read.features, tracks=tracks, health=health, findings=remarks, boards=boards)
-
-
-def _posed(read: Recording, settings: Settings, progress: Progress | None) -> Features:
-    """What still poses show: the places their table names, and what is found in its images; strokes need motion."""
-    carried = read.features or Features(read.joints, {}, None, (), (), {})
-    tracks, health = {**read.tracks, **carried.tracks}, {**carried.health, **read.track_health}
-    carried = replace(carried, tracks=tracks, health=health)
-    if read.frames is not None:
-        from . import perception
-
-        seen = perception.observe(replace(read, features=None), settings, progress)
-        carried = replace(seen, tracks={**seen.tracks, **carried.tracks}, health={**seen.health, **carried.health})
-    return replace(carried, cameras=_cameras(read), strokes=(), synchrony=())
 
 
 def extract(
@@ -106,8 +78,8 @@ def extract(
         something_seen(log, features)
         roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
         kept = [topic for role in roles if (topic := topic_of(read, role)) is not None]
-        lost = written.add(_feature_messages(read, features), only=kept)
-        written.about(_provenance([(log, written.digest())], read.settings))
+        lost = written.add(feature_messages(read, features), only=kept)
+        written.about(provenance([(log, written.digest())], read.settings))
     if tables is not None:
         export.export_features(features, tables)
     health = {**read.health, **features.health}
@@ -148,11 +120,11 @@ def fit(
     for log, (read, found) in zip(logs, observed, strict=True):
         teachable(log, found, settings)
         remarks += same_camera(log, cameras, read, found)
-    provenance = _provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
+    origin = provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
     robot, unfit = robot_model.robot(logs, features, settings)
     with about(logs[0], findings, len(logs) - 1):
-        learned = camera_delay.learned(features, settings, provenance, known, robot)
+        learned = camera_delay.learned(features, settings, origin, known, robot)
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
     storage.save(learned.model, out)
@@ -180,7 +152,7 @@ def _tested(
 def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
     """Replay a log against a learned body and write it back with the estimate in it; without one, its joints alone."""
     from . import estimation, robot_model
-    from .annotating import annotate, read_back
+    from .annotating import annotate, estimate_metadata
     from .body import storage
 
     distinct([log, *(robot_model.named(settings) if body is None else [body])], [Output(out)], settings)
@@ -195,11 +167,13 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         cameras = same_camera(log, learned.provenance.get("cameras", ()), read, features)
         same_size(log, learned, features, settings)
         found = _estimated(log, read, features, learned, settings)
-        lost = written.add(_estimate_messages(read, features, found))
+        lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = judge(found, read)
-        origin = _provenance([(log, written.digest())], read.settings)
-        written.about(origin | ({} if body is None else {"body_sha256": sha256(body)}) | read_back.describe(found))
+        origin = provenance([(log, written.digest())], read.settings)
+        written.about(
+            origin | ({} if body is None else {"body_sha256": sha256(body)}) | estimate_metadata.describe(found)
+        )
     remarks = (*read.findings, *features.findings, *cameras, *found.findings, *named(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
     return Result(out, scores, health, remarks, dict(found.settings), found.faults, bounded(found, scores))
@@ -307,39 +281,6 @@ def count(log: Path) -> int:
 
     with open_log(log) as opened:
         return sum(topic.messages for topic in opened.topics)
-
-
-def _feature_messages(read: Recording, features: Features) -> list[Outgoing]:
-    from .annotating import messages
-
-    return messages.from_features(features, read.start_ns)
-
-
-def _estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
-    from .annotating import messages
-
-    return [*_feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns)]
-
-
-def _cameras(read: Recording) -> dict[str, str]:
-    """The topics of the cameras by name, "" for the first."""
-    roles = {role.partition("/"): path for role, path in read.roles.items()}
-    return {name: path for (role, _, name), path in roles.items() if role == "camera"}
-
-
-def topic_of(read: Recording, role: str) -> str | None:
-    """The topic behind a role's message path: the longest of the log's topics that the path begins with."""
-    path = read.roles.get(role, "")
-    return max((t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")), key=len, default=None)
-
-
-def _provenance(logs: Sequence[tuple[Path, str]], settings: Settings) -> dict[str, str]:
-    inputs = [[log.name, digest] for log, digest in logs]
-    return {"version": __version__, "settings": _json(plain(settings)), "inputs": _json(inputs)}
-
-
-def _json(value: Any) -> str:
-    return json.dumps(value, sort_keys=True, default=float)
 
 
 def _merged(observed: Sequence[tuple[Recording, Features]]) -> dict[str, Health]:

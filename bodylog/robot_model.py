@@ -5,9 +5,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .body_model import BodyModel
 from .errors import FormatError, LogError, ModelError
 from .settings import Settings
-from .types import Array, BodyModel, Features, Finding
+from .types import Array, Features, Finding
 
 if TYPE_CHECKING:
     from .body.kinematic.learn import Robotics

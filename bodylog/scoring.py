@@ -24,7 +24,7 @@ def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
     """The recording with the effector's true poses, where the estimate has poses and the log carries true ones."""
     if found.effector is None:
         return read
-    from .recording import pose_topics
+    from .annotating import pose_topics
 
     return replace(read, truth_pose=pose_topics.true_poses(log, read.start_ns))
 

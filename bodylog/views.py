@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .body_model import BodyModel
 from .checks import about, distinct
 from .default_features import toml_line
 from .errors import EvidenceError, FormatError, LogError
@@ -16,10 +17,12 @@ from .io.atomic_files import is_archive, made
 from .io.outputs import Output
 from .io.remote import naming
 from .io.temporary import scratch
-from .pipeline import Progress, Result, doctor, folders, ingest, observe, topic_of
+from .observed import Progress
+from .pipeline import Result, doctor, folders, ingest, observe
 from .scoring import judge
 from .settings import Settings, plain
-from .types import BodyModel, Estimate, Features, Finding, Recording
+from .types import Estimate, Features, Finding, Recording
+from .written_messages import topic_of
 
 if TYPE_CHECKING:
     from .perception import Candidate

@@ -136,7 +136,7 @@ def _episode(_context: click.Context, _option: click.Parameter, text: str | None
 
 def _episodes(given: Any, text: str | None) -> Any:
     """The logs with the episode that was asked for; of one argument that takes several logs, ranges as single ones."""
-    from bodylog.logs import episodes
+    from bodylog.io import episodes
 
     if isinstance(given, tuple):
         return tuple(one for log in given for one in _several(log, text))
@@ -151,7 +151,7 @@ def _named(log: Any, text: str | None) -> Any:
 
 
 def _several(log: Any, text: str | None) -> tuple[Any, ...]:
-    from bodylog.logs import episodes
+    from bodylog.io import episodes
 
     named = _named(log, text)
     return episodes.expanded(named) if isinstance(named, Path) else (named,)

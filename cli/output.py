@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 if TYPE_CHECKING:
-    from bodylog.pipeline import Progress, Result
+    from bodylog.observed import Progress
+    from bodylog.pipeline import Result
     from bodylog.types import Finding, Score
 
 T = TypeVar("T")

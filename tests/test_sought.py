@@ -8,10 +8,11 @@ import pytest
 
 from bodylog import default_features, pipeline
 from bodylog.body import storage
+from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.recording import recording
 from bodylog.settings import Colours, Settings, plain
 from bodylog.sources import ColourSource, TagSource
-from bodylog.types import BodyModel, Noise, Recording, TouchConstants
+from bodylog.types import Recording
 from tests.perception import test_candidates as candidates
 
 

@@ -1,15 +1,14 @@
 """Read back what we wrote: tracks and touches for another run, the estimate for scoring and reports."""
 
-import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
-from ..io.values import believed, read_json
+from ..io.values import believed
 from ..logs.decode.columns import columns_of
 from ..logs.formats import open_log
 from ..logs.mcap.prefix import NAME, ROOT
@@ -17,14 +16,11 @@ from ..logs.mcap.record_file import TopLevel
 from ..logs.mcap.records import HEAD, METADATA, METADATA_INDEX, parse
 from ..logs.protocol import Log
 from ..logs.topic_names import TRACK, TRACK_NAMES, unescape
-from ..recording.pose_topics import POSED, poses
 from ..types import (
     Array,
-    Capabilities,
     Estimate,
     Fault,
     Features,
-    Finding,
     Health,
     Poses,
     Series,
@@ -33,7 +29,9 @@ from ..types import (
     Topic,
     Touch,
 )  # fmt: skip
+from .estimate_metadata import declared, type_again
 from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES
+from .pose_topics import POSED, poses
 
 _VECTOR = ("header.stamp", "names", "data")
 _FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -56,19 +54,6 @@ def _fields(topic: Topic) -> tuple[str, ...]:
     return (*_FIELDS[topic.type], *more)
 
 
-def describe(estimate: Estimate) -> dict[str, str]:
-    """What of an estimate no topic carries, as entries for the metadata record; `read_estimate` reads them back."""
-    used = {sense: asdict(health) for sense, health in estimate.used.items()}
-    findings = [asdict(finding) for finding in estimate.findings]
-    return {
-        "method": estimate.method,
-        "used": json.dumps(used, sort_keys=True, default=dict),
-        "findings": json.dumps(findings, sort_keys=True),
-        "resolved": json.dumps(dict(estimate.settings), sort_keys=True, default=float),
-        "can": json.dumps(asdict(estimate.can), sort_keys=True),
-    }
-
-
 def read_metadata(path: Path) -> dict[str, str]:
     """The metadata record `bodylog` of an annotated MCAP; LogError when there is none."""
     try:
@@ -80,13 +65,13 @@ def read_metadata(path: Path) -> dict[str, str]:
                 return dict(parse(METADATA, record[HEAD.size :]).fields["metadata"])
     except (FormatError, OSError):
         pass  # no MCAP, or not a whole one: then it is none we wrote
-    raise LogError(f"{path}: no estimate in it, unless its end was cut off; {_again(path)}")
+    raise LogError(f"{path}: no estimate in it, unless its end was cut off; {type_again(path)}")
 
 
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
     """The estimate an annotated MCAP carries, t in s since `start_ns` (None: the log's own); LogError without one."""
     with open_log(path) as log:
-        said = _said(path, read_metadata(path))
+        said = declared(path, read_metadata(path))
         table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
     joints, rate = table.joints()
     size = len(joints.names)
@@ -123,51 +108,6 @@ def read_features(log: Log, start_ns: int) -> Features | None:
     pairs = table.synchrony(touches or (), paired)
     health = {name: Health(len(c.log_ns), len(c.sound)) for name, c in table.columns.items()}
     return Features(None, tracks, touches, strokes, pairs, health, cameras=table.cameras())
-
-
-@dataclass(frozen=True)
-class _Said:
-    """What `describe` wrote."""
-
-    method: str
-    used: Mapping[str, Health]
-    settings: Mapping[str, Any]
-    findings: tuple[Finding, ...]
-    can: Capabilities
-
-
-def _health(found: Health) -> Health:
-    """The same; ValueError for counts that no log can have, TypeError for what is no number."""
-    counts = (found.seen, found.used, *found.rejected.values())
-    if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
-        raise ValueError("how much was used is no count of messages")
-    return found
-
-
-def _finding(found: Finding) -> Finding:
-    """The same; ValueError for one that is no text."""
-    if not isinstance(found.severity, str) or not isinstance(found.text, str):
-        raise ValueError("a finding that is no text")
-    return found
-
-
-def _capabilities(found: Mapping[str, Any]) -> Capabilities:
-    if not all(isinstance(value, bool) for value in found.values()):
-        raise ValueError(f"can: {found!r}, where each capability is true or false")
-    return Capabilities(**found)
-
-
-def _said(path: Path, metadata: Mapping[str, str]) -> _Said:
-    try:
-        return _Said(
-            metadata.get("method", ""),
-            {sense: _health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
-            dict(read_json(metadata.get("resolved", "{}"))),
-            tuple(_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
-            _capabilities(read_json(metadata.get("can", "{}"))),
-        )
-    except (ValueError, TypeError, AttributeError) as problem:
-        raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {_again(path)}") from None
 
 
 class _Table:
@@ -216,7 +156,7 @@ class _Table:
         t, _, values = self._rows(ROOT + name)
         data: Array = values[-1].reshape(len(t), values[-1].size // max(1, len(t)))
         if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
-            raise LogError(f"{self.path}: {ROOT}{name} does not go with {ROOT}joint_states; {_again(self.path)}")
+            raise LogError(f"{self.path}: {ROOT}{name} does not go with {ROOT}joint_states; {type_again(self.path)}")
         return data
 
     def predicted(self) -> tuple[dict[str, Series], dict[str, Array]]:
@@ -290,7 +230,7 @@ class _Table:
         return None if columns is None else poses(columns, self.start_ns)
 
     def _unfit(self, topic: str, found: str) -> LogError:
-        return LogError(f"{self.path}: {topic}: {found}; {_again(self.path)}")
+        return LogError(f"{self.path}: {topic}: {found}; {type_again(self.path)}")
 
     def _parts(self, topic: str) -> list[tuple[tuple[Any, ...], Array]]:
         columns = self.columns.get(topic)
@@ -302,7 +242,7 @@ class _Table:
             raise _absent(self.path)
         parts = self._parts(topic)
         if len(parts) != 1:
-            raise LogError(f"{self.path}: {topic} has {len(parts)} sets of names, not 1; {_again(self.path)}")
+            raise LogError(f"{self.path}: {topic} has {len(parts)} sets of names, not 1; {type_again(self.path)}")
         (stamp, *values), log_ns = parts[0]
         order = np.argsort(stamp, kind="stable")
         sorted_values = tuple(v if isinstance(v, tuple) else v[order] for v in values)
@@ -317,8 +257,4 @@ def _track(found: Series) -> Series:
 
 
 def _absent(path: Path) -> LogError:
-    return LogError(f"{path}: no {ROOT} topics of an estimate; {_again(path)}")
-
-
-def _again(path: Path) -> str:
-    return f"type: bodylog estimate {path} --body body.npz -o OUT.mcap"
+    return LogError(f"{path}: no {ROOT} topics of an estimate; {type_again(path)}")

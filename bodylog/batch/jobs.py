@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import BodylogError, LogError, UsageError
-from ..io import remote
+from ..io import episodes, remote
 from ..io.outputs import Key, key
-from ..logs import episodes
 from ..settings import Settings
 from . import folders
 

@@ -8,9 +8,8 @@ from typing import Any
 
 from .. import pipeline
 from ..errors import BodylogError, LogError, ModelError, UsageError
-from ..io import remote
+from ..io import episodes, remote
 from ..io.atomic_files import replacing, sha256
-from ..logs import episodes
 from ..logs.episode_files import digest
 from ..settings import Settings, plain
 from ..version import __version__

@@ -4,8 +4,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from ..body_model import BodyModel
 from ..settings import Settings
-from ..types import BodyModel, Features
+from ..types import Features
 from .senses.encoder_function import Polynomial
 
 if TYPE_CHECKING:

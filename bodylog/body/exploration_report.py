@@ -4,7 +4,8 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from ..types import Features, Finding, Noise, Score
+from ..body_model import Noise
+from ..types import Features, Finding, Score
 from .data.pairs import Joint, joints, moves, silent
 from .gp.model import GP
 

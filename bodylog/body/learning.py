@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from ..body_model import BodyModel, ForwardModel, Noise
 from ..errors import EvidenceError, ModelError
 from ..runtime.blas_threads import one_thread
 from ..settings import Fit, Settings
-from ..types import BodyModel, Features, Finding, ForwardModel, Noise, Score
+from ..types import Features, Finding, Score
 from . import exploration_report, noise_estimates, pose_errors
 from .data import trainable
 from .data.exploration import shown

@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..types import Array, Noise
+from ..body_model import Noise
+from ..types import Array
 from .data.angle_smoother import Motion
 from .gp.model import GP
 

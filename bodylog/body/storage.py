@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from ..body_model import BodyModel, Noise, TouchConstants
 from ..errors import ModelError
 from ..io.atomic_files import replacing
 from ..io.values import read_json, text
-from ..types import Array, BodyModel, Noise, TouchConstants
+from ..types import Array
 from .gp.model import GP
 from .kinematic import storage
 from .kinematic.model import KinematicGP

@@ -4,9 +4,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ..body_model import BodyModel
 from ..errors import EvidenceError, ModelError
 from ..sources import group_of
-from ..types import Array, BodyModel, Features, Finding, Score
+from ..types import Array, Features, Finding, Score
 from .data.pairs import Pairs, joints, pairs, plausible
 from .senses import encoder_function
 

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 
+from ..body_model import BodyModel
 from ..errors import UsageError
 from ..runtime.blas_threads import one_thread
 from ..settings import Estimation
-from ..types import BodyModel, Estimate, Features
+from ..types import Estimate, Features
 from .faults.consistency import doubts
 from .measurements import gather
 from .measurements.joint_limits import outside

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..types import Array, BodyModel, Estimate, Features, Score, Series
+from ..body_model import BodyModel
+from ..types import Array, Estimate, Features, Score, Series
 
 EVERY = 5
 """One picture in so many is withheld."""

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from .. import pipeline
+from ..body_model import BodyModel
 from ..settings import Estimation, Settings
-from ..types import Array, BodyModel, Estimate
+from ..types import Array, Estimate
 from .lab import Heard
 
 

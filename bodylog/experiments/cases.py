@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..types import Array, BodyModel, Features, Synchrony
+from ..body_model import BodyModel
+from ..types import Array, Features, Synchrony
 from . import readings
 from .drawn import ARM, PIXEL_STD, SIZE, place, px_per_cm
 from .lab import JOINTS, Heard

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from ..body_model import BodyModel
 from ..settings import Estimation
-from ..types import Array, BodyModel
+from ..types import Array
 from . import drawn, readings
 from .beliefs import Belief, believed, estimated
 from .cases import Explored, Made, case, explored, signals, study

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from .. import pipeline
+from ..body_model import BodyModel
 from ..io import atomic_files
 from ..io.temporary import scratch
 from ..settings import Body, Colours, Fit, Settings
-from ..types import Array, BodyModel, Features, Series
+from ..types import Array, Features, Series
 from ..version import __version__
 from .json_values import jsonable
 

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..body_model import BodyModel
 from ..estimation.measurements.touch import LEAST
 from ..perception.touch.matching import judge as synchrony
-from ..types import Array, BodyModel, Features
+from ..types import Array, Features
 from .beliefs import Belief, noisier, ours
 from .drawn import px_per_cm
 from .e5_rubber_hand import CALM, DISPLACEMENT, SIDES, final, heard

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import UsageError
-from ..logs import episodes
+from . import episodes
 
 Key = tuple[int, int]
 """Device and inode: the same file or folder, whatever it is called, also where names ignore case."""

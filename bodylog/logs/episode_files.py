@@ -4,8 +4,8 @@ import hashlib
 from pathlib import Path
 
 from ..errors import BodylogError
+from ..io import episodes
 from ..io.atomic_files import pieces, sha256
-from . import episodes
 
 
 def files_of(path: Path) -> tuple[Path, ...]:

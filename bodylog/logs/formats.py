@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import LogError
+from ..io import episodes
 from ..io.atomic_files import lasting
-from . import episodes
 from .limits import LIMITS, Input
 from .protocol import Batches, Log, Opener
 from .records import Batch

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from bodylog import body
+from bodylog.body_model import BodyModel
 from bodylog.estimation import estimate
 from bodylog.estimation.live.estimator import Estimator
 from bodylog.settings import Estimation, Settings
-from bodylog.types import BodyModel, Features, Series
+from bodylog.types import Features, Series
 from tests.benchmarks.goals import at_least, at_most, unmeasured
 from tests.benchmarks.timing import side_by_side
 from tests.estimation.conftest import World, draw

@@ -7,7 +7,8 @@ import tracemalloc
 import numpy as np
 
 from bodylog import Estimator
-from bodylog.types import Array, BodyModel
+from bodylog.body_model import BodyModel
+from bodylog.types import Array
 from tests.benchmarks.bench_estimation import learned
 from tests.benchmarks.goals import at_most
 from tests.estimation.conftest import World, draw

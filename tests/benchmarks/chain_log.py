@@ -14,11 +14,12 @@ from mcap_ros2.decoder import DecoderFactory
 from bodylog import body
 from bodylog.annotating import annotate, messages
 from bodylog.body import storage as models
+from bodylog.body_model import BodyModel
 from bodylog.logs.decode.ros1_to_cdr import known_definition
 from bodylog.logs.encode import cdr
 from bodylog.logs.encode.cdr import Field
 from bodylog.settings import Settings
-from bodylog.types import Array, BodyModel, Outgoing, Series
+from bodylog.types import Array, Outgoing, Series
 from tests.estimation.conftest import Arm, World, draw
 from tests.perception import scenes
 

@@ -11,9 +11,10 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 from mcap_ros2.decoder import DecoderFactory
 
+from bodylog.body_model import BodyModel
 from bodylog.logs.encode.schemas import definition
 from bodylog.perception.colours import hsv_ranges
-from bodylog.types import Array, BodyModel
+from bodylog.types import Array
 
 _EVERY = 5
 """Of 500 beliefs per second, 100 are written."""

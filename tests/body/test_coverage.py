@@ -4,7 +4,7 @@ import pytest
 from bodylog.body.data.pairs import joints
 from bodylog.body.exploration_report import findings, influence, scores
 from bodylog.body.gp.fit import samples, train
-from bodylog.types import Noise
+from bodylog.body_model import Noise
 
 
 def test_influence_is_how_far_each_input_moved_the_outputs() -> None:

@@ -11,11 +11,12 @@ from bodylog.body.data.pairs import joints, moves, pairs
 from bodylog.body.learning import Learned
 from bodylog.body.senses.track import sense
 from bodylog.body.storage import load, save
+from bodylog.body_model import TouchConstants
 from bodylog.errors import EvidenceError, ModelError
 from bodylog.estimation import estimate
 from bodylog.recording import recording
 from bodylog.settings import Body, Estimation, Fit, Settings
-from bodylog.types import Array, Features, Series, TouchConstants
+from bodylog.types import Array, Features, Series
 
 _ARM = Path(__file__).parents[2].parent / "shared" / "logs" / "arm"
 

@@ -12,8 +12,8 @@ import pytest
 from bodylog.body.gp.fit import samples, train
 from bodylog.body.senses.encoder_function import Polynomial
 from bodylog.body.storage import load, save
+from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.errors import ModelError, OutputError
-from bodylog.types import BodyModel, Noise, TouchConstants
 
 
 @pytest.fixture(scope="module")

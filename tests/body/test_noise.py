@@ -4,7 +4,7 @@ import pytest
 from bodylog.body.data.angle_smoother import Motion
 from bodylog.body.gp.fit import samples, train
 from bodylog.body.noise_estimates import learned, pooled
-from bodylog.types import Noise
+from bodylog.body_model import Noise
 
 
 def test_pixel_variance_is_what_perception_measured_and_what_the_fit_adds() -> None:

@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation.methods import whole_log
-from bodylog.types import Array, BodyModel, Features, Noise, Series, Synchrony, Touch, TouchConstants
+from bodylog.types import Array, Features, Series, Synchrony, Touch
 
 JOINTS = ("pan", "lift", "elbow")
 

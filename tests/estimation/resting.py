@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bodylog.types import Array, BodyModel, Features, Noise, Series, TouchConstants
+from bodylog.body_model import BodyModel, Noise, TouchConstants
+from bodylog.types import Array, Features, Series
 from tests.estimation.conftest import JOINTS, Arm, World, motion
 
 MOTIONS = ("rest", "slow", "sines", "reach")

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from bodylog import body
+from bodylog.body_model import BodyModel
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate
 from bodylog.estimation.poses.encoders import _evidence, _Rows
 from bodylog.estimation.poses.solve import descended, gathered
 from bodylog.settings import Body, Estimation, Settings
-from bodylog.types import BodyModel, Features, Series
+from bodylog.types import Features, Series
 
 JOINTS = ("pan", "lift", "elbow")
 POSES, PIXEL = 120, 0.3

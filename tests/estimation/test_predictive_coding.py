@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from bodylog.body_model import TouchConstants
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate
 from bodylog.estimation.methods import predictive_coding
 from bodylog.estimation.methods.paper_touch import Literal
 from bodylog.evaluation.scores import scores
 from bodylog.settings import Estimation
-from bodylog.types import TouchConstants
 from tests.estimation.conftest import Arm
 from tests.seeds import seeds
 

@@ -5,10 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation import estimate
 from bodylog.recording import recording
 from bodylog.settings import Estimation, Settings
-from bodylog.types import BodyModel, Features, Noise, Series, TouchConstants
+from bodylog.types import Features, Series
 from tests.estimation.resting import MOTIONS, Drawn, drawn
 
 SHARED = Path(__file__).parents[3] / "shared"

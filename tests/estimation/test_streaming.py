@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from bodylog import body as learning
+from bodylog.body_model import BodyModel
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate
 from bodylog.estimation.inference import scalar_steps
@@ -20,7 +21,7 @@ from bodylog.estimation.inference.instant import Motion, hear
 from bodylog.estimation.live.estimator import Belief, Estimator
 from bodylog.estimation.measurements import touch
 from bodylog.settings import Estimation, Settings
-from bodylog.types import BodyModel, Estimate, Features, Series
+from bodylog.types import Estimate, Features, Series
 from tests.estimation.conftest import Explored
 from tests.seeds import seeds
 

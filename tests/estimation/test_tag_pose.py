@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import Motion, hear
 from bodylog.estimation.measurements.tag_pose import PoseModel, TagPose, solved, unmistakable
 from bodylog.estimation.noise.correlated_noise import PAST, Likeness, Memory, Sight
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential
-from bodylog.types import BodyModel, Features, Noise, Series, TouchConstants
+from bodylog.types import Features, Series
 from tests.estimation.conftest import JOINTS, motion
 
 LENS = lens(600.0, 640.0, 480.0)

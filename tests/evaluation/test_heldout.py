@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation import METHODS, estimate
 from bodylog.evaluation.heldout import EVERY, held_out, withhold
 from bodylog.settings import Estimation
-from bodylog.types import BodyModel, Estimate, Features, Noise, Series, TouchConstants
+from bodylog.types import Estimate, Features, Series
 from tests.estimation.conftest import Linear, dense, draw
 
 

@@ -5,13 +5,13 @@ import pytest
 
 from bodylog.body.gp.fit import build, samples
 from bodylog.body.paper_preset import paper
+from bodylog.body_model import TouchConstants
 from bodylog.estimation.methods import predictive_coding as algorithm
 from bodylog.estimation.methods.grid import Plan, Sense
 from bodylog.estimation.methods.paper_touch import Literal
 from bodylog.experiments.cases import Explored, case, placed
 from bodylog.experiments.printed import DT, Case, Map, Signals, Touching, _State, believed
 from bodylog.experiments.static import kalman
-from bodylog.types import TouchConstants
 
 WIDTH = 320.0
 STEPS = 80

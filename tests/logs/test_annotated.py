@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from bodylog.annotating.annotate import annotate, write
+from bodylog.annotating.estimate_metadata import describe
 from bodylog.annotating.messages import from_estimate, from_features
-from bodylog.annotating.read_back import describe, read_estimate, read_features, read_metadata
+from bodylog.annotating.read_back import read_estimate, read_features, read_metadata
 from bodylog.errors import FormatError, LogError
 from bodylog.logs.formats import open_log
 

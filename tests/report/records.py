@@ -5,23 +5,21 @@ from typing import Any
 
 import numpy as np
 
+from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.types import (
     Array,
-    BodyModel,
     Estimate,
     Fault,
     Features,
     Finding,
     Frame,
     Health,
-    Noise,
     Recording,
     Score,
     Series,
     Stroke,
     Synchrony,
     Touch,
-    TouchConstants,
 )
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")

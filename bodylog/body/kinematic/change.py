@@ -10,9 +10,10 @@ from itertools import combinations
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import InputError
 from ...runtime.blas_threads import one_thread
-from ...types import Array, BodyModel, Features
+from ...types import Array, Features
 from ..data.pairs import coupled, joints, pairs
 from ..data.subsampling import spaced
 from .change_system import Fit, Part, Problem, Track, cleaned, fitted, linear, linearised

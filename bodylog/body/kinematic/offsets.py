@@ -2,9 +2,9 @@
 
 from typing import Any
 
+from ...body_model import BodyModel
 from ...errors import ModelError
 from ...kinematics.identifiability import Offset, offsets, scales
-from ...types import BodyModel
 from .model import KinematicGP
 
 

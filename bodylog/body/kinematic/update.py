@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...kinematics.calibration import refine
 from ...kinematics.links import Found
 from ...kinematics.rig import Camera, Carrier, Rig, Sight
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
-from ...types import Array, BodyModel, Features
+from ...types import Array, Features
 from ..data.pairs import earlier, joined, pairs
 from ..data.subsampling import farthest
 from ..gp.model import GP

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...body_model import ForwardModel, Noise
 from ...errors import ConfigError, EvidenceError
-from ...types import Array, Features, Finding, ForwardModel, Noise, Score
+from ...types import Array, Features, Finding, Score
 from ..data.pairs import Joint
 from .encoder_function import Polynomial
 

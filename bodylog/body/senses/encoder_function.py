@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Features, Series
+from ...types import Array, Features, Series
 from ..gp.model import GP
 
 _GRID = 4097

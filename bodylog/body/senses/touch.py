@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Array, Features, Finding, TouchConstants
+from ...body_model import TouchConstants
+from ...types import Array, Features, Finding
 from ..gp.model import GP
 
 _APART_PX = 12.0

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...body_model import Noise
 from ...settings import Fit
-from ...types import Array, Finding, Noise, Score
+from ...types import Array, Finding, Score
 from ..data.pairs import Joint, Pairs, coupled
 from ..data.subsampling import farthest, spaced
 from ..gp.cross_validation import alone, residuals

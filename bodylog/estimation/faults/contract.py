@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from ...types import BodyModel, Fault, Finding, Hypothesis
+from ...body_model import BodyModel
+from ...types import Fault, Finding, Hypothesis
 from ..measurements.records import Evidence
 
 

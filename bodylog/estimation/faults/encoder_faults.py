@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import Array, BodyModel, Fault, Finding
+from ...body_model import BodyModel
+from ...types import Array, Fault, Finding
 from ..measurements.records import Encoders, Evidence, Sighting
 from .contract import Verdict
 from .dead import fallen, silent

@@ -7,7 +7,8 @@ import numpy as np
 
 from ...types import Array, Fault
 from ..inference.offsets import WALKS
-from ..inference.problem import Problem, Solution
+from ..inference.problem import Problem
+from ..inference.solution import Solution
 from ..measurements.records import Encoders
 from ..noise.quantisation import grain
 from .offset_score import promise

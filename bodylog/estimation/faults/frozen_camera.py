@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import Array, BodyModel, Fault
+from ...body_model import BodyModel
+from ...types import Array, Fault
 from ..measurements.records import Encoders, Evidence, Sighting
 from .contract import Verdict
 

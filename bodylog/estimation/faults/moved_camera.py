@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ...types import Array, BodyModel, Fault, ForwardModel, Hypothesis
+from ...body_model import BodyModel, ForwardModel
+from ...types import Array, Fault, Hypothesis
 from ..measurements.gather import camera
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track_curve import Curve, drawn, places

@@ -4,7 +4,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from ...types import Array, BodyModel, Finding
+from ...body_model import BodyModel
+from ...types import Array, Finding
 from ..inference.reacquisition import NAMED
 from ..measurements.gather import silent
 from ..measurements.records import Encoders, Evidence, Sighting

@@ -11,7 +11,8 @@ import numpy as np
 from ...types import Array
 from ..inference.conditioning import raised
 from ..inference.initial_path import OFFSET_STD
-from ..inference.problem import Problem, Solution
+from ..inference.problem import Problem
+from ..inference.solution import Solution
 from ..measurements.timeline import spans
 from ..noise.correlated_noise import counts
 

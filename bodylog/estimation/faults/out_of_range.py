@@ -4,8 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import ModelError
-from ...types import Array, BodyModel, Finding
+from ...types import Array, Finding
 from ..measurements.records import Evidence
 from .contract import Verdict
 

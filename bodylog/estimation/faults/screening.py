@@ -3,8 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
+from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import BodyModel, Features
+from ...types import Features
 from ..measurements.gather import gather, sound
 from ..measurements.records import Evidence
 from . import encoder_faults, frozen_camera, moved_camera, observability, out_of_range

@@ -15,8 +15,9 @@ from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import handed_over, outset, starts
 from .knot_problem import Brief, full, in_brief
-from .problem import Problem, Solution
+from .problem import Problem
 from .scan import rescan
+from .solution import Solution
 from .tangents import RESTING, Tangents
 
 SWEEPS = 40

@@ -12,7 +12,8 @@ from .scan import scan
 from .tangents import Tangents
 
 if TYPE_CHECKING:
-    from .problem import Problem, Solution
+    from .problem import Problem
+    from .solution import Solution
 
 OFFSET_STD = 0.01
 """rad: how far an encoder that is allowed an offset may be off before the first reading."""

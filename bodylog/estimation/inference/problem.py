@@ -11,12 +11,7 @@ from ..measurements.timeline import Timeline
 from ..noise.noise_model import Precision
 from ..noise.posture_prior import Habit
 from ..noise.visibility import views
-from .conditioning import GATE
-from .filter_records import Dynamics, Readings
-from .folds import Fold
-from .knot_problem import Brief
-from .scan import Trace
-from .tangents import Tangents
+from .filter_records import Dynamics
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,16 +58,3 @@ class Problem:
         return np.stack([fewer.get(view, usual) / usual for view in found])[which]
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """A filtered log: fold, its readings as last linearised, where that was, trace; and how it was told in brief."""
-
-    fold: Fold
-    readings: Readings
-    tangents: Tangents
-    trace: Trace
-    brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
-
-    def gated(self) -> Array:
-        """Instants (E,) with an encoder reading beyond the gate."""
-        return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))

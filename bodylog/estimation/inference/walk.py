@@ -14,9 +14,10 @@ from .folds import Fold, fold_for
 from .initial_path import prior, priors
 from .instant import RESTING, Moment, Motion, hear
 from .knot_problem import encoder_rows, full
-from .problem import Problem, Solution
+from .problem import Problem
 from .reacquisition import SILENCE, Watch, forget
 from .scan import scan
+from .solution import Solution
 from .tangents import Tangents
 
 ROUGHLY = 1e-3

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...body_model import BodyModel, ForwardModel
 from ...errors import LogError, UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, ForwardModel, Health
+from ...types import Array, Health
 from ..inference import scalar_steps
 from ..inference.filter_records import Dynamics
 from ..inference.initial_path import OFFSET_STD

@@ -6,9 +6,10 @@ from math import isfinite
 
 import numpy as np
 
+from ...body_model import BodyModel, ForwardModel
 from ...errors import ModelError, UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, ForwardModel, Health
+from ...types import Array, Health
 from ..measurements.gather import chosen
 from ..measurements.track import pixel_variance
 from ..noise import typed

@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
-from ...types import BodyModel, Features, Health
+from ...body_model import BodyModel
+from ...types import Features, Health
 from .records import Sighting
 
 

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Features, Finding, Health, Series
+from ...types import Array, Features, Finding, Health, Series
 from .contract import Sense
 from .records import Encoders, Evidence, Sighting
 from .touch import Touch

@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from ...body_model import BodyModel, Noise, TouchConstants
 from ...errors import UsageError
-from ...types import BodyModel, Finding, Noise, Series, TouchConstants
+from ...types import Finding, Series
 from .track import ascending
 
 STEP = 2.0 * np.pi / 4096.0

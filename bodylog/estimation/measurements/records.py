@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...types import Array, Fault, Finding, ForwardModel, Health, Hypothesis
+from ...body_model import ForwardModel
+from ...types import Array, Fault, Finding, Health, Hypothesis
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...body_model import BodyModel, ForwardModel
 from ...kinematics.camera import project
 from ...kinematics.rotations import exponential, left_jacobian, logarithm, nearest, skew
-from ...types import Array, BodyModel, Features, ForwardModel, Health, Series
+from ...types import Array, Features, Health, Series
 from .contract import Measured
 from .records import Sighting
 

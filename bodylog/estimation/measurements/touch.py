@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ...types import Array, BodyModel, Features, Health
+from ...body_model import BodyModel
+from ...types import Array, Features, Health
 from .contract import Measured
 from .records import Sighting
 from .track import ascending

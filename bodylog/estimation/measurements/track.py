@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ...types import Array, BodyModel, Features, ForwardModel, Health
+from ...body_model import BodyModel, ForwardModel
+from ...types import Array, Features, Health
 from .contract import Measured
 from .records import Sighting
 

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import BodyModel, Features, Finding
+from ...types import Features, Finding
 from ..measurements.gather import chosen
 from .table import METHODS
 

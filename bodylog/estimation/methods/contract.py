@@ -3,8 +3,9 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
+from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import BodyModel, Capabilities, Estimate, Features
+from ...types import Capabilities, Estimate, Features
 
 SENSES = frozenset({"encoders", "vision", "touch"})
 """Groups of senses."""

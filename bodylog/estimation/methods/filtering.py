@@ -8,13 +8,15 @@ from typing import TypeVar
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import BodyModel, Capabilities, Estimate, Fault, Features, Finding
+from ...types import Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.screening import screened
 from ..inference.gauss_newton import Restless, solve
-from ..inference.problem import Problem, Solution
+from ..inference.problem import Problem
 from ..inference.reacquisition import named
+from ..inference.solution import Solution
 from ..inference.solver import DidNotConverge
 from ..inference.walk import led, walk
 from ..measurements.gather import start

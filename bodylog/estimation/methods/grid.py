@@ -4,8 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...body_model import BodyModel, ForwardModel
 from ...settings import Estimation
-from ...types import Array, BodyModel, Features, ForwardModel
+from ...types import Array, Features
 from ..faults.screening import screened
 from ..measurements.gather import start
 from ..measurements.records import Evidence

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Capabilities, Estimate, Features
+from ...types import Array, Capabilities, Estimate, Features
 from ..faults.screening import screened
 from ..measurements.gather import start
 from ..measurements.timeline import timeline

@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Array, BodyModel, Features, ForwardModel, TouchConstants
+from ...body_model import BodyModel, ForwardModel, TouchConstants
+from ...types import Array, Features
 from ..measurements.touch import weights
 
 VARIANCE = 1.0

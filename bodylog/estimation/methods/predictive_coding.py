@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Capabilities, Estimate, Features, Finding
+from ...types import Array, Capabilities, Estimate, Features, Finding
 from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
 from . import results

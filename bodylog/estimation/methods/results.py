@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ...types import Array, BodyModel, Estimate, Fault, Finding, Hypothesis, Series
+from ...body_model import BodyModel
+from ...types import Array, Estimate, Fault, Finding, Hypothesis, Series
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
 

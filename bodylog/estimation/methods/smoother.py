@@ -9,16 +9,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import Array, BodyModel, Capabilities, Estimate, Features
+from ...types import Array, Capabilities, Estimate, Features
 from ..inference import adjoint
 from ..inference.filter_records import Readings
 from ..inference.folds import Fold, fold_for
 from ..inference.gauss_newton import SWEEPS, Progress, Restless, begun, far
 from ..inference.initial_path import handed_over, starts
 from ..inference.knot_problem import full
-from ..inference.problem import Problem, Solution
+from ..inference.problem import Problem
 from ..inference.scan import Trace, rescan
+from ..inference.solution import Solution
 from ..inference.solver import DidNotConverge
 from ..inference.tangents import Tangents
 from ..inference.walk import walk

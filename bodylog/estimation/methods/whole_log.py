@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...settings import Estimation
-from ...types import Array, BodyModel, Estimate, Fault
+from ...types import Array, Estimate, Fault
 from ..faults import encoder_offset
 from ..inference.assemble import Assumed, assemble, outset
 from ..inference.beliefs import Instants, given_all, given_past

@@ -14,7 +14,8 @@ from functools import cached_property
 
 import numpy as np
 
-from ...types import Array, ForwardModel
+from ...body_model import ForwardModel
+from ...types import Array
 
 NEAR = 0.5
 """px: places closer than this share perception's error, which has the period of the pixels."""

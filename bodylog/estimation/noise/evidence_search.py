@@ -8,8 +8,9 @@ from ...types import Array
 from ..inference.gauss_newton import briefly
 from ..inference.initial_path import handed_over, priors
 from ..inference.knot_problem import Brief, tile
-from ..inference.problem import Problem, Solution
+from ..inference.problem import Problem
 from ..inference.scan import scan
+from ..inference.solution import Solution
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.timeline import timeline
 from .encoder_noise import floor, followable

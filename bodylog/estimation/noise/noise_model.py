@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Finding
+from ...types import Array, Finding
 from ..measurements.records import Encoders, Evidence
 from . import encoder_noise
 from .correlated_noise import NEAR

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Array, ForwardModel
+from ...body_model import ForwardModel
+from ...types import Array
 from ..measurements.records import Evidence
 
 LASTING = 4.0

@@ -17,8 +17,9 @@ from ...types import Array
 from ..inference import adjoint
 from ..inference.initial_path import handed_over, priors
 from ..inference.knot_problem import Brief, tile
-from ..inference.problem import Problem, Solution
+from ..inference.problem import Problem
 from ..inference.scan import scan
+from ..inference.solution import Solution
 from .correlated_noise import WHOLE
 from .visibility import LONG
 

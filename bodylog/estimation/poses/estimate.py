@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import EvidenceError, ModelError, UsageError
 from ...settings import Estimation
-from ...types import Array, BodyModel, Capabilities, Estimate, Features, Finding, Series
+from ...types import Array, Capabilities, Estimate, Features, Finding, Series
 from ..faults.screening import POSES, screened
 from ..measurements.records import Evidence, Sighting
 from ..noise import typed

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...types import Array, BodyModel
+from ...body_model import BodyModel
+from ...types import Array
 from ..inference.conditioning import GATE
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import union

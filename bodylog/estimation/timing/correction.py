@@ -6,8 +6,9 @@ from math import isfinite
 
 import numpy as np
 
+from ...body_model import BodyModel
 from ...errors import ModelError, UsageError
-from ...types import Array, BodyModel, Estimate, Features, Finding, Hypothesis, Series
+from ...types import Array, Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import screen
 from ..measurements.gather import camera, columns
 from ..measurements.records import Encoders, Sighting

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import LogError
-from .. import episodes
+from ...io import episodes
 from ..diagnostics import Ledger
 from ..formats import open_log
 from ..limits import LIMITS, Input

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError, LogError
+from ...io import episodes
 from ...io.values import times
-from .. import episodes
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
 from ..topic_names import escape

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import BodylogError, LogError
+from ...io import episodes
 from ...io.values import times
-from .. import episodes
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
 from ..tables.pose_columns import IMAGES, label, time_column

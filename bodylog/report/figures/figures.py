@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from ...body_model import BodyModel, ForwardModel
 from ...errors import LogError, ModelError
-from ...types import Array, BodyModel, Estimate, Features, ForwardModel, Recording, Series
+from ...types import Array, Estimate, Features, Recording, Series
 from .canvas import INK, figure, label
 from .panels import belief, deviation, errors, events, free_energy, pixels, seen_tracks, signals, skin, trajectories
 from .reprojection import TRACKS as SHEETS

@@ -9,8 +9,8 @@ import pytest
 
 import bodylog.logs as logs
 from bodylog.errors import InputError, LogError, UsageError
+from bodylog.io import episodes
 from bodylog.io.outputs import Output, guard
-from bodylog.logs import episodes
 from bodylog.logs.episode_files import digest, files_of
 from bodylog.logs.formats import open_log
 from bodylog.recording import recording

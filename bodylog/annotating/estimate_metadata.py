@@ -1,0 +1,81 @@
+"""What an annotated log's metadata say of its estimate."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ..errors import LogError
+from ..io.values import read_json
+from ..logs.mcap.prefix import NAME
+from ..types import (
+    Capabilities,
+    Estimate,
+    Finding,
+    Health,
+)  # fmt: skip
+
+
+def describe(estimate: Estimate) -> dict[str, str]:
+    """What of an estimate no topic carries, as entries for the metadata record; `read_estimate` reads them back."""
+    used = {sense: asdict(health) for sense, health in estimate.used.items()}
+    findings = [asdict(finding) for finding in estimate.findings]
+    return {
+        "method": estimate.method,
+        "used": json.dumps(used, sort_keys=True, default=dict),
+        "findings": json.dumps(findings, sort_keys=True),
+        "resolved": json.dumps(dict(estimate.settings), sort_keys=True, default=float),
+        "can": json.dumps(asdict(estimate.can), sort_keys=True),
+    }
+
+
+@dataclass(frozen=True)
+class Declared:
+    """What `describe` wrote."""
+
+    method: str
+    used: Mapping[str, Health]
+    settings: Mapping[str, Any]
+    findings: tuple[Finding, ...]
+    can: Capabilities
+
+
+def _health(found: Health) -> Health:
+    """The same; ValueError for counts that no log can have, TypeError for what is no number."""
+    counts = (found.seen, found.used, *found.rejected.values())
+    if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
+        raise ValueError("how much was used is no count of messages")
+    return found
+
+
+def _finding(found: Finding) -> Finding:
+    """The same; ValueError for one that is no text."""
+    if not isinstance(found.severity, str) or not isinstance(found.text, str):
+        raise ValueError("a finding that is no text")
+    return found
+
+
+def _capabilities(found: Mapping[str, Any]) -> Capabilities:
+    if not all(isinstance(value, bool) for value in found.values()):
+        raise ValueError(f"can: {found!r}, where each capability is true or false")
+    return Capabilities(**found)
+
+
+def declared(path: Path, metadata: Mapping[str, str]) -> Declared:
+    """What `describe` wrote, read back; LogError where it is damaged."""
+    try:
+        return Declared(
+            metadata.get("method", ""),
+            {sense: _health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
+            dict(read_json(metadata.get("resolved", "{}"))),
+            tuple(_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
+            _capabilities(read_json(metadata.get("can", "{}"))),
+        )
+    except (ValueError, TypeError, AttributeError) as problem:
+        raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {type_again(path)}") from None
+
+
+def type_again(path: Path) -> str:
+    """The command that writes an estimate into a log anew."""
+    return f"type: bodylog estimate {path} --body body.npz -o OUT.mcap"

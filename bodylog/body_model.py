@@ -1,0 +1,55 @@
+"""The records of a learned body."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from .logs.records import Array
+
+
+class ForwardModel(Protocol):
+    """What one sense is expected to read, given joint angles."""
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of the D outputs."""
+
+    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · model variance (N,D), sensor noise excluded."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Learned variances: encoders (M,) rad² · senses {name: (D,) unit²} · process (M,) rad²/s³ (white acceleration).
+
+    Of each joint one encoder variance is kept, pooled over all the logs learned from, though logs may differ in it.
+    """
+
+    encoder: tuple[float, ...]
+    senses: Mapping[str, tuple[float, ...]]
+    process: tuple[float, ...]
+    std_error: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TouchConstants:
+    """g_t = a1 exp(−b1 |g_v − o_v|²) · f_t: b1 in 1/px² (paper eq. touch); f_t is a pair's `Synchrony.weight`."""
+
+    a1: float
+    b1: float
+
+
+@dataclass(frozen=True, eq=False)
+class BodyModel:
+    """A learned body: joint names in the order of x, one ForwardModel per sense, noise, touch constants, provenance.
+
+    cells {skin cell: (u, v, spread) px}: where a touched cell was seen beside the effector, and how far about there;
+    of a cell not in it nothing is known but what `touch` says of all.
+    """
+
+    joints: tuple[str, ...]
+    senses: Mapping[str, ForwardModel]
+    noise: Noise
+    touch: TouchConstants
+    provenance: Mapping[str, Any]
+    cells: Mapping[int, tuple[float, float, float]] = field(default_factory=dict)

@@ -1,0 +1,28 @@
+"""A filtered log: the belief at every instant, and what it was linearised about."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...types import Array
+from .conditioning import GATE
+from .filter_records import Readings
+from .folds import Fold
+from .knot_problem import Brief
+from .scan import Trace
+from .tangents import Tangents
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A filtered log: fold, its readings as last linearised, where that was, trace; and how it was told in brief."""
+
+    fold: Fold
+    readings: Readings
+    tangents: Tangents
+    trace: Trace
+    brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
+
+    def gated(self) -> Array:
+        """Instants (E,) with an encoder reading beyond the gate."""
+        return np.asarray((np.abs(self.fold.unfold(self.trace.encoder_d)) > GATE).any(axis=1))

@@ -1,0 +1,42 @@
+"""What a recording shows: tracks, touches and poses found in it, or carried over from an earlier run."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from .settings import Settings, wanted
+from .types import Features, Finding, Recording
+
+Progress = Callable[[int], None]
+"""Called with how many more images are done."""
+
+
+def moving(read: Recording, settings: Settings, progress: Progress | None) -> Features:
+    """What a recording shows, or what it carries of an earlier run."""
+    from . import perception
+
+    if read.features is None:
+        return replace(perception.observe(read, settings, progress), cameras=_cameras(read))
+    carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
+    remarks = (*read.features.findings, carried)
+    boards = perception.rigid(wanted(read.settings), read.features.tracks)
+    tracks, health = {**read.tracks, **read.features.tracks}, {**read.features.health, **read.track_health}
+    return replace(read.features, tracks=tracks, health=health, findings=remarks, boards=boards)
+
+
+def still_poses(read: Recording, settings: Settings, progress: Progress | None) -> Features:
+    """What still poses show: the places their table names, and what is found in its images; strokes need motion."""
+    carried = read.features or Features(read.joints, {}, None, (), (), {})
+    tracks, health = {**read.tracks, **carried.tracks}, {**carried.health, **read.track_health}
+    carried = replace(carried, tracks=tracks, health=health)
+    if read.frames is not None:
+        from . import perception
+
+        seen = perception.observe(replace(read, features=None), settings, progress)
+        carried = replace(seen, tracks={**seen.tracks, **carried.tracks}, health={**seen.health, **carried.health})
+    return replace(carried, cameras=_cameras(read), strokes=(), synchrony=())
+
+
+def _cameras(read: Recording) -> dict[str, str]:
+    """The topics of the cameras by name, "" for the first."""
+    roles = {role.partition("/"): path for role, path in read.roles.items()}
+    return {name: path for (role, _, name), path in roles.items() if role == "camera"}

@@ -1,0 +1,40 @@
+"""What the pipeline writes into a log: messages of features and estimates, and where they come from."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from .settings import Settings, plain
+from .types import Estimate, Features, Outgoing, Recording
+from .version import __version__
+
+
+def feature_messages(read: Recording, features: Features) -> list[Outgoing]:
+    """What was found in a recording, as messages."""
+    from .annotating import messages
+
+    return messages.from_features(features, read.start_ns)
+
+
+def estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
+    """An estimate and the features it was made of, as messages."""
+    from .annotating import messages
+
+    return [*feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns)]
+
+
+def topic_of(read: Recording, role: str) -> str | None:
+    """The topic behind a role's message path: the longest of the log's topics that the path begins with."""
+    path = read.roles.get(role, "")
+    return max((t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")), key=len, default=None)
+
+
+def provenance(logs: Sequence[tuple[Path, str]], settings: Settings) -> dict[str, str]:
+    """Version, settings, and name and digest of every input log, as metadata."""
+    inputs = [[log.name, digest] for log, digest in logs]
+    return {"version": __version__, "settings": _json(plain(settings)), "inputs": _json(inputs)}
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, sort_keys=True, default=float)
