@@ -15,7 +15,7 @@ SHARED = Path(__file__).parents[2] / "shared" / "logs"
 
 
 @pytest.fixture(scope="session")
-def bodylog() -> Callable[..., int]:
+def run_cli() -> Callable[..., int]:
     """Run a command and return its exit code; a test that records skips where PyBullet is absent."""
     return _run
 
@@ -27,13 +27,13 @@ def _run(*arguments: object) -> int:
 
 
 @pytest.fixture(scope="session")
-def robot(tmp_path_factory, bodylog) -> Path:
+def robot(tmp_path_factory, run_cli) -> Path:
     """A folder with explore.mcap, reach.mcap and body.npz of one small simulated robot."""
     folder = tmp_path_factory.mktemp("robot")
     record = ("--size", "160x120")
-    assert bodylog("record", "babble", "-o", folder / "explore.mcap", "--duration", 10, "--seed", 1, *record) == 0
-    assert bodylog("record", "reach", "-o", folder / "reach.mcap", "--duration", 4, "--seed", 2, *record) == 0
-    assert bodylog("fit", folder / "explore.mcap", "-o", folder / "body.npz") == 0
+    assert run_cli("record", "babble", "-o", folder / "explore.mcap", "--duration", 10, "--seed", 1, *record) == 0
+    assert run_cli("record", "reach", "-o", folder / "reach.mcap", "--duration", 4, "--seed", 2, *record) == 0
+    assert run_cli("fit", folder / "explore.mcap", "-o", folder / "body.npz") == 0
     return folder
 
 
@@ -54,8 +54,8 @@ def worlds() -> Path:
 
 
 @pytest.fixture(scope="session")
-def arm_body(tmp_path_factory, arm, bodylog) -> Path:
+def arm_body(tmp_path_factory, arm, run_cli) -> Path:
     """The body learned from the arm's exploration."""
     body = tmp_path_factory.mktemp("arm") / "body.npz"
-    assert bodylog("fit", arm / "explore.mcap", "-o", body) == 0
+    assert run_cli("fit", arm / "explore.mcap", "-o", body) == 0
     return body

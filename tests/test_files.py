@@ -16,7 +16,7 @@ from bodylog.io.temporary import FOREIGN_S, PART, held, machine, remove_stale, s
 WRITER = """
 import sys
 from pathlib import Path
-from bodylog.files import replacing
+from bodylog.io.atomic_files import replacing
 with replacing(Path(sys.argv[1])) as beside:
     beside.write_bytes(b"half")
     print("begun", flush=True)
@@ -178,7 +178,7 @@ import os, sys
 from pathlib import Path
 if sys.argv[2] == "pretended":
     os.getpid = lambda: 1
-from bodylog.files import replacing
+from bodylog.io.atomic_files import replacing
 assert os.getpid() == int(sys.argv[3])
 for _ in range(100):
     with replacing(Path(sys.argv[1])) as beside:
@@ -206,7 +206,7 @@ def test_two_processes_of_one_number_do_not_take_each_others_files_away(tmp_path
 MANY = """
 import sys
 from pathlib import Path
-from bodylog.files import replacing
+from bodylog.io.atomic_files import replacing
 for i in range(300):
     with replacing(Path(sys.argv[1]) / f"{sys.argv[2]}-{i % 5}") as beside:
         with beside.open("r+b") as stream:
@@ -248,8 +248,8 @@ def test_a_users_folder_of_nearly_that_name_stays(tmp_path, monkeypatch):
 SWEEPS = """
 import sys
 from pathlib import Path
-from bodylog.files import replacing
-from bodylog.temporary import scratch, sweep
+from bodylog.io.atomic_files import replacing
+from bodylog.io.temporary import scratch, sweep
 place = Path(sys.argv[1])
 with scratch(place) as folder, scratch(place) as other, replacing(place / "out") as beside:
     (folder / "deep").mkdir()

@@ -46,15 +46,15 @@ def test_what_is_configured_is_not_guessed(film: Recording) -> None:
 
 
 @pytest.mark.soak
-def test_a_body_is_learned_from_a_tag_among_clutter_and_used_without_configuration(tmp_path: Path, bodylog) -> None:
+def test_a_body_is_learned_from_a_tag_among_clutter_and_used_without_configuration(tmp_path: Path, run_cli) -> None:
     typed = ("--size", "640x480", "--feature", "tag", "--clutter")
-    assert bodylog("record", "babble", "-o", tmp_path / "explore.mcap", "--duration", 30, "--seed", 4, *typed) == 0
-    assert bodylog("record", "reach", "-o", tmp_path / "reach.mcap", "--duration", 6, "--seed", 5, *typed) == 0
-    assert bodylog("fit", tmp_path / "explore.mcap", "-o", tmp_path / "body.npz") == 0
+    assert run_cli("record", "babble", "-o", tmp_path / "explore.mcap", "--duration", 30, "--seed", 4, *typed) == 0
+    assert run_cli("record", "reach", "-o", tmp_path / "reach.mcap", "--duration", 6, "--seed", 5, *typed) == 0
+    assert run_cli("fit", tmp_path / "explore.mcap", "-o", tmp_path / "body.npz") == 0
     learned = storage.load(tmp_path / "body.npz")
     assert default_features.of_body(learned, Settings()).features == {"effector": TagSource(7, "apriltag_36h11")}
     typed = ("estimate", tmp_path / "reach.mcap", "--body", tmp_path / "body.npz", "-o", tmp_path / "out.mcap")
-    assert bodylog(*typed) == 0
+    assert run_cli(*typed) == 0
     assert pipeline.observe(tmp_path / "out.mcap", Settings())[1].health["effector"].used > 60
 
 

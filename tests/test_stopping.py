@@ -9,8 +9,8 @@ import time
 import pytest
 
 BEGIN = """import os, signal, sys, time
-from bodylog import stopping
-stopping.heed(signal.SIGTERM, signal.SIGINT)
+from bodylog.runtime import signals
+signals.heed(signal.SIGTERM, signal.SIGINT)
 """
 ON = "print('on', flush=True)"
 WAIT = "for _ in range(2000): time.sleep(0.005)\n"
@@ -33,8 +33,8 @@ finally:
 IN_C = f"""
 import sqlite3
 from pathlib import Path
-from bodylog.files import replacing
-from bodylog.temporary import scratch
+from bodylog.io.atomic_files import replacing
+from bodylog.io.temporary import scratch
 place = Path(sys.argv[1])
 with scratch(place) as folder, replacing(place / "out") as beside:
     (folder / "file").touch()
@@ -46,8 +46,8 @@ with scratch(place) as folder, replacing(place / "out") as beside:
 PRINTED = f"""
 import ctypes
 from pathlib import Path
-from bodylog.files import replacing
-from bodylog.temporary import scratch
+from bodylog.io.atomic_files import replacing
+from bodylog.io.temporary import scratch
 place = Path(sys.argv[1])
 with scratch(place) as folder, replacing(place / "out") as beside:
     (folder / "file").touch()

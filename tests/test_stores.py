@@ -112,27 +112,27 @@ def test_info_over_http_is_what_the_file_says_and_a_bag_is_fetched(served, robot
         assert told == here
 
 
-def test_estimate_of_a_url_is_that_of_the_file(tmp_path, robot, bodylog):
+def test_estimate_of_a_url_is_that_of_the_file(tmp_path, robot, run_cli):
     here, there = tmp_path / "here.mcap", tmp_path / "there.mcap"
-    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", here) == 0
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", here) == 0
     url = (robot / "reach.mcap").as_uri()
-    assert bodylog("estimate", url, "--body", robot / "body.npz", "-o", there) == 0
+    assert run_cli("estimate", url, "--body", robot / "body.npz", "-o", there) == 0
     assert there.read_bytes() == here.read_bytes()
 
 
-def test_batch_over_a_url_of_a_folder_resumes_until_the_file_is_another(tmp_path, robot, bodylog):
+def test_batch_over_a_url_of_a_folder_resumes_until_the_file_is_another(tmp_path, robot, run_cli):
     logs = tmp_path / "logs"
     logs.mkdir()
     for name in ("a.mcap", "b.mcap"):
         shutil.copy(robot / "reach.mcap", logs / name)
     typed = ("batch", logs.as_uri(), "-o", tmp_path / "out", "--body", robot / "body.npz")
-    assert bodylog(*typed) == 0
+    assert run_cli(*typed) == 0
     rows = [json.loads(line) for line in (tmp_path / "out" / "results.jsonl").read_text().splitlines()]
     assert [row["log"] for row in rows] == [(logs / name).as_uri() for name in ("a.mcap", "b.mcap")]
     assert not list((tmp_path / "out").rglob(".fetched*"))
     made = {name: (tmp_path / "out" / name / "row.json").stat().st_mtime_ns for name in ("a.mcap", "b.mcap")}
     os.utime(logs / "b.mcap", (1, 1))
-    assert bodylog(*typed, "--resume") == 0
+    assert run_cli(*typed, "--resume") == 0
     again = {name: (tmp_path / "out" / name / "row.json").stat().st_mtime_ns for name in made}
     assert again["a.mcap"] == made["a.mcap"]
     assert again["b.mcap"] != made["b.mcap"]
@@ -147,9 +147,9 @@ def test_what_a_store_cannot_give_is_one_line(served, tmp_path):
         assert "\n" not in str(caught.value)
 
 
-def test_what_is_wrong_with_a_fetched_log_names_its_url(tmp_path, robot, bodylog, capsys):
+def test_what_is_wrong_with_a_fetched_log_names_its_url(tmp_path, robot, run_cli, capsys):
     url = (robot / "reach.mcap").as_uri()
-    assert bodylog("evaluate", url) == 65
+    assert run_cli("evaluate", url) == 65
     assert url in capsys.readouterr().err
 
 

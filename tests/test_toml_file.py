@@ -79,7 +79,8 @@ def test_a_manifest_that_has_no_end_is_refused_in_a_line(tmp_path, name):
     (tmp_path / "bomb").write_text(BOMBS["dotted"])
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "batch.toml").symlink_to(tmp_path / name)
-    script = "import sys; from bodylog import files; files.PATIENCE = 0.5; import bodylog_cli; bodylog_cli.main()"
+    patience = "from bodylog.io import atomic_files; atomic_files.PATIENCE = 0.5"
+    script = f"import sys; {patience}; import bodylog_cli; bodylog_cli.main()"
     typed = [sys.executable, "-c", script, "batch", tmp_path / "batch.toml", "-o", tmp_path / "out"]
 
     def little():

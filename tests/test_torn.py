@@ -14,7 +14,7 @@ import pytest
 FOLDER = Path(__file__).parents[1] / "fixtures" / "containers"
 CUTS = """
 import mmap, os, sys, zlib
-from bodylog import torn
+from bodylog.runtime import sigbus
 
 def cut(path):
     with open(path, "r+b") as stream:
@@ -22,15 +22,16 @@ def cut(path):
         os.truncate(path, 5000)
         return bytes(found)
 """
-ZEROS = CUTS + "torn.endure(); read = cut(sys.argv[1]); print(len(read), zlib.crc32(read), torn.filled())"
+ZEROS = CUTS + "sigbus.endure(); read = cut(sys.argv[1]); print(len(read), zlib.crc32(read), sigbus.filled())"
 KILLED = CUTS + "cut(sys.argv[1])"
-DISK = CUTS + "torn.endure(); cut(sys.argv.pop(1)); import bodylog_cli; bodylog_cli.main()"
+DISK = CUTS + "sigbus.endure(); cut(sys.argv.pop(1)); import bodylog_cli; bodylog_cli.main()"
 READS = """
 import os, sys
 import bodylog_cli
-from bodylog.logs import mcap, rosbag
+from bodylog.logs.mcap.reader import McapLog
+from bodylog.logs.rosbag1.reader import BagLog
 cut = int(sys.argv.pop(1))
-for kind in (mcap.McapLog, rosbag.BagLog):
+for kind in (McapLog, BagLog):
     def batches(self, ids=None, whole=kind.batches):
         os.truncate(sys.argv[-1], cut)
         return whole(self, ids)

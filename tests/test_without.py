@@ -23,11 +23,11 @@ def table(path, names=JOINTS, count=40):
     return path
 
 
-def test_a_track_left_out_is_not_learned(tmp_path, bodylog, capsys):
+def test_a_track_left_out_is_not_learned(tmp_path, run_cli, capsys):
     log = table(tmp_path / "poses.csv")
     (tmp_path / "arm.urdf").write_text(ARM)
     for name, more in (("all", ()), ("some", ("--without", "published"))):
-        assert bodylog("fit", log, "-o", tmp_path / f"{name}.npz", "--json", *more) == 0
+        assert run_cli("fit", log, "-o", tmp_path / f"{name}.npz", "--json", *more) == 0
         said = json.loads(capsys.readouterr().out)
         senses = set((said[0] if isinstance(said, list) else said)["body"]["senses"])
         assert senses == ({"tip", "published"} if name == "all" else {"tip"})

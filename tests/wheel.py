@@ -69,14 +69,14 @@ def _read(python: Path, work: Path) -> None:
             shutil.copy(work / "new.mcap", work / "run.mcap")
 
 
-def _use(bodylog: Path, work: Path) -> None:
+def _use(run_cli: Path, work: Path) -> None:
     explore, reach, body, out = (str(work / name) for name in ("explore.mcap", "reach.mcap", "body.npz", "out.mcap"))
-    _run(bodylog, "--help")
-    _run(bodylog, "record", "babble", "-o", explore, "--duration", "8", "--size", "160x120")
-    _run(bodylog, "record", "reach", "-o", reach, "--duration", "3", "--size", "160x120")
-    _run(bodylog, "fit", explore, "-o", body)
-    _run(bodylog, "estimate", reach, "--body", body, "-o", out)
-    _run(bodylog, "evaluate", out, "--fail-if", "joint_rmse>0.05")
+    _run(run_cli, "--help")
+    _run(run_cli, "record", "babble", "-o", explore, "--duration", "8", "--size", "160x120")
+    _run(run_cli, "record", "reach", "-o", reach, "--duration", "3", "--size", "160x120")
+    _run(run_cli, "fit", explore, "-o", body)
+    _run(run_cli, "estimate", reach, "--body", body, "-o", out)
+    _run(run_cli, "evaluate", out, "--fail-if", "joint_rmse>0.05")
 
 
 def _run(program: Path, *arguments: str, folder: Path = Path("/")) -> None:

@@ -44,6 +44,7 @@ def test_hostile_files_and_settings_are_read_or_refused_in_one_line(base, tmp_pa
         203000613,  # a model whose variance is 0 where its slope's is not
         203001702,  # weights of 1e19: delays were asked of a covariance without an inverse
         302000356,  # angles of 1e8 rad: a kernel of rounding alone
+        412000000001533,  # an image whose encoding is half a surrogate pair
         71000041,  # a count of messages of 401 digits
     ],
 )

@@ -42,23 +42,23 @@ def _tree(out):
     return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
 
 
-def test_every_log_has_its_row_and_the_worst_kind_is_the_exit_code(tmp_path, mixed, robot, bodylog):
-    assert bodylog("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 2) == 65
+def test_every_log_has_its_row_and_the_worst_kind_is_the_exit_code(tmp_path, mixed, robot, run_cli):
+    assert run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 2) == 65
     codes = {name: row["exit_code"] for name, row in _rows(tmp_path).items()}
     assert codes == {"good.mcap": 0, "truncated.mcap": 3, "empty.mcap": 65, "noise.bag": 65}
     assert (tmp_path / "good.mcap" / "report.html").exists()
     assert not (tmp_path / "empty.mcap" / "annotated.mcap").exists()
 
 
-def test_junit_counts_failures_and_errors(tmp_path, mixed, robot, bodylog):
-    bodylog("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
+def test_junit_counts_failures_and_errors(tmp_path, mixed, robot, run_cli):
+    run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
     suite = ET.parse(tmp_path / "junit.xml").getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "2")
 
 
-def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot, bodylog):
+def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot, run_cli):
     junitparser = pytest.importorskip("junitparser")
-    bodylog("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
+    run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
     suite = next(iter(junitparser.JUnitXml.fromfile(str(tmp_path / "junit.xml"))))
     kinds = {case.name: [type(result).__name__ for result in case.result] for case in suite}
     broken, unusable = ["Failure"], ["Error"]
@@ -70,14 +70,14 @@ def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot,
 
 
 @pytest.mark.parametrize("problem", [WriteError("o: No space left on device"), OSError(errno.ENOSPC, "No space left")])
-def test_a_full_disk_is_a_row_and_the_exit_code(tmp_path, monkeypatch, robot, bodylog, problem):
+def test_a_full_disk_is_a_row_and_the_exit_code(tmp_path, monkeypatch, robot, run_cli, problem):
     def full(*_, **__):
         raise problem
 
     monkeypatch.setattr("bodylog.pipeline.estimate", full)
     out = tmp_path / "out"
     typed = ("batch", robot / "reach.mcap", "-o", out, "--body", robot / "body.npz", "--jobs", 1)
-    assert bodylog(*typed) == 74
+    assert run_cli(*typed) == 74
     (row,) = _rows(out).values()
     assert (row["exit_code"], row["status"]) == (74, "not written") and "No space left" in row["error"]
     assert 'errors="1"' in (out / "junit.xml").read_text()
@@ -90,58 +90,58 @@ def test_what_xml_cannot_hold_is_replaced():
     assert tree.find(".//error").get("message") == "bad \ufffd[0m & worse"
 
 
-def test_a_log_whose_name_is_no_text_has_its_row_and_is_resumed(tmp_path, robot, bodylog):
+def test_a_log_whose_name_is_no_text_has_its_row_and_is_resumed(tmp_path, robot, run_cli):
     odd, out = tmp_path / os.fsdecode(b"bad\xff.mcap"), tmp_path / "out"
     shutil.copy(robot / "reach.mcap", odd)
     typed = ("batch", odd, tmp_path / "gone" / ".." / odd.name, "-o", out, "--body", robot / "body.npz")
     (tmp_path / "gone").mkdir()
-    assert bodylog(*typed) == 0
+    assert run_cli(*typed) == 0
     before = {path: path.stat().st_mtime_ns for path in out.rglob("annotated.mcap")}
     assert len(before) == 2 and {row["log"] for row in _rows(out).values()} == {str(log) for log in typed[1:3]}
-    assert bodylog(*typed, "--resume") == 0
+    assert run_cli(*typed, "--resume") == 0
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
 
-def test_what_a_batch_left_among_the_logs_is_none_of_them(tmp_path, capsys, robot, bodylog):
+def test_what_a_batch_left_among_the_logs_is_none_of_them(tmp_path, capsys, robot, run_cli):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     body, found = ("--body", robot / "body.npz"), []
     for where in (tmp_path, tmp_path, f"{tmp_path}/**/*.mcap"):
-        assert bodylog("batch", where, "-o", tmp_path / "out", *body) == 0
+        assert run_cli("batch", where, "-o", tmp_path / "out", *body) == 0
         found.append(list(_rows(tmp_path / "out")))
     assert found == [["reach.mcap"]] * 3
-    assert bodylog("batch", tmp_path / "out" / "reach.mcap" / "annotated.mcap", "-o", tmp_path / "more", *body) == 0
+    assert run_cli("batch", tmp_path / "out" / "reach.mcap" / "annotated.mcap", "-o", tmp_path / "more", *body) == 0
     before = _tree(tmp_path)
     for out, code in ((tmp_path, 2), (tmp_path / "reach.mcap", 73)):
         capsys.readouterr()
-        assert bodylog("batch", tmp_path / "reach.mcap", "-o", out, *body) == code
+        assert run_cli("batch", tmp_path / "reach.mcap", "-o", out, *body) == code
         assert f"{tmp_path / 'reach.mcap'}" in capsys.readouterr().err
     assert _tree(tmp_path) == before
 
 
-def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_path, mixed, robot, bodylog):
+def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_path, mixed, robot, run_cli):
     whole, resumed = tmp_path / "whole", tmp_path / "resumed"
     for out in (whole, resumed):
-        bodylog("batch", mixed, "-o", out, "--body", robot / "body.npz")
+        run_cli("batch", mixed, "-o", out, "--body", robot / "body.npz")
     kept = (resumed / "good.mcap" / "annotated.mcap").stat().st_mtime_ns
     (resumed / "truncated.mcap" / "annotated.mcap").write_bytes(b"half")
     (resumed / "results.jsonl").unlink()
-    bodylog("batch", mixed, "-o", resumed, "--body", robot / "body.npz", "--resume")
+    run_cli("batch", mixed, "-o", resumed, "--body", robot / "body.npz", "--resume")
     assert _tree(resumed) == _tree(whole)
     assert (resumed / "good.mcap" / "annotated.mcap").stat().st_mtime_ns == kept
 
 
-def test_killed_at_any_instant_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, bodylog):
-    _killed_and_resumed(tmp_path, mixed, robot, bodylog, (0.3, 1.0, 1.7))
+def test_killed_at_any_instant_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
+    _killed_and_resumed(tmp_path, mixed, robot, run_cli, (0.3, 1.0, 1.7))
 
 
 @pytest.mark.soak
-def test_killed_at_twenty_instants_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, bodylog):
-    _killed_and_resumed(tmp_path, mixed, robot, bodylog, [0.2 + 0.2 * k for k in range(20)])
+def test_killed_at_twenty_instants_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
+    _killed_and_resumed(tmp_path, mixed, robot, run_cli, [0.2 + 0.2 * k for k in range(20)])
 
 
-def _killed_and_resumed(tmp_path, mixed, robot, bodylog, instants):
+def _killed_and_resumed(tmp_path, mixed, robot, run_cli, instants):
     typed = ["batch", str(mixed), "--body", str(robot / "body.npz"), "--jobs", "2", "--resume", "-o"]
-    bodylog(*typed, tmp_path / "whole")
+    run_cli(*typed, tmp_path / "whole")
     whole = _tree(tmp_path / "whole")
     for instant in instants:
         out = tmp_path / f"killed{instant:.1f}"
@@ -150,7 +150,7 @@ def _killed_and_resumed(tmp_path, mixed, robot, bodylog, instants):
         time.sleep(instant)
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-        bodylog(*typed, out)
+        run_cli(*typed, out)
         assert _tree(out) == whole
 
 
@@ -210,26 +210,26 @@ def test_nothing_to_do_is_said(tmp_path, logs, shard, said):
         (("--body", "none.npz"), 65, "none.npz: there is no such body model"),
     ],
 )
-def test_what_no_log_can_help_is_refused_before_the_first(tmp_path, capsys, robot, bodylog, typed, code, said):
+def test_what_no_log_can_help_is_refused_before_the_first(tmp_path, capsys, robot, run_cli, typed, code, said):
     body = () if "--body" in typed else ("--body", robot / "body.npz")
     capsys.readouterr()
-    assert bodylog("batch", robot / "reach.mcap", "-o", tmp_path / "out", *body, *typed) == code
+    assert run_cli("batch", robot / "reach.mcap", "-o", tmp_path / "out", *body, *typed) == code
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and said in told
     assert not list((tmp_path / "out").glob("*")), told
 
 
-def test_a_training_log_that_is_not_there_is_said(tmp_path, capsys, robot, bodylog):
-    assert bodylog("batch", robot / "reach.mcap", "-o", tmp_path, "--train", tmp_path / "none.mcap") == 65
+def test_a_training_log_that_is_not_there_is_said(tmp_path, capsys, robot, run_cli):
+    assert run_cli("batch", robot / "reach.mcap", "-o", tmp_path, "--train", tmp_path / "none.mcap") == 65
     said = f"{tmp_path}/none.mcap: there is no such file or folder; check the name"
     assert capsys.readouterr().err == f"bodylog: {said}\n"
 
 
-def test_no_more_workers_are_started_than_there_are_logs(tmp_path, monkeypatch, robot, bodylog):
+def test_no_more_workers_are_started_than_there_are_logs(tmp_path, monkeypatch, robot, run_cli):
     from bodylog.batch import local
 
     asked = []
     monkeypatch.setattr(local, "run", lambda jobs, workers, *_: asked.append((len(jobs), workers)) or [])
     logs = robot / "reach.mcap", robot / "explore.mcap"
-    bodylog("batch", *logs, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 64)
+    run_cli("batch", *logs, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 64)
     assert asked == [(2, 2)]

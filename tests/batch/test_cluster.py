@@ -30,8 +30,8 @@ def _results(out):
     return (out / "results.jsonl").read_bytes()
 
 
-def test_a_scheduler_gives_the_same_bytes_as_the_pool(tmp_path, logs, robot, bodylog):
-    assert bodylog("batch", logs, "-o", tmp_path / "pool", "--body", robot / "body.npz") == 0
+def test_a_scheduler_gives_the_same_bytes_as_the_pool(tmp_path, logs, robot, run_cli):
+    assert run_cli("batch", logs, "-o", tmp_path / "pool", "--body", robot / "body.npz") == 0
     process = _start(logs, robot, tmp_path / "dask", "--scheduler", "local", "--jobs", "2")
     _, said = process.communicate(timeout=120)
     assert process.returncode == 0, said
@@ -39,7 +39,7 @@ def test_a_scheduler_gives_the_same_bytes_as_the_pool(tmp_path, logs, robot, bod
 
 
 @pytest.mark.soak
-def test_a_killed_workers_log_is_done_by_another(tmp_path, logs, robot, bodylog):
+def test_a_killed_workers_log_is_done_by_another(tmp_path, logs, robot, run_cli):
     address = tmp_path / "scheduler.json"
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard", "--port", "0"]
     scheduler = subprocess.Popen([*dask, "--scheduler-file", address], stderr=subprocess.DEVNULL)
@@ -58,7 +58,7 @@ def test_a_killed_workers_log_is_done_by_another(tmp_path, logs, robot, bodylog)
         for started in [*workers, scheduler]:
             started.kill()
             started.wait()
-    assert bodylog("batch", logs, "-o", tmp_path / "pool", "--body", robot / "body.npz") == 0
+    assert run_cli("batch", logs, "-o", tmp_path / "pool", "--body", robot / "body.npz") == 0
     assert _results(tmp_path / "out") == _results(tmp_path / "pool")
 
 

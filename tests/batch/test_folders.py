@@ -27,41 +27,41 @@ def _rosbag2(folder):
     return folder
 
 
-def _refused(capsys, bodylog, folder, *typed):
+def _refused(capsys, run_cli, folder, *typed):
     before = _tree(folder)
     capsys.readouterr()
-    assert bodylog("batch", *typed) == 2
+    assert run_cli("batch", *typed) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and _tree(folder) == before
     return said
 
 
-def test_a_log_never_lies_in_the_folder_of_its_own_results(tmp_path, capsys, bodylog, robot):
+def test_a_log_never_lies_in_the_folder_of_its_own_results(tmp_path, capsys, run_cli, robot):
     run = _rosbag2(tmp_path / "runs" / "run1")
-    said = _refused(capsys, bodylog, tmp_path, run, "--body", robot / "body.npz", "-o", run.parent)
+    said = _refused(capsys, run_cli, tmp_path, run, "--body", robot / "body.npz", "-o", run.parent)
     assert f"holds an input ({run})" in said
 
 
-def test_a_folder_that_no_batch_made_is_not_written_into(tmp_path, capsys, bodylog, robot):
+def test_a_folder_that_no_batch_made_is_not_written_into(tmp_path, capsys, run_cli, robot):
     theirs = _rosbag2(tmp_path / "out" / "reach.mcap")
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out")
-    assert f"{theirs}: no batch made this folder" in _refused(capsys, bodylog, tmp_path, *typed)
+    assert f"{theirs}: no batch made this folder" in _refused(capsys, run_cli, tmp_path, *typed)
     shutil.rmtree(theirs)
     theirs.symlink_to(_rosbag2(tmp_path / "elsewhere"))
-    assert f"{theirs}: no batch made this folder" in _refused(capsys, bodylog, tmp_path, *typed)
+    assert f"{theirs}: no batch made this folder" in _refused(capsys, run_cli, tmp_path, *typed)
 
 
 @pytest.mark.parametrize("name", ["results.jsonl", "junit.xml", "summary.html"])
-def test_a_summary_that_no_batch_left_is_not_replaced(tmp_path, capsys, bodylog, robot, name):
+def test_a_summary_that_no_batch_left_is_not_replaced(tmp_path, capsys, run_cli, robot, name):
     (tmp_path / name).write_text("<testsuites name='of other tests'/>")
-    said = _refused(capsys, bodylog, tmp_path, robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path)
+    said = _refused(capsys, run_cli, tmp_path, robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path)
     assert f"{tmp_path / name}: no batch left this" in said
 
 
 @pytest.mark.parametrize("name", ["body.npz", "body.json"])
-def test_a_body_that_no_batch_learned_is_not_replaced(tmp_path, capsys, bodylog, robot, name):
+def test_a_body_that_no_batch_learned_is_not_replaced(tmp_path, capsys, run_cli, robot, name):
     (tmp_path / name).write_bytes(b"the user's")
-    said = _refused(capsys, bodylog, tmp_path, robot / "reach.mcap", "--train", robot / "explore.mcap", "-o", tmp_path)
+    said = _refused(capsys, run_cli, tmp_path, robot / "reach.mcap", "--train", robot / "explore.mcap", "-o", tmp_path)
     assert f"{tmp_path / name}: no batch l" in said and "--train would replace it" in said
 
 
@@ -78,10 +78,10 @@ def test_a_body_is_replaced_that_a_batch_learned_or_was_learning_when_it_was_kil
             resume.check_replaceable(body)
 
 
-def test_results_of_earlier_versions_are_resumed_and_their_damage_is_undone(tmp_path, bodylog, robot):
+def test_results_of_earlier_versions_are_resumed_and_their_damage_is_undone(tmp_path, run_cli, robot):
     """They marked a folder with a lock alone, now and then a recording; its log is found again."""
     out, typed = tmp_path / "out", ("batch", robot / "reach.mcap", "--body", robot / "body.npz", "--resume", "-o")
-    assert bodylog(*typed, out) == 0
+    assert run_cli(*typed, out) == 0
     whole, result = _tree(out), out / "reach.mcap"
     (out / folders.BATCH).unlink()
     (result / folders.RESULT).rename(result / ".lock")
@@ -90,7 +90,7 @@ def test_results_of_earlier_versions_are_resumed_and_their_damage_is_undone(tmp_
     (result / "row.json").write_text(json.dumps(row, sort_keys=True))
     kept = (result / "annotated.mcap").stat().st_mtime_ns
     assert list(find(str(tmp_path / "out"))) == []
-    assert bodylog(*typed, out) == 0
+    assert run_cli(*typed, out) == 0
     assert _tree(out) == whole and (result / "annotated.mcap").stat().st_mtime_ns == kept
     run = _rosbag2(tmp_path / "runs" / "run1")
     for name in (".lock", "row.json", "annotated.mcap", "report.html"):
@@ -98,13 +98,13 @@ def test_results_of_earlier_versions_are_resumed_and_their_damage_is_undone(tmp_
     assert list(find(str(tmp_path / "runs"))) == [str(run)]
 
 
-def test_logs_in_a_folder_with_results_are_still_found(tmp_path, bodylog, robot):
+def test_logs_in_a_folder_with_results_are_still_found(tmp_path, run_cli, robot):
     """The folder given with -o may hold other things, which stay."""
     (tmp_path / "later").mkdir()
     shutil.copy(robot / "reach.mcap", tmp_path / "later" / "b.mcap")
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "reach.mcap").mkdir()
-    assert bodylog("batch", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path) == 0
+    assert run_cli("batch", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path) == 0
     assert named([str(tmp_path)]) == {"b.mcap": str(tmp_path / "later" / "b.mcap")}
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
@@ -128,14 +128,14 @@ bodylog_cli.main()
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory, robot, bodylog):
+def runs(tmp_path_factory, robot, run_cli):
     """Logs good and bad, and what one batch over all of them leaves."""
     folder = tmp_path_factory.mktemp("runs")
     (folder / "logs").mkdir()
     shutil.copy(robot / "reach.mcap", folder / "logs" / "c.mcap")
     for name in "abde":
         (folder / "logs" / f"{name}.mcap").write_bytes(b"no log")
-    assert bodylog("batch", folder / "logs", "--body", robot / "body.npz", "-o", folder / "whole") == 65
+    assert run_cli("batch", folder / "logs", "--body", robot / "body.npz", "-o", folder / "whole") == 65
     return folder
 
 
@@ -151,17 +151,17 @@ def _shard(runs, robot, out, how, part):
     return subprocess.Popen([sys.executable, "-c", LOCKLESS, how, *map(str, typed)], stderr=subprocess.DEVNULL)
 
 
-def test_shards_one_after_the_other_show_what_is_done_so_far(tmp_path, runs, robot, bodylog):
+def test_shards_one_after_the_other_show_what_is_done_so_far(tmp_path, runs, robot, run_cli):
     """Rows of other settings, which a later shard is to replace, are not shown meanwhile."""
     out, typed = tmp_path / "out", ("batch", runs / "logs", "--body", robot / "body.npz", "-o")
     bad = ("--fail-if", "joint_rmse>9")
     for part, names in (("1/3", "ad"), ("3/3", "cad")):
-        bodylog(*typed, out, "--shard", part, *(() if part == "3/3" else bad))
+        run_cli(*typed, out, "--shard", part, *(() if part == "3/3" else bad))
         if part == "1/3":
             assert _names(out) == [f"{name}.mcap" for name in names]
     assert _names(out) == ["c.mcap"]
     for part in ("1/3", "2/3"):
-        bodylog(*typed, out, "--shard", part)
+        run_cli(*typed, out, "--shard", part)
     assert _tree(out) == _tree(runs / "whole")
 
 

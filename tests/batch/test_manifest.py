@@ -57,7 +57,7 @@ def test_what_makes_no_sense_is_refused(tmp_path, text, said):
         load(_manifest(tmp_path, text), Settings())
 
 
-def test_groups_run_into_folders_of_their_own(tmp_path, robot, bodylog):
+def test_groups_run_into_folders_of_their_own(tmp_path, robot, run_cli):
     text = f"""
 [[group]]
 name = "arm"
@@ -65,7 +65,7 @@ body = "{robot / "body.npz"}"
 logs = ["{robot / "reach.mcap"}"]
 methods = ["laplace", "kalman"]
 """
-    assert bodylog("batch", _manifest(tmp_path, text), "-o", tmp_path / "out") == 0
+    assert run_cli("batch", _manifest(tmp_path, text), "-o", tmp_path / "out") == 0
     assert (tmp_path / "out" / "arm-kalman" / "reach.mcap" / "report.html").exists()
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == 2
 

@@ -33,9 +33,9 @@ _JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 _CHILD = """
 import re, sys
 from pathlib import Path
-from bodylog.logs.annotate import annotate
-from bodylog.logs.ingest import ingest
-from bodylog.logs.recording import read
+from bodylog.annotating.annotate import annotate
+from bodylog.recording.tidy import ingest
+from bodylog.recording.recording import read
 from bodylog.settings import Settings
 from tests.benchmarks.bench_annotate import estimate
 what, log, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])

@@ -229,33 +229,33 @@ def test_the_plain_body_is_a_process_still(plain):
     assert type(plain.model.senses["effector"]) is GP
 
 
-def test_offsets_are_printed_and_written(learned, plain, tmp_path, bodylog, capsys):
+def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, capsys):
     import json
 
     files.save(learned.model, tmp_path / "body.npz")
     files.save(plain.model, tmp_path / "plain.npz")
     (tmp_path / "arm.urdf").write_text(ARM)
-    assert bodylog("offsets", tmp_path / "body.npz", "--json", "-o", tmp_path / "zeros.yaml") == 0
+    assert run_cli("offsets", tmp_path / "body.npz", "--json", "-o", tmp_path / "zeros.yaml") == 0
     said = json.loads(capsys.readouterr().out)["offsets"]
     assert said["pan"]["value"] is None and not said["pan"]["identifiable"] and said["pan"]["confused_with"]
     assert abs(said["lift"]["value"] - OFFSETS["lift"]) < 3 * said["lift"]["std"]
     lines = (tmp_path / "zeros.yaml").read_text().splitlines()
     assert lines[0] == "offsets:" and json.loads(lines[2].partition(": ")[2]) == said["lift"]
     typed = ("offsets", tmp_path / "body.npz", "-o", tmp_path / "new.urdf")
-    assert bodylog(*typed) == 2 and bodylog(*typed, "--urdf", tmp_path / "arm.urdf") == 0
+    assert run_cli(*typed) == 2 and run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
     again = learn([features()], Settings(), plain, given((tmp_path / "new.urdf").read_text()))
     for score in again.scores:
         if score.name.startswith("offset."):
             std = next(s.value for s in again.scores if s.name == score.name.replace("offset.", "offset_std."))
             assert abs(score.value) < 2 * std
-    assert bodylog("info", tmp_path / "body.npz") == 0
+    assert run_cli("info", tmp_path / "body.npz") == 0
     told = capsys.readouterr().out
     assert "effector (u, v): camera on base, marker on hand; " in told
     assert "  offset pan: not identifiable: camera's turn" in told and "  offset lift: +" in told and " rad)" in told
-    assert bodylog("plot", tmp_path / "body.npz", "-o", tmp_path / "body.png") == 0
-    assert bodylog("plot", tmp_path / "plain.npz", "-o", tmp_path / "plain.png") == 0
+    assert run_cli("plot", tmp_path / "body.npz", "-o", tmp_path / "body.png") == 0
+    assert run_cli("plot", tmp_path / "plain.npz", "-o", tmp_path / "plain.png") == 0
     sizes = [int.from_bytes((tmp_path / name).read_bytes()[20:24]) for name in ("body.png", "plain.png")]
     assert sizes[0] > 1.5 * sizes[1]  # the reprojection and the zeros stand below
     capsys.readouterr()
-    assert bodylog("offsets", tmp_path / "plain.npz") == 65
+    assert run_cli("offsets", tmp_path / "plain.npz") == 65
     assert "type: bodylog fit LOG --urdf" in capsys.readouterr().err

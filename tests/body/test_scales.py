@@ -43,17 +43,17 @@ def test_the_scale_is_found_with_its_uncertainty_and_said(learned):
     assert all(abs(one.value) < 2 * one.std for one in told.values() if one.identifiable and one is not lift)
 
 
-def test_it_is_printed_and_written(learned, bodylog, capsys):
+def test_it_is_printed_and_written(learned, run_cli, capsys):
     folder, _ = learned
     for name in ("zeros.yaml", "zeros.json"):
-        assert bodylog("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
+        assert run_cli("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
         said = json.loads(capsys.readouterr().out)
         assert YAML(typ="safe").load((folder / name).read_text()) == {key: said[key] for key in ("offsets", "scales")}
         assert said["scales"]["lift"]["unit"] == "1" and said["scales"]["lift"]["identifiable"]
-    assert bodylog("offsets", folder / "body.npz", "-o", folder / "new.urdf", "--urdf", folder / "arm.urdf") == 0
+    assert run_cli("offsets", folder / "body.npz", "-o", folder / "new.urdf", "--urdf", folder / "arm.urdf") == 0
     both = capsys.readouterr()
     assert "lift   scale +" in both.out and "holds the zeros alone" in both.err
-    assert bodylog("info", folder / "body.npz") == 0
+    assert run_cli("info", folder / "body.npz") == 0
     assert "scale lift: +" in capsys.readouterr().out
 
 
@@ -88,11 +88,11 @@ def test_learning_on_begins_with_it(learned):
     assert np.array_equal(theta, sense.theta) and len(rig.prior[0]) == len(theta)
 
 
-def test_without_a_doubt_scales_are_taken_to_be_right(learned, bodylog, capsys):
+def test_without_a_doubt_scales_are_taken_to_be_right(learned, run_cli, capsys):
     folder, _ = learned
     (folder / "robot.toml").write_text("[kinematics]\nscale_prior = 0.5\n")
     typed = ("fit", folder / "poses.csv", "-o", folder / "no.npz", "--config", folder / "robot.toml")
-    assert bodylog(*typed) == 2 and "0 to 0.3" in capsys.readouterr().err
+    assert run_cli(*typed) == 2 and "0 to 0.3" in capsys.readouterr().err
     plain = body.learn([features(30)], Settings(), {}).model
     with pytest.raises(ModelError, match="without a URDF"):
         offsets.scaled(plain)

@@ -103,11 +103,11 @@ def test_a_kernel_without_amplitude_has_an_inducing_point():
     assert len(inducing([Hyper(np.ones(3), 1e-9, 1.0)], x, 1.0)) == 1
 
 
-def test_a_table_of_few_poses_is_refused(tmp_path, bodylog, capsys):
+def test_a_table_of_few_poses_is_refused(tmp_path, run_cli, capsys):
     draw = np.random.default_rng(0)
     rows = [f"{a},{b},{c},{d}" for a, b, c, d in draw.normal(size=(5, 4)).tolist()]
     (tmp_path / "poses.csv").write_text("\n".join(["pan,lift,tip_u,tip_v", *rows]) + "\n")
-    assert bodylog("fit", tmp_path / "poses.csv", "-o", tmp_path / "body.npz") == 65
+    assert run_cli("fit", tmp_path / "poses.csv", "-o", tmp_path / "body.npz") == 65
     said = capsys.readouterr().err
     assert "tip: only 5 sightings while joints were heard, 8 are needed" in said and "seen in 5 of 5 images" in said
     assert not (tmp_path / "body.npz").exists()

@@ -56,7 +56,7 @@ def test_a_log_that_cannot_score_is_refused(explored, learned):
         score(learned, [run, replace(run, joints=joints)])
 
 
-def test_fit_scores_the_body_on_the_tables_given(tmp_path, bodylog, capsys):
+def test_fit_scores_the_body_on_the_tables_given(tmp_path, run_cli, capsys):
     draw = np.random.default_rng(0)
     for name, count in {"train": 60, "test": 30}.items():
         q = draw.uniform(-0.5, 0.5, (count, 2))
@@ -65,9 +65,9 @@ def test_fit_scores_the_body_on_the_tables_given(tmp_path, bodylog, capsys):
         rows = [",".join(map(str, row)) for row in np.hstack([q, tip]).tolist()]
         (tmp_path / f"{name}.csv").write_text("\n".join(["pan,lift,tip_u,tip_v", *rows]) + "\n")
     train, test, out = (tmp_path / name for name in ("train.csv", "test.csv", "body.npz"))
-    assert bodylog("fit", train, "--test", test, "-o", out, "--json") == 0
+    assert run_cli("fit", train, "--test", test, "-o", out, "--json") == 0
     found = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
     assert {f"test_{name}/tip" for name in NAMES} <= set(found)
     assert found["test_rmse/tip"] < 0.8 and 0.6 < found["test_standardised/tip"] < 1.6
-    assert bodylog("fit", train, "--test", test, "-o", test) == 2  # a log is never overwritten
-    assert bodylog("fit", train, "--test", tmp_path / "none.csv", "-o", out) == 65
+    assert run_cli("fit", train, "--test", test, "-o", test) == 2  # a log is never overwritten
+    assert run_cli("fit", train, "--test", tmp_path / "none.csv", "-o", out) == 65

@@ -21,18 +21,18 @@ def made(tmp_path, arm):
     return make
 
 
-def _estimated(capsys, bodylog, log, body, out, *typed):
+def _estimated(capsys, run_cli, log, body, out, *typed):
     capsys.readouterr()
-    assert bodylog("estimate", log, "--body", body, "-o", out, "--json", *typed) == 0
+    assert run_cli("estimate", log, "--body", body, "-o", out, "--json", *typed) == 0
     result = json.loads(capsys.readouterr().out)
     return result, {score["name"]: score["value"] for score in result["scores"]}
 
 
-def _refused(capsys, bodylog, log, body, out, *typed):
+def _refused(capsys, run_cli, log, body, out, *typed):
     """The one line said by an estimate that ends with 65 and leaves nothing."""
     capsys.readouterr()
     before = sorted(out.parent.iterdir())
-    assert bodylog("estimate", log, "--body", body, "-o", out, *typed) == 65
+    assert run_cli("estimate", log, "--body", body, "-o", out, *typed) == 65
     said = capsys.readouterr().err.strip()
     assert "\n" not in said and said.startswith(f"bodylog: {log}: ")
     assert sorted(out.parent.iterdir()) == before
@@ -45,12 +45,12 @@ def _nothing(count, message):
 
 @PLACES
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_readings_that_are_no_numbers_are_passed_over(tmp_path, capsys, bodylog, arm_body, made, log, value):
+def test_readings_that_are_no_numbers_are_passed_over(tmp_path, capsys, run_cli, arm_body, made, log, value):
     def change(count, message):
         message.position[0] = value if 20 <= count < 30 else message.position[0]
         return True
 
-    result, scores = _estimated(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    result, scores = _estimated(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     assert not result["faults"]
     assert scores["joint_rmse"] < 0.012 < 0.018 < scores["encoder_rmse"] < 0.022
 
@@ -63,12 +63,12 @@ def _said_of_time(result):
 
 @PLACES
 @pytest.mark.parametrize("seconds", [1.0, 1.003])
-def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, bodylog, arm_body, made, log, seconds):
+def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, run_cli, arm_body, made, log, seconds):
     def change(count, message):
         later(message, -seconds if 60 <= count < 70 else 0.0)
         return True
 
-    result, scores = _estimated(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    result, scores = _estimated(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     assert "10 of 150 messages, 1.200 to 1.380 s after its first" in _said_of_time(result)
     assert any("rejected 10 (time runs backwards) of 150" in one["text"] for one in result["findings"])
     assert scores["used/encoders"] == 140 and scores["joint_rmse"] < scores["encoder_rmse"]
@@ -77,80 +77,80 @@ def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, bodylog,
 
 @PLACES
 @pytest.mark.parametrize("wrong", ["reversed", "half"])
-def test_a_clock_that_runs_backwards_is_named_and_not_used(tmp_path, capsys, bodylog, arm_body, made, log, wrong):
+def test_a_clock_that_runs_backwards_is_named_and_not_used(tmp_path, capsys, run_cli, arm_body, made, log, wrong):
     def change(count, message):
         later(message, -2.0 * (count >= 150) if wrong == "half" else -0.04 * count)
         return True
 
-    result, scores = _estimated(capsys, bodylog, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
+    result, scores = _estimated(capsys, run_cli, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
     assert "log time is used instead" in _said_of_time(result)
     assert scores["used/encoders"] == 300 and scores["joint_rmse"] < 0.6 * scores["encoder_rmse"]
     assert not result["faults"]
 
 
 @PLACES
-def test_joints_of_another_robot_are_named_beside_the_bodys(tmp_path, capsys, bodylog, arm_body, made, log):
+def test_joints_of_another_robot_are_named_beside_the_bodys(tmp_path, capsys, run_cli, arm_body, made, log):
     def change(count, message):
         message.name = [f"other_{name}" for name in message.name]
         return True
 
-    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     for name in ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"):
         assert f" {name}" in said and f"other_{name}" in said
 
 
 @PLACES
-def test_one_joint_of_the_body_that_is_absent_is_named(tmp_path, capsys, bodylog, arm_body, made, log):
+def test_one_joint_of_the_body_that_is_absent_is_named(tmp_path, capsys, run_cli, arm_body, made, log):
     def change(count, message):
         message.name = ["wrist_9_joint" if name == "elbow_joint" else name for name in message.name]
         return True
 
-    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     assert ": elbow_joint missing;" in said and "wrist_9_joint" in said
 
 
 @PLACES
 @pytest.mark.parametrize("spoken", ["nothing", "no numbers", "one joint no numbers"])
-def test_encoders_that_never_say_a_number_are_refused(tmp_path, capsys, bodylog, arm_body, made, log, spoken):
+def test_encoders_that_never_say_a_number_are_refused(tmp_path, capsys, run_cli, arm_body, made, log, spoken):
     def change(count, message):
         message.position[: 1 if spoken.startswith("one") else None] = np.nan
         return spoken != "nothing"
 
-    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     assert "joints: " in said
 
 
 @PLACES
-def test_encoders_of_fewer_positions_than_names_are_refused_with_why(tmp_path, capsys, bodylog, arm_body, made, log):
+def test_encoders_of_fewer_positions_than_names_are_refused_with_why(tmp_path, capsys, run_cli, arm_body, made, log):
     def change(count, message):
         message.position = message.position[:4]
         return True
 
-    said = _refused(capsys, bodylog, made(log, change), arm_body, tmp_path / "out.mcap")
+    said = _refused(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     assert "/joint_states was considered, but has no usable message: 150 (4 positions for 6 names)" in said
 
 
 @PLACES
 @pytest.mark.parametrize("sense", ["vision", "touch"])
 def test_a_named_sense_without_an_observation_is_refused_by_name(
-    tmp_path, capsys, bodylog, arm_body, made, log, sense
+    tmp_path, capsys, run_cli, arm_body, made, log, sense
 ):
     blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
-    said = _refused(capsys, bodylog, blind, arm_body, tmp_path / "out.mcap", "--with", f"encoders,{sense}")
+    said = _refused(capsys, run_cli, blind, arm_body, tmp_path / "out.mcap", "--with", f"encoders,{sense}")
     assert sense in said
 
 
 @PLACES
-def test_senses_nobody_named_may_be_absent(tmp_path, capsys, bodylog, arm_body, made, log):
+def test_senses_nobody_named_may_be_absent(tmp_path, capsys, run_cli, arm_body, made, log):
     blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
-    _, scores = _estimated(capsys, bodylog, blind, arm_body, tmp_path / "out.mcap")
+    _, scores = _estimated(capsys, run_cli, blind, arm_body, tmp_path / "out.mcap")
     assert scores["used/encoders"] == 150 and "error_squared/effector" not in scores
     assert scores["joint_rmse"] < scores["encoder_rmse"]
 
 
 @PLACES
 @pytest.mark.parametrize("what", ["frozen", "dead", "jumping"])
-def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, bodylog, arm_body, made, log, what):
+def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, run_cli, arm_body, made, log, what):
     held = {}
 
     def change(count, message):
@@ -162,7 +162,7 @@ def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, bo
             message.position[at] = lie[what]
         return True
 
-    result, scores = _estimated(capsys, bodylog, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
+    result, scores = _estimated(capsys, run_cli, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
     (fault,) = result["faults"]
     assert (fault["name"], fault["kind"]) == ("shoulder_pan_joint", what)
     assert fault["since"] == pytest.approx(3.0, abs=0.05)
@@ -170,22 +170,22 @@ def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, bo
     assert scores["joint_rmse/shoulder_pan_joint"] < 0.012
 
 
-def test_a_log_cut_before_anything_can_be_read_is_named_with_what_is_lost(tmp_path, capsys, bodylog, arm, arm_body):
+def test_a_log_cut_before_anything_can_be_read_is_named_with_what_is_lost(tmp_path, capsys, run_cli, arm, arm_body):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((arm / "reach.mcap").read_bytes()[:20_000])
-    said = _refused(capsys, bodylog, cut, arm_body, tmp_path / "out.mcap")
+    said = _refused(capsys, run_cli, cut, arm_body, tmp_path / "out.mcap")
     assert "no sense has anything to say" in said and "from byte 36 19964 bytes" in said
 
 
-def test_a_log_cut_inside_its_only_chunk_is_read_up_to_there(tmp_path, capsys, bodylog, arm, arm_body):
+def test_a_log_cut_inside_its_only_chunk_is_read_up_to_there(tmp_path, capsys, run_cli, arm, arm_body):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes((arm / "reach.mcap").read_bytes()[:300_000])
     capsys.readouterr()
-    assert bodylog("estimate", cut, "--body", arm_body, "-o", tmp_path / "out.mcap", "--json") == 3
+    assert run_cli("estimate", cut, "--body", arm_body, "-o", tmp_path / "out.mcap", "--json") == 3
     result = json.loads(capsys.readouterr().out)
     (lost,) = [finding["text"] for finding in result["findings"] if finding["severity"] == "lost"]
     assert "from byte 36 " in lost and "4.501 s lost: the file ends in this chunk, after 299964 bytes, which" in lost
     scores = {score["name"]: score["value"] for score in result["scores"]}
     assert scores["used/encoders"] == 134 and scores["used/effector"] > 28
     assert scores["joint_rmse"] < 0.6 * scores["encoder_rmse"]
-    assert bodylog("info", cut, "--strict") == 65
+    assert run_cli("info", cut, "--strict") == 65

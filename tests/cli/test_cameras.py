@@ -9,44 +9,44 @@ BOTH = '[topics]\ncamera = ["/camera/image/compressed", "/side/image/compressed"
 
 
 @pytest.fixture(scope="module")
-def watched(tmp_path_factory, bodylog):
+def watched(tmp_path_factory, run_cli):
     """A folder with explore.mcap and reach.mcap of two cameras, both.toml, and a body of one camera and of both."""
     folder = tmp_path_factory.mktemp("watched")
     (folder / "both.toml").write_text(BOTH)
     for scenario, name, seed, seconds in (("babble", "explore", 1, 20), ("reach", "reach", 11, 8)):
         where = ("-o", folder / f"{name}.mcap", "--size", "160x120", "--cameras", 2)
-        assert bodylog("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
-    assert bodylog("fit", folder / "explore.mcap", "-o", folder / "one.npz") == 0
+        assert run_cli("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
+    assert run_cli("fit", folder / "explore.mcap", "-o", folder / "one.npz") == 0
     typed = ("--config", folder / "both.toml")
-    assert bodylog("fit", folder / "explore.mcap", "-o", folder / "two.npz", *typed) == 0
+    assert run_cli("fit", folder / "explore.mcap", "-o", folder / "two.npz", *typed) == 0
     return folder
 
 
-def _said(capsys, bodylog, *arguments):
+def _said(capsys, run_cli, *arguments):
     capsys.readouterr()
-    assert bodylog(*arguments, "--json") == 0
+    assert run_cli(*arguments, "--json") == 0
     return json.loads(capsys.readouterr().out)
 
 
-def _estimated(capsys, bodylog, folder, body, out, *typed):
-    result = _said(capsys, bodylog, "estimate", folder / "reach.mcap", "--body", folder / body, "-o", out, *typed)
+def _estimated(capsys, run_cli, folder, body, out, *typed):
+    result = _said(capsys, run_cli, "estimate", folder / "reach.mcap", "--body", folder / body, "-o", out, *typed)
     return {score["name"]: score["value"] for score in result["scores"]}
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
-def test_two_cameras_know_more_than_one(tmp_path, capsys, bodylog, watched, method):
+def test_two_cameras_know_more_than_one(tmp_path, capsys, run_cli, watched, method):
     typed, both = ("--method", method), ("--config", watched / "both.toml")
-    one = _estimated(capsys, bodylog, watched, "one.npz", tmp_path / "1.mcap", *typed)
-    two = _estimated(capsys, bodylog, watched, "two.npz", tmp_path / "2.mcap", *typed, *both)
+    one = _estimated(capsys, run_cli, watched, "one.npz", tmp_path / "1.mcap", *typed)
+    two = _estimated(capsys, run_cli, watched, "two.npz", tmp_path / "2.mcap", *typed, *both)
     assert two["joint_rmse"] <= (1.02 if method == "predictive-coding" else 0.85) * one["joint_rmse"]
     if method == "laplace":
         assert 0.7 <= two["nees"] <= 1.6 and 0.5 <= two["error_squared/side/effector"] <= 1.5
 
 
-def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, bodylog, watched):
+def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, run_cli, watched):
     out = tmp_path / "out.mcap"
-    _estimated(capsys, bodylog, watched, "two.npz", out, "--config", watched / "both.toml")
-    (said,) = _said(capsys, bodylog, "info", out, "--config", watched / "both.toml")
+    _estimated(capsys, run_cli, watched, "two.npz", out, "--config", watched / "both.toml")
+    (said,) = _said(capsys, run_cli, "info", out, "--config", watched / "both.toml")
     counts = {topic["topic"]: topic["messages"] for topic in said["topics"]}
     assert said["roles"]["camera"] == "/camera/image/compressed"
     assert said["roles"]["camera/side"] == "/side/image/compressed"
@@ -56,46 +56,46 @@ def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, b
     assert counts["/bodylog/annotations"] == counts["/bodylog/annotations/side"] == 160
     assert "/bodylog/track/side/hand" not in counts
     again = tmp_path / "again.mcap"
-    assert bodylog("estimate", out, "--body", watched / "two.npz", "-o", again) == 0
-    first, second = (_said(capsys, bodylog, "evaluate", log) for log in (out, again))
+    assert run_cli("estimate", out, "--body", watched / "two.npz", "-o", again) == 0
+    first, second = (_said(capsys, run_cli, "evaluate", log) for log in (out, again))
     assert first["scores"] == second["scores"]
 
 
-def test_a_log_with_more_cameras_than_the_one_guessed_says_what_to_type(capsys, bodylog, watched):
-    (said,) = _said(capsys, bodylog, "info", watched / "reach.mcap")
+def test_a_log_with_more_cameras_than_the_one_guessed_says_what_to_type(capsys, run_cli, watched):
+    (said,) = _said(capsys, run_cli, "info", watched / "reach.mcap")
     assert said["roles"]["camera"] == "/camera/image/compressed" and "camera/side" not in said["roles"]
     (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
     assert text.endswith("type: " + BOTH.strip().replace("\n", " "))
 
 
-def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_path, capsys, bodylog, watched):
+def test_a_named_camera_that_shows_nothing_is_refused_with_what_was_seen(tmp_path, capsys, run_cli, watched):
     (tmp_path / "blind.toml").write_text(BOTH + '[colours]\neffector = "magenta"\n')
     for typed in (
         ("fit", watched / "explore.mcap", "-o", tmp_path / "body.npz"),
         ("estimate", watched / "reach.mcap", "--body", watched / "two.npz", "-o", tmp_path / "out.mcap"),
     ):
         capsys.readouterr()
-        assert bodylog(*typed, "--config", tmp_path / "blind.toml") == 65
+        assert run_cli(*typed, "--config", tmp_path / "blind.toml") == 65
         error = capsys.readouterr().err.strip()
         assert "\n" not in error and "effector: 'magenta' was never found in" in error and "seen: green" in error
 
 
-def test_the_page_and_the_layout_show_every_camera_the_log_was_told_of(tmp_path, capsys, bodylog, watched):
+def test_the_page_and_the_layout_show_every_camera_the_log_was_told_of(tmp_path, capsys, run_cli, watched):
     first, out, typed = tmp_path / "first.mcap", tmp_path / "out.mcap", ("--config", watched / "both.toml")
-    _estimated(capsys, bodylog, watched, "two.npz", first, *typed)
-    assert bodylog("estimate", first, "--body", watched / "two.npz", "-o", out) == 0
-    assert bodylog("report", out, "-o", tmp_path / "page.html") == 0
+    _estimated(capsys, run_cli, watched, "two.npz", first, *typed)
+    assert run_cli("estimate", first, "--body", watched / "two.npz", "-o", out) == 0
+    assert run_cli("report", out, "-o", tmp_path / "page.html") == 0
     page = (tmp_path / "page.html").read_text()
     assert "side/effector u, px" in page and page.count("<figcaption>side · ") == 6
-    assert bodylog("layout", out, "-o", tmp_path / "layout.json") == 0
+    assert run_cli("layout", out, "-o", tmp_path / "layout.json") == 0
     panels = json.loads((tmp_path / "layout.json").read_text())["configById"]
     assert panels["Image!side"]["imageMode"]["imageTopic"] == "/side/image/compressed"
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
-    (said,) = _said(capsys, bodylog, "info", out, "--config", tmp_path / "side.toml")
+    (said,) = _said(capsys, run_cli, "info", out, "--config", tmp_path / "side.toml")
     assert said["roles"]["camera"] == "/side/image/compressed" and "camera/side" not in said["roles"]
 
 
-def test_cameras_in_another_order_than_learned_are_refused(tmp_path, capsys, bodylog, watched):
+def test_cameras_in_another_order_than_learned_are_refused(tmp_path, capsys, run_cli, watched):
     (tmp_path / "swapped.toml").write_text(SWAPPED)
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
     reach, explore, two = watched / "reach.mcap", watched / "explore.mcap", watched / "two.npz"
@@ -105,36 +105,36 @@ def test_cameras_in_another_order_than_learned_are_refused(tmp_path, capsys, bod
         ("swapped.toml", "fit", explore, "--update", two, "-o", tmp_path / "body.npz"),
     ):
         capsys.readouterr()
-        assert bodylog(*typed, "--config", tmp_path / name) == 65, typed
+        assert run_cli(*typed, "--config", tmp_path / name) == 65, typed
         error = capsys.readouterr().err.strip().splitlines()[-1]
         assert "/side/image/compressed comes first here, /camera/image/compressed where the body was learned" in error
         assert "; type: " + BOTH.strip().replace("\n", " ") in error
     assert {path.suffix for path in tmp_path.iterdir()} == {".toml"}
 
 
-def test_a_camera_is_taken_for_the_body_s_of_another_name_unless_that_is_there(tmp_path, capsys, bodylog, watched):
+def test_a_camera_is_taken_for_the_body_s_of_another_name_unless_that_is_there(tmp_path, capsys, run_cli, watched):
     (tmp_path / "side.toml").write_text('[topics]\ncamera = "/side/image/compressed"\n')
     side, alone, typed = tmp_path / "side.npz", tmp_path / "alone.mcap", ("--config", tmp_path / "side.toml")
-    assert bodylog("fit", watched / "explore.mcap", "-o", side, *typed) == 0
-    (learned,) = _said(capsys, bodylog, "info", side)
+    assert run_cli("fit", watched / "explore.mcap", "-o", side, *typed) == 0
+    (learned,) = _said(capsys, run_cli, "info", side)
     assert learned["provenance"]["cameras"] == ["/side/image/compressed"]
-    assert bodylog("estimate", watched / "reach.mcap", "--body", side, "-o", tmp_path / "out.mcap") == 65
+    assert run_cli("estimate", watched / "reach.mcap", "--body", side, "-o", tmp_path / "out.mcap") == 65
     advice = '; type: [topics] camera = "/side/image/compressed", for the log as it was recorded'
     assert capsys.readouterr().err.strip().endswith(advice)
-    assert bodylog("ingest", watched / "reach.mcap", "-o", alone, *typed) == 0
-    said = _said(capsys, bodylog, "estimate", alone, "--body", side, "-o", tmp_path / "out.mcap")
+    assert run_cli("ingest", watched / "reach.mcap", "-o", alone, *typed) == 0
+    said = _said(capsys, run_cli, "estimate", alone, "--body", side, "-o", tmp_path / "out.mcap")
     (text,) = [f["text"] for f in said["findings"] if f["text"].startswith("camera: ")]
     assert text.endswith("/camera/image/compressed comes first here, /side/image/compressed where the body was learned")
 
 
-def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, bodylog, watched):
+def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, run_cli, watched):
     tidy = tmp_path / "tidy.mcap"
-    assert bodylog("ingest", watched / "reach.mcap", "-o", tidy, "--config", watched / "both.toml") == 0
-    (said,) = _said(capsys, bodylog, "info", tidy)
+    assert run_cli("ingest", watched / "reach.mcap", "-o", tidy, "--config", watched / "both.toml") == 0
+    (said,) = _said(capsys, run_cli, "info", tidy)
     counts = {topic["topic"]: topic["messages"] for topic in said["topics"] if "image" in topic["topic"]}
     assert counts == {"/camera/image/compressed": 160, "/side/image/compressed": 160}
     raw, again = (
-        _said(capsys, bodylog, "estimate", log, "--body", watched / "two.npz", "-o", tmp_path / "o.mcap",
+        _said(capsys, run_cli, "estimate", log, "--body", watched / "two.npz", "-o", tmp_path / "o.mcap",
               "--config", watched / "both.toml")
         for log in (watched / "reach.mcap", tidy)
     )  # fmt: skip
@@ -144,26 +144,26 @@ def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, bodylog, watched):
     swapped = tmp_path / "swapped.toml"
     swapped.write_text(SWAPPED)
     capsys.readouterr()
-    assert bodylog("ingest", watched / "reach.mcap", "-o", tmp_path / "s.mcap", "--config", swapped) == 65
+    assert run_cli("ingest", watched / "reach.mcap", "-o", tmp_path / "s.mcap", "--config", swapped) == 65
     assert "name /camera/image/compressed first" in capsys.readouterr().err and not (tmp_path / "s.mcap").exists()
 
 
-def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsys, bodylog, watched):
+def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsys, run_cli, watched):
     features, typed = tmp_path / "features.mcap", ("--config", watched / "both.toml")
-    assert bodylog("extract", watched / "reach.mcap", "-o", features, *typed) == 0
+    assert run_cli("extract", watched / "reach.mcap", "-o", features, *typed) == 0
     typed = (*typed, "--body", watched / "two.npz", "-o", tmp_path / "out.mcap")
-    whole, found = (_said(capsys, bodylog, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
+    whole, found = (_said(capsys, run_cli, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
     kept = [one for one in whole["scores"] if not one["name"].startswith(("effector_position", "effector_turn"))]
     assert "side/effector" in found["health"] and found["scores"] == kept  # features have no true poses beside them
 
 
-def test_a_head_that_turns_is_learned_and_estimated_as_a_joint(tmp_path, capsys, bodylog):
+def test_a_head_that_turns_is_learned_and_estimated_as_a_joint(tmp_path, capsys, run_cli):
     for scenario, name, seed, seconds in (("babble", "explore", 1, 25), ("reach", "reach", 11, 6)):
         where = ("-o", tmp_path / f"{name}.mcap", "--size", "160x120", "--turning")
-        assert bodylog("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
+        assert run_cli("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
     body = tmp_path / "body.npz"
-    learned = _said(capsys, bodylog, "fit", tmp_path / "explore.mcap", "-o", body)
+    learned = _said(capsys, run_cli, "fit", tmp_path / "explore.mcap", "-o", body)
     scores = {score["name"]: score["value"] for score in learned["scores"]}
     assert scores["influence.effector.head_pan_joint"] > 4 and scores["held_out.effector"] < 0.4
-    found = _estimated(capsys, bodylog, tmp_path, "body.npz", tmp_path / "out.mcap")
+    found = _estimated(capsys, run_cli, tmp_path, "body.npz", tmp_path / "out.mcap")
     assert found["joint_rmse/head_pan_joint"] < 0.5 * found["encoder_rmse"] and 0.5 < found["nees"] < 2.0

@@ -6,10 +6,10 @@ import shutil
 import pytest
 
 
-def _said(capsys, code, bodylog, *arguments):
+def _said(capsys, code, run_cli, *arguments):
     """What was said on standard error by a command that ends with `code`, which is one line when it fails."""
     capsys.readouterr()
-    assert bodylog(*arguments) == code
+    assert run_cli(*arguments) == code
     said = capsys.readouterr().err
     if code in (2, 65):
         assert said.strip().count("\n") == 0, said
@@ -17,9 +17,9 @@ def _said(capsys, code, bodylog, *arguments):
     return said
 
 
-def test_info_is_a_list_with_an_object_per_log(capsys, bodylog, robot):
+def test_info_is_a_list_with_an_object_per_log(capsys, run_cli, robot):
     capsys.readouterr()
-    assert bodylog("info", robot / "explore.mcap", robot / "reach.mcap", "--json") == 0
+    assert run_cli("info", robot / "explore.mcap", robot / "reach.mcap", "--json") == 0
     explore, reach = json.loads(capsys.readouterr().out)
     assert {"path", "format", "start_ns", "duration_s", "topics", "roles", "joints", "findings"} <= set(reach)
     assert reach["roles"]["joints"] == "/joint_states" and reach["roles"]["truth"] == "/truth/joint_states"
@@ -27,12 +27,12 @@ def test_info_is_a_list_with_an_object_per_log(capsys, bodylog, robot):
     assert len(explore["joints"]) == 6
 
 
-def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, bodylog, robot):
+def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
     capsys.readouterr()
-    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json") == 0
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json") == 0
     estimated = json.loads(capsys.readouterr().out)
-    assert bodylog("evaluate", out, "--json") == 0
+    assert run_cli("evaluate", out, "--json") == 0
     evaluated = json.loads(capsys.readouterr().out)
     assert estimated["output"] == str(out)
     assert {"scores", "health", "findings", "settings"} <= set(estimated)
@@ -42,40 +42,40 @@ def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, bodylog, r
     assert values["joint_rmse"] < values["encoder_rmse"]
 
 
-def test_a_broken_bound_ends_with_4_and_says_which(tmp_path, capsys, bodylog, robot):
+def test_a_broken_bound_ends_with_4_and_says_which(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
-    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
-    assert "joint_rmse" in _said(capsys, 4, bodylog, "evaluate", out, "--fail-if", "joint_rmse>1e-9")
-    assert bodylog("evaluate", out, "--fail-if", "joint_rmse>1") == 0
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    assert "joint_rmse" in _said(capsys, 4, run_cli, "evaluate", out, "--fail-if", "joint_rmse>1e-9")
+    assert run_cli("evaluate", out, "--fail-if", "joint_rmse>1") == 0
 
 
-def test_of_many_evaluated_one_that_holds_nothing_hides_no_other(tmp_path, capsys, bodylog, robot):
+def test_of_many_evaluated_one_that_holds_nothing_hides_no_other(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
-    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
     (tmp_path / "empty.mcap").write_bytes(b"")
     typed = ("evaluate", out, tmp_path / "empty.mcap", "--json", "--fail-if", "joint_rmse>1e-9")
     capsys.readouterr()
-    assert bodylog(*typed) == 65
+    assert run_cli(*typed) == 65
     shown, said = capsys.readouterr()
     assert [one["path"] for one in json.loads(shown)] == [str(out)]
     assert "empty.mcap: the file is empty" in said and "joint_rmse is" in said
 
 
-def test_named_senses_are_used_and_no_others(tmp_path, capsys, bodylog, robot):
+def test_named_senses_are_used_and_no_others(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
     typed = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out, "--json")
     capsys.readouterr()
-    assert bodylog(*typed, "--with", "encoders") == 0
+    assert run_cli(*typed, "--with", "encoders") == 0
     scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
     assert "used/encoders" in scores and "error_squared/effector" not in scores
-    assert bodylog(*typed, "--without", "encoders") == 0
+    assert run_cli(*typed, "--without", "encoders") == 0
     scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
     assert "error_squared/effector" in scores and "error_squared/encoders" not in scores
 
 
-def test_compare_has_a_row_for_every_method_and_subset(capsys, bodylog, robot):
+def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
     capsys.readouterr()
-    assert bodylog("compare", robot / "reach.mcap", "--body", robot / "body.npz", "--json") == 0
+    assert run_cli("compare", robot / "reach.mcap", "--body", robot / "body.npz", "--json") == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     ran = {f"{row['method']} {','.join(row['senses'])}" for row in rows}
     assert {"laplace encoders,vision", "laplace encoders", "kalman encoders", "smoother vision"} <= ran
@@ -84,19 +84,19 @@ def test_compare_has_a_row_for_every_method_and_subset(capsys, bodylog, robot):
     assert foretold["smoother encoders,vision"] > foretold["smoother encoders"]
 
 
-def test_of_many_logs_one_that_is_none_hides_no_other(capsys, bodylog, robot):
+def test_of_many_logs_one_that_is_none_hides_no_other(capsys, run_cli, robot):
     for name, shape in (("info", "topics"), ("doctor", "findings")):
         capsys.readouterr()
         logs = (robot / "reach.mcap", robot / "absent.mcap", robot / "explore.mcap")
-        assert bodylog(name, *logs, "--json") == 65
+        assert run_cli(name, *logs, "--json") == 65
         told = capsys.readouterr()
         assert [one["path"] for one in json.loads(told.out) if shape in one] == [str(logs[0]), str(logs[2])]
         assert told.err == f"bodylog: {logs[1]}: there is no such file or folder; check the name\n"
-        assert bodylog(name, logs[1], robot / "nor.this") == 65
+        assert run_cli(name, logs[1], robot / "nor.this") == 65
         assert capsys.readouterr().err.count("\n") == 2
 
 
-def test_all_that_is_printed_as_json_has_the_same_keys(tmp_path, capsys, bodylog, robot):
+def test_all_that_is_printed_as_json_has_the_same_keys(tmp_path, capsys, run_cli, robot):
     reach, body, out = robot / "reach.mcap", ("--body", robot / "body.npz"), tmp_path / "out.mcap"
     for typed in (
         ("estimate", reach, *body, "-o", out),
@@ -113,10 +113,10 @@ def test_all_that_is_printed_as_json_has_the_same_keys(tmp_path, capsys, bodylog
         ("record", "reach", "--duration", 1, "--size", "160x120", "-o", tmp_path / "log.mcap"),
     ):
         capsys.readouterr()
-        assert bodylog(*typed, "--json") == 0
+        assert run_cli(*typed, "--json") == 0
         told = json.loads(capsys.readouterr().out)
         assert {"output", "scores", "health", "findings", "faults", "settings"} <= set(told), typed
-    assert bodylog("config", "--json") == 0
+    assert run_cli("config", "--json") == 0
     assert json.loads(capsys.readouterr().out)["settings"]["estimate"]["method"] == "laplace"
 
 
@@ -179,11 +179,11 @@ NAMES = (
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_cannot_be_done_is_one_line_and_leaves_nothing(tmp_path, capsys, bodylog, robot, name):
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(tmp_path, capsys, run_cli, robot, name):
     code, said, typed = _wrong(robot, tmp_path)[name]
     before = {path.name for path in tmp_path.iterdir()}
     kept = (robot / "reach.mcap").read_bytes()
-    assert said in _said(capsys, code, bodylog, *typed)
+    assert said in _said(capsys, code, run_cli, *typed)
     assert {path.name for path in tmp_path.iterdir()} == before
     assert (robot / "reach.mcap").read_bytes() == kept
 
@@ -192,109 +192,109 @@ def test_every_wrong_case_is_tested(tmp_path, robot):
     assert set(_wrong(robot, tmp_path)) == set(NAMES)
 
 
-def test_a_model_for_another_robot_names_the_joints_of_both(tmp_path, capsys, bodylog, robot, arm):
+def test_a_model_for_another_robot_names_the_joints_of_both(tmp_path, capsys, run_cli, robot, arm):
     out = tmp_path / "out.mcap"
     typed = ("record", "babble", "-o", tmp_path / "seven.mcap", "--arm", "seven", "--duration", 2, "--size", "160x120")
-    assert bodylog(*typed) == 0
-    said = _said(capsys, 65, bodylog, "estimate", tmp_path / "seven.mcap", "--body", robot / "body.npz", "-o", out)
+    assert run_cli(*typed) == 0
+    said = _said(capsys, 65, run_cli, "estimate", tmp_path / "seven.mcap", "--body", robot / "body.npz", "-o", out)
     assert "shoulder_pan_joint" in said
     assert not out.exists()
 
 
-def test_a_truncated_log_is_used_up_to_the_damage_and_ends_with_3(tmp_path, capsys, bodylog, robot):
+def test_a_truncated_log_is_used_up_to_the_damage_and_ends_with_3(tmp_path, capsys, run_cli, robot):
     whole = (robot / "explore.mcap").read_bytes()
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
-    said = _said(capsys, 3, bodylog, "estimate", cut, "--body", robot / "body.npz", "-o", out)
+    said = _said(capsys, 3, run_cli, "estimate", cut, "--body", robot / "body.npz", "-o", out)
     assert "lost" in said
     assert out.exists()
 
 
-def test_strict_refuses_a_truncated_log(tmp_path, capsys, bodylog, robot):
+def test_strict_refuses_a_truncated_log(tmp_path, capsys, run_cli, robot):
     whole = (robot / "explore.mcap").read_bytes()
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
     for typed in (("info", cut), ("estimate", cut, "--body", robot / "body.npz", "-o", out), ("fit", cut, "-o", out)):
-        assert "--strict" in _said(capsys, 65, bodylog, *typed, "--strict")
+        assert "--strict" in _said(capsys, 65, run_cli, *typed, "--strict")
     assert not out.exists()
 
 
-def test_doctor_heeds_strict_and_config_as_the_others_do(tmp_path, capsys, bodylog, robot):
+def test_doctor_heeds_strict_and_config_as_the_others_do(tmp_path, capsys, run_cli, robot):
     cut, config = tmp_path / "cut.mcap", tmp_path / "robot.toml"
     cut.write_bytes((robot / "reach.mcap").read_bytes()[:-60_000])
     config.write_text('[topics]\njoint = "/j"\n')
-    assert bodylog("doctor", cut) == 3
-    assert bodylog("doctor", cut, "--strict") == 65
-    assert bodylog("doctor", robot / "reach.mcap", "--strict") == 0
-    assert bodylog("doctor", robot / "reach.mcap", "--config", config) == 2
+    assert run_cli("doctor", cut) == 3
+    assert run_cli("doctor", cut, "--strict") == 65
+    assert run_cli("doctor", robot / "reach.mcap", "--strict") == 0
+    assert run_cli("doctor", robot / "reach.mcap", "--config", config) == 2
     assert "did you mean joints" in capsys.readouterr().err
 
 
-def test_doctor_names_the_damage_and_repair_leaves_a_sound_log(tmp_path, capsys, bodylog, robot):
+def test_doctor_names_the_damage_and_repair_leaves_a_sound_log(tmp_path, capsys, run_cli, robot):
     whole = (robot / "explore.mcap").read_bytes()
     cut, sound = tmp_path / "cut.mcap", tmp_path / "sound.mcap"
     cut.write_bytes(whole[: len(whole) * 3 // 4])
-    assert bodylog("doctor", robot / "reach.mcap") == 0
-    assert bodylog("doctor", cut, "--repair", sound) == 3
-    assert bodylog("doctor", sound) == 0
-    assert bodylog("info", sound) == 0
+    assert run_cli("doctor", robot / "reach.mcap") == 0
+    assert run_cli("doctor", cut, "--repair", sound) == 3
+    assert run_cli("doctor", sound) == 0
+    assert run_cli("info", sound) == 0
 
 
-def test_plots_are_pictures(tmp_path, bodylog, robot):
+def test_plots_are_pictures(tmp_path, run_cli, robot):
     for source in ("reach.mcap", "body.npz"):
-        assert bodylog("plot", robot / source, "-o", tmp_path / "plot.png") == 0
+        assert run_cli("plot", robot / source, "-o", tmp_path / "plot.png") == 0
         assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_what_moves_as_the_joints_do_is_offered_first_under_both_names(tmp_path, capsys, bodylog, robot):
+def test_what_moves_as_the_joints_do_is_offered_first_under_both_names(tmp_path, capsys, run_cli, robot):
     sheet = tmp_path / "sheet.png"
     for name in ("features", "colours"):
         capsys.readouterr()
-        assert bodylog(name, robot / "explore.mcap", "-o", sheet, "--json") == 0
+        assert run_cli(name, robot / "explore.mcap", "-o", sheet, "--json") == 0
         first = json.loads(capsys.readouterr().out)["candidates"][0]
         assert first["name"] == "green" and first["arm"] and first["explained"] > 0.9
         assert first["line"].startswith("effector = {low = [")
         assert sheet.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_log_recorded_twice_has_the_same_bytes(tmp_path, bodylog, robot):
+def test_a_log_recorded_twice_has_the_same_bytes(tmp_path, run_cli, robot):
     typed = ("record", "reach", "--duration", 4, "--seed", 2, "--size", "160x120", "-o", tmp_path / "again.mcap")
-    assert bodylog(*typed) == 0
+    assert run_cli(*typed) == 0
     assert (tmp_path / "again.mcap").read_bytes() == (robot / "reach.mcap").read_bytes()
 
 
-def test_a_log_in_a_folder_that_cannot_be_read_is_said(tmp_path, capsys, bodylog, robot):
+def test_a_log_in_a_folder_that_cannot_be_read_is_said(tmp_path, capsys, run_cli, robot):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     (tmp_path / "reach.mcap").unlink()
-    assert "reach.mcap" in _said(capsys, 65, bodylog, "info", tmp_path / "reach.mcap")
+    assert "reach.mcap" in _said(capsys, 65, run_cli, "info", tmp_path / "reach.mcap")
 
 
-def test_what_was_found_is_exported_as_tables(tmp_path, bodylog, robot):
+def test_what_was_found_is_exported_as_tables(tmp_path, run_cli, robot):
     typed = ("extract", robot / "reach.mcap", "-o", tmp_path / "features.mcap", "--csv", tmp_path / "tables")
-    assert bodylog(*typed) == 0
+    assert run_cli(*typed) == 0
     assert (tmp_path / "tables" / "tracks_effector.csv").read_text().startswith("t,u,v,std_u,std_v\n")
 
 
-def test_a_named_colour_never_seen_is_an_error_a_guessed_one_a_warning(tmp_path, robot, bodylog, capsys):
+def test_a_named_colour_never_seen_is_an_error_a_guessed_one_a_warning(tmp_path, robot, run_cli, capsys):
     (tmp_path / "robot.toml").write_text('[colours]\neffector = "magenta"\n')
     typed = ["estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap"]
     named = [*typed, "--config", tmp_path / "robot.toml"]
-    assert bodylog(*named) == 65
+    assert run_cli(*named) == 65
     last = capsys.readouterr().err.splitlines()[-1]
     assert "effector: 'magenta' was never found" in last
     assert "seen: green" in last
     assert "--without effector" in last
     assert not (tmp_path / "out.mcap").exists()
-    assert bodylog(*named, "--without", "effector") == 0
+    assert run_cli(*named, "--without", "effector") == 0
 
 
 @pytest.mark.parametrize("name", ["fit", "view", "estimate", "extract", "plot", "report", "layout", "ingest"])
-def test_what_a_command_reads_it_never_writes_to(tmp_path, capsys, bodylog, robot, name):
+def test_what_a_command_reads_it_never_writes_to(tmp_path, capsys, run_cli, robot, name):
     log, body = tmp_path / "log.mcap", tmp_path / "body.npz"
     shutil.copy(robot / "reach.mcap", log)
     shutil.copy(robot / "body.npz", body)
     typed = ("--body", body) if name == "estimate" else ()
     for out in (log, body) if name == "estimate" else (log,):
-        assert "is also an input" in _said(capsys, 2, bodylog, name, log, *typed, "-o", out)
+        assert "is also an input" in _said(capsys, 2, run_cli, name, log, *typed, "-o", out)
     assert log.read_bytes() == (robot / "reach.mcap").read_bytes()
     assert body.read_bytes() == (robot / "body.npz").read_bytes()

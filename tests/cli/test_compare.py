@@ -14,53 +14,53 @@ from bodylog.settings import Estimation, Settings
 from .spoilt import spoil
 
 
-def _ran(capsys, bodylog, *typed):
+def _ran(capsys, run_cli, *typed):
     capsys.readouterr()
-    assert bodylog("compare", *typed, "--json") == 0
+    assert run_cli("compare", *typed, "--json") == 0
     said = json.loads(capsys.readouterr().out)
     return {(row["method"], tuple(row["senses"])) for row in said["rows"]}, said
 
 
-def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, bodylog, robot):
+def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, run_cli, robot):
     config = tmp_path / "robot.toml"
     config.write_text('[estimate]\nwithout = ["vision", "touch", "elbow_joint"]\n')
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "--config", config)
-    rows, said = _ran(capsys, bodylog, *typed)
+    rows, said = _ran(capsys, run_cli, *typed)
     assert rows == {(method, ("encoders",)) for method in METHODS}
     assert all("encoder_std/elbow_joint" in row["scores"] for row in said["rows"] if row["method"] == "laplace")
     assert all(row["scores"]["joint_rmse/elbow_joint"] > 0.01 for row in said["rows"])
 
 
-def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, bodylog, robot):
+def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, run_cli, robot):
     body = storage.load(robot / "body.npz")
     noise = replace(body.noise, senses={}, std_error={k: v for k, v in body.noise.std_error.items() if k != "effector"})
     storage.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
-    rows, said = _ran(capsys, bodylog, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
+    rows, said = _ran(capsys, run_cli, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
     assert rows == {(method, ("encoders",)) for method in METHODS}
     assert not any("held_out" in row["scores"] for row in said["rows"])
 
 
-def test_warnings_name_the_rows_they_are_about(capsys, bodylog, robot):
-    _, said = _ran(capsys, bodylog, robot / "reach.mcap", "--body", robot / "body.npz")
+def test_warnings_name_the_rows_they_are_about(capsys, run_cli, robot):
+    _, said = _ran(capsys, run_cli, robot / "reach.mcap", "--body", robot / "body.npz")
     (text,) = [f["text"] for f in said["findings"] if "many postures look alike" in f["text"]]
     assert text.startswith("laplace vision; smoother vision; ekf vision; predictive-coding vision: vision: 2 numbers")
     assert sum("predictive-coding: knows no motion" in f["text"] for f in said["findings"]) == 1
 
 
-def test_a_log_that_says_nothing_is_refused(tmp_path, capsys, bodylog, robot):
+def test_a_log_that_says_nothing_is_refused(tmp_path, capsys, run_cli, robot):
     gone = ("/joint_states", "/camera/image/compressed", "/skin")
     log = spoil(robot / "reach.mcap", tmp_path / "mute.mcap", lambda *_: None, 1.0, lambda topic: topic not in gone)
     capsys.readouterr()
-    assert bodylog("compare", log, "--body", robot / "body.npz") == 65
+    assert run_cli("compare", log, "--body", robot / "body.npz") == 65
     captured = capsys.readouterr()
     assert captured.out == "" and "says nothing by any sense of " in captured.err.splitlines()[-1]
 
 
-def test_a_refused_log_that_was_cut_tells_what_it_lost(tmp_path, capsys, bodylog, robot):
+def test_a_refused_log_that_was_cut_tells_what_it_lost(tmp_path, capsys, run_cli, robot):
     log = tmp_path / "cut.mcap"
     log.write_bytes((robot / "reach.mcap").read_bytes()[:2000])
     capsys.readouterr()
-    assert bodylog("compare", log, "--body", robot / "body.npz") == 65
+    assert run_cli("compare", log, "--body", robot / "body.npz") == 65
     last = capsys.readouterr().err.splitlines()[-1]
     assert "says nothing by any sense of " in last and " lost: " in last
 

@@ -26,10 +26,10 @@ def test_every_command_that_reads_a_log_takes_an_episode(name):
     assert any(param.name == "episode" for param in group.commands[name].params)
 
 
-def test_an_episode_is_the_same_by_name_and_by_option(dataset, bodylog, capsys):
+def test_an_episode_is_the_same_by_name_and_by_option(dataset, run_cli, capsys):
     found = []
     for arguments in ((f"{dataset}#2",), (dataset, "--episode", 2)):
-        assert bodylog("info", *arguments, "--json") == 0
+        assert run_cli("info", *arguments, "--json") == 0
         found.append(json.loads(capsys.readouterr().out))
     assert found[0] == found[1]
     (one,) = found[0]
@@ -37,46 +37,46 @@ def test_an_episode_is_the_same_by_name_and_by_option(dataset, bodylog, capsys):
     assert {topic["topic"]: topic["messages"] for topic in one["topics"]}["/joint_states"] == 15
 
 
-def test_a_range_is_several_logs(dataset, bodylog, capsys):
-    assert bodylog("info", dataset, "--episode", "0-2", "--json") == 0
+def test_a_range_is_several_logs(dataset, run_cli, capsys):
+    assert run_cli("info", dataset, "--episode", "0-2", "--json") == 0
     assert [one["path"] for one in json.loads(capsys.readouterr().out)] == [f"{dataset}#{n}" for n in range(3)]
-    assert bodylog("ingest", dataset, "--episode", "0-2", "-o", dataset.parent / "x.mcap") == 2
+    assert run_cli("ingest", dataset, "--episode", "0-2", "-o", dataset.parent / "x.mcap") == 2
     assert "this command takes one episode" in capsys.readouterr().err
-    assert bodylog("info", dataset, "--episode", "last") == 2
+    assert run_cli("info", dataset, "--episode", "last") == 2
     assert "it must be a number, or a range of them" in capsys.readouterr().err
 
 
-def test_an_episode_that_is_not_there_is_refused(dataset, bodylog, capsys):
-    assert bodylog("info", dataset, "--episode", 7) == 65
+def test_an_episode_that_is_not_there_is_refused(dataset, run_cli, capsys):
+    assert run_cli("info", dataset, "--episode", 7) == 65
     assert "no episode 7; there are 0 to 2" in capsys.readouterr().err
-    assert bodylog("info", dataset / "meta" / "info.json", "--episode", 0) == 65
+    assert run_cli("info", dataset / "meta" / "info.json", "--episode", 0) == 65
     assert "has no episodes; leave out the #" in capsys.readouterr().err
 
 
-def test_a_dataset_is_converted_and_comes_back(dataset, bodylog, tmp_path, capsys):
-    assert bodylog("ingest", dataset, "--episode", 1, "-o", tmp_path / "run.mcap") == 0
-    assert bodylog("convert", tmp_path / "run.mcap", "-o", f"{tmp_path}/new/", "--to", "lerobot", "--json") == 0
+def test_a_dataset_is_converted_and_comes_back(dataset, run_cli, tmp_path, capsys):
+    assert run_cli("ingest", dataset, "--episode", 1, "-o", tmp_path / "run.mcap") == 0
+    assert run_cli("convert", tmp_path / "run.mcap", "-o", f"{tmp_path}/new/", "--to", "lerobot", "--json") == 0
     assert json.loads(capsys.readouterr().out)["output"] == str(tmp_path / "new")
     with logs.open(dataset, episode=1) as a, logs.open(tmp_path / "new") as b:
         np.testing.assert_array_equal(a["/joint_states"].position, b["/joint_states"].position)
-    assert bodylog("convert", tmp_path / "new", "-o", tmp_path / "new.mcap", "--topics", "/joint_states") == 0
+    assert run_cli("convert", tmp_path / "new", "-o", tmp_path / "new.mcap", "--topics", "/joint_states") == 0
     with logs.open(tmp_path / "new.mcap") as log:
         assert [topic.name for topic in log.topics] == ["/joint_states"]
-    assert bodylog("convert", tmp_path / "run.mcap", "-o", tmp_path / "new", "--to", "lerobot") == 2
+    assert run_cli("convert", tmp_path / "run.mcap", "-o", tmp_path / "new", "--to", "lerobot") == 2
     assert "is there already" in capsys.readouterr().err
-    assert bodylog("convert", dataset, "-o", dataset / "new", "--to", "lerobot") == 2
-    assert bodylog("doctor", tmp_path / "new") == 0
+    assert run_cli("convert", dataset, "-o", dataset / "new", "--to", "lerobot") == 2
+    assert run_cli("doctor", tmp_path / "new") == 0
 
 
-def test_a_damaged_episode_ends_with_3_and_what_is_sound(dataset, bodylog, tmp_path, capsys):
+def test_a_damaged_episode_ends_with_3_and_what_is_sound(dataset, run_cli, tmp_path, capsys):
     import shutil
 
     folder = Path(shutil.copytree(dataset, tmp_path / "set"))
     video = folder / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4"
     video.write_bytes(video.read_bytes()[:900])
-    assert bodylog("info", folder, "--episode", 0) == 3
-    assert bodylog("info", folder, "--episode", 0, "--strict") == 65
-    assert bodylog("ingest", folder, "--episode", 0, "-o", tmp_path / "run.mcap") == 3
+    assert run_cli("info", folder, "--episode", 0) == 3
+    assert run_cli("info", folder, "--episode", 0, "--strict") == 65
+    assert run_cli("ingest", folder, "--episode", 0, "-o", tmp_path / "run.mcap") == 3
     with logs.open(tmp_path / "run.mcap") as log:
         assert len(log["/joint_states"]) == 12
     capsys.readouterr()

@@ -12,10 +12,10 @@ JOINTS = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint")
 METHODS = ("laplace", "smoother", "ekf", "kalman", "predictive-coding")
 
 
-def _estimated(capsys, bodylog, log, body, out, *typed):
+def _estimated(capsys, run_cli, log, body, out, *typed):
     """The result of an estimate that succeeds and its scores by name."""
     capsys.readouterr()
-    assert bodylog("estimate", log, "--body", body, "-o", out, "--json", *typed) == 0
+    assert run_cli("estimate", log, "--body", body, "-o", out, "--json", *typed) == 0
     result = json.loads(capsys.readouterr().out)
     return result, {score["name"]: score["value"] for score in result["scores"]}
 
@@ -25,18 +25,18 @@ def _nothing(count, message):
 
 
 @pytest.fixture(scope="module")
-def drift(tmp_path_factory, arm, arm_body, bodylog):
+def drift(tmp_path_factory, arm, arm_body, run_cli):
     """The log of the drifting encoder, annotated."""
     out = tmp_path_factory.mktemp("drift") / "drift.mcap"
-    assert bodylog("estimate", arm / "drift.mcap", "--body", arm_body, "-o", out) == 0
+    assert run_cli("estimate", arm / "drift.mcap", "--body", arm_body, "-o", out) == 0
     return out
 
 
 @pytest.mark.parametrize("precision", ["auto", "model", "fixed"])
-def test_precisions_are_told_as_they_were(tmp_path, capsys, bodylog, arm, arm_body, precision):
+def test_precisions_are_told_as_they_were(tmp_path, capsys, run_cli, arm, arm_body, precision):
     """The log's encoders have 0.02 rad, those of the exploration had 0.003 rad, the paper's have 1 rad."""
     out = tmp_path / "out.mcap"
-    result, scores = _estimated(capsys, bodylog, arm / "reach.bag", arm_body, out, "--precision", precision)
+    result, scores = _estimated(capsys, run_cli, arm / "reach.bag", arm_body, out, "--precision", precision)
     expected = {"auto": (0.02, 0.05), "model": (0.003, 0.1), "fixed": (1.0, 0.0)}[precision]
     for index, joint in enumerate(JOINTS):
         assert scores[f"encoder_std/{joint}"] == pytest.approx(expected[0], rel=expected[1])
@@ -44,34 +44,34 @@ def test_precisions_are_told_as_they_were(tmp_path, capsys, bodylog, arm, arm_bo
         assert scores[f"process/{joint}"] > 0.0
     factor = scores["variance_factor/effector"]
     assert {"auto": factor >= 1.0, "model": factor == 1.0, "fixed": factor != 1.0}[precision]
-    assert bodylog("evaluate", out, "--json") == 0
+    assert run_cli("evaluate", out, "--json") == 0
     assert json.loads(capsys.readouterr().out)["scores"] == result["scores"]
 
 
 @pytest.mark.parametrize("option", ["--precision", "--bias", "--touch", "--step", "--method"])
-def test_a_word_that_is_none_of_an_options_is_refused(tmp_path, capsys, bodylog, arm, arm_body, option):
+def test_a_word_that_is_none_of_an_options_is_refused(tmp_path, capsys, run_cli, arm, arm_body, option):
     capsys.readouterr()
     typed = ("estimate", arm / "reach.bag", "--body", arm_body, "-o", tmp_path / "out.mcap", option, "perhaps")
-    assert bodylog(*typed) == 2
+    assert run_cli(*typed) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "'perhaps'" in said and not list(tmp_path.iterdir())
 
 
-def test_offsets_are_learned_when_asked_or_when_the_evidence_asks(tmp_path, capsys, bodylog, arm, arm_body, drift):
+def test_offsets_are_learned_when_asked_or_when_the_evidence_asks(tmp_path, capsys, run_cli, arm, arm_body, drift):
     from bodylog.annotating.read_back import read_estimate
 
     out = tmp_path / "out.mcap"
     assert read_estimate(drift).bias is not None and read_estimate(drift).faults
-    result, scores = _estimated(capsys, bodylog, arm / "drift.mcap", arm_body, out, "--bias", "off")
+    result, scores = _estimated(capsys, run_cli, arm / "drift.mcap", arm_body, out, "--bias", "off")
     assert read_estimate(out).bias is None and not result["faults"]
     assert scores["joint_rmse/shoulder_pan_joint"] > 0.015
     for bias, told in (("on", True), ("auto", False)):
-        result, scores = _estimated(capsys, bodylog, arm / "reach.bag", arm_body, out, "--bias", bias)
+        result, scores = _estimated(capsys, run_cli, arm / "reach.bag", arm_body, out, "--bias", bias)
         assert (read_estimate(out).bias is not None) == told and not result["faults"]
         assert scores["joint_rmse"] < 0.009
 
 
-def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, bodylog, drift):
+def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, run_cli, drift):
     from mcap.reader import make_reader
     from mcap_ros2.decoder import DecoderFactory
 
@@ -82,9 +82,9 @@ def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, bodylog, drif
     since = fault.header.stamp.sec * 10**9 + fault.header.stamp.nanosec
     assert (fault.sense, fault.name, fault.kind, fault.unit) == ("encoders", "shoulder_pan_joint", "drifting", "rad")
     assert 8.0 < (since - begun) / 1e9 < 11.6 and fault.size == pytest.approx(0.3, abs=0.02)
-    assert bodylog("evaluate", drift) == 0
+    assert run_cli("evaluate", drift) == 0
     assert "warning: encoders shoulder_pan_joint: drifting since " in capsys.readouterr().err
-    assert bodylog("report", drift, "-o", tmp_path / "page.html") == 0
+    assert run_cli("report", drift, "-o", tmp_path / "page.html") == 0
     page = (tmp_path / "page.html").read_text()
     assert "<th>encoder_std</th>" in page and "<th>process</th>" in page
     table = page[page.index("Which sensor lied") :]
@@ -92,11 +92,11 @@ def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, bodylog, drif
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_every_method_leaves_an_estimate_of_its_name(tmp_path, capsys, bodylog, arm, arm_body, method):
+def test_every_method_leaves_an_estimate_of_its_name(tmp_path, capsys, run_cli, arm, arm_body, method):
     from bodylog.annotating.read_back import read_estimate
 
     out = tmp_path / "out.mcap"
-    _, scores = _estimated(capsys, bodylog, arm / "reach.bag", arm_body, out, "--method", method)
+    _, scores = _estimated(capsys, run_cli, arm / "reach.bag", arm_body, out, "--method", method)
     found = read_estimate(out)
     assert found.method == method and found.joints.names == JOINTS
     assert np.isfinite(found.joints.values).all() and (np.linalg.eigvalsh(found.cov) > 0.0).all()
@@ -104,27 +104,27 @@ def test_every_method_leaves_an_estimate_of_its_name(tmp_path, capsys, bodylog, 
     assert ("log_evidence" in scores) == (method in ("laplace", "smoother", "ekf"))
 
 
-def test_touch_has_two_readings_one_of_them_the_papers_methods_alone(tmp_path, capsys, bodylog, arm, arm_body):
+def test_touch_has_two_readings_one_of_them_the_papers_methods_alone(tmp_path, capsys, run_cli, arm, arm_body):
     typed = (arm / "touch.mcap", arm_body, tmp_path / "out.mcap", "--method", "predictive-coding", "--touch")
     energies = []
     for form in ("likelihood", "literal"):
-        _, scores = _estimated(capsys, bodylog, *typed, form)
+        _, scores = _estimated(capsys, run_cli, *typed, form)
         assert scores["used/touch"] == 6 and scores["joint_rmse"] < 0.002
         energies.append(scores["free_energy"])
     assert energies[0] != energies[1]
     (tmp_path / "out.mcap").unlink()
     typed = ("estimate", arm / "touch.mcap", "--body", arm_body, "-o", tmp_path / "out.mcap", "--touch", "literal")
-    assert bodylog(*typed) == 2
+    assert run_cli(*typed) == 2
     assert "for predictive-coding alone; type --touch likelihood" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
-def test_an_unstable_step_is_warned_of_with_the_stable_one(tmp_path, capsys, bodylog, arm, arm_body):
+def test_an_unstable_step_is_warned_of_with_the_stable_one(tmp_path, capsys, run_cli, arm, arm_body):
     """Precise encoders (those of the log) need far shorter steps than those of variance 1 the paper steps for."""
     typed = (arm / "reach.bag", arm_body, tmp_path / "out.mcap", "--method", "predictive-coding", "--step", "explicit")
 
     def warned(*further):
-        result, _ = _estimated(capsys, bodylog, *typed, *further)
+        result, _ = _estimated(capsys, run_cli, *typed, *further)
         return [f["text"] for f in result["findings"] if f["text"].startswith("step: ")]
 
     assert not warned("--precision", "fixed")
@@ -133,17 +133,17 @@ def test_an_unstable_step_is_warned_of_with_the_stable_one(tmp_path, capsys, bod
     assert 0.0 < float(text.split("largest stable Δt is ")[1].split()[0]) < 0.05
 
 
-def test_a_step_that_throws_the_belief_away_is_refused_with_the_stable_one(tmp_path, capsys, bodylog, arm, arm_body):
+def test_a_step_that_throws_the_belief_away_is_refused_with_the_stable_one(tmp_path, capsys, run_cli, arm, arm_body):
     typed = ("--body", arm_body, "-o", tmp_path / "out.mcap", "--method", "predictive-coding", "--step", "explicit")
-    assert bodylog("estimate", arm / "reach.mcap", *typed) == 2
+    assert run_cli("estimate", arm / "reach.mcap", *typed) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and "the largest stable Δt is " in said and not list(tmp_path.iterdir())
 
 
-def test_compare_needs_no_truth(tmp_path, capsys, bodylog, arm, arm_body):
+def test_compare_needs_no_truth(tmp_path, capsys, run_cli, arm, arm_body):
     log = spoil(arm / "reach.bag", tmp_path / "log.bag", _nothing, 1.0, lambda topic: "truth" not in topic)
     capsys.readouterr()
-    assert bodylog("compare", log, "--body", arm_body) == 0
+    assert run_cli("compare", log, "--body", arm_body) == 0
     head, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert head[2:] == ["joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out", "seconds"]
     ran = {(row[0], row[1]) for row in rows}
@@ -153,7 +153,7 @@ def test_compare_needs_no_truth(tmp_path, capsys, bodylog, arm, arm_body):
     assert all((row[5] == "-") == (row[0] in ("kalman", "predictive-coding")) for row in rows)
 
 
-def test_what_a_method_refuses_is_left_out_of_the_comparison_and_said(tmp_path, capsys, bodylog, arm, arm_body):
+def test_what_a_method_refuses_is_left_out_of_the_comparison_and_said(tmp_path, capsys, run_cli, arm, arm_body):
     """A body whose encoders read the square of the distance from the middle of what was explored."""
     from bodylog.body import Polynomial, storage
 
@@ -165,13 +165,13 @@ def test_what_a_method_refuses_is_left_out_of_the_comparison_and_said(tmp_path, 
     log = spoil(arm / "reach.bag", tmp_path / "log.bag", _nothing, 1.0)
     capsys.readouterr()
     typed = ("compare", log, "--body", tmp_path / "body.npz", "--json")
-    assert bodylog(*typed, "--config", tmp_path / "start.toml") == 0
+    assert run_cli(*typed, "--config", tmp_path / "start.toml") == 0
     captured = capsys.readouterr()
     assert {row["method"] for row in json.loads(captured.out)["rows"]} == {"predictive-coding"}
     (refused,) = [line for line in captured.err.splitlines() if "what this body's read turns or flattens" in line]
     for row in ("laplace encoders,vision; ", "smoother vision; ", "kalman encoders: encoders: what "):
         assert row in refused
-    assert bodylog(*typed) == 2
+    assert run_cli(*typed) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 

@@ -10,22 +10,22 @@ import pytest
 JOINTS = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint")
 
 
-def _learned(capsys, bodylog, out, *typed):
+def _learned(capsys, run_cli, out, *typed):
     """The result of a fit that succeeds, its scores by name, and the body as `info` tells it."""
     capsys.readouterr()
-    assert bodylog("fit", *typed, "-o", out, "--json") == 0
+    assert run_cli("fit", *typed, "-o", out, "--json") == 0
     result = json.loads(capsys.readouterr().out)
     return result, {score["name"]: score["value"] for score in result["scores"]}, result["body"]
 
 
-def _said(capsys, bodylog, *typed):
+def _said(capsys, run_cli, *typed):
     capsys.readouterr()
-    assert bodylog(*typed) == 0
+    assert run_cli(*typed) == 0
     return capsys.readouterr()
 
 
-def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, bodylog, arm):
-    said = _said(capsys, bodylog, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz")
+def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, run_cli, arm):
+    said = _said(capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz")
     scores = {name: float(value) for name, value in re.findall(r"^(\w+\.\S+) +([0-9.e-]+)  ", said.out, re.MULTILINE)}
     for joint in JOINTS:
         assert 0.5 < scores[f"range.{joint}"] < 1.5
@@ -35,14 +35,14 @@ def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, bodylo
     assert 0.7 < scores["held_out_standardised.effector"] < 1.5
     for joint in ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"):
         assert f"{joint}: moved 0.000 rad, left out: vision says nothing about it" in said.err
-    told = _said(capsys, bodylog, "info", tmp_path / "body.npz").out
+    told = _said(capsys, run_cli, "info", tmp_path / "body.npz").out
     assert said.out.endswith(told) and "touch: a1 = 1, b1 = 0.003472 /px²" in told
     assert re.search(r"inputs: explore\.mcap [0-9a-f]{64}\n", told)
 
 
-def test_noise_is_told_with_standard_errors_that_hold(tmp_path, capsys, bodylog, arm):
+def test_noise_is_told_with_standard_errors_that_hold(tmp_path, capsys, run_cli, arm):
     """The arm's encoders have 0.003 rad (its README)."""
-    told = _said(capsys, bodylog, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz").out
+    told = _said(capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz").out
     found = re.findall(r"  noise encoders (\w+): (\S+) ± (\S+) rad\n", told)
     assert tuple(joint for joint, _, _ in found) == JOINTS
     assert all(abs(float(std) - 0.003) < 4.0 * float(off) < 3e-4 for _, std, off in found)
@@ -50,38 +50,38 @@ def test_noise_is_told_with_standard_errors_that_hold(tmp_path, capsys, bodylog,
     assert len(re.findall(r"  process \w+: \S+ ± \S+ rad²/s³\n", told)) == 3
 
 
-def test_logs_of_three_containers_are_learned_from_together(tmp_path, capsys, bodylog, arm):
+def test_logs_of_three_containers_are_learned_from_together(tmp_path, capsys, run_cli, arm):
     logs = [arm / name for name in ("explore.mcap", "reach.bag", "reach_rosbag2")]
-    result, scores, body = _learned(capsys, bodylog, tmp_path / "all.npz", *logs)
+    result, scores, body = _learned(capsys, run_cli, tmp_path / "all.npz", *logs)
     assert [name for name, _ in body["provenance"]["inputs"]] == [log.name for log in logs]
     assert body["joints"] == list(JOINTS) and body["senses"]["effector"]["samples"] == 320 + 2 * 120
     assert {key.split(":")[0] for key in result["health"]} == {log.name for log in logs}
     assert scores["frames_used.effector"] == 1.0
 
 
-def test_the_papers_preset_is_the_papers(tmp_path, capsys, bodylog, arm):
+def test_the_papers_preset_is_the_papers(tmp_path, capsys, run_cli, arm):
     typed = (arm / "explore.mcap", "--preset", "paper")
-    _, scores, body = _learned(capsys, bodylog, tmp_path / "paper.npz", *typed)
+    _, scores, body = _learned(capsys, run_cli, tmp_path / "paper.npz", *typed)
     assert body["senses"]["effector"]["samples"] == 46
     assert body["senses"]["effector"]["length_scales"] == [dict.fromkeys(JOINTS, pytest.approx(np.exp(0.1)))]
     assert scores["noise.effector.u"] == scores["noise.effector.v"] == pytest.approx(np.exp(0.02))
     assert scores["frames_used.effector"] == 46 / 320
 
 
-def test_joints_are_those_named_in_that_order_and_frames_every_nth(tmp_path, capsys, bodylog, arm):
+def test_joints_are_those_named_in_that_order_and_frames_every_nth(tmp_path, capsys, run_cli, arm):
     typed = (arm / "explore.mcap", "--joints", ",".join(reversed(JOINTS)), "--every", 4)
-    _, _, body = _learned(capsys, bodylog, tmp_path / "body.npz", *typed)
+    _, _, body = _learned(capsys, run_cli, tmp_path / "body.npz", *typed)
     assert body["joints"] == list(reversed(JOINTS))
     assert body["senses"]["effector"]["samples"] == 80
 
 
-def test_a_log_added_to_a_body_is_as_good_as_learned_with_the_others(tmp_path, capsys, bodylog, arm, arm_body):
+def test_a_log_added_to_a_body_is_as_good_as_learned_with_the_others(tmp_path, capsys, run_cli, arm, arm_body):
     """In the mean; how sure each is differs, as a body keeps less of a log than the log itself."""
     from bodylog.body.storage import load
 
     both, added = tmp_path / "both.npz", tmp_path / "added.npz"
-    _learned(capsys, bodylog, both, arm / "explore.mcap", arm / "reach.bag")
-    _, _, body = _learned(capsys, bodylog, added, arm / "reach.bag", "--update", arm_body)
+    _learned(capsys, run_cli, both, arm / "explore.mcap", arm / "reach.bag")
+    _, _, body = _learned(capsys, run_cli, added, arm / "reach.bag", "--update", arm_body)
     assert body["joints"] == list(JOINTS) and len(body["provenance"]["update_sha256"]) == 64
     truth = np.load(arm / "reach.mcap.truth.npz")
     x = np.column_stack([np.interp(truth["tf"], truth["t"], column) for column in truth["x"].T[::-1]])  # elbow first
@@ -90,11 +90,11 @@ def test_a_log_added_to_a_body_is_as_good_as_learned_with_the_others(tmp_path, c
     assert np.sqrt(np.mean((together - later) ** 2)) < 0.1
 
 
-def test_touch_logs_teach_the_constants_and_where_each_cell_is_seen(tmp_path, capsys, bodylog, arm, arm_body):
-    _, _, body = _learned(capsys, bodylog, tmp_path / "body.npz", arm / "touch.mcap", "--update", arm_body)
+def test_touch_logs_teach_the_constants_and_where_each_cell_is_seen(tmp_path, capsys, run_cli, arm, arm_body):
+    _, _, body = _learned(capsys, run_cli, tmp_path / "body.npz", arm / "touch.mcap", "--update", arm_body)
     assert body["touch"]["b1"] < 0.002
     truth = np.load(arm / "touch.mcap.truth.npz")
-    told = _said(capsys, bodylog, "info", tmp_path / "body.npz").out
+    told = _said(capsys, run_cli, "info", tmp_path / "body.npz").out
     for onset, offset, cell in truth["touches"]:
         during = (truth["tf"] >= onset) & (truth["tf"] <= offset)
         place = (truth["hand"] - truth["ee"])[during].mean(axis=0)
@@ -102,8 +102,8 @@ def test_touch_logs_teach_the_constants_and_where_each_cell_is_seen(tmp_path, ca
         assert f"  cell {int(cell)}: seen " in told
 
 
-def test_the_body_is_plotted_over_two_joints_with_its_samples(tmp_path, bodylog, arm_body):
-    assert bodylog("plot", arm_body, "-o", tmp_path / "body.svg") == 0
+def test_the_body_is_plotted_over_two_joints_with_its_samples(tmp_path, run_cli, arm_body):
+    assert run_cli("plot", arm_body, "-o", tmp_path / "body.svg") == 0
     drawn = (tmp_path / "body.svg").read_text()
     for title in ("effector u: mean", "effector u: standard deviation", "effector v: mean"):
         assert f"<!-- {title} -->" in drawn
@@ -135,7 +135,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("damage", DAMAGED)
-def test_a_damaged_body_is_refused_by_name_by_every_command(tmp_path, capsys, bodylog, arm, arm_body, damage):
+def test_a_damaged_body_is_refused_by_name_by_every_command(tmp_path, capsys, run_cli, arm, arm_body, damage):
     change, expected = DAMAGED[damage]
     body = tmp_path / "body.npz"
     with np.load(arm_body) as found:
@@ -151,32 +151,32 @@ def test_a_damaged_body_is_refused_by_name_by_every_command(tmp_path, capsys, bo
         ("fit", log, "--update", body, "-o", f"{out}.npz"),
     ):
         capsys.readouterr()
-        assert bodylog(*typed) == 65
+        assert run_cli(*typed) == 65
         assert capsys.readouterr().err.startswith(f"bodylog: {body}: {expected}")
     assert list(tmp_path.iterdir()) == [body]
 
 
-def test_another_robots_body_is_not_learned_on_from(tmp_path, capsys, bodylog, robot, arm_body):
+def test_another_robots_body_is_not_learned_on_from(tmp_path, capsys, run_cli, robot, arm_body):
     body = tmp_path / "body.npz"
     with np.load(arm_body) as found:
         arrays = {name: found[name] for name in found}
     _header(joints=["knee_joint", *JOINTS[1:]])(arrays)
     np.savez(body, **arrays)
     capsys.readouterr()
-    assert bodylog("fit", robot / "reach.mcap", "--update", body, "-o", tmp_path / "out.npz") == 65
+    assert run_cli("fit", robot / "reach.mcap", "--update", body, "-o", tmp_path / "out.npz") == 65
     assert "joint 'knee_joint' of the body to update is not there; heard: " in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [body]
 
 
-def test_a_body_that_is_not_there_is_said(tmp_path, capsys, bodylog):
+def test_a_body_that_is_not_there_is_said(tmp_path, capsys, run_cli):
     capsys.readouterr()
-    assert bodylog("info", tmp_path / "none.npz") == 65
+    assert run_cli("info", tmp_path / "none.npz") == 65
     assert "there is no such body model; type: bodylog fit LOG" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["body", "body.txt"])
-def test_a_body_of_any_name_is_told_of_and_plotted(tmp_path, capsys, bodylog, arm_body, name):
+def test_a_body_of_any_name_is_told_of_and_plotted(tmp_path, capsys, run_cli, arm_body, name):
     shutil.copy(arm_body, tmp_path / name)
-    assert bodylog("info", tmp_path / name) == 0
+    assert run_cli("info", tmp_path / name) == 0
     assert "body model of" in capsys.readouterr().out
-    assert bodylog("plot", tmp_path / name, "-o", tmp_path / "x.png") == 0
+    assert run_cli("plot", tmp_path / name, "-o", tmp_path / "x.png") == 0

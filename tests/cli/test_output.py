@@ -16,7 +16,7 @@ from tests.logs.writing import T0, write
 EVIL = "\x1b[2J\x1b]0;title\x07\nbodylog: all is well"
 
 
-def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, bodylog) -> None:
+def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, run_cli) -> None:
     import click
 
     monkeypatch.setattr(click.utils, "should_strip_ansi", lambda *_: False)  # as on a terminal
@@ -25,15 +25,15 @@ def test_a_terminal_obeys_no_name(tmp_path: Path, capsys, monkeypatch, bodylog) 
     log = write(tmp_path / "x.mcap", [joints(f"/joints{EVIL}", rows), camera(f"/cam{EVIL}", seen)])
     for typed in (("info", log), ("doctor", log), ("plot", log, "-o", tmp_path / "x.png"), ("fit", log, "-o", "b.npz")):
         capsys.readouterr()
-        bodylog(*typed)
+        run_cli(*typed)
         said = "".join(capsys.readouterr())
         assert not [c for c in said if c != "\n" and not c.isprintable()]
         assert not [line for line in said.splitlines() if line.startswith("bodylog: all is well")]
-    bodylog("info", log)
+    run_cli("info", log)
     assert "\\x1b[2J" in capsys.readouterr().out
 
 
-def test_files_may_be_called_anything(tmp_path: Path, capsys, bodylog) -> None:
+def test_files_may_be_called_anything(tmp_path: Path, capsys, run_cli) -> None:
     """Bytes that are no UTF-8, and signs that a terminal obeys."""
     folder = tmp_path / "\udcff\n%s"
     folder.mkdir()
@@ -41,15 +41,15 @@ def test_files_may_be_called_anything(tmp_path: Path, capsys, bodylog) -> None:
     log = write(folder / "x\udcfe.mcap", [joints("/joints", rows)])
     capsys.readouterr()
     tables = ("--csv", folder / "csv\udcff", "--parquet", folder / "parquet\udcff")
-    assert bodylog("ingest", log, "-o", folder / "out\n.mcap", *tables) == 0
+    assert run_cli("ingest", log, "-o", folder / "out\n.mcap", *tables) == 0
     assert capsys.readouterr().err.splitlines()[-1] == f"wrote {tmp_path}/\\udcff\\n%s/out\\n.mcap"
     assert {file.name for file in folder.rglob("joints.*")} == {"joints.csv", "joints.parquet"}
 
 
-def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path: Path, capsys, bodylog) -> None:
+def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path: Path, capsys, run_cli) -> None:
     taken = write(tmp_path / "x.mcap", [joints("/joints", [(T0, joint_state(T0, ("a",), (0.1,)))])])
     for typed in (("ingest", "--csv", taken), ("extract", "--csv", taken / "in"), ("report", "--figures", taken)):
-        assert bodylog(typed[0], taken, "-o", tmp_path / "out", *typed[1:]) == 73
+        assert run_cli(typed[0], taken, "-o", tmp_path / "out", *typed[1:]) == 73
         assert "a file is in its place; give the name of a folder" in capsys.readouterr().err
         assert [*tmp_path.iterdir()] == [taken]
 

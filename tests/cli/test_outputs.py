@@ -86,10 +86,10 @@ def _tree(folder):
     return {path: path.is_symlink() or path.is_dir() or path.read_bytes() for path in folder.rglob("*")}
 
 
-def _refused(capsys, bodylog, folder, words):
+def _refused(capsys, run_cli, folder, words):
     before = _tree(folder)
     capsys.readouterr()
-    assert bodylog(*words) == 2
+    assert run_cli(*words) == 2
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and " input" in said and "choose " in said, said
     assert _tree(folder) == before
@@ -97,7 +97,7 @@ def _refused(capsys, bodylog, folder, words):
 
 @pytest.mark.parametrize("way", FILES)
 @pytest.mark.parametrize(("command", "read", "written"), PAIRS, ids=IDS)
-def test_an_output_that_is_an_input_is_refused(tmp_path, capsys, bodylog, command, read, written, way):
+def test_an_output_that_is_an_input_is_refused(tmp_path, capsys, run_cli, command, read, written, way):
     source, spare = tmp_path / "source.mcap", tmp_path / "spare"
     source.write_bytes(b"precious")
     spare.write_bytes(b"spare")
@@ -109,12 +109,12 @@ def test_an_output_that_is_an_input_is_refused(tmp_path, capsys, bodylog, comman
             FILES[way](source, folder)
     else:
         out = FILES[way](source, tmp_path)
-    _refused(capsys, bodylog, tmp_path, _typed(command, read, written, source, out, spare))
+    _refused(capsys, run_cli, tmp_path, _typed(command, read, written, source, out, spare))
 
 
 @pytest.mark.parametrize("name", ["run_0.db3", "metadata.yaml", "new.mcap", "deep/new.mcap"])
 @pytest.mark.parametrize(("command", "read", "written"), PAIRS, ids=IDS)
-def test_an_output_in_an_input_folder_is_refused(tmp_path, capsys, bodylog, command, read, written, name):
+def test_an_output_in_an_input_folder_is_refused(tmp_path, capsys, run_cli, command, read, written, name):
     spare = tmp_path / "spare"
     spare.write_bytes(b"spare")
     source = _rosbag2(tmp_path / "run")
@@ -122,7 +122,7 @@ def test_an_output_in_an_input_folder_is_refused(tmp_path, capsys, bodylog, comm
     out = source / name
     if isinstance(written.type, Folder):
         out = source if name == "metadata.yaml" else source / "deep" / name.replace(".", "")
-    _refused(capsys, bodylog, tmp_path, _typed(command, read, written, source, out, spare))
+    _refused(capsys, run_cli, tmp_path, _typed(command, read, written, source, out, spare))
 
 
 def _rosbag2(folder):
@@ -168,13 +168,13 @@ def test_names_that_differ_in_case_alone_are_one_where_the_disk_says_so(tmp_path
     guard([run], [Output(tmp_path / "RUN2.mcap")])
 
 
-def test_a_video_that_the_settings_name_is_an_input(tmp_path, capsys, bodylog, robot):
+def test_a_video_that_the_settings_name_is_an_input(tmp_path, capsys, run_cli, robot):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     (tmp_path / "side.avi").write_bytes(b"precious")
     (tmp_path / "robot.toml").write_text('[topics]\ncamera = "side.avi"\n')
     for name in ("extract", "ingest", "plot", "colours", "view"):
         typed = (name, tmp_path / "reach.mcap", "--config", tmp_path / "robot.toml", "-o", tmp_path / "side.avi")
-        _refused(capsys, bodylog, tmp_path, typed)
+        _refused(capsys, run_cli, tmp_path, typed)
 
 
 def test_a_table_that_the_settings_name_is_an_input(tmp_path):
@@ -184,24 +184,24 @@ def test_a_table_that_the_settings_name_is_an_input(tmp_path):
         distinct([tmp_path / "run.mcap"], [Output(tmp_path / "tracks.csv")], settings)
 
 
-def test_a_file_url_is_the_file(tmp_path, capsys, bodylog, robot):
+def test_a_file_url_is_the_file(tmp_path, capsys, run_cli, robot):
     pytest.importorskip("fsspec", reason="the cloud extra is not installed")
     log = tmp_path / "reach.mcap"
     shutil.copy(robot / "reach.mcap", log)
-    _refused(capsys, bodylog, tmp_path, ("ingest", f"file://{log}", "-o", log))
-    _refused(capsys, bodylog, tmp_path, ("batch", f"file://{log}", "--body", robot / "body.npz", "-o", tmp_path))
+    _refused(capsys, run_cli, tmp_path, ("ingest", f"file://{log}", "-o", log))
+    _refused(capsys, run_cli, tmp_path, ("batch", f"file://{log}", "--body", robot / "body.npz", "-o", tmp_path))
 
 
-def test_two_outputs_are_not_one(tmp_path, capsys, bodylog, robot):
+def test_two_outputs_are_not_one(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out"
     for folder in (out, out / "tables"):
-        assert bodylog("ingest", robot / "reach.mcap", "-o", out, "--csv", folder) == 2
+        assert run_cli("ingest", robot / "reach.mcap", "-o", out, "--csv", folder) == 2
         assert "in the place of -o" in capsys.readouterr().err and not out.exists()
 
 
 @pytest.mark.parametrize("place", ["folder", "folder/", "pipe", "no/out.mcap", "out.mcap/", "loop", "/dev/full", "."])
 def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
-    tmp_path, capsys, bodylog, monkeypatch, place
+    tmp_path, capsys, run_cli, monkeypatch, place
 ):
     (tmp_path / "folder").mkdir()
     os.mkfifo(tmp_path / "pipe")
@@ -209,25 +209,25 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_read(
     monkeypatch.chdir(tmp_path)
     for name in ("ingest", "plot", "colours", "layout"):
         capsys.readouterr()
-        assert bodylog(name, "absent.mcap", "-o", place) == 73
+        assert run_cli(name, "absent.mcap", "-o", place) == 73
         assert capsys.readouterr().err.count("\n") == 1
     assert sorted(os.listdir(tmp_path)) == ["folder", "loop", "pipe"]
 
 
-def test_a_stream_is_a_device(capsys, bodylog):
+def test_a_stream_is_a_device(capsys, run_cli):
     """What /dev/stdout leads to, where that is a pipe, has no name."""
     read, write = os.pipe()
-    assert bodylog("ingest", "absent.mcap", "-o", f"/dev/fd/{write}") == 73
+    assert run_cli("ingest", "absent.mcap", "-o", f"/dev/fd/{write}") == 73
     assert "is a device" in capsys.readouterr().err
     os.close(read)
     os.close(write)
 
 
-def test_searched_folders_are_no_inputs_but_their_logs_are(tmp_path, capsys, bodylog, robot):
+def test_searched_folders_are_no_inputs_but_their_logs_are(tmp_path, capsys, run_cli, robot):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     body = ("--body", robot / "body.npz")
-    _refused(capsys, bodylog, tmp_path, ("batch", tmp_path, *body, "-o", tmp_path))
-    _refused(capsys, bodylog, tmp_path, ("batch", f"{tmp_path}/*.mcap", *body, "-o", tmp_path))
+    _refused(capsys, run_cli, tmp_path, ("batch", tmp_path, *body, "-o", tmp_path))
+    _refused(capsys, run_cli, tmp_path, ("batch", f"{tmp_path}/*.mcap", *body, "-o", tmp_path))
     assert Searched().convert("a*", None, None) == "a*" and Path("a*") != "a*"
 
 

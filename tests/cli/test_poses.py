@@ -20,13 +20,13 @@ def tables(tmp_path_factory):
     return folder, truth
 
 
-def test_poses_are_estimated_scored_compared_and_reported(tables, bodylog, capsys):
+def test_poses_are_estimated_scored_compared_and_reported(tables, run_cli, capsys):
     folder, truth = tables
     body, out = folder / "body.npz", folder / "out.mcap"
-    assert bodylog("fit", folder / "train.csv", "-o", body) == 0
-    assert bodylog("estimate", folder / "test.csv", "--body", body, "-o", out) == 0
+    assert run_cli("fit", folder / "train.csv", "-o", body) == 0
+    assert run_cli("estimate", folder / "test.csv", "--body", body, "-o", out) == 0
     capsys.readouterr()
-    assert bodylog("evaluate", out, "--json") == 0
+    assert run_cli("evaluate", out, "--json") == 0
     assert "used/side/tip" in capsys.readouterr().out
     from bodylog.annotating.read_back import read_estimate
 
@@ -34,11 +34,11 @@ def test_poses_are_estimated_scored_compared_and_reported(tables, bodylog, capsy
     order = [found.joints.names.index(name) for name in ("pan", "lift")]
     error = found.joints.values[:, order] - truth["test"]
     assert np.sqrt(np.mean(error**2)) < 0.005 and found.faults == ()
-    assert bodylog("estimate", out, "--body", body, "-o", folder / "again.mcap") == 0  # what was written stays poses
+    assert run_cli("estimate", out, "--body", body, "-o", folder / "again.mcap") == 0  # what was written stays poses
     assert np.array_equal(read_estimate(folder / "again.mcap").joints.values, found.joints.values)
-    assert bodylog("compare", folder / "test.csv", "--body", body) == 0
+    assert run_cli("compare", folder / "test.csv", "--body", body) == 0
     assert "poses are each by itself" in capsys.readouterr().err
-    assert bodylog("report", out, "-o", folder / "report.html") == 0
-    assert bodylog("info", folder / "test.csv", "--json") == 0
+    assert run_cli("report", out, "-o", folder / "report.html") == 0
+    assert run_cli("info", folder / "test.csv", "--json") == 0
     (described,) = json.loads(capsys.readouterr().out)
     assert described["format"] == "csv" and described["joints"] == ["pan", "lift"]

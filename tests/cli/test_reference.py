@@ -6,48 +6,48 @@ import pytest
 
 
 @pytest.fixture(scope="module")
-def squared(tmp_path_factory, bodylog):
+def squared(tmp_path_factory, run_cli):
     """A folder with explore.mcap and later.mcap of encoders that read squares, and reference.toml."""
     folder = tmp_path_factory.mktemp("squared")
     (folder / "reference.toml").write_text('[topics]\nreference = "/truth/joint_states"\n')
     for name, seed, seconds in (("explore", 1, 20), ("later", 2, 8)):
         where = ("-o", folder / f"{name}.mcap", "--size", "160x120", "--variant", "moving")
-        assert bodylog("record", "square-encoders", *where, "--seed", seed, "--duration", seconds) == 0
+        assert run_cli("record", "square-encoders", *where, "--seed", seed, "--duration", seconds) == 0
     return folder
 
 
-def _said(capsys, bodylog, *arguments):
+def _said(capsys, run_cli, *arguments):
     capsys.readouterr()
-    assert bodylog(*arguments, "--json") == 0
+    assert run_cli(*arguments, "--json") == 0
     result = json.loads(capsys.readouterr().out)
     return {score["name"]: score["value"] for score in result["scores"]}, [f["text"] for f in result["findings"]]
 
 
-def test_squares_are_learned_by_the_reference_and_estimated_without(tmp_path, capsys, bodylog, squared):
+def test_squares_are_learned_by_the_reference_and_estimated_without(tmp_path, capsys, run_cli, squared):
     body, typed = tmp_path / "body.npz", ("--config", squared / "reference.toml")
-    scores, findings = _said(capsys, bodylog, "fit", squared / "explore.mcap", "-o", body, *typed)
+    scores, findings = _said(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body, *typed)
     assert scores["held_out.encoders.elbow_joint"] == pytest.approx(0.003, rel=0.1)
     assert any("by the reference they read shoulder_pan_joint" in text and "x^2" in text for text in findings)
     for method, most in (("laplace", 0.006), ("smoother", 0.004), ("predictive-coding", 0.02)):
         typed = (squared / "later.mcap", "--body", body, "-o", tmp_path / "out.mcap", "--method", method)
-        assert _said(capsys, bodylog, "estimate", *typed)[0]["joint_rmse"] < most
-    alone, _ = _said(capsys, bodylog, "estimate", *typed[:-1], "laplace", "--with", "encoders")
+        assert _said(capsys, run_cli, "estimate", *typed)[0]["joint_rmse"] < most
+    alone, _ = _said(capsys, run_cli, "estimate", *typed[:-1], "laplace", "--with", "encoders")
     assert alone["joint_rmse"] < 0.006 and 0.5 < alone["nees"] < 1.5
 
 
-def test_without_the_reference_squares_are_taken_for_angles(tmp_path, capsys, bodylog, squared):
+def test_without_the_reference_squares_are_taken_for_angles(tmp_path, capsys, run_cli, squared):
     body = tmp_path / "body.npz"
-    _, findings = _said(capsys, bodylog, "fit", squared / "explore.mcap", "-o", body)
+    _, findings = _said(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body)
     assert not any("reference" in text for text in findings)
-    scores, _ = _said(capsys, bodylog, "estimate", squared / "later.mcap", "--body", body, "-o", tmp_path / "out.mcap")
+    scores, _ = _said(capsys, run_cli, "estimate", squared / "later.mcap", "--body", body, "-o", tmp_path / "out.mcap")
     assert scores["joint_rmse"] > 1.0
 
 
-def test_a_reference_that_is_not_there_is_refused_by_fit_alone(tmp_path, capsys, bodylog, robot):
+def test_a_reference_that_is_not_there_is_refused_by_fit_alone(tmp_path, capsys, run_cli, robot):
     config = tmp_path / "reference.toml"
     config.write_text('[topics]\nreference = "/motion_capture/joints"\n')
     capsys.readouterr()
-    assert bodylog("fit", robot / "explore.mcap", "-o", tmp_path / "b.npz", "--config", config) == 65
+    assert run_cli("fit", robot / "explore.mcap", "-o", tmp_path / "b.npz", "--config", config) == 65
     assert '[topics] reference = "/motion_capture/joints", but it has no such topic' in capsys.readouterr().err
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap")
-    assert bodylog("estimate", *typed, "--config", config) == 0
+    assert run_cli("estimate", *typed, "--config", config) == 0

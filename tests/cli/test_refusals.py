@@ -44,11 +44,11 @@ CASES = {
 
 
 @pytest.mark.parametrize("typed", CASES)
-def test_the_line_begins_with_the_log(capsys, bodylog, robot, logs, typed):
+def test_the_line_begins_with_the_log(capsys, run_cli, robot, logs, typed):
     body = robot / "body.npz"
     words = [body if word == "body.npz" else logs / word if "." in word else word for word in typed.split()]
     capsys.readouterr()
-    assert bodylog(*words) == 65
+    assert run_cli(*words) == 65
     said = capsys.readouterr().err
     assert said.count("\n") == 1 and said.startswith("bodylog: " + CASES[typed].format(logs)), said
     assert not list(logs.glob("out*"))

@@ -6,25 +6,25 @@ import pytest
 
 
 @pytest.fixture(scope="module")
-def seven(tmp_path_factory, bodylog):
+def seven(tmp_path_factory, run_cli):
     """A folder with explore.mcap, reach.mcap and body.npz of the arm of seven joints."""
     folder = tmp_path_factory.mktemp("seven")
     for scenario, name, seed, seconds in (("babble", "explore", 1, 30), ("reach", "reach", 11, 6)):
         where = ("-o", folder / f"{name}.mcap", "--arm", "seven", "--size", "160x120")
-        assert bodylog("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
-    assert bodylog("fit", folder / "explore.mcap", "-o", folder / "body.npz") == 0
+        assert run_cli("record", scenario, *where, "--seed", seed, "--duration", seconds) == 0
+    assert run_cli("fit", folder / "explore.mcap", "-o", folder / "body.npz") == 0
     return folder
 
 
 @pytest.mark.parametrize(("method", "most"), [("laplace", 0.5), ("smoother", 0.3)])
-def test_seven_joints_are_learned_and_estimated(tmp_path, capsys, bodylog, seven, method, most):
+def test_seven_joints_are_learned_and_estimated(tmp_path, capsys, run_cli, seven, method, most):
     out = tmp_path / "out.mcap"
     capsys.readouterr()
     typed = (seven / "reach.mcap", "--body", seven / "body.npz", "-o", out, "--method", method, "--json")
-    assert bodylog("estimate", *typed) == 0
+    assert run_cli("estimate", *typed) == 0
     scores = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
     assert sum(name.startswith("joint_rmse/joint_") for name in scores) == 7
     assert scores["joint_rmse"] < most * scores["encoder_rmse"]
     assert 85 <= scores["coverage_2sigma"] <= 99
-    assert bodylog("report", out, "-o", tmp_path / "page.html") == 0
+    assert run_cli("report", out, "-o", tmp_path / "page.html") == 0
     assert all(f"joint_{k}" in (tmp_path / "page.html").read_text() for k in range(1, 8))

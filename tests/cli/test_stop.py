@@ -233,7 +233,7 @@ def test_a_reader_that_leaves_is_no_bug(robot):
     assert process.returncode == 141
 
 
-def test_a_pipe_is_no_log(tmp_path, capsys, bodylog):
+def test_a_pipe_is_no_log(tmp_path, capsys, run_cli):
     os.mkfifo(tmp_path / "log.mcap")
-    assert bodylog("info", tmp_path / "log.mcap") == 65
+    assert run_cli("info", tmp_path / "log.mcap") == 65
     assert "is a pipe or device" in capsys.readouterr().err

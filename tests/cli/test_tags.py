@@ -14,24 +14,24 @@ rim = { tag = 7, size = 0.08, corners = true }
 
 
 @pytest.fixture(scope="module")
-def tagged(tmp_path_factory, bodylog) -> Path:
+def tagged(tmp_path_factory, run_cli) -> Path:
     """A folder with a log of a small robot with a tag, and its robot.toml."""
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     folder = tmp_path_factory.mktemp("tagged")
     how = ("--duration", 6, "--seed", 1, "--size", "480x360", "--feature", "tag")
-    assert bodylog("record", "babble", "-o", folder / "log.mcap", *how) == 0
+    assert run_cli("record", "babble", "-o", folder / "log.mcap", *how) == 0
     (folder / "robot.toml").write_text(TOML % "")
     return folder
 
 
-def test_tags_give_tracks_a_body_and_are_remembered(tagged, bodylog, capsys) -> None:
+def test_tags_give_tracks_a_body_and_are_remembered(tagged, run_cli, capsys) -> None:
     config = ("--config", tagged / "robot.toml")
-    assert bodylog("extract", tagged / "log.mcap", "-o", tagged / "features.mcap", *config, "--json") == 0
+    assert run_cli("extract", tagged / "log.mcap", "-o", tagged / "features.mcap", *config, "--json") == 0
     health = json.loads(capsys.readouterr().out)["health"]
     names = ("wrist", "rim.0", "rim.1", "rim.2", "rim.3")
     assert all(health[name]["used"] > 0.5 * health[name]["seen"] for name in names) and "effector" not in health
     # nobody says again what to look for: the log itself knows
-    assert bodylog("fit", tagged / "features.mcap", "-o", tagged / "body.npz", "--json") == 0
+    assert run_cli("fit", tagged / "features.mcap", "-o", tagged / "body.npz", "--json") == 0
     scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
     assert {f"held_out.{name}" for name in names} <= scores and "held_out.effector" not in scores
 
@@ -44,16 +44,16 @@ def test_tags_give_tracks_a_body_and_are_remembered(tagged, bodylog, capsys) -> 
     assert name == "rim" and tracks == names[1:] and places[2].tolist() == [0.04, 0.04, 0.0]
 
 
-def test_a_tag_that_is_not_there_is_refused_by_name(tagged, bodylog, capsys) -> None:
+def test_a_tag_that_is_not_there_is_refused_by_name(tagged, run_cli, capsys) -> None:
     (tagged / "other.toml").write_text(TOML % "elbow = { tag = 11 }")
-    code = bodylog("fit", tagged / "log.mcap", "-o", tagged / "none.npz", "--config", tagged / "other.toml")
+    code = run_cli("fit", tagged / "log.mcap", "-o", tagged / "none.npz", "--config", tagged / "other.toml")
     said = capsys.readouterr().err
     assert code == 65 and "elbow: nothing usable" in said and not (tagged / "none.npz").exists()
 
 
-def test_a_point_in_a_plain_place_is_refused_with_the_log_and_the_key(tagged, bodylog, capsys) -> None:
+def test_a_point_in_a_plain_place_is_refused_with_the_log_and_the_key(tagged, run_cli, capsys) -> None:
     (tagged / "point.toml").write_text("[features]\ntip = { point = [1.0, 1.0], at = 1.0 }\n")
-    code = bodylog("extract", tagged / "log.mcap", "-o", tagged / "no.mcap", "--config", tagged / "point.toml")
+    code = run_cli("extract", tagged / "log.mcap", "-o", tagged / "no.mcap", "--config", tagged / "point.toml")
     said = capsys.readouterr().err
     assert code == 65 and "log.mcap: features.tip.point is [1.0, 1.0]; possible: 10 to 469" in said
     assert not (tagged / "no.mcap").exists()

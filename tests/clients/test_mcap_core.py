@@ -42,12 +42,12 @@ def read(packages):
 
 
 @pytest.fixture(scope="module")
-def annotated(bodylog, robot, tmp_path_factory):
+def annotated(run_cli, robot, tmp_path_factory):
     """A log of touches with its estimate, so that every topic we write has messages."""
     folder = tmp_path_factory.mktemp("touched")
     typed = ("--size", "160x120", "--duration", 8, "--seed", 4)
-    assert bodylog("record", "touch", "-o", folder / "touch.mcap", *typed) == 0
-    assert bodylog("estimate", folder / "touch.mcap", "--body", robot / "body.npz", "-o", folder / "out.mcap") == 0
+    assert run_cli("record", "touch", "-o", folder / "touch.mcap", *typed) == 0
+    assert run_cli("estimate", folder / "touch.mcap", "--body", robot / "body.npz", "-o", folder / "out.mcap") == 0
     return folder / "out.mcap"
 
 
@@ -68,9 +68,9 @@ def test_every_message_is_read_and_decoded_both_ways(read, annotated):
     assert {"/bodylog/touch", "/bodylog/synchrony", "/bodylog/annotations"} <= _whole(read, annotated)
 
 
-def test_so_is_what_became_of_a_bag_and_of_an_extract(read, bodylog, arm, arm_body, tmp_path):
-    assert bodylog("estimate", arm / "reach.bag", "--body", arm_body, "-o", tmp_path / "bag.mcap") == 0
-    assert bodylog("extract", arm / "touch.mcap", "-o", tmp_path / "features.mcap") == 0
+def test_so_is_what_became_of_a_bag_and_of_an_extract(read, run_cli, arm, arm_body, tmp_path):
+    assert run_cli("estimate", arm / "reach.bag", "--body", arm_body, "-o", tmp_path / "bag.mcap") == 0
+    assert run_cli("extract", arm / "touch.mcap", "-o", tmp_path / "features.mcap") == 0
     assert {"/tomm/truth", "/bodylog/joint_states"} <= _whole(read, tmp_path / "bag.mcap")
     assert {"/bodylog/track/effector", "/bodylog/touch"} <= _whole(read, tmp_path / "features.mcap")
 

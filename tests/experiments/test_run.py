@@ -94,10 +94,10 @@ def test_an_unknown_experiment_names_those_there_are():
     assert run.chosen([]) == tuple(name for name in EXPERIMENTS if name != "Real")
 
 
-def test_the_command_takes_a_reading_and_says_what_is_wrong_with_one(tmp_path, capsys, bodylog):
-    assert bodylog("reproduce", "E2", "-o", tmp_path, "--reading", "sigma_n=loud") == 2
+def test_the_command_takes_a_reading_and_says_what_is_wrong_with_one(tmp_path, capsys, run_cli):
+    assert run_cli("reproduce", "E2", "-o", tmp_path, "--reading", "sigma_n=loud") == 2
     assert "possible: amplitude, noise, learned" in capsys.readouterr().err
-    assert bodylog("reproduce", "rubber-hand", "-o", tmp_path, "--asynchrony", "0,fast") == 2
+    assert run_cli("reproduce", "rubber-hand", "-o", tmp_path, "--asynchrony", "0,fast") == 2
     assert "numbers from 0 to 5 are expected" in capsys.readouterr().err
-    assert bodylog("reproduce", "real", "-o", tmp_path / "out") == 2
+    assert run_cli("reproduce", "real", "-o", tmp_path / "out") == 2
     assert "type: --data DIR" in capsys.readouterr().err

@@ -82,10 +82,10 @@ def test_positions_that_are_none_are_counted_or_passed_over(tmp_path, position):
     assert np.isfinite(read.joints.values[:30]).all() and np.nanmax(np.abs(read.joints.values)) <= 30
 
 
-def test_names_that_are_half_a_surrogate_pair_can_be_written(tmp_path, bodylog):
+def test_names_that_are_half_a_surrogate_pair_can_be_written(tmp_path, run_cli):
     times = [T0 + k * 10**7 for k in range(30)]
     path = _joints(tmp_path / "x.mcap", times, lambda k: {"name": ["\ud800"], "position": [k]})
-    assert bodylog("ingest", path, "-o", tmp_path / "out.mcap") == 0
+    assert run_cli("ingest", path, "-o", tmp_path / "out.mcap") == 0
     assert recording.read(tmp_path / "out.mcap", Settings()).joints.names == ("\\ud800",)
 
 
@@ -284,7 +284,7 @@ def test_metadata_with_aliases_is_not_expanded(tmp_path):
 
 
 @pytest.mark.parametrize("folder", [False, True])
-def test_logs_whose_names_are_not_utf_8_are_read_and_written(tmp_path, bodylog, folder):
+def test_logs_whose_names_are_not_utf_8_are_read_and_written(tmp_path, run_cli, folder):
     log = os.fsencode(tmp_path) + b"/\xff\xfe.db3"
     times = [T0 + k * 10**7 for k in range(30)]
     messages = [("/joint_states", t, writing.joint_state(t, ["a"], [0.1 * k])) for k, t in enumerate(times)]
@@ -296,7 +296,7 @@ def test_logs_whose_names_are_not_utf_8_are_read_and_written(tmp_path, bodylog, 
     else:
         os.rename(tmp_path / "y.db3", log)
     for command in (("info",), ("doctor",), ("ingest", "-o", tmp_path / "i.mcap")):
-        assert bodylog(command[0], os.fsdecode(log), *command[1:]) == 0
+        assert run_cli(command[0], os.fsdecode(log), *command[1:]) == 0
 
 
 def test_of_times_decades_apart_the_most_are_used(tmp_path):

@@ -19,9 +19,9 @@ def test_every_panel_shown_is_configured_and_every_configured_one_shown():
     assert _panels(made["layout"]) == set(made["configById"])
 
 
-def test_lines_are_named_for_joints_and_senses(tmp_path, robot, bodylog):
-    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap") == 0
-    assert bodylog("layout", tmp_path / "out.mcap", "-o", tmp_path / "layout.json") == 0
+def test_lines_are_named_for_joints_and_senses(tmp_path, robot, run_cli):
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap") == 0
+    assert run_cli("layout", tmp_path / "out.mcap", "-o", tmp_path / "layout.json") == 0
     panels = json.loads((tmp_path / "layout.json").read_text())["configById"]
     belief = {path["label"]: path["value"] for path in panels["Plot!belief"]["paths"]}
     assert belief["elbow_joint"].startswith("/bodylog/joint_states.position[")

@@ -8,16 +8,16 @@ from .test_html import LIMIT, plotted, titles
 
 
 @pytest.fixture(scope="module")
-def touched(bodylog, robot):
+def touched(run_cli, robot):
     out = robot / "touched.mcap"
     typed = ("--size", "160x120", "--duration", 8, "--seed", 4)
-    assert bodylog("record", "touch", "-o", robot / "touch.mcap", *typed) == 0
-    assert bodylog("estimate", robot / "touch.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    assert run_cli("record", "touch", "-o", robot / "touch.mcap", *typed) == 0
+    assert run_cli("estimate", robot / "touch.mcap", "--body", robot / "body.npz", "-o", out) == 0
     return out
 
 
-def test_page_and_figures(bodylog, touched, tmp_path):
-    assert bodylog("report", touched, "-o", tmp_path / "r.html", "--figures", tmp_path / "figures") == 0
+def test_page_and_figures(run_cli, touched, tmp_path):
+    assert run_cli("report", touched, "-o", tmp_path / "r.html", "--figures", tmp_path / "figures") == 0
     kinds = {"recording.png", "recording.svg", "estimate.png", "estimate.svg", "overlay.png"}
     kinds |= {"reprojection.png", "reprojection.svg"}  # the simulator's logs carry a URDF
     assert {path.name for path in (tmp_path / "figures").iterdir()} == kinds
@@ -33,14 +33,14 @@ def test_page_and_figures(bodylog, touched, tmp_path):
     assert page.count("data:image/jpeg;base64,") == 6
 
 
-def test_features_alone_tell_as_much_as_the_pictures(bodylog, touched, robot, tmp_path, capsys):
+def test_features_alone_tell_as_much_as_the_pictures(run_cli, touched, robot, tmp_path, capsys):
     raw, features, told = robot / "touch.mcap", tmp_path / "features.mcap", []
     for log, out in ((raw, features), (features, tmp_path / "again.mcap")):
         tables = tmp_path / f"{out.stem}.tables"
-        assert bodylog("extract", log, "-o", out, "--csv", tables) == 0
+        assert run_cli("extract", log, "-o", out, "--csv", tables) == 0
         capsys.readouterr()
         typed = ("--body", robot / "body.npz", "-o", tmp_path / "out.mcap", "--json")
-        assert bodylog("estimate", log, *typed) == 0
+        assert run_cli("estimate", log, *typed) == 0
         files = {path.name: path.read_text() for path in tables.iterdir()}
         scores = json.loads(capsys.readouterr().out)["scores"]
         # features hold no true poses

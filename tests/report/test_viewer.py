@@ -20,18 +20,18 @@ there = pytest.mark.skipif(find_spec("rerun_cli") is None, reason="needs rerun-s
 
 
 @pytest.fixture(scope="module")
-def annotated(bodylog, robot):
+def annotated(run_cli, robot):
     """The small robot's reaching with its estimate."""
     out = robot / "viewed.mcap"
-    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
     return out
 
 
 @pytest.fixture(scope="module")
-def seen(bodylog, annotated):
+def seen(run_cli, annotated):
     """The same as a recording."""
     out = annotated.with_suffix(".rrd")
-    assert bodylog("view", annotated, "-o", out) == 0
+    assert run_cli("view", annotated, "-o", out) == 0
     return out
 
 
@@ -112,26 +112,26 @@ def test_the_overlay_lies_in_the_pictures_plane(seen):
 
 
 @there
-def test_a_log_without_an_estimate_is_shown_as_it_is(bodylog, robot, tmp_path, capsys):
+def test_a_log_without_an_estimate_is_shown_as_it_is(run_cli, robot, tmp_path, capsys):
     capsys.readouterr()
-    assert bodylog("view", robot / "reach.mcap", "-o", tmp_path / "r.rrd") == 0
+    assert run_cli("view", robot / "reach.mcap", "-o", tmp_path / "r.rrd") == 0
     said = rerun(tmp_path, "rrd", "stats", tmp_path / "r.rrd")
     assert "/camera/image/compressed" in said and "/joint_states/position" in said and "/bodylog" not in said
 
 
 @there
-def test_a_bag_is_shown_by_way_of_a_tidy_log(bodylog, arm, tmp_path):
-    assert bodylog("view", arm / "reach.bag", "-o", tmp_path / "b.rrd") == 0
+def test_a_bag_is_shown_by_way_of_a_tidy_log(run_cli, arm, tmp_path):
+    assert run_cli("view", arm / "reach.bag", "-o", tmp_path / "b.rrd") == 0
     said = rerun(tmp_path, "rrd", "stats", tmp_path / "b.rrd")
     assert "/joint_states/position" in said and "image" in said
 
 
 @there
-def test_a_packed_log_is_unpacked_for_rerun(bodylog, robot, tmp_path):
+def test_a_packed_log_is_unpacked_for_rerun(run_cli, robot, tmp_path):
     import zstandard
 
     (tmp_path / "x.mcap.zst").write_bytes(zstandard.compress((robot / "reach.mcap").read_bytes()))
-    assert bodylog("view", tmp_path / "x.mcap.zst", "-o", tmp_path / "x.rrd") == 0
+    assert run_cli("view", tmp_path / "x.mcap.zst", "-o", tmp_path / "x.rrd") == 0
     assert "/joint_states/position" in rerun(tmp_path, "rrd", "stats", tmp_path / "x.rrd")
 
 
@@ -151,11 +151,11 @@ def test_frame_id_of_a_topic_with_two_schemas_is_the_first_ones(tmp_path):
 
 
 @there
-def test_of_a_log_cut_short_what_is_sound_is_shown(bodylog, annotated, tmp_path):
+def test_of_a_log_cut_short_what_is_sound_is_shown(run_cli, annotated, tmp_path):
     whole = annotated.read_bytes()
     for bytes_left, code in ((len(whole) // 2, 3), (len(whole) - 10, 0)):
         (tmp_path / "cut.mcap").write_bytes(whole[:bytes_left])
-        assert bodylog("view", tmp_path / "cut.mcap", "-o", tmp_path / "c.rrd") == code
+        assert run_cli("view", tmp_path / "cut.mcap", "-o", tmp_path / "c.rrd") == code
         assert len(values(tmp_path / "c.rrd", "/camera/image/compressed", "EncodedImage:blob")[0]) > 10
 
 
@@ -168,12 +168,12 @@ def raw(encoding):
 
 
 @there
-def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(bodylog, tmp_path, capsys):
+def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(run_cli, tmp_path, capsys):
     log, out, config = tmp_path / "raw\udcff.mcap", tmp_path / "raw\udcff.rrd", tmp_path / "robot.toml"
     write(log, [raw(encoding) for encoding in ("uyvy", "rgb8", "weird")])
     config.write_text('[topics]\ncamera = "/uyvy"\n')
     capsys.readouterr()
-    assert bodylog("view", log, "-o", out, "--config", config) == 0
+    assert run_cli("view", log, "-o", out, "--config", config) == 0
     out.rename(tmp_path / "raw.rrd")
     said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning")]
     named = f"{tmp_path}/raw\\udcff.mcap"
@@ -185,19 +185,19 @@ def test_pictures_that_rerun_cannot_read_are_converted_or_left_out_by_name(bodyl
 
 
 @there
-def test_of_a_log_that_rerun_refuses_whole_what_plays_a_role_is_shown(bodylog, tmp_path, capsys):
+def test_of_a_log_that_rerun_refuses_whole_what_plays_a_role_is_shown(run_cli, tmp_path, capsys):
     log, out = tmp_path / "bad.mcap", tmp_path / "bad.rrd"
     broken = Stream("/bad", "broken_msgs/msg/Garbage", b"!!", [(T0, b"\0\1\0\0")])
     rows = [(T0 + i, joint_state(T0 + i, ("a",), (0.1 * i,))) for i in range(5)]
     write(log, [broken, joints("/joints", rows)])
     capsys.readouterr()
-    assert bodylog("view", log, "-o", out) == 0
+    assert run_cli("view", log, "-o", out) == 0
     (said,) = [line for line in capsys.readouterr().err.splitlines() if "Rerun" in line]
     assert said.startswith(f"warning: {log}: Rerun cannot read it (Failed to load MCAP file: Invalid schema broken")
     assert said.endswith("its joints, skin and pictures alone are shown")
     assert len(values(out, "/joint_states/position", "Scalars:scalars")[0]) == 5
     write(log, [broken])
-    assert bodylog("view", log, "-o", out) == 65
+    assert run_cli("view", log, "-o", out) == 65
     assert f"bodylog: {log}: Rerun cannot read it (Failed to load" in capsys.readouterr().err
 
 
@@ -233,13 +233,13 @@ def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
 
 
 @there
-def test_without_a_screen_the_error_says_what_to_type(annotated, bodylog, monkeypatch, capsys, tmp_path):
+def test_without_a_screen_the_error_says_what_to_type(annotated, run_cli, monkeypatch, capsys, tmp_path):
     rerun_process.hushed(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
     capsys.readouterr()
-    assert bodylog("view", annotated) == 2
+    assert run_cli("view", annotated) == 2
     said = capsys.readouterr().err
     assert "could not open a window (" in said and "type: bodylog view LOG -o out.rrd" in said and said.count("\n") == 1
     assert ".rs:" not in said and "DISPLAY" in said

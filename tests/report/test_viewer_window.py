@@ -21,11 +21,11 @@ pytestmark = [
 
 
 @pytest.fixture
-def window(bodylog, robot, tmp_path):
+def window(run_cli, robot, tmp_path):
     """A headless window on the small robot's estimate: its address."""
     out, recorded = tmp_path / "out.mcap", tmp_path / "out.rrd"
-    assert bodylog("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
-    assert bodylog("view", out, "-o", recorded) == 0
+    assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
+    assert run_cli("view", out, "-o", recorded) == 0
     rerun_process.hushed(tmp_path)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -102,7 +102,7 @@ class _Layout:
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.position})
 
     def _string(self, text: str) -> None:
-        raw = np.frombuffer(text.encode() + b"\0", np.uint8)
+        raw = np.frombuffer(text.encode(errors="backslashreplace") + b"\0", np.uint8)
         self._put("<u4", 4, raw.size)
         self._put((np.uint8, raw.shape), 1, raw)
 
