@@ -64,7 +64,7 @@ def reproduce(
     """The paper's experiments from simulated logs, its claims judged, on one page (out/index.html).
 
     Data, E1 to E6, Rubber-hand, PixelAI, Baselines and Errata; all when none is named. Real needs --data. What the
-    paper leaves open is read in several ways (docs/method.md). What a run left in the folder is not run again.
+    paper leaves open is read in several ways (docs/paper.md). What a run left in the folder is not run again.
     """
     from dataclasses import asdict
 

@@ -13,7 +13,7 @@ from bodylog.experiments.judging import interval
 from bodylog.experiments.readings import CONSTANTS
 
 DOCS = Path(__file__).parent
-PAGE = DOCS / "method.md"
+PAGE = DOCS / "paper.md"
 CLAIMS = ("<!-- claims -->\n", "<!-- end of claims -->\n")
 READINGS = ("<!-- readings -->\n", "<!-- end of readings -->\n")
 ERRATA = ("<!-- errata -->\n", "<!-- end of errata -->\n")

@@ -1,4 +1,4 @@
-"""docs/method.md tells where each figure and equation of the paper is, by number and by label."""
+"""docs/paper.md says where each figure and equation of the paper is, by number and by label."""
 
 import re
 from pathlib import Path
@@ -8,7 +8,7 @@ import pytest
 from tests.test_method import ROOT, _defined
 
 SOURCE = ROOT.parent / "shared" / "paper" / "lanillos2018.tex"
-PAGE = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
 TABLE = PAGE.split("## The paper by number")[1].split("\n## ")[0]
 ROWS = [
     [cell.strip() for cell in line.strip("|\n").split("|")] for line in TABLE.splitlines() if line.startswith("| ")

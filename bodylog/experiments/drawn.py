@@ -18,7 +18,7 @@ RADIUS = 0.025
 """m: the effector's ball."""
 ENCODER_HZ, CAMERA_HZ = 100.0, 30.0
 PIXEL_STD = 0.1
-"""px: the 99th percentile of perception's error on rendered logs (docs/method.md)."""
+"""px: the 99th percentile of perception's error on rendered logs (docs/validation.md)."""
 SIZE = (320, 240)
 SETTLING = 8.0
 """s of each log before its period begins to count."""

@@ -21,6 +21,6 @@ def test_the_paper_has_six_experiments():
     assert {f"E{i}" for i in range(1, 7)} <= set(EXPERIMENTS)
 
 
-def test_the_page_on_the_method_names_every_experiment():
-    page = (ROOT / "docs" / "method.md").read_text()
+def test_the_page_on_the_paper_names_every_experiment():
+    page = (ROOT / "docs" / "paper.md").read_text()
     assert all(name in page for name in EXPERIMENTS)

@@ -1,4 +1,4 @@
-"""The paper's Algorithm 1, its errata (docs/method.md) mended: descent on free energy, one Euler step per instant.
+"""The paper's Algorithm 1, its errata (docs/paper.md) mended: descent on free energy, one Euler step per instant.
 
 The explicit step integrates belief, errors and prior as printed; the linearly implicit one puts the errors at their
 equilibrium and divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
@@ -99,7 +99,7 @@ def explicitly(plan: Plan) -> tuple[Array, Array, Array]:
         if plan.touch is not None and plan.touch.active[k]:
             pull, slope = plan.touch.pull(k, x)
             dx = dx + slope * pull
-        # corrected (docs/method.md, Errata): ė_x = x̂ − μ − σ_x e_x, and μ̇ = λ e_x
+        # corrected (docs/paper.md, Errata): ė_x = x̂ − μ − σ_x e_x, and μ̇ = λ e_x
         dex, dmu = x - mu - plan.sigma_x * ex, plan.learning * ex
         x, ex, mu = x + plan.dt * dx, ex + plan.dt * dex, mu + plan.dt * dmu
         if not np.abs(x).max() < FAR:
