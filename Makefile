@@ -1,13 +1,13 @@
-# make demo   record, learn, estimate, evaluate; make test   everything CI runs; make soak   long runs; make bench   speed
+# make demo   record, learn, estimate, evaluate; make test   everything CI runs; make soak   long runs; make bench   speed; make site   the pages
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-all lint soak bench wheel docs clean
+.PHONY: demo test test-all lint soak bench wheel docs site clean
 
 $(VENV)/installed: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test,docs]'
 	touch $@
 
 # Explore, learn the body from it, replay a second log against it, score it, draw it.
@@ -33,7 +33,7 @@ lint: $(VENV)/installed
 # Side by side, a worker with one thread of linear algebra per core: more of them would spin while they wait.
 # For a single test, or in a debugger: .venv/bin/pytest -k NAME
 test: $(VENV)/installed
-	$(MAKE) --jobs=2 lint wheel
+	$(MAKE) --jobs=2 lint wheel site
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
 
 # The tests on every Python of pyproject.toml, and with the lowest version of every dependency; each must be installed.
@@ -52,8 +52,13 @@ bench: $(VENV)/installed
 wheel: $(VENV)/installed
 	$(BIN)/python tests/wheel.py
 
+# The pages that are generated from the code.
 docs: $(VENV)/installed
 	$(BIN)/python -m docs.generate_cli
+
+# The pages as a site in build/site; a broken link or a page that the navigation does not list is an error.
+site: $(VENV)/installed
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 clean:
 	rm -rf $(VENV) build dist demo *.egg-info

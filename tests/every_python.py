@@ -16,7 +16,7 @@ SOURCE = (ROOT / "pyproject.toml").read_text()
 PROJECT = tomllib.loads(SOURCE)["project"]
 VERSIONS = [word.split()[-1] for word in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", word)]
 EXTRAS = PROJECT["optional-dependencies"]
-HIGH = {"test", "all", "view"}
+HIGH = {"test", "all", "view", "docs"}
 """Extras that the lowest environment does without: Rerun asks for NumPy 2, and test tools are not the user's."""
 
 WARNINGS = {"lowest": ("-W", "ignore::DeprecationWarning")}

@@ -25,8 +25,8 @@ DISTRIBUTIONS = {
 """Modules whose distribution has another name."""
 
 OURS = {"bodylog", "bodylog_cli", "tests", "docs", "fixtures"}
-OURS_ALONE = {"test", "bench"}
-"""Extras of who works on bodylog: what is tested with, and the peers of the benchmarks."""
+OURS_ALONE = {"test", "bench", "docs"}
+"""Extras for developers: test tools, the peers of the benchmarks, and what builds the site."""
 
 COMMANDS = {"ipykernel", "mypy", "ruff", "build", "pytest-xdist", "rosbags-image", "uv"}
 """Test tools that are run, or found by their framework, and not imported."""
