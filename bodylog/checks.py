@@ -77,7 +77,8 @@ def insist(
     log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
 ) -> None:
     """EvidenceError when a feature gave nothing though robot.toml names it or its camera: named is not guessed."""
-    said = {"effector": settings.colours.effector != Colours().effector, **dict.fromkeys(settings.colours.shapes, True)}
+    said = {"effector": settings.colours.effector != Colours().effector}
+    said |= dict.fromkeys(settings.colours.markers, True)
     said |= dict.fromkeys(settings.features, True)
     some = {group_of(name) for name, used in used_of.items() if used.used}
     for name, used in used_of.items():

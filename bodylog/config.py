@@ -47,6 +47,8 @@ def _section(current: Any, section: str, values: Mapping[str, Any], where: str) 
     known = {spell(f.name): f.name for f in fields(current)}
     changed = {}
     for key, value in values.items():
+        if (section, key) in RENAMED:
+            raise ConfigError(f"{where}: {section}.{key} has a new name; type: {RENAMED[section, key]}")
         _known(key, list(known), where, "key", f"{section}.{key}")
         name = known[key]
         changed[name] = _typed(value, hints[name], f"{where}: {section}.{key}")
@@ -106,6 +108,9 @@ def _names(options: tuple[Any, ...]) -> str:
     readable = {str: "text", int: "a whole number", float: "a finite number", type(None): "left out"}
     return " or ".join(readable.get(o, "a list" if typing.get_origin(o) is tuple else "a table") for o in options)
 
+
+RENAMED: Mapping[tuple[str, str], str] = {("colours", "shapes"): "[colours] markers = {NAME = COLOUR}"}
+"""Keys that had another name, and what to type."""
 
 ALLOWED: Mapping[tuple[str, str], tuple[str, ...]] = {
     ("body", "unit"): ("rad", "deg", "4096 counts", "4096 counts from 2048"),
@@ -180,10 +185,10 @@ def _allowed(section: str, key: str, value: Any, where: str) -> None:
     if section == "topics" and isinstance(value, tuple) and len(set(value)) < max(len(value), 1):
         what = "a topic, or several different ones"
         raise ConfigError(f"{where}: {section}.{key} is {shown(list(value))}; it must be {what}")
-    if (section, key) == ("colours", "shapes") and (bad := next((name for name in value if "/" in name), None)):
+    if (section, key) == ("colours", "markers") and (bad := next((name for name in value if "/" in name), None)):
         raise ConfigError(f"{where}: {section}.{key} names {bad!r}; a feature's name has no /, which ends a camera's")
     if section == "colours":
-        for colour in value.values() if key == "shapes" else [value]:
+        for colour in value.values() if key == "markers" else [value]:
             if not isinstance(colour, bool):  # of `fast`
                 check_colour(colour, f"{where}: {section}.{key}")
 

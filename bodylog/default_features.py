@@ -38,8 +38,9 @@ def of_body(learned: BodyModel, settings: Settings) -> Settings:
         features = {str(name): parse(str(name), value, "body") for name, value in said.get("features", {}).items()}
         colours = said.get("colours", {})
         effector, hand = (check_colour(colours.get(key, default), key) for key, default in _DEFAULTS.items())
-        shapes = {str(name): check_colour(value, name) for name, value in colours.get("shapes", {}).items()}
-        there = replace(settings.colours, effector=effector, hand=hand, shapes=shapes)
+        named = colours.get("markers", colours.get("shapes", {}))  # older bodies: shapes
+        markers = {str(name): check_colour(value, name) for name, value in named.items()}
+        there = replace(settings.colours, effector=effector, hand=hand, markers=markers)
         return replace(settings, features=features, colours=there)
     return settings
 

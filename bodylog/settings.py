@@ -50,14 +50,14 @@ class Body:
 
 @dataclass(frozen=True)
 class Colours:
-    """[colours]: what to look for in the pictures; `shapes` names further features on the arm.
+    """[colours]: what to look for in the pictures; `markers` names further features on the arm.
 
     `fast` looks at JPEG pictures at half scale: less exact, in less time.
     """
 
     effector: Colour = "green"
     hand: Colour = "red"
-    shapes: Mapping[str, Colour] = field(default_factory=dict)
+    markers: Mapping[str, Colour] = field(default_factory=dict)
     fast: bool = False
 
 
@@ -200,5 +200,5 @@ def wanted(settings: Settings) -> dict[str, Source]:
     found: dict[str, Source] = {"effector": ColourSource(colours.effector), "hand": ColourSource(colours.hand)}
     if settings.features and colours.effector == Colours().effector:
         del found["effector"]
-    found |= {name: ColourSource(colour) for name, colour in colours.shapes.items()}
+    found |= {name: ColourSource(colour) for name, colour in colours.markers.items()}
     return found | dict(settings.features)

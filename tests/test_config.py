@@ -33,11 +33,11 @@ def test_cameras_are_one_or_many_and_printed_as_they_were_given(tmp_path):
     assert many.topics.cameras == ("/a", "/b") and load(_file(tmp_path, toml(many))) == many
 
 
-def test_colours_take_a_name_or_ranges_and_shapes_a_table_of_them(tmp_path):
-    text = '[colours]\neffector = {low = [50, 80, 80], high = [70, 255, 255]}\nshapes = {elbow = "blue"}\n'
+def test_colours_take_a_name_or_ranges_and_markers_a_table_of_them(tmp_path):
+    text = '[colours]\neffector = {low = [50, 80, 80], high = [70, 255, 255]}\nmarkers = {elbow = "blue"}\n'
     colours = load(_file(tmp_path, text)).colours
     assert colours.effector == {"low": (50, 80, 80), "high": (70, 255, 255)}
-    assert colours.shapes == {"elbow": "blue"}
+    assert colours.markers == {"elbow": "blue"}
 
 
 @pytest.mark.parametrize(
@@ -48,7 +48,8 @@ def test_colours_take_a_name_or_ranges_and_shapes_a_table_of_them(tmp_path):
         ("[body]\njoints = 3", "must be a list"),
         ("[topics]\ncamera = []", "topics.camera is \\[\\]; it must be a topic, or several different ones"),
         ("[topics]\ncamera = ['/a', '/a']", "several different ones"),
-        ("[colours]\nshapes = {'side/elbow' = 'blue'}", "names 'side/elbow'; a feature's name has no /"),
+        ("[colours]\nshapes = {elbow = 'blue'}", "has a new name; type: \\[colours\\] markers"),
+        ("[colours]\nmarkers = {'side/elbow' = 'blue'}", "names 'side/elbow'; a feature's name has no /"),
         ("[body]\njoints = [3]", "must be a list"),
         ("[body]\nunit = 'degrees'", "did you mean deg"),
         ("[colours]\nhand = 'puce'", "possible: blue"),
@@ -92,7 +93,7 @@ def test_a_file_without_end_is_refused():
 
 
 def test_printed_settings_read_back_as_they_were(tmp_path):
-    given = '[body]\njoints = ["pan \\" lift", "b"]\n[colours]\nshapes = {elbow = {low = [1,2,3], high = [4,5,6]}}\n'
+    given = '[body]\njoints = ["pan \\" lift", "b"]\n[colours]\nmarkers = {elbow = {low = [1,2,3], high = [4,5,6]}}\n'
     settings = load(_file(tmp_path, given))
     assert load(_file(tmp_path, toml(settings))) == settings
 

@@ -94,7 +94,7 @@ def test_a_feature_wins_over_a_colour_and_takes_the_default_effector_away() -> N
     assert list(wanted(Settings())) == ["effector", "hand"]
     tagged = Settings(features={"wrist": TagSource(7)})
     assert wanted(tagged) == {"hand": ColourSource("red"), "wrist": TagSource(7)}
-    blue = replace(tagged, colours=Colours(effector="blue", shapes={"elbow": "cyan", "wrist": "red"}))
+    blue = replace(tagged, colours=Colours(effector="blue", markers={"elbow": "cyan", "wrist": "red"}))
     assert wanted(blue)["effector"] == ColourSource("blue") and wanted(blue)["wrist"] == TagSource(7)
     assert wanted(Settings(features={"effector": TagSource(1)}))["effector"] == TagSource(1)
 

@@ -44,7 +44,7 @@ def test_a_bomb_is_refused_in_a_line(tmp_path, name):
 def test_what_people_write_is_read(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text("""
-    [colours.shapes."a.b"]   # ...................................... and 1.2.3.4.5.6
+    [colours.markers."a.b"]   # ...................................... and 1.2.3.4.5.6
     low = [1, 2, 3]
     [topics]
     joints = '/a.b.c.d'

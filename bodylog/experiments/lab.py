@@ -47,7 +47,7 @@ class Lab:
     folder: Path
     size: tuple[int, int] = (320, 240)
     exploration: float = EXPLORATION_S
-    shapes: Mapping[str, str] = field(default_factory=dict)
+    markers: Mapping[str, str] = field(default_factory=dict)
 
     def heard(self, scenario: str, seed: int, **options: Any) -> Heard:
         """What perception finds in a recording of `scenario` (options as `sim.record`), made when it is not there."""
@@ -82,7 +82,7 @@ class Lab:
     def key(self, options: Mapping[str, Any]) -> str:
         """What a kept file depends on beside its name, as 12 hex digits."""
         told = {**options, "size": self.size, "exploration": self.exploration, "version": __version__}
-        told["shapes"] = dict(self.shapes)
+        told["markers"] = dict(self.markers)
         return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:12]
 
     def _path(self, name: str, suffix: str, options: Mapping[str, Any]) -> Path:
@@ -90,7 +90,7 @@ class Lab:
         return self.folder / f"{name}-{self.key(options)}.{suffix}"
 
     def _settings(self) -> Settings:
-        return Settings(colours=Colours(shapes=self.shapes))
+        return Settings(colours=Colours(markers=self.markers))
 
 
 def kept(path: Path, make: Any) -> Any:

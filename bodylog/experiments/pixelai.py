@@ -50,7 +50,7 @@ LEVELS: dict[str, Callable[[np.random.Generator], Array]] = {"one": _one, "all":
 
 def _run(lab: Lab, seed: int, told: Readings) -> Trial:
     # vision is all there is: at half the size what is left of a still disc's centre would be the joints' error
-    lab = replace(lab, shapes={"marker": "blue"}, size=(640, 480))
+    lab = replace(lab, markers={"marker": "blue"}, size=(640, 480))
     heard = lab.heard("wrong-start", seed, duration=2.0, variant="all", marker=True)
     options: dict[str, Any] = {"variant": "four", "marker": True, "duration": LONGER * lab.exploration, "joints": FOUR}
     known, body = explored(lab.body("paper", seed, **options)), lab.body("default", seed, **options)

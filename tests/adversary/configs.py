@@ -102,7 +102,7 @@ def fitting(draw: Draw, section: str, key: str, hint: Any) -> Any:
     if section == "topics":
         return draw.of(TOPICS) if option is str else [draw.of(TOPICS), draw.of(TOPICS)]
     if section == "colours":
-        return draw.of(COLOURS) if key != "shapes" else {draw.text("tip"): draw.of(COLOURS)}
+        return draw.of(COLOURS) if key != "markers" else {draw.text("tip"): draw.of(COLOURS)}
     if key == "delay":
         return draw.of(("auto", "off", {"camera": draw.of(NUMBERS)}, {"other": 0.1}, {"joints": -0.01}))
     if key in ("joints", "senses", "without"):

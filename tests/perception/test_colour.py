@@ -189,7 +189,7 @@ def test_a_fast_target_is_followed_from_picture_to_picture() -> None:
 
 def test_every_named_shape_becomes_a_track() -> None:
     discs = [[Disc(u, v, 6.0), Disc(30.0, 30.0, 7.0, scenes.YELLOW)] for u, v in PATH[:10]]
-    settings = Settings(colours=Colours(shapes={"elbow": "yellow"}))
+    settings = Settings(colours=Colours(markers={"elbow": "yellow"}))
     features = observe(scenes.recording(scenes.frames(T[:10], _film(discs, 0))), settings)
     assert list(features.tracks) == ["effector", "hand", "elbow"]
     assert np.allclose(features.tracks["elbow"].values, 30.0, atol=0.3)
@@ -331,7 +331,7 @@ def test_further_cameras_look_for_what_is_on_the_arm_and_name_it_by_camera() -> 
     head = scenes.frames(T[:10], _film([[Disc(u, v, 6.0)] for u, v in PATH[:10]], 0))
     pictures = _film([[Disc(v, u, 6.0), Disc(30.0, 30.0, 7.0, scenes.YELLOW)] for u, v in PATH[:10]], 1, 240, 320)
     side = scenes.frames(T[:10] + 0.01, pictures)
-    settings = Settings(colours=Colours(shapes={"elbow": "yellow"}))
+    settings = Settings(colours=Colours(markers={"elbow": "yellow"}))
     alone = observe(scenes.recording(head), settings)
     both = observe(replace(scenes.recording(head), views={"side": side}), settings)
     assert list(both.tracks) == ["effector", "hand", "elbow", "side/effector", "side/elbow"]

@@ -43,7 +43,7 @@ def _log(folder: Path, scenario: str, seed: int, **wishes: Any) -> tuple[Feature
 
     path = folder / f"{scenario}{seed}.mcap"
     sim.record(scenario, path, seed=seed, **wishes)
-    settings = Settings(colours=Colours(shapes={"marker": "blue"} if wishes.get("marker") else {}))
+    settings = Settings(colours=Colours(markers={"marker": "blue"} if wishes.get("marker") else {}))
     recording = read(path, settings)
     truth: dict[str, list[Any]] = {}
     with path.open("rb") as stream:
