@@ -1,0 +1,156 @@
+"""Links, snippets and commands of every page: links lead somewhere, settings are accepted, commands run."""
+
+import re
+import shlex
+import shutil
+import tomllib
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bodylog_cli.commands import bodylog as commands
+
+import bodylog
+import bodylog.logs as logs
+from bodylog.config import load
+
+ROOT = Path(__file__).parents[1]
+PAGES = {
+    str(path.relative_to(ROOT)): path.read_text()
+    for path in sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *ROOT.glob("docs/*.md"), *ROOT.glob(".github/*.md")])
+}
+RUN_ELSEWHERE = {"docs/tutorial.md": "tests/test_docs.py", "docs/logs.md": "tests/logs/test_library.py"}
+"""Pages whose blocks another test runs word for word."""
+
+NOT_RUN = {
+    r"https?://|s3://": "no network: tests/test_stores.py reads logs behind URLs",
+    r"bodylog reproduce": "takes minutes: tests/experiments runs it with few seeds",
+    r"bodylog view \S+$": "opens a window",
+    r"bodylog compare run": "takes seconds: README.md and docs/tutorial.md compare other logs",
+    r"--duration 40": "takes a minute: docs/tutorial.md records a shorter log",
+}
+"""Commands that are parsed only, by pattern, and why."""
+
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+INDENTED = re.compile(r"(?:^ {4}\S.*\n)+", re.MULTILINE)
+
+
+def _blocks(page: str, *languages: str) -> list[str]:
+    return [body for language, body in FENCE.findall(PAGES[page]) if language in languages]
+
+
+def _typed(page: str) -> list[str]:
+    """Every command of a page's blocks, and each example of the command line's page, without comments."""
+    indented = [block.replace("\n    ", "\n") for block in INDENTED.findall(FENCE.sub("", PAGES[page]))]
+    found = []
+    for block in [*_blocks(page, "text", "bash", "yaml"), *indented]:
+        for line in re.sub(r"\\\n\s*|(?<=-o)\n\s+", " ", block).splitlines():
+            line = line.replace("${{ matrix.shard }}", "1")
+            line = re.sub(r"^\s*(- run: |Example: |\$ )?|(?<=\s)#.*$|\s+>\s.*$", "", line)
+            found += [part.strip() for part in line.split("&&")]
+    return [line for line in found if re.match(r"(bodylog [a-z]|make |python -m |pip install |mkdocs )", line)]
+
+
+def _slug(heading: str) -> str:
+    return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", heading.lower())).strip("-")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_leads_somewhere(page):
+    folder = (ROOT / page).parent
+    for target in re.findall(r"(?<!`)\]\(([^)\s]+)\)", FENCE.sub("", PAGES[page])):
+        if re.match(r"https?:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        file = folder / name if name else ROOT / page
+        assert file.exists(), target
+        if anchor:
+            headings = re.findall(r"^#+ (.*)$", FENCE.sub("", file.read_text()), re.MULTILINE)
+            assert anchor in {_slug(heading) for heading in headings}, target
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if _blocks(page, "toml")])
+def test_settings_on_a_page_are_accepted(page, tmp_path):
+    for block in _blocks(page, "toml"):
+        assert tomllib.loads(block)
+        (tmp_path / "robot.toml").write_text(block)
+        load(tmp_path / "robot.toml")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_python_on_a_page_is_run_by_a_test(page):
+    assert page in RUN_ELSEWHERE or not _blocks(page, "python")
+
+
+def test_everything_public_stands_on_the_page_of_the_python_api():
+    public = {f"bodylog.{name}" for name in bodylog.__all__ if not name.startswith("_")}
+    public |= {f"bodylog.logs.{name}" for name in logs.__all__}
+    listed = re.findall(r"^::: ([\w.]+)$", PAGES["docs/python.md"], re.MULTILINE)
+    assert public <= set(listed) and len(listed) == len(set(listed))
+
+
+def test_every_page_is_in_the_navigation():
+    listed = re.findall(r": (\w[\w-]*\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
+    assert sorted(listed) == sorted(path.name for path in ROOT.glob("docs/*.md"))
+
+
+@pytest.fixture(scope="module")
+def scene(robot, run_cli, tmp_path_factory):
+    """A folder with a file of every name that the commands of the pages read."""
+    folder = tmp_path_factory.mktemp("scene")
+    for name in ("run.bag", "run.mcap", "logs/one.mcap"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        shutil.copy(robot / "reach.mcap", folder / name)
+    for name in ("explore.bag", "explore.mcap"):
+        shutil.copy(robot / "explore.mcap", folder / name)
+    shutil.copy(robot / "body.npz", folder)
+    (folder / "crashed.mcap").write_bytes((robot / "reach.mcap").read_bytes()[:-200_000])
+    _tables(folder)
+    shutil.copytree(ROOT / "fixtures" / "arm", folder / "fixtures" / "arm")
+    return folder
+
+
+def _tables(folder: Path) -> None:
+    """poses.csv, robot.urdf and tracker.csv of the logs that are there."""
+    _, found = bodylog.observe(folder / "explore.mcap", bodylog.Settings())
+    joints, track = found.joints, found.tracks["effector"]
+    q = np.column_stack([np.interp(track.t, joints.t, column) for column in joints.values.T])
+    rows = np.column_stack([q, track.values[:, :2]])[::2]
+    names = ",".join([*joints.names, "tip_u", "tip_v"])
+    np.savetxt(folder / "poses.csv", rows, delimiter=",", header=names, comments="")
+    with logs.open(folder / "run.mcap") as log:
+        (folder / "robot.urdf").write_text(str(log["/robot_description"].data[0]))
+        truth = log["/truth/joint_states"]
+        t = (truth.header.stamp - log["/joint_states"].header.stamp[0]) / 1e9
+        rows = np.column_stack([t, truth.position])
+        names = ",".join(["t", *truth.name[0].tolist()])
+    np.savetxt(folder / "tracker.csv", rows, delimiter=",", header=names, comments="")
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if _typed(page) and page not in RUN_ELSEWHERE])
+def test_every_command_runs(page, scene, run_cli, tmp_path, monkeypatch):
+    here = tmp_path / "scene"
+    shutil.copytree(scene, here)
+    monkeypatch.chdir(here)
+    for line in _typed(page):
+        _try(line, run_cli)
+
+
+def _try(line: str, run_cli) -> None:
+    program, *words = shlex.split(line)
+    if program == "make":
+        assert re.search(rf"^{words[0]}:", (ROOT / "Makefile").read_text(), re.MULTILINE), line
+    elif program == "python":
+        assert find_spec(words[1]), line
+    elif program == "pip":
+        _extras(line)
+    elif any(re.search(pattern, line) for pattern in NOT_RUN):
+        commands.commands[words[0]].make_context(words[0], list(words[1:]))
+    else:
+        assert run_cli(*words) == (3 if "crashed" in line else 0), line
+
+
+def _extras(line: str) -> None:
+    known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    assert {name for words in re.findall(r"\[([\w,]+)\]", line) for name in words.split(",")} <= set(known)
