@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .body_model import BodyModel
 from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
-from .io.atomic_files import lasting
+from .io.atomic_files import require_regular
 from .io.outputs import Output, guard
 from .settings import Colours, Settings
 from .sources import TableSource, feature_of, group_of
@@ -18,7 +18,7 @@ from .types import Features, Finding, Health, Recording
 def distinct(read: Sequence[Path], write: Iterable[Output], settings: Settings | None = None) -> None:
     """UsageError when an output is an input, or a video that the settings name; LogError when an input is a pipe."""
     for one in read:
-        lasting(one)
+        require_regular(one)
     guard([*read, *(() if settings is None else named_files(read, settings))], write)
 
 

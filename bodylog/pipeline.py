@@ -18,7 +18,7 @@ from .logs.limits import LIMITS, Input
 from .observed import Progress, moving, still_poses
 from .scoring import against, bounded, judge, with_true_poses
 from .settings import Settings, plain
-from .types import Estimate, Fault, Features, Finding, Health, Recording, Score, Watcher
+from .types import Estimate, Fault, Features, Finding, FrameConsumer, Health, Recording, Score
 from .written_messages import estimate_messages, feature_messages, provenance, topic_of
 
 
@@ -54,7 +54,7 @@ def observe(
     from . import perception
     from .recording import recording
 
-    def looking() -> Watcher:
+    def looking() -> FrameConsumer:
         return perception.looking(settings, progress)
 
     read = recording.read(log, settings, settings.input.strict, looking)
@@ -73,7 +73,7 @@ def extract(
     from .recording import tables as export
 
     distinct([log], [Output(out), *folders("--csv", tables)], settings)
-    with annotate.begun(log, out, whole=False, limits=settings.input) as written:
+    with annotate.annotating(log, out, whole=False, limits=settings.input) as written:
         read, features = observe(log, settings, progress, guess=True)
         something_seen(log, features)
         roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
@@ -160,7 +160,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
     if known is not None:
         settings = default_features.of_body(known, settings)
         estimation.check(known, settings.estimate)
-    with annotate.begun(log, out, limits=settings.input) as written:
+    with annotate.annotating(log, out, limits=settings.input) as written:
         read, features = observe(log, settings, progress) if body else joints_alone(log, settings)
         learned = without_body(read, settings) if known is None else known
         written.copy()

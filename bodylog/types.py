@@ -59,7 +59,7 @@ class Health:
     largest_gap_s: float = 0.0
 
 
-class Watcher(Protocol):
+class FrameConsumer(Protocol):
     """Who is told, in a `with`, of each picture of a log's first camera while the log is read."""
 
     def __call__(self, frame: Frame) -> None:
@@ -75,13 +75,13 @@ class Watcher(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
+class ConsumedFrames:
     """Frames someone was told of while their log was read: t (n,) s · source_ns (n,) · which of all told they are."""
 
     t: Array
     source_ns: Array
     number: Array
-    by: Watcher
+    by: FrameConsumer
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class Recording:
     reference: Series | None = None
     views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
     settings: Settings = field(default_factory=Settings)
-    watched: Watched | None = None
+    watched: ConsumedFrames | None = None
     poses: bool = False
     beside: tuple[str, ...] = ()
     truth_pose: Poses | None = None

@@ -13,10 +13,11 @@ from .body_model import BodyModel
 from .checks import about, distinct
 from .default_features import toml_line
 from .errors import EvidenceError, FormatError, LogError
-from .io.atomic_files import is_archive, made
+from .io.atomic_files import ensure_dir, is_archive
 from .io.outputs import Output
-from .io.remote import naming
+from .io.remote import errors_about
 from .io.temporary import scratch
+from .logs.topic_names import PREFIX
 from .observed import Progress
 from .pipeline import Result, doctor, folders, ingest, observe
 from .scoring import judge
@@ -125,7 +126,7 @@ def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
     found, remarks = _estimate(log, source, read)
     cameras = _cameras(source, read)
     drawn = partial(rerun_recording.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
-    with naming(source, str(log)):
+    with errors_about(source, str(log)):
         unshown = rerun_process.recording(source, out, f"{log.name} {read.start_ns}", drawn)
     findings = (*read.findings, *remarks, *_left_out(log, unshown, cameras))
     return Result(out, () if found is None else judge(found, read), findings=findings)
@@ -136,7 +137,7 @@ def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tupl
     from .logs.formats import open_log
 
     with open_log(log, settings.input.strict, settings.input) as opened:
-        ours = any(topic.name.startswith("/bodylog/") for topic in opened.topics)
+        ours = any(topic.name.startswith(PREFIX) for topic in opened.topics)
     with suppress(LogError):
         if not ours:
             lost = ingest(log, out, settings).findings
@@ -155,7 +156,7 @@ def _left_out(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, Came
 def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
     """A log that Rerun reads whole: a sound one itself, else `out`: what is sound of it, or what ingest makes of it."""
     from .logs.formats import open_log
-    from .logs.mcap.prefix import is_mcap
+    from .logs.mcap.records import is_mcap
 
     with open_log(log, settings.input.strict, settings.input) as opened:
         kind, findings = opened.format, opened.findings
@@ -170,7 +171,7 @@ def _estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None
     """The estimate a log carries, or None and a remark on how to get one."""
     from .annotating import read_back
 
-    if any(topic.name == "/bodylog/joint_covariance" for topic in read.topics):
+    if any(topic.name == f"{PREFIX}joint_covariance" for topic in read.topics):
         return read_back.read_estimate(source, read.start_ns), ()
     return None, (Finding("info", f"no estimate in it; type: bodylog estimate {log} --body body.npz -o out.mcap"),)
 
@@ -254,7 +255,7 @@ def _figures(
     from .report.figures import figures, reprojection
     from .report.viewers import image_overlay
 
-    made(folder)
+    ensure_dir(folder)
     for suffix in (".png", ".svg"):
         figures.recording_figure(read, features, folder / f"recording{suffix}")
         figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")

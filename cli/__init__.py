@@ -21,17 +21,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         from bodylog.runtime import signals
 
-        told = signals.told
+        told = signals.received_signal
         _heed()
         from bodylog.runtime import malloc, sigbus
 
-        malloc.keep()
-        sigbus.endure()
+        malloc.tune_malloc()
+        sigbus.install_sigbus_handler()
         if hasattr(sys.stdout, "reconfigure"):
             sys.stdout.reconfigure(errors="backslashreplace")  # a log may name what this terminal cannot write
         gc.set_threshold(_RARELY)
         code = run(arguments)
-        if sigbus.filled() and code in (0, 3, 4):
+        if sigbus.zeroed_pages() and code in (0, 3, 4):
             code = _unread()
     except BaseException as problem:
         if not (told and told()) and not isinstance(problem, KeyboardInterrupt):
@@ -49,7 +49,7 @@ def _heed() -> None:
     from bodylog.runtime import signals
 
     plain = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
-    signals.heed(*(number for number, default in plain.items() if signal.getsignal(number) is default))
+    signals.raise_on_signal(*(number for number, default in plain.items() if signal.getsignal(number) is default))
 
 
 def _unread() -> int:

@@ -55,7 +55,7 @@ def say(problem: Exception) -> None:
     """A refusal, in one line on standard error; nothing where the process was told to end, which is why."""
     from bodylog.runtime import signals
 
-    if not signals.told():
+    if not signals.received_signal():
         line(f"bodylog: {' '.join(str(problem).split())}", err=True)
 
 

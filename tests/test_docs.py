@@ -37,7 +37,7 @@ def test_the_help_names_every_method_and_the_formats_what_each_names():
 
 def test_every_topic_that_is_written_stands_in_the_page_on_formats():
     page = (ROOT / "docs" / "formats.md").read_text()
-    topics = re.findall(r'ROOT \+ "(\w+)', (ROOT / "bodylog" / "annotating" / "messages.py").read_text())
+    topics = re.findall(r'PREFIX \+ "(\w+)', (ROOT / "bodylog" / "annotating" / "messages.py").read_text())
     assert len(topics) > 10 and not {topic for topic in topics if f"/bodylog/{topic}" not in page}
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import OutputError, WriteError
-from bodylog.io.atomic_files import made, replacing, sha256, text
-from bodylog.io.temporary import FOREIGN_S, PART, held, machine, remove_stale, scratch
+from bodylog.io.atomic_files import ensure_dir, replacing, sha256, text
+from bodylog.io.temporary import FOREIGN_S, PART, machine, remove_stale, scratch, try_lock
 
 WRITER = """
 import sys
@@ -89,7 +89,7 @@ def test_links_that_lead_nowhere_are_refused(tmp_path):
 
 def test_a_link_to_a_folder_that_is_not_there_makes_it(tmp_path):
     (tmp_path / "link").symlink_to("folder")
-    assert made(tmp_path / "link").is_dir() and (tmp_path / "folder").is_dir()
+    assert ensure_dir(tmp_path / "link").is_dir() and (tmp_path / "folder").is_dir()
 
 
 def test_what_a_pipe_says_is_read_and_without_end_refused(tmp_path):
@@ -226,7 +226,7 @@ def test_a_folder_goes_once_nobody_holds_it(tmp_path):
     folder.mkdir()
     (folder / "log.mcap").touch()
     (folder / "link").symlink_to(tmp_path)
-    with held(folder) as ours:
+    with try_lock(folder) as ours:
         remove_stale(tmp_path, f".*{PART}")
         assert ours and folder.is_dir()
     remove_stale(tmp_path, f".*{PART}")

@@ -10,7 +10,7 @@ import pytest
 
 BEGIN = """import os, signal, sys, time
 from bodylog.runtime import signals
-signals.heed(signal.SIGTERM, signal.SIGINT)
+signals.raise_on_signal(signal.SIGTERM, signal.SIGINT)
 """
 ON = "print('on', flush=True)"
 WAIT = "for _ in range(2000): time.sleep(0.005)\n"

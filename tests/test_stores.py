@@ -87,13 +87,13 @@ def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
         Stream("/blob", "std_msgs/msg/UInt8MultiArray", b"uint8[] data", pictures),
         Stream("/words", "std_msgs/msg/String", b"string data", words),
     ], chunk=1 << 22)  # fmt: skip
-    brought, part = [], remote.part
+    brought, part = [], remote.read_range
 
     def counted(url, start, end):
         brought.append(end - start)
         return part(url, start, end)
 
-    monkeypatch.setattr(remote, "part", counted)
+    monkeypatch.setattr(remote, "read_range", counted)
     told = info.info(log.as_uri(), Settings())
     assert [topic["messages"] for topic in told["topics"]] == [48, 1]
     assert log.stat().st_size > 48 << 20

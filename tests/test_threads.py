@@ -14,7 +14,7 @@ from bodylog.body import learn
 from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate
 from bodylog.perception.colours import colour_tracker
-from bodylog.runtime.blas_threads import later, one_thread
+from bodylog.runtime.blas_threads import lower_priority, one_thread
 from bodylog.settings import Estimation, Settings
 from bodylog.types import Features, Frame, Series
 
@@ -88,6 +88,6 @@ def test_a_thread_that_comes_later_keeps_no_other_back() -> None:
         return os.getpriority(os.PRIO_PROCESS, 0)
 
     before = mine()
-    with ThreadPoolExecutor(1, initializer=later) as pool:
+    with ThreadPoolExecutor(1, initializer=lower_priority) as pool:
         assert pool.submit(mine).result() == min(before + 5, 19)
     assert mine() == before

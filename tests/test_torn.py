@@ -22,9 +22,10 @@ def cut(path):
         os.truncate(path, 5000)
         return bytes(found)
 """
-ZEROS = CUTS + "sigbus.endure(); read = cut(sys.argv[1]); print(len(read), zlib.crc32(read), sigbus.filled())"
+READ = "read = cut(sys.argv[1]); print(len(read), zlib.crc32(read), sigbus.zeroed_pages())"
+ZEROS = f"{CUTS}sigbus.install_sigbus_handler(); {READ}"
 KILLED = CUTS + "cut(sys.argv[1])"
-DISK = CUTS + "sigbus.endure(); cut(sys.argv.pop(1)); import bodylog_cli; bodylog_cli.main()"
+DISK = CUTS + "sigbus.install_sigbus_handler(); cut(sys.argv.pop(1)); import bodylog_cli; bodylog_cli.main()"
 READS = """
 import os, sys
 import bodylog_cli

@@ -12,13 +12,14 @@ from ..io.atomic_files import replacing
 from ..io.outputs import Output, guard
 from ..logs.conversion.transcode import LIBRARY, PROFILE, carry
 from ..logs.limits import LIMITS, Input
-from ..logs.mcap.encode import Messages
-from ..logs.mcap.prefix import NAME, Base, is_mcap, keepable
+from ..logs.mcap.encode import MessageTable
+from ..logs.mcap.prefix import NAME, Prefix, reusable_prefix
+from ..logs.mcap.records import is_mcap
 from ..logs.mcap.verification import verify
 from ..logs.mcap.writer import Contents, Writer
 from ..types import Finding, Outgoing
 from .background_copy import Copy
-from .schema_conflicts import apart
+from .schema_conflicts import rename_conflicting
 
 
 def annotate(
@@ -35,7 +36,7 @@ def annotate(
     Findings name topics that could not be carried over whole. UsageError if `out` is the source, LogError if the copy
     does not hold what it should.
     """
-    with begun(source, out, whole=only is None) as under_way:
+    with annotating(source, out, whole=only is None) as under_way:
         under_way.copy()
         findings = under_way.add(outgoing, only)
         under_way.about(metadata)
@@ -43,7 +44,7 @@ def annotate(
 
 
 @contextmanager
-def begun(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -> Iterator["Annotation"]:
+def annotating(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -> Iterator["Annotation"]:
     """`annotate` in steps: the source is read and, where it can stay as it is, copied while the messages are made.
 
     `add` and `about` are to follow, once each; `copy` may come before, once a core is to spare: what takes no time to
@@ -62,7 +63,7 @@ def begun(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -
 class Annotation:
     """An annotated log under way."""
 
-    def __init__(self, source: Path, base: Base | None, copy: Copy, stream: BinaryIO, limits: Input) -> None:
+    def __init__(self, source: Path, base: Prefix | None, copy: Copy, stream: BinaryIO, limits: Input) -> None:
         """Of `base`, what stays of the source and is being copied; None when all is to be rewritten."""
         self.messages = 0
         self.copy, self.digest = copy.begin, copy.digest
@@ -71,7 +72,7 @@ class Annotation:
     def add(self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None) -> tuple[Finding, ...]:
         """Our messages, behind all of the source's or `only` those of some topics; what could not be carried over."""
         self._writer, kept, findings = self._behind(only)
-        readable, more = apart(outgoing, self._writer.contents.schemas.values())
+        readable, more = rename_conflicting(outgoing, self._writer.contents.schemas.values())
         add(self._writer, readable)
         self.messages = kept + sum(len(o.log_ns) for o in outgoing)
         return (*findings, *more)
@@ -113,20 +114,20 @@ def add(writer: Writer, outgoing: Sequence[Outgoing], about: Mapping[str, Mappin
         writer.write(_table(outgoing, numbers))
 
 
-def _base(source: Path) -> Base | None:
+def _base(source: Path) -> Prefix | None:
     """What can be kept of `source` as it is; None when it must be rewritten."""
     try:
-        return keepable(source) if is_mcap(source) else None
+        return reusable_prefix(source) if is_mcap(source) else None
     except FormatError:
         return None
 
 
-def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:
+def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> MessageTable:
     counts = [len(o.log_ns) for o in outgoing]
     shift = np.cumsum([0, *(o.data.size for o in outgoing)])
     log_ns = np.concatenate([o.log_ns for o in outgoing])
     order = np.argsort(log_ns, kind="stable")
-    return Messages(
+    return MessageTable(
         channel=np.repeat(numbers, counts)[order],
         sequence=np.concatenate([np.arange(count) for count in counts])[order],
         log_ns=log_ns[order],
@@ -135,5 +136,3 @@ def _table(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> Messages:
         offset=np.concatenate([o.offset + start for o, start in zip(outgoing, shift, strict=False)])[order],
         length=np.concatenate([o.length for o in outgoing])[order],
     )
-
-

@@ -10,7 +10,7 @@ from pathlib import Path
 from threading import Event
 
 from ..errors import LogError
-from ..io.atomic_files import pieces
+from ..io.atomic_files import iter_mapped
 from ..logs.episode_files import files_of
 
 _PIECE = 16 << 20
@@ -78,7 +78,7 @@ class Copy:
         digest, read = hashlib.sha256(), 0
         shared = 0 if target is None else target.share(self._source, self._end)
         parts = files_of(self._source) if target is None else (self._source,)
-        for piece in (piece for part in parts for piece in pieces(part, _PIECE)):
+        for piece in (piece for part in parts for piece in iter_mapped(part, _PIECE)):
             if self._stopped.is_set():
                 raise CancelledError
             if target is not None:

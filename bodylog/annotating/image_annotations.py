@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..logs.encode import cdr
-from ..logs.encode.cdr import Field, Payloads
+from ..logs.encode.cdr import CdrField, Payloads
 from ..types import Array, Series
 
 _COLOURS = {"effector": (0.1, 0.9, 0.2, 1.0), "hand": (1.0, 0.25, 0.2, 1.0)}
@@ -65,7 +65,7 @@ def _grouped(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloa
         kind = shown[rows[0]]
         round_parts = [c for c, there in zip(circles, kind, strict=False) if there]
         loop_parts = [loop for loop, there in zip(loops, kind[len(circles) :], strict=True) if there]
-        fields: list[Field] = [("uint32", len(round_parts))]
+        fields: list[CdrField] = [("uint32", len(round_parts))]
         for colour, diameter, centre in round_parts:
             fields += _circle(stamp[rows], centre[rows], diameter, colour)
         fields.append(("uint32", len(loop_parts)))
@@ -76,12 +76,12 @@ def _grouped(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloa
     return cdr.merge(parts, len(stamp))
 
 
-def _circle(stamp: Array, centre: Array, diameter: float, colour: tuple[float, ...]) -> list[Field]:
+def _circle(stamp: Array, centre: Array, diameter: float, colour: tuple[float, ...]) -> list[CdrField]:
     shape = [diameter, 2.0, *_CLEAR, *colour]
     return [*cdr.time(stamp), ("float64*", centre), ("float64*", np.array([shape]))]
 
 
-def _loop(stamp: Array, corners: Array) -> list[Field]:
+def _loop(stamp: Array, corners: Array) -> list[CdrField]:
     return [
         *cdr.time(stamp),
         ("uint8", _LINE_LOOP),

@@ -11,7 +11,7 @@ from ..errors import FormatError, LogError
 from ..logs.decode.dynamic import reader
 from ..logs.decode.ros1_to_cdr import converter, known_definition
 from ..logs.encode import cdr
-from ..logs.encode.cdr import Field
+from ..logs.encode.cdr import CdrField
 from ..logs.formats import open_log, payloads
 from ..logs.images import messages
 from ..logs.topic_names import escape
@@ -123,12 +123,12 @@ def _encoded(recording: Recording, frames: Frames) -> Iterator[Picture]:
 
 
 def _compressed(message: Mapping[str, Any], stamp: int) -> bytes:
-    fields: list[Field] = [*_header(message, stamp), ("string", str(message.get("format", ""))), _bytes(message)]
+    fields: list[CdrField] = [*_header(message, stamp), ("string", str(message.get("format", ""))), _bytes(message)]
     return cdr.serialise(1, fields).data.tobytes()
 
 
 def _raw(message: Mapping[str, Any], stamp: int) -> bytes:
-    fields: list[Field] = [
+    fields: list[CdrField] = [
         *_header(message, stamp),
         ("uint32", messages.whole(message, "height")),
         ("uint32", messages.whole(message, "width")),
@@ -140,10 +140,10 @@ def _raw(message: Mapping[str, Any], stamp: int) -> bytes:
     return cdr.serialise(1, fields).data.tobytes()
 
 
-def _header(message: Mapping[str, Any], stamp: int) -> list[Field]:
+def _header(message: Mapping[str, Any], stamp: int) -> list[CdrField]:
     return cdr.header(np.array([stamp]), str(message.get("frame_id", "")))
 
 
-def _bytes(message: Mapping[str, Any]) -> Field:
+def _bytes(message: Mapping[str, Any]) -> CdrField:
     row: Array = np.frombuffer(messages.content(message), np.uint8)
     return "uint8[]", row[None]

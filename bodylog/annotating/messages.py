@@ -5,17 +5,17 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from ..logs.encode import cdr
-from ..logs.encode.cdr import Field, Payloads
+from ..logs.encode.cdr import CdrField, Payloads
 from ..logs.encode.schemas import definition
-from ..logs.topic_names import ROOT, TRACK, TRACK_NAMES, escape
+from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, escape
 from ..types import Array, Estimate, Fault, Features, Outgoing, Poses, Series, Synchrony, Touch
 from . import image_annotations
 
-PREDICTED = ROOT + "predicted/"
-KINEMATIC = ROOT + "kinematics/"
-ERROR = ROOT + "prediction_error/"
+PREDICTED = PREFIX + "predicted/"
+KINEMATIC = PREFIX + "kinematics/"
+ERROR = PREFIX + "prediction_error/"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
-ANNOTATIONS = ROOT + "annotations"
+ANNOTATIONS = PREFIX + "annotations"
 PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
 
 
@@ -24,7 +24,7 @@ def from_features(features: Features, start_ns: int) -> list[Outgoing]:
     out = [from_track(name, track, start_ns, _frame(name, features)) for name, track in features.tracks.items()]
     for name in ("effector", "hand"):
         if name in features.tracks:
-            out.append(_points(ROOT + name, features.tracks[name], start_ns, _frame(name, features)))
+            out.append(_points(PREFIX + name, features.tracks[name], start_ns, _frame(name, features)))
     if features.hand is not None:
         out.append(_strokes(features, features.hand, start_ns))
     if features.touches is not None:
@@ -37,21 +37,21 @@ def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list
     """Belief, covariance, errors, predictions, faults, and each camera's overlay of what was seen and predicted."""
     joints = estimate.joints
     out = [
-        from_joints(ROOT + "joint_states", joints, start_ns, estimate.rate.values),
-        _named(ROOT + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
-        _scalar(ROOT + "free_energy", joints, estimate.free_energy, start_ns),
+        from_joints(PREFIX + "joint_states", joints, start_ns, estimate.rate.values),
+        _named(PREFIX + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
+        _scalar(PREFIX + "free_energy", joints, estimate.free_energy, start_ns),
     ]
     out += [_named(ERROR + escape(sense), "Vector", e, e.values, start_ns) for sense, e in estimate.errors.items()]
     if estimate.bias is not None:
-        out.append(_named(ROOT + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
+        out.append(_named(PREFIX + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
     for name, series in estimate.predicted.items():
         out.append(_predicted(name, series, estimate.predicted_cov.get(name), start_ns, _frame(name, features)))
     if (predicted := estimate.predicted.get("effector")) is not None:
-        out.append(_points(ROOT + "effector_predicted", predicted, start_ns, _frame("effector", features)))
+        out.append(_points(PREFIX + "effector_predicted", predicted, start_ns, _frame("effector", features)))
     for name, kinematic in estimate.kinematic.items():
         out.append(_named(KINEMATIC + escape(name), "Vector", kinematic, kinematic.values, start_ns))
     if estimate.effector is not None:
-        out.append(_poses(ROOT + "effector_pose", estimate.effector, start_ns))
+        out.append(_poses(PREFIX + "effector_pose", estimate.effector, start_ns))
     if estimate.faults:
         out.append(_faults(estimate.faults, joints, start_ns))
     return [*out, *_overlays(estimate, features.tracks, start_ns)]
@@ -80,7 +80,7 @@ def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = 
     """Joint angles (N,M) as sensor_msgs/JointState, with velocity when `rate` (N,M) rad/s is given."""
     # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
     unknown = np.full(joints.values.shape, np.nan)
-    fields: list[Field] = [
+    fields: list[CdrField] = [
         *cdr.header(stamps(joints.t, start_ns)),
         ("string[]", joints.names),
         ("float64[]", joints.values),
@@ -92,7 +92,7 @@ def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = 
 
 def from_skin(topic: str, skin: Series, start_ns: int) -> Outgoing:
     """Proximity (N,cells) 0..1 as bodylog_msgs/SkinArray."""
-    fields: list[Field] = [*cdr.header(stamps(skin.t, start_ns)), ("float32[]", skin.values)]
+    fields: list[CdrField] = [*cdr.header(stamps(skin.t, start_ns)), ("float32[]", skin.values)]
     return _plain(topic, "bodylog_msgs/msg/SkinArray", skin.source_ns, fields)
 
 
@@ -120,7 +120,7 @@ def _predicted(name: str, series: Series, cov: Array | None, start_ns: int, fram
 def _points(topic: str, track: Series, start_ns: int, frame: str) -> Outgoing:
     seen = np.isfinite(track.values).all(1)
     point = np.column_stack([track.values[seen], np.zeros(seen.sum())])
-    fields: list[Field] = [*cdr.header(stamps(track.t[seen], start_ns), frame), ("float64*", point)]
+    fields: list[CdrField] = [*cdr.header(stamps(track.t[seen], start_ns), frame), ("float64*", point)]
     return _plain(topic, "geometry_msgs/msg/PointStamped", track.source_ns[seen], fields)
 
 
@@ -131,7 +131,7 @@ def _named(topic: str, kind: str, series: Series, data: Array, start_ns: int) ->
 def _vector(
     topic: str, series: Series, names: Sequence[str], data: Array, start_ns: int, frame: str, kind: str = "Vector"
 ) -> Outgoing:
-    fields: list[Field] = [
+    fields: list[CdrField] = [
         *cdr.header(stamps(series.t, start_ns), frame),
         ("string[]", names),
         ("float64[]", data),
@@ -140,7 +140,7 @@ def _vector(
 
 
 def _scalar(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
-    fields: list[Field] = [*cdr.header(stamps(series.t, start_ns)), ("float64", data)]
+    fields: list[CdrField] = [*cdr.header(stamps(series.t, start_ns)), ("float64", data)]
     return _plain(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
 
 
@@ -148,7 +148,7 @@ def _poses(topic: str, poses: Poses, start_ns: int) -> Outgoing:
     """Poses with their covariance, its rows and columns in ROS's order: x, y, z, turns about x, y, z."""
     count = len(poses.t)
     cov = np.zeros((count, 36)) if poses.cov is None else poses.cov.reshape(count, 36)
-    fields: list[Field] = [
+    fields: list[CdrField] = [
         *cdr.header(stamps(poses.t, start_ns), poses.frame),
         ("float64*", np.column_stack([poses.place, poses.turn, cov])),
     ]
@@ -161,14 +161,14 @@ def _strokes(features: Features, hand: Series, start_ns: int) -> Outgoing:
     start, end = (np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end"))
     begun = stamps(start, start_ns)
     places = [(*s.start_px, 0.0, *s.end_px, 0.0) for s in features.strokes]
-    fields: list[Field] = [
+    fields: list[CdrField] = [
         *cdr.header(begun, _frame("hand", features)),
         *cdr.time(stamps(end, start_ns) - begun),
         ("float64*", np.array(places).reshape(-1, 6)),
         ("float64", np.array([delays.get(number, np.nan) for number in range(len(begun))])),
     ]
     pictures = np.maximum(np.searchsorted(hand.t, start, "right") - 1, 0)
-    return _plain(ROOT + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)
+    return _plain(PREFIX + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)
 
 
 def _touches(touches: Sequence[Touch], start_ns: int) -> Outgoing:
@@ -176,7 +176,7 @@ def _touches(touches: Sequence[Touch], start_ns: int) -> Outgoing:
     for i, touch in enumerate(touches):
         onset, offset = stamps(np.array([[touch.onset], [touch.offset]]), start_ns)
         cells = [touch.strongest, *(cell for cell in touch.cells if cell != touch.strongest)]
-        fields: list[Field] = [
+        fields: list[CdrField] = [
             *cdr.header(onset),
             *cdr.time(offset - onset),
             ("int32[]", np.array([cells])),
@@ -184,24 +184,24 @@ def _touches(touches: Sequence[Touch], start_ns: int) -> Outgoing:
         ]
         parts.append((np.array([i]), cdr.serialise(1, fields)))
     times = np.array([touch.source_ns for touch in touches], np.int64)
-    return _outgoing(ROOT + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge(parts, len(touches)))
+    return _outgoing(PREFIX + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge(parts, len(touches)))
 
 
 def _synchrony(synchrony: Sequence[Synchrony], touches: Sequence[Touch], start_ns: int) -> Outgoing:
     caused = [touches[s.touch] for s in synchrony]
-    fields: list[Field] = [
+    fields: list[CdrField] = [
         *cdr.header(stamps(np.array([touch.onset for touch in caused]), start_ns)),
         ("float64", np.array([s.delay for s in synchrony])),
         ("float64", np.array([s.weight for s in synchrony])),
     ]
     times = np.array([touch.source_ns for touch in caused], np.int64)
-    return _plain(ROOT + "synchrony", "bodylog_msgs/msg/Synchrony", times, fields)
+    return _plain(PREFIX + "synchrony", "bodylog_msgs/msg/Synchrony", times, fields)
 
 
 def _faults(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
     parts = []
     for i, fault in enumerate(faults):
-        fields: list[Field] = [
+        fields: list[CdrField] = [
             *cdr.header(stamps(np.array([fault.since]), start_ns)),
             ("string", fault.sense),
             ("string", fault.name),
@@ -213,10 +213,10 @@ def _faults(faults: Sequence[Fault], joints: Series, start_ns: int) -> Outgoing:
         parts.append((np.array([i]), cdr.serialise(1, fields)))
     last = np.searchsorted(joints.t, [fault.since for fault in faults], "right") - 1
     times = joints.source_ns[np.maximum(last, 0)]
-    return _outgoing(ROOT + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge(parts, len(faults)))
+    return _outgoing(PREFIX + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge(parts, len(faults)))
 
 
-def _plain(topic: str, kind: str, log_ns: Array, fields: Sequence[Field]) -> Outgoing:
+def _plain(topic: str, kind: str, log_ns: Array, fields: Sequence[CdrField]) -> Outgoing:
     return _outgoing(topic, kind, log_ns, cdr.serialise(len(log_ns), fields))
 
 

@@ -11,11 +11,11 @@ from ..errors import ConfigError, FormatError, LogError
 from ..io.values import believed
 from ..logs.decode.columns import columns_of
 from ..logs.formats import open_log
-from ..logs.mcap.prefix import NAME, ROOT
-from ..logs.mcap.record_file import TopLevel
+from ..logs.mcap.prefix import NAME
+from ..logs.mcap.record_file import RecordFile
 from ..logs.mcap.records import HEAD, METADATA, METADATA_INDEX, parse
 from ..logs.protocol import Log
-from ..logs.topic_names import TRACK, TRACK_NAMES, unescape
+from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, unescape
 from ..types import (
     Array,
     Estimate,
@@ -57,7 +57,7 @@ def _fields(topic: Topic) -> tuple[str, ...]:
 def read_metadata(path: Path) -> dict[str, str]:
     """The metadata record `bodylog` of an annotated MCAP; LogError when there is none."""
     try:
-        with TopLevel(path) as file:
+        with RecordFile(path) as file:
             _, summary = file.summary()
             listed = [r.fields for r, _ in summary if r.opcode == METADATA_INDEX and r.fields["name"] == NAME]
             if listed:
@@ -87,7 +87,7 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
         predicted=predicted,
         predicted_cov=predicted_cov,
         settings=said.settings,
-        bias=table.series(ROOT + "encoder_bias", "rad"),
+        bias=table.series(PREFIX + "encoder_bias", "rad"),
         faults=table.faults(),
         findings=said.findings,
         effector=table.effector(),
@@ -99,11 +99,11 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
 def read_features(log: Log, start_ns: int) -> Features | None:
     """Tracks, strokes, touches and synchrony a log carries from an earlier run, without joints; None: it has none."""
     names = {topic.name for topic in log.topics}
-    if not any(name.startswith(TRACK) or name == ROOT + "touch" for name in names):
+    if not any(name.startswith(TRACK) or name == PREFIX + "touch" for name in names):
         return None
     table = _Table(log, start_ns, log.path)
     tracks = {name: _track(series) for name, series in table.tracks().items()}
-    touches = table.touches() if ROOT + "touch" in names else None
+    touches = table.touches() if PREFIX + "touch" in names else None
     strokes, paired = table.strokes()
     pairs = table.synchrony(touches or (), paired)
     health = {name: Health(len(c.log_ns), len(c.sound)) for name, c in table.columns.items()}
@@ -114,7 +114,7 @@ class _Table:
     """Columns of every topic of ours in a log."""
 
     def __init__(self, log: Log, start_ns: int, path: Path) -> None:
-        topics = {t.id: t for t in log.topics if t.name.startswith(ROOT) and t.type in _FIELDS}
+        topics = {t.id: t for t in log.topics if t.name.startswith(PREFIX) and t.type in _FIELDS}
         try:
             found = columns_of(log, {number: (topic, _fields(topic)) for number, topic in topics.items()})
         except (ConfigError, FormatError) as problem:
@@ -124,9 +124,9 @@ class _Table:
 
     def joints(self) -> tuple[Series, Series]:
         """The belief (N,M) rad and its rate (N,M) rad/s."""
-        t, source_ns, (names, position, velocity) = self._rows(ROOT + "joint_states")
+        t, source_ns, (names, position, velocity) = self._rows(PREFIX + "joint_states")
         if position.shape != velocity.shape or position.shape != (len(t), len(names)):
-            raise self._unfit(ROOT + "joint_states", f"{len(names)} names, arrays {position.shape}, {velocity.shape}")
+            raise self._unfit(PREFIX + "joint_states", f"{len(names)} names, arrays {position.shape}, {velocity.shape}")
         return Series(t, position, names, "rad", source_ns), Series(t, velocity, names, "rad/s", source_ns)
 
     def series(self, topic: str, unit: str) -> Series | None:
@@ -153,10 +153,12 @@ class _Table:
 
     def aligned(self, name: str, joints: Series, width: int) -> Array:
         """Values (N,width) that go with each row of `joints`; LogError when they do not."""
-        t, _, values = self._rows(ROOT + name)
+        t, _, values = self._rows(PREFIX + name)
         data: Array = values[-1].reshape(len(t), values[-1].size // max(1, len(t)))
         if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
-            raise LogError(f"{self.path}: {ROOT}{name} does not go with {ROOT}joint_states; {type_again(self.path)}")
+            raise LogError(
+                f"{self.path}: {PREFIX}{name} does not go with {PREFIX}joint_states; {type_again(self.path)}"
+            )
         return data
 
     def predicted(self) -> tuple[dict[str, Series], dict[str, Array]]:
@@ -174,10 +176,10 @@ class _Table:
     def touches(self) -> tuple[Touch, ...]:
         """Touches in order of onset."""
         found = []
-        for part, log_ns in self._parts(ROOT + "touch"):
+        for part, log_ns in self._parts(PREFIX + "touch"):
             for stamp, lasting, cells, peak, source in zip(*part, log_ns, strict=True):
                 if not len(cells):
-                    raise self._unfit(ROOT + "touch", "a touch of no cell")
+                    raise self._unfit(PREFIX + "touch", "a touch of no cell")
                 onset = (int(stamp) - self.start_ns) / 1e9
                 offset = (int(stamp) + int(lasting) - self.start_ns) / 1e9
                 numbers = tuple(sorted(int(cell) for cell in cells))
@@ -193,7 +195,7 @@ class _Table:
     def strokes(self) -> tuple[tuple[Stroke, ...], Iterator[int]]:
         """Strokes in order, and the numbers of those a touch was paired with."""
         found = []
-        for part, _ in self._parts(ROOT + "stroke"):
+        for part, _ in self._parts(PREFIX + "stroke"):
             for stamp, lasting, u, v, to_u, to_v, delay in zip(*(column.tolist() for column in part), strict=True):
                 start, end = ((ns - self.start_ns) / 1e9 for ns in (stamp, stamp + lasting))
                 found.append((Stroke(start, end, (u, v), (to_u, to_v)), delay))
@@ -207,7 +209,7 @@ class _Table:
         for i, touch in reversed(list(enumerate(touches))):
             waiting.setdefault(round(touch.onset * 1e9), []).append(i)
         found = []
-        for (stamp, delay, weight), _ in self._parts(ROOT + "synchrony"):
+        for (stamp, delay, weight), _ in self._parts(PREFIX + "synchrony"):
             for s, d, w in zip(stamp.tolist(), delay.tolist(), weight.tolist(), strict=True):
                 if numbers := waiting.get(s - self.start_ns):
                     found.append(Synchrony(numbers.pop(), None, d, w))
@@ -217,7 +219,7 @@ class _Table:
     def faults(self) -> tuple[Fault, ...]:
         """Faults in order of onset."""
         found = []
-        for (stamp, sense, name, kind, size, unit, *more), _ in self._parts(ROOT + "faults"):
+        for (stamp, sense, name, kind, size, unit, *more), _ in self._parts(PREFIX + "faults"):
             spread = more[0] if more else np.full(len(size), np.nan)
             for since, amount, std in zip((stamp - self.start_ns) / 1e9, size, spread.tolist(), strict=True):
                 known = None if std != std else std
@@ -226,7 +228,7 @@ class _Table:
 
     def effector(self) -> Poses | None:
         """The effector's poses in the base, or None where there are none."""
-        columns = self.columns.get(ROOT + "effector_pose")
+        columns = self.columns.get(PREFIX + "effector_pose")
         return None if columns is None else poses(columns, self.start_ns)
 
     def _unfit(self, topic: str, found: str) -> LogError:
@@ -257,4 +259,4 @@ def _track(found: Series) -> Series:
 
 
 def _absent(path: Path) -> LogError:
-    return LogError(f"{path}: no {ROOT} topics of an estimate; {type_again(path)}")
+    return LogError(f"{path}: no {PREFIX} topics of an estimate; {type_again(path)}")

@@ -13,7 +13,9 @@ _BORROWED, _OWN = "foxglove_msgs/", "bodylog_msgs/"
 _READ = ("ros1msg", "ros2msg", "ros2idl")
 
 
-def apart(outgoing: Sequence[Outgoing], schemas: Iterable[bytes]) -> tuple[list[Outgoing], tuple[Finding, ...]]:
+def rename_conflicting(
+    outgoing: Sequence[Outgoing], schemas: Iterable[bytes]
+) -> tuple[list[Outgoing], tuple[Finding, ...]]:
     """The messages, those of a type the file's Schema records define otherwise under a name of ours; what was done."""
     theirs = _defined(schemas)
     rivals = {o.topic for o in outgoing if o.type.startswith(_BORROWED) and _differs(o, theirs)}

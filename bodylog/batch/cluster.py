@@ -44,7 +44,7 @@ def do(job: Job) -> Row:
     """One job on a worker, which Dask tells to give memory back at once: bodylog asks for the same again and again."""
     import cv2
 
-    malloc.keep()
+    malloc.tune_malloc()
     cv2.setNumThreads(1)
     return work.run(job)
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from ..errors import OutputError, UsageError
-from ..io.atomic_files import made
+from ..io.atomic_files import ensure_dir
 
 BATCH = ".bodylog-batch"
 """Marks a folder that holds the results of a batch."""
@@ -95,7 +95,7 @@ def is_result(folder: Path) -> bool:
 
 def mark(folder: Path, name: str) -> Path:
     """`folder`, made where it is not there yet, and marked."""
-    made(folder)
+    ensure_dir(folder)
     (folder / name).open("a").close()
     if name == RESULT:
         (folder / _OLD_LOCK).unlink(missing_ok=True)

@@ -62,7 +62,7 @@ def find(given: str) -> Iterator[str]:
     What a batch left is found only where it is named.
     """
     if remote.is_url(given):
-        yield from remote.behind(given, SUFFIXES)
+        yield from remote.expand(given, SUFFIXES)
         return
     if not Path(given).exists() and (some := episodes.expanded(Path(given))) and episodes.split(some[0])[1] is not None:
         yield from map(str, some)

@@ -35,7 +35,7 @@ STATUS = {
 
 def run(job: Job) -> Row:
     """Do one job and leave its row beside its outputs; every failure becomes a row."""
-    sigbus.endure()
+    sigbus.install_sigbus_handler()
     folders.mark(job.folder, folders.RESULT)
     # a worker that outlived its killed batch may still be at it
     with folders.alone(job.folder, folders.RESULT), _on_one_core():
@@ -79,9 +79,9 @@ def not_run(job: Job) -> Row:
 def _attempt(job: Job) -> Row:
     key = None
     try:
-        key, before = resume.key(job), sigbus.filled()
+        key, before = resume.key(job), sigbus.zeroed_pages()
         done = _estimate(job)
-        if sigbus.filled() > before:
+        if sigbus.zeroed_pages() > before:
             raise LogError(f"{job.log}: part of it could not be read; check the disk it is on")
         return _row(job, key, **done)
     except BodylogError as err:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import UsageError
-from ..io.atomic_files import made
+from ..io.atomic_files import ensure_dir
 from ..io.temporary import remove_killed
 from ..runtime.workers import ended, ready, uninterrupted
 from ..sim import how_to_install
@@ -83,7 +83,7 @@ def reproduce(wish: Reproduction, tell: Tell | None = None) -> tuple[Claim, ...]
     names = chosen(wish.names)
     _ready(names, wish.data)
     tasks = [(name, seed) for name in names for seed in wish.seeds_of(name)]
-    made(wish.lab.folder)
+    ensure_dir(wish.lab.folder)
     for done, (name, seed) in enumerate(_finished(wish, tasks), 1):
         if tell:
             tell(f"{name} seed {seed}", done, len(tasks))

@@ -71,7 +71,7 @@ def _behind(link: Path) -> Path:
     return path
 
 
-def made(path: Path) -> Path:
+def ensure_dir(path: Path) -> Path:
     """`path` as a folder, made where it is not there yet; OutputError where it, or what it would be in, is a file."""
     try:
         Path(os.path.realpath(path)).mkdir(parents=True, exist_ok=True)
@@ -127,7 +127,7 @@ def is_archive(path: Path) -> bool:
         return stream.read(4) == b"PK\x03\x04"
 
 
-def lasting(path: Path) -> None:
+def require_regular(path: Path) -> None:
     """LogError for a pipe or device: what it says is gone once it is read, and who opens it waits for who writes."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise LogError(f"{path}: is a pipe or device, and what is given here is read twice; save it to a file first")
@@ -138,18 +138,18 @@ def sha256(path: Path) -> str:
     from hashlib import sha256
 
     digest = sha256()
-    for piece in pieces(path, 1 << 20):
+    for piece in iter_mapped(path, 1 << 20):
         digest.update(piece)
     return digest.hexdigest()
 
 
-def pieces(path: Path, size: int) -> Iterator[memoryview]:
+def iter_mapped(path: Path, size: int) -> Iterator[memoryview]:
     """The bytes of a file, or of a folder's files in name order, `size` at a time; of a file only the last is shorter.
 
     They are where the kernel keeps the file, no copies; each begins at a page if `size` is a number of pages. What is
     cut off the file meanwhile is missing, and so is what is put to its end.
     """
-    lasting(path)
+    require_regular(path)
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
         with part.open("rb") as stream:
             if whole := os.fstat(stream.fileno()).st_size:

@@ -20,9 +20,9 @@ def is_url(text: str) -> bool:
     return bool(colon) and scheme.isalnum()
 
 
-def behind(url: str, suffixes: tuple[str, ...]) -> tuple[str, ...]:
+def expand(url: str, suffixes: tuple[str, ...]) -> tuple[str, ...]:
     """The URLs of the logs behind one: itself, or those its pattern or folder holds; LogError when there is none."""
-    with _said(url):
+    with _store_errors(url):
         store, path = _store(url)
         if any(sign in path for sign in "*["):
             found = [entry for entry in store.glob(path) if entry.endswith(suffixes)]
@@ -48,13 +48,13 @@ def file_behind(url: str) -> Path | None:
     """The file on this machine that a URL names (file://, local://); None behind any other."""
     if url.partition("://")[0].lower() not in ("file", "local"):
         return None
-    with _said(url):
+    with _store_errors(url):
         return Path(_store(url)[1])
 
 
 def size(url: str) -> int:
     """Bytes behind a URL; LogError when it does not say or cannot be reached."""
-    with _said(url):
+    with _store_errors(url):
         store, path = _store(url)
         found = store.info(path).get("size")
     if found is None:
@@ -64,7 +64,7 @@ def size(url: str) -> int:
 
 def identity(url: str) -> str:
     """A digest of what the store says of a file (size and tag or date): another once the file is another."""
-    with _said(url):
+    with _store_errors(url):
         store, path = _store(url)
         said = store.info(path)
     telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
@@ -73,9 +73,9 @@ def identity(url: str) -> str:
     return sha256(repr([url, *((key, str(said.get(key))) for key in telling)]).encode()).hexdigest()
 
 
-def part(url: str, start: int, end: int) -> bytes:
+def read_range(url: str, start: int, end: int) -> bytes:
     """The bytes of a file from `start` to before `end`; the whole file from a server that knows no ranges."""
-    with _said(url):
+    with _store_errors(url):
         store, path = _store(url)
         return bytes(store.cat_file(path, start=start, end=end))
 
@@ -86,14 +86,14 @@ def local(source: str, folder: Path) -> Iterator[Path]:
     if not is_url(source):
         yield Path(source)
         return
-    with temporary.scratch(atomic_files.made(folder)) as beside:
+    with temporary.scratch(atomic_files.ensure_dir(folder)) as beside:
         path = beside / name_of(source)
-        with naming(path, source):
+        with errors_about(path, source):
             yield _fetch(source, path)
 
 
 @contextmanager
-def naming(path: Path, url: str) -> Iterator[None]:
+def errors_about(path: Path, url: str) -> Iterator[None]:
     """Errors about a copy of what is behind a URL as errors about the URL."""
     try:
         yield
@@ -107,7 +107,7 @@ def _fetch(url: str, path: Path) -> Path:
     wanted, free = size(url), shutil.disk_usage(path.parent).free - _MARGIN
     if wanted > free:
         raise LogError(f"{url}: {wanted} bytes, where {free} are free in {path.parent}; give a folder with more room")
-    with _said(url):
+    with _store_errors(url):
         store, remote = _store(url)
         with store.open(remote, "rb", block_size=_BLOCK, cache_type="readahead") as source, path.open("wb") as target:
             shutil.copyfileobj(source, target, _BLOCK)
@@ -126,7 +126,7 @@ def _store(url: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _said(url: str) -> Iterator[None]:
+def _store_errors(url: str) -> Iterator[None]:
     """Whatever a store's own library raises, as one line."""
     try:
         yield

@@ -48,7 +48,7 @@ def scratch(folder: Path | None = None) -> Iterator[Path]:
 def remove_stale(folder: Path, pattern: str) -> None:
     """Remove this user's files and folders of that pattern that nobody holds and nobody on another machine may hold."""
     for left in folder.glob(pattern):
-        with suppress(OSError), held(left) as ours:
+        with suppress(OSError), try_lock(left) as ours:
             if ours and _ours(left):
                 _remove(left)
 
@@ -61,7 +61,7 @@ def remove_killed(*folders: Path) -> None:
 
 
 @contextmanager
-def held(path: Path) -> Iterator[bool]:
+def try_lock(path: Path) -> Iterator[bool]:
     """Lock a file or folder as long as this process lives and the `with` lasts; False where it is another's."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     try:

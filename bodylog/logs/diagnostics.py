@@ -12,7 +12,7 @@ _Loss = tuple[int, int | None, int | None, float | None, str]
 """Where, and how many bytes, messages, seconds (None: unknown), and why."""
 
 
-class Ledger:
+class Diagnostics:
     """Findings of the log at `path`; with `strict` the first loss is raised as LogError.
 
     `limits`: how much what is packed in the log may unpack to.
@@ -33,7 +33,7 @@ class Ledger:
         """Something worth knowing."""
         self._remarks.setdefault(text, Finding("info", f"{self.path}: {text}"))
 
-    def lost(self, start: int, size: int | None, messages: int | None, seconds: float | None, why: str) -> None:
+    def add_loss(self, start: int, size: int | None, messages: int | None, seconds: float | None, why: str) -> None:
         """`size` bytes at byte `start` cannot be used; messages and seconds when known; LogError when strict."""
         if start not in self._losses:
             self._losses[start] = (size, messages, seconds, why)
@@ -41,12 +41,12 @@ class Ledger:
                 text = self._losses_text([(start, *self._losses[start])])[0]
                 raise LogError(f"{self.path}: {text}; type the command without --strict to use the rest")
 
-    def add(self, start: int, messages: int) -> None:
+    def add_messages(self, start: int, messages: int) -> None:
         """The loss at byte `start` turns out to have held that many messages, or that many more."""
         size, before, seconds, why = self._losses[start]
         self._losses[start] = (size, (before or 0) + messages, seconds, why)
 
-    def lasted(self, start: int, seconds: float) -> None:
+    def set_duration(self, start: int, seconds: float) -> None:
         """The loss at byte `start` turns out to have lasted at most so long, if that was not known."""
         size, messages, before, why = self._losses[start]
         self._losses[start] = (size, messages, seconds if before is None else before, why)

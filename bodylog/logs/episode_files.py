@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..errors import BodylogError
 from ..io import episodes
-from ..io.atomic_files import pieces, sha256
+from ..io.atomic_files import iter_mapped, sha256
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
@@ -30,6 +30,6 @@ def digest(path: Path) -> str:
     if parts == (path,):
         return sha256(path)
     found = hashlib.sha256()
-    for piece in (piece for part in parts for piece in pieces(part, 1 << 20)):
+    for piece in (piece for part in parts for piece in iter_mapped(part, 1 << 20)):
         found.update(piece)
     return found.hexdigest()

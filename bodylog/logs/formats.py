@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 from ..errors import LogError
 from ..io import episodes
-from ..io.atomic_files import lasting
+from ..io.atomic_files import require_regular
 from .limits import LIMITS, Input
+from .mcap.records import MAGIC
 from .protocol import Batches, Log, Opener
 from .records import Batch
 from .storage.zstd_files import ZSTD, unpack_file
@@ -35,7 +36,7 @@ def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
     try:
         if place.is_dir():
             return _folder(path, strict, limits)
-        lasting(place)
+        require_regular(place)
         with place.open("rb") as stream:
             first = stream.read(32)
         if place != path or first.startswith(_HDF5) or first[4:8] == _MP4 or place.suffix.lower() in VIDEOS:
@@ -79,11 +80,6 @@ class _Heads:
     def batches(self, ids: Collection[int]) -> Iterator[Batch]:
         """Messages of the topics, of cameras without their images."""
         return self.heads(ids)
-
-
-def is_mcap(first: bytes) -> bool:
-    """Whether a file that begins so is an MCAP."""
-    return FORMATS.get(first[:8]) is _mcap
 
 
 def payloads(batch: Batch) -> Iterator[memoryview]:
@@ -158,7 +154,7 @@ def _rosbag2(path: Path, strict: bool, limits: Input) -> Log:
 
 
 FORMATS: Mapping[bytes, Opener] = {
-    b"\x89MCAP0\r\n": _mcap,
+    MAGIC: _mcap,
     b"#ROSBAG V2.0": _bag,
     b"SQLite format 3\x00": _db3,
     b"PAR1": _poses,

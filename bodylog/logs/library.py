@@ -15,7 +15,8 @@ from ..errors import ConfigError, FormatError
 from ..io import remote
 from .decode.columns import columns_of, definition_of
 from .decode.table import Table, filled, leaf_paths, object_paths
-from .formats import is_mcap, open_log, payloads, without_images
+from .formats import open_log, payloads, without_images
+from .mcap.records import MAGIC
 from .protocol import Log
 from .records import Batch, Finding, Frame, Topic
 
@@ -158,11 +159,11 @@ def located(path: str | Path) -> Iterator[Path]:
 
     url = str(path)
     size = remote.size(url)
-    if is_mcap(remote.part(url, 0, min(size, 64)) if size else b""):
-        opened = remote_map.glimpse(remote.name_of(url), size, partial(remote.part, url))
+    if size and remote.read_range(url, 0, min(size, 64)).startswith(MAGIC):
+        opened = remote_map.mapped_remote(remote.name_of(url), size, partial(remote.read_range, url))
     else:
         opened = remote.local(url, Path(gettempdir()))
-    with opened as here, remote.naming(here, url):
+    with opened as here, remote.errors_about(here, url):
         yield here
 
 

@@ -2,9 +2,9 @@
 
 import re
 
-ROOT = "/bodylog/"
-"""Every topic that bodylog writes begins so."""
-TRACK = ROOT + "track/"
+PREFIX = "/bodylog/"
+"""How the name of every topic begins that bodylog writes."""
+TRACK = PREFIX + "track/"
 TRACK_NAMES = ("u", "v", "std_u", "std_v")
 _ILLEGAL = re.compile(r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])")
 

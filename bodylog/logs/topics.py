@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..io.values import LATEST_NS, is_time, text, times
-from .diagnostics import Ledger
+from .diagnostics import Diagnostics
 from .records import Array, Batch, Topic
 
 INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
@@ -52,13 +52,13 @@ def normalised(type_name: str) -> str:
     return f"{package}/msg/{name}" if slash and "/" not in name else type_name
 
 
-def span(found: Collection[int], ledger: Ledger) -> tuple[int, int]:
+def span(found: Collection[int], diagnostics: Diagnostics) -> tuple[int, int]:
     """First and last of a log's times (ns), 0 where it has none; those that no clock shows are remarked on."""
     sound = [ns for ns in found if is_time(ns)]
     if len(sound) < len(found):
         odd = next(ns for ns in found if not is_time(ns))
         said = f"log times such as {odd} ns are none: those below 0 or beyond {LATEST_NS} ns are read as 0"
-        ledger.warn(f"{said}, and what they date is not used")
+        diagnostics.warn(f"{said}, and what they date is not used")
     return min(sound, default=0), max(sound, default=0)
 
 

@@ -16,7 +16,7 @@ from .decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field, par
 from .decode.ros1_to_cdr import known_definition
 from .encode import cdr
 from .encode.cdr import Payloads
-from .mcap.encode import Messages, gather
+from .mcap.encode import MessageTable, gather
 from .mcap.writer import Contents
 from .mcap.writer import Writer as Chunks
 from .records import Array, Batch, Topic
@@ -100,7 +100,7 @@ class Writer:
         if len(log_ns):
             ids, sequence = np.full(len(log_ns), channel), before + np.arange(len(log_ns))
             data = (payloads.data,)
-            self._writing().write(Messages(ids, sequence, log_ns, log_ns, data, payloads.offset, payloads.length))
+            self._writing().write(MessageTable(ids, sequence, log_ns, log_ns, data, payloads.offset, payloads.length))
 
     def _writing(self) -> Chunks:
         if self._chunks is None:
@@ -183,7 +183,7 @@ def _serialised(definition: Definition, values: Mapping[str, Any], count: int) -
 
 def _fields(
     definition: Definition, type_: str, values: Mapping[str, Any], rows: Array, prefix: str = ""
-) -> Iterator[cdr.Field]:
+) -> Iterator[cdr.CdrField]:
     """The fields of some messages of one layout, in order."""
     for field in definition.types[type_]:
         path = prefix + field.name
@@ -201,7 +201,7 @@ def _fields(
             raise FormatError(f"{definition.root}: {path} is a fixed array of messages, which cannot be written")
 
 
-def _text(field: Field, value: _Texts | None, rows: Array) -> Iterator[cdr.Field]:
+def _text(field: Field, value: _Texts | None, rows: Array) -> Iterator[cdr.CdrField]:
     one = None if value is None else value.known[int(value.index[rows[0]])]
     if field.size is None:
         yield "string", one or ""
@@ -211,7 +211,7 @@ def _text(field: Field, value: _Texts | None, rows: Array) -> Iterator[cdr.Field
         yield from (("string", text) for text in (one or ("",) * field.size))
 
 
-def _numbers(field: Field, value: Any, rows: Array) -> cdr.Field:
+def _numbers(field: Field, value: Any, rows: Array) -> cdr.CdrField:
     kind = _CDR_NAMES.get(field.type, field.type)
     if field.size is None:
         return kind, 0 if value is None else value[rows]

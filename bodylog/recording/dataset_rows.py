@@ -13,6 +13,7 @@ from ..logs.datasets.episode_log import DTYPE, FEATURE, JOINT_STATE, TEXT, VECTO
 from ..logs.formats import open_log
 from ..logs.joint_units import SOURCE_UNIT, UNIT
 from ..logs.library import OpenLog
+from ..logs.topic_names import PREFIX
 from ..settings import Settings
 from ..types import Array, Finding, Frame, Recording, Topic
 from . import dataset_metadata, roles
@@ -20,7 +21,6 @@ from .cameras import camera_name
 from .recording import read
 
 STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
-_OURS = "/bodylog/"
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def _features(
         if recording.joints is not None and len(recording.joints.t):
             found = {about.get(FEATURE, STATE): _joints(log, recording, about)} | found
         for topic in recording.topics:
-            if topic.name in used or topic.name.startswith(_OURS) or not topic.messages or _is_camera(topic):
+            if topic.name in used or topic.name.startswith(PREFIX) or not topic.messages or _is_camera(topic):
                 continue
             if topic.type == TEXT and topic.metadata.get(FEATURE) == "task":
                 task = str(next(iter(log.messages([topic.name]))).value.data)

@@ -12,15 +12,15 @@ from ..logs.formats import open_log, payloads
 from ..logs.images import messages
 from ..logs.limits import Input
 from ..logs.protocol import Log
-from ..logs.storage.mmapped import lasts
-from ..types import Array, Batch, Frame, Topic, Watched, Watcher
+from ..logs.storage.mmapped import is_mapped
+from ..types import Array, Batch, ConsumedFrames, Frame, FrameConsumer, Topic
 from .clocks import seconds
 
 
-class Told:
+class FrameTap:
     """A log whose camera's pictures are told of on their way to who reads its batches."""
 
-    def __init__(self, log: Log, topics: tuple[Topic, ...], watch: Watcher, limits: Input) -> None:
+    def __init__(self, log: Log, topics: tuple[Topic, ...], watch: FrameConsumer, limits: Input) -> None:
         """The camera's topics: one name, several ids where it has several schemas."""
         self._log, self._watch, self._count = log, watch, 0
         self._decoders = {topic.id: messages.decoder(topic, limits.max_image_mpx) for topic in topics}
@@ -34,10 +34,10 @@ class Told:
                 self._tell(batch)
             yield batch
 
-    def watched(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> Watched:
+    def watched(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> ConsumedFrames:
         """Of all told the frames, dated t_ns (n,): the messages rows (n,), counted through the topics in order."""
         numbers = np.concatenate([number for some in self._numbers.values() for number in some])
-        return Watched(seconds(t_ns, start_ns), source_ns, numbers[rows], self._watch)
+        return ConsumedFrames(seconds(t_ns, start_ns), source_ns, numbers[rows], self._watch)
 
     def _tell(self, batch: Batch) -> None:
         id_ = batch.topic_id
@@ -103,5 +103,5 @@ def _frames(
 
 def _decodes(batch: Batch, decode: Callable[[Payload, int], Array]) -> Iterator[Callable[[int], Array]]:
     """What decodes each message of a batch, from bytes of its own unless the batch's stay."""
-    keep = lasts(batch.data)
+    keep = is_mapped(batch.data)
     return (partial(decode, payload if keep else bytes(payload)) for payload in payloads(batch))

@@ -10,30 +10,31 @@ from ..errors import BodylogError
 from ..logs.formats import open_log, without_images
 from ..logs.images import video_file
 from ..logs.protocol import Log
+from ..logs.topic_names import PREFIX
 from ..logs.topics import independent
 from ..settings import Settings
 from ..sources import TableSource, TopicSource
-from ..types import Features, Finding, Frame, Health, Recording, Series, Topic, Watched, Watcher
+from ..types import ConsumedFrames, Features, Finding, Frame, FrameConsumer, Health, Recording, Series, Topic
 from . import cameras, joint_topics, role_hints, roles
 from . import frames as camera
 from .dated_streams import Stream, health, joints_of, remarks, series, streams
 
-_OURS, _VIEW = "/bodylog/", "camera/"
+_VIEW = "camera/"
 
 
 def read(
-    path: Path, settings: Settings, strict: bool = False, watching: Callable[[], Watcher] | None = None
+    path: Path, settings: Settings, strict: bool = False, consumer: Callable[[], FrameConsumer] | None = None
 ) -> Recording:
     """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come.
 
-    Who is `watching` is told of the first camera's pictures on the way, unless the log may tell what they show.
+    Who is `consumer` is told of the first camera's pictures on the way, unless the log may tell what they show.
     """
     with open_log(path, strict, settings.input) as log:
         settings = _remembered(log, settings)
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
         to_be_seen = "camera" in found and not _is_ours(log)
-        with watching() if watching and to_be_seen else nullcontext() as watch:
-            told = camera.Told(log, found["camera"].topics, watch, settings.input) if watch else None
+        with consumer() if consumer and to_be_seen else nullcontext() as watch:
+            told = camera.FrameTap(log, found["camera"].topics, watch, settings.input) if watch else None
             heard, silent = streams(told or without_images(log), found, settings, str(path))
         start_ns = _start_ns(heard, log)
         features = _features(log, start_ns)
@@ -162,9 +163,9 @@ def _remembered(log: Log, settings: Settings) -> Settings:
     """The settings, and where they leave something to be guessed, what the run of ours was told that wrote the log."""
     if not _is_ours(log):
         return settings
-    from .saved_settings import remembered
+    from .saved_settings import restore_settings
 
-    return remembered(log, settings)
+    return restore_settings(log, settings)
 
 
 def _features(log: Log, start_ns: int) -> Features | None:
@@ -175,7 +176,7 @@ def _features(log: Log, start_ns: int) -> Features | None:
     return read_features(log, start_ns)
 
 
-def _watched(told: camera.Told | None, seen: Stream | None, start_ns: int) -> Watched | None:
+def _watched(told: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
     if told is None or seen is None:
         return None
     return told.watched(seen.rows, seen.dated.t_ns, seen.log_ns, start_ns)
@@ -199,7 +200,7 @@ def _named(
 
 
 def _is_ours(log: Log) -> bool:
-    return any(topic.name.startswith(_OURS) for topic in log.topics)
+    return any(topic.name.startswith(PREFIX) for topic in log.topics)
 
 
 def _findings(log: Log, heard: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:

@@ -10,6 +10,7 @@ from ..logs.decode.definitions import PRIMITIVES, Definition
 from ..logs.decode.dynamic import reader
 from ..logs.decode.message_path import parse
 from ..logs.images import messages
+from ..logs.topic_names import PREFIX, TRACK
 from ..settings import Topics
 from ..types import Topic
 from .cameras import cameras, is_video
@@ -18,7 +19,6 @@ from .joint_names import topic_name
 
 ROLES = ("joints", "camera", "skin", "truth", "reference")
 _ANGLES = ("joints", "truth", "reference")
-_OURS = "/bodylog/"
 _FEWEST = 10
 """Messages below which a further topic of joints says too little to be joined."""
 _JOINTS = "sensor_msgs/msg/JointState"
@@ -89,9 +89,7 @@ def _said(role: str, settings: Topics) -> Mapping[str, str | None]:
     return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
 
 
-def _beside(
-    first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
-) -> dict[str, Role]:
+def _beside(first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> dict[str, Role]:
     """Further topics of joints, the most frequent first, none of whose names occurs twice."""
     ranked = [(rank, t) for t in topics if is_raw(t) and (rank := joints_rank(t)) is not None and rank[0]]
     if len({topic.name for _, topic in ranked}) < 2:
@@ -110,7 +108,7 @@ def _beside(
 
 def _tracks_alone(topics: Sequence[Topic]) -> bool:
     """Whether a log carries tracks of an earlier run without the pictures."""
-    return any(topic.name.startswith(f"{_OURS}track/") for topic in topics) and not any(
+    return any(topic.name.startswith(TRACK) for topic in topics) and not any(
         camera_rank(topic) is not None for topic in topics
     )
 
@@ -134,7 +132,7 @@ def is_wished(topic: Topic) -> bool:
 
 def is_raw(topic: Topic) -> bool:
     """Whether a topic holds messages that are not ours."""
-    return topic.messages > 0 and not topic.name.startswith(_OURS)
+    return topic.messages > 0 and not topic.name.startswith(PREFIX)
 
 
 def problem(topic: Topic) -> str | None:

@@ -17,7 +17,7 @@ Text = str | tuple[str, ...]
 Section = TypeVar("Section", Topics, Body, Time)
 
 
-def remembered(log: Log, settings: Settings) -> Settings:
+def restore_settings(log: Log, settings: Settings) -> Settings:
     """The settings; what is at its default in [topics], [body] and [time] as the log's metadata record has it.
 
     So with [features] where there are none. Topics that the log does not have are left to be guessed.

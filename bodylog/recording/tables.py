@@ -8,7 +8,7 @@ from urllib.parse import quote
 import numpy as np
 
 from ..errors import UsageError
-from ..io.atomic_files import made, replacing
+from ..io.atomic_files import ensure_dir, replacing
 from ..types import Array, Features, Recording, Series
 from .tidy import ALWAYS, Window, cut, signals
 
@@ -29,7 +29,7 @@ def export(recording: Recording, folder: Path, form: str, window: Window = ALWAY
     UsageError for an unknown form, or when Parquet is asked for and pyarrow is not installed.
     """
     save = saver(form)
-    made(folder)
+    ensure_dir(folder)
     paths = []
     for role, series in signals(recording).items():
         paths.append(folder / f"{role}.{form}")
@@ -59,7 +59,7 @@ def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
             ("touch", "stroke", "delay", "weight"),
             [(pair.touch, "" if pair.stroke is None else pair.stroke, pair.delay, pair.weight) for pair in pairs],
         )
-    made(folder)
+    ensure_dir(folder)
     paths = []
     for name, table in tables.items():
         paths.append(folder / f"{name}.csv")

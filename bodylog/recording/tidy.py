@@ -14,7 +14,7 @@ from ..io.atomic_files import replacing
 from ..io.outputs import Output, guard
 from ..logs.conversion.transcode import LIBRARY, PROFILE
 from ..logs.episode_files import digest
-from ..logs.mcap.encode import Messages
+from ..logs.mcap.encode import MessageTable
 from ..logs.mcap.prefix import NAME
 from ..logs.mcap.verification import verify
 from ..logs.mcap.writer import CHUNK_BYTES, Contents, Writer
@@ -142,13 +142,13 @@ def _pictures(
     return count + len(pending), early
 
 
-def _messages(pending: list[Picture], channels: dict[Kind, int], count: int, start_ns: int) -> Messages:
+def _messages(pending: list[Picture], channels: dict[Kind, int], count: int, start_ns: int) -> MessageTable:
     log_ns = stamps(np.array([picture.t for picture in pending]), start_ns)
     length = np.array([len(picture.payload) for picture in pending])
     data = np.frombuffer(b"".join(picture.payload for picture in pending), np.uint8)
     channel = np.array([channels[picture.kind] for picture in pending])
     sequence = count + np.arange(len(pending))
-    return Messages(channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length)
+    return MessageTable(channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length)
 
 
 def _within(start: float | None, end: float | None) -> str:

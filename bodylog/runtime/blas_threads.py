@@ -34,7 +34,7 @@ def one_opencv() -> Iterator[None]:
         cv2.setNumThreads(before)
 
 
-def later() -> None:
+def lower_priority() -> None:
     """Let this thread, from now on, come after others: where cores are short, those go on whose work it cannot take."""
     if sys.platform == "linux":  # elsewhere it would be the whole process
         os.nice(5)

@@ -6,7 +6,7 @@ _TRIM, _MMAP, _ARENAS = -1, -3, -8
 _KEPT = 1 << 28
 
 
-def keep() -> None:
+def tune_malloc() -> None:
     """Have the C library (glibc; others: nothing) give memory back only beyond 256 MB, whatever it was told before.
 
     One arena for all threads: what one frees the next takes, so they do not each fault in pages of their own.

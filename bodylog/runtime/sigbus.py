@@ -28,12 +28,12 @@ _kept: list[Any] = []
 _pages: list[int] = []
 
 
-def filled() -> int:
+def zeroed_pages() -> int:
     """How many pages of zeros were put in so far: what was read since there were fewer is not what was written."""
     return len(_pages)
 
 
-def endure() -> None:
+def install_sigbus_handler() -> None:
     """Have this process survive that (Linux; elsewhere nothing)."""
     if sys.platform != "linux" or _kept:
         return

@@ -26,12 +26,12 @@ class Stopped(SystemExit):
 at_end: list[Callable[[], None]] = []
 """What is done before a process ends that did not unwind; none may import anything."""
 _heeded: set[int] = set()
-_told: list[int] = []
+_received: list[int] = []
 _speaking = _thread.allocate_lock()
 _cleaned: list[bool] = []
 
 
-def heed(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
+def raise_on_signal(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
     """Raise Stopped where one of these signals comes, and end the process `grace` s later if it is still there.
 
     The second is a thread's: it needs no step of Python's in the main one. A `quiet` process says nothing of it.
@@ -48,9 +48,9 @@ def heed(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
         signal.signal(number, _stop)
 
 
-def told() -> int:
+def received_signal() -> int:
     """The signal that told this process to end; 0 for none."""
-    return _told[0] if _told else 0
+    return _received[0] if _received else 0
 
 
 def clean(quiet: bool = False) -> None:
@@ -58,7 +58,7 @@ def clean(quiet: bool = False) -> None:
     for remove in at_end:
         remove()
     if not quiet and _speaking.acquire(blocking=False):
-        how = "interrupted" if told() == signal.SIGINT else "stopped"
+        how = "interrupted" if received_signal() == signal.SIGINT else "stopped"
         with suppress(OSError):
             os.write(2, f"bodylog: {how}; nothing half-written was left\n".encode())
     _cleaned.append(True)
@@ -70,14 +70,14 @@ def _leave(quiet: bool) -> None:
     C code that prints an exception (PyErr_Print, called by NumPy's import_array while an extension is imported) ends
     the process if that exception is a SystemExit, as Stopped is: no `finally` runs.
     """
-    if told() and not _cleaned:
+    if received_signal() and not _cleaned:
         clean(quiet)
 
 
 def _stop(number: int, _: object) -> NoReturn:
     for each in _heeded:
         signal.signal(each, signal.SIG_IGN)
-    _told.append(number)
+    _received.append(number)
     raise Stopped(128 + number)
 
 
@@ -92,7 +92,7 @@ def _watch(read: int, grace: float, quiet: bool) -> NoReturn:
 
 def end(number: int, quiet: bool) -> NoReturn:
     """Remove what is half-written and end the process here and now with 128 + `number`."""
-    _told.append(number)
+    _received.append(number)
     _thread.start_new_thread(_exit, (128 + number, LAST))
     clean(quiet)
     _exit(128 + number, 0.0)

@@ -10,7 +10,7 @@ from threading import Thread
 from time import monotonic
 
 from . import malloc
-from .signals import GRACE_OF_WORKERS, heed
+from .signals import GRACE_OF_WORKERS, raise_on_signal
 
 PATIENCE = GRACE_OF_WORKERS + 0.3
 """Seconds after which a worker that was told to end is killed."""
@@ -18,9 +18,9 @@ PATIENCE = GRACE_OF_WORKERS + 0.3
 
 def ready() -> None:
     """Make this process a worker."""
-    malloc.keep()
+    malloc.tune_malloc()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    heed(signal.SIGTERM, grace=GRACE_OF_WORKERS, quiet=True)
+    raise_on_signal(signal.SIGTERM, grace=GRACE_OF_WORKERS, quiet=True)
     Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -17,7 +17,7 @@ from bodylog.body import storage as models
 from bodylog.body_model import BodyModel
 from bodylog.logs.decode.ros1_to_cdr import known_definition
 from bodylog.logs.encode import cdr
-from bodylog.logs.encode.cdr import Field
+from bodylog.logs.encode.cdr import CdrField
 from bodylog.settings import Settings
 from bodylog.types import Array, Outgoing, Series
 from tests.estimation.conftest import Arm, World, draw
@@ -110,7 +110,7 @@ def _skin(seconds: float) -> Iterator[Row]:
     """Proximity of all cells, as an array that has no header; nothing comes near."""
     t = np.arange(0.001, seconds, 1 / _SKIN_HZ)
     values = np.abs(np.random.default_rng(4).normal(0.0, 0.02, (len(t), CELLS)))
-    fields: list[Field] = [("uint32", 0), ("uint32", 0), ("float32[]", values)]
+    fields: list[CdrField] = [("uint32", 0), ("uint32", 0), ("float32[]", values)]
     return _rows("/skin", messages.stamps(t, START_NS), cdr.serialise(len(t), fields))
 
 
@@ -119,7 +119,7 @@ def _poses(world: World) -> Iterator[Row]:
     t = np.arange(0.002, world.truth.t[-1], 1 / _SKIN_HZ)
     ns = messages.stamps(t, START_NS)
     place = np.column_stack([np.sin(t), np.cos(t), 0 * t, 0 * t, 0 * t, 0 * t, 1 + 0 * t])
-    fields: list[Field] = [*cdr.header(ns, "base_link"), ("float64*", place)]
+    fields: list[CdrField] = [*cdr.header(ns, "base_link"), ("float64*", place)]
     return _rows("/truth/pose", ns, cdr.serialise(len(t), fields))
 
 
@@ -136,7 +136,7 @@ def _pictures(world: World, compress: bool) -> Iterator[Row]:
 
 
 def _raw(ns: int, picture: Array) -> bytes:
-    fields: list[Field] = [
+    fields: list[CdrField] = [
         *cdr.header(np.array([ns]), "camera"),
         ("uint32", HEIGHT),
         ("uint32", WIDTH),
@@ -150,7 +150,7 @@ def _raw(ns: int, picture: Array) -> bytes:
 
 def _compressed(ns: int, jpeg: Array) -> bytes:
     header = cdr.header(np.array([ns]), "camera")
-    fields: list[Field] = [*header, ("string", "jpeg"), ("uint8[]", jpeg.reshape(1, -1))]
+    fields: list[CdrField] = [*header, ("string", "jpeg"), ("uint8[]", jpeg.reshape(1, -1))]
     return cdr.serialise(1, fields).data.tobytes()
 
 

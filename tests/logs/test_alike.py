@@ -23,7 +23,7 @@ def messages(i, count, seed):
 def test_rows_are_what_each_message_becomes_alone(i):
     convert, _ = converter(CUSTOM_TOPIC)
     rows = messages(i, 20, 100 * i)
-    same, out = convert.alike(rows)
+    same, out = convert.convert_same_layout(rows)
     assert same.all() and [row.tobytes() for row in out] == [bytes(convert(memoryview(row.tobytes()))) for row in rows]
 
 
@@ -33,7 +33,7 @@ def test_messages_of_equal_length_and_other_layout_are_left_alone():
     other = rows.copy()
     text = rows[0].tobytes().index(b"j0")
     other[::2, text] = ord("k")
-    same, out = convert.alike(other[1:])
+    same, out = convert.convert_same_layout(other[1:])
     assert same.tolist() == [True, False] * 9 + [True] and len(out) == 10
     assert [row.tobytes() for row in out] == [bytes(convert(memoryview(row.tobytes()))) for row in other[1::2]]
 
@@ -42,11 +42,11 @@ def test_sequence_numbers_may_differ():
     convert, _ = converter(CUSTOM_TOPIC)
     rows = messages(3, 5, 0)
     rows[:, :4] = np.arange(20).reshape(5, 4)
-    assert convert.alike(rows)[0].all()
+    assert convert.convert_same_layout(rows)[0].all()
 
 
 @pytest.mark.parametrize("damage", [lambda r: r[:, :-1], lambda r: np.where(np.arange(r.shape[1]) == 13, 255, r)])
 def test_a_first_row_that_contradicts_its_type_is_refused(damage):
     convert, _ = converter(CUSTOM_TOPIC)
     with pytest.raises(FormatError):
-        convert.alike(np.ascontiguousarray(damage(messages(2, 3, 0))).astype(np.uint8))
+        convert.convert_same_layout(np.ascontiguousarray(damage(messages(2, 3, 0))).astype(np.uint8))

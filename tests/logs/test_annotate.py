@@ -9,7 +9,7 @@ from bodylog.annotating import annotate as module
 from bodylog.annotating.annotate import annotate, write
 from bodylog.errors import FormatError, InputError, LogError, UsageError
 from bodylog.logs.formats import open_log
-from bodylog.logs.mcap.prefix import keepable
+from bodylog.logs.mcap.prefix import reusable_prefix
 
 from .written import (
     START,
@@ -137,7 +137,7 @@ def test_our_messages_between_others_are_replaced_too(tmp_path, messages, log):
 
 def test_foreign_metadata_behind_ours_is_kept(tmp_path, messages, log):
     with (tmp_path / "later.mcap").open("wb") as stream:
-        kept = keepable(log)
+        kept = reusable_prefix(log)
         stream.write(log.read_bytes()[: kept.end])
         writer = module.Writer(stream, kept.contents, kept.end)
         module.add(writer, messages)
@@ -189,8 +189,8 @@ def test_the_log_itself_is_never_written_to(tmp_path, messages, log):
 
 
 def test_a_log_that_shrinks_meanwhile_leaves_no_file(tmp_path, messages, log, monkeypatch):
-    base = keepable(log)
-    monkeypatch.setattr(module, "keepable", lambda _: type(base)(base.end + 10**6, None, base.contents))
+    base = reusable_prefix(log)
+    monkeypatch.setattr(module, "reusable_prefix", lambda _: type(base)(base.end + 10**6, None, base.contents))
     with pytest.raises(LogError, match="was it still being recorded"):
         annotate(log, messages, SAID, tmp_path / "out.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
@@ -225,7 +225,7 @@ def test_a_summary_that_lies_is_not_built_upon(tmp_path, messages, log, said):
         raw[footer + 16 : footer + 20] = bytes(4)
     log.write_bytes(raw)
     with pytest.raises(FormatError, match=said):
-        keepable(log)
+        reusable_prefix(log)
     annotate(log, messages, SAID, tmp_path / "out.mcap")
     every = streamed(tmp_path / "out.mcap")
     assert len(foreign(every)) == 400 and sought(tmp_path / "out.mcap") == every

@@ -71,14 +71,14 @@ def test_lz4_is_unpacked_as_the_library_does_and_before_a_cut_as_far_as_it_goes(
     raw = b"".join(rng.choices(pieces, k=600))
     how = {name: bool(seed >> bit & 1) for bit, name in enumerate(("block_linked", "block_checksum", "store_size"))}
     packed = lz4.frame.compress(raw, block_size=4 + seed % 4, **how)
-    assert truncated.unpacked(truncated.Cut("lz4", memoryview(packed), 1 << 30)) == raw
+    assert truncated.decompress_truncated(truncated.Cut("lz4", memoryview(packed), 1 << 30)) == raw
     lengths = []
     for cut in sorted(rng.choices(range(len(packed)), k=20)):
-        part = truncated.unpacked(truncated.Cut("lz4", memoryview(packed)[:cut], 1 << 30))
+        part = truncated.decompress_truncated(truncated.Cut("lz4", memoryview(packed)[:cut], 1 << 30))
         assert raw.startswith(part)
         lengths.append(len(part))
     assert lengths == sorted(lengths) and len(set(lengths)) > 15
-    assert len(truncated.unpacked(truncated.Cut("lz4", memoryview(packed), 1000))) == 1000
+    assert len(truncated.decompress_truncated(truncated.Cut("lz4", memoryview(packed), 1000))) == 1000
 
 
 def test_a_chunk_that_claims_gigabytes_is_believed_as_far_as_its_bytes_go() -> None:

@@ -34,7 +34,7 @@ def log(tmp_path):
 
 def meanwhile(monkeypatch, what):
     """Do something when the second piece of the log has been read."""
-    whole = background_copy.pieces
+    whole = background_copy.iter_mapped
 
     def interrupted(path, size):
         for number, piece in enumerate(whole(path, size)):
@@ -42,7 +42,7 @@ def meanwhile(monkeypatch, what):
             if number == 1:
                 what()
 
-    monkeypatch.setattr(background_copy, "pieces", interrupted)
+    monkeypatch.setattr(background_copy, "iter_mapped", interrupted)
 
 
 @pytest.mark.parametrize("direct", [True, False])
@@ -98,7 +98,7 @@ def test_a_folder_is_digested_file_by_file(tmp_path):
 
 def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
     (tmp_path / "in").write_bytes(bytes(100 * PIECE))
-    whole, given = background_copy.pieces, []
+    whole, given = background_copy.iter_mapped, []
 
     def slow(path, size):
         for piece in whole(path, size):
@@ -106,7 +106,7 @@ def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
             given.append(len(piece))
             yield piece
 
-    monkeypatch.setattr(background_copy, "pieces", slow)
+    monkeypatch.setattr(background_copy, "iter_mapped", slow)
     with Copy(tmp_path / "in") as copy:
         pass
     assert len(given) <= 2
@@ -140,7 +140,7 @@ def test_the_order_of_things_does_not_show(tmp_path, log, monkeypatch, first):
     annotate.annotate(log, messages, {"input": sha256(log)}, tmp_path / "plain.mcap")
     if first == "the messages":
         meanwhile(monkeypatch, lambda: time.sleep(0.3))
-    with annotate.begun(log, tmp_path / "out.mcap") as under_way:
+    with annotate.annotating(log, tmp_path / "out.mcap") as under_way:
         if first == "the copy":
             under_way.digest()
         under_way.add(messages)
@@ -151,7 +151,7 @@ def test_the_order_of_things_does_not_show(tmp_path, log, monkeypatch, first):
 @pytest.mark.parametrize("problem", [LogError("no joints"), KeyboardInterrupt(), MemoryError()])
 def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
     (tmp_path / "out.mcap").write_bytes(b"of an earlier run")
-    with pytest.raises(type(problem)), annotate.begun(log, tmp_path / "out.mcap") as under_way:
+    with pytest.raises(type(problem)), annotate.annotating(log, tmp_path / "out.mcap") as under_way:
         assert len(list(tmp_path.iterdir())) == 3
         under_way.add(outgoing())
         raise problem
@@ -172,7 +172,10 @@ def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, kernel
 
 @pytest.mark.parametrize("done", ["nothing", "the messages alone"])
 def test_what_was_not_finished_takes_nobodys_place(tmp_path, log, done):
-    with pytest.raises(LogError, match="not written soundly"), annotate.begun(log, tmp_path / "out.mcap") as under_way:
+    with (
+        pytest.raises(LogError, match="not written soundly"),
+        annotate.annotating(log, tmp_path / "out.mcap") as under_way,
+    ):
         if done != "nothing":
             under_way.add(outgoing())
     assert list(tmp_path.iterdir()) == [log]

@@ -10,7 +10,7 @@ from bodylog.errors import BodylogError
 from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.mcap import resync
 from bodylog.logs.mcap.chunks import Loose, following, loose_messages
-from bodylog.logs.mcap.records import HEAD, MAGIC, MESSAGE, walk
+from bodylog.logs.mcap.records import HEAD, MAGIC, MESSAGE, iter_records
 
 SEEDS = range(12)
 
@@ -72,7 +72,7 @@ def test_many_at_a_time_are_what_they_are_one_by_one(tmp_path, monkeypatch, seed
 def test_a_run_holds_the_messages_that_a_walk_meets(tmp_path, seed):
     data = memoryview(unchunked(tmp_path / "x.mcap", seed))
     end = len(data) - len(MAGIC)
-    expected = [at - HEAD.size for opcode, at, _ in walk(data, len(MAGIC), end) if opcode == MESSAGE]
+    expected = [at - HEAD.size for opcode, at, _ in iter_records(data, len(MAGIC), end) if opcode == MESSAGE]
     found = [int(at) for some in loose_messages(data, Loose(len(MAGIC), end)) for at in some.starts]
     assert found == expected
 

@@ -12,7 +12,7 @@ import zstandard
 
 from bodylog.errors import FormatError, LogError
 from bodylog.logs.decode import definitions
-from bodylog.logs.diagnostics import Ledger
+from bodylog.logs.diagnostics import Diagnostics
 from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.images.messages import decoder
 from bodylog.logs.limits import Input
@@ -279,8 +279,8 @@ def test_metadata_with_aliases_is_not_expanded(tmp_path):
     lines += [f"{b}: &{b} [{','.join(8 * ['*' + a])}]" for a, b in zip("abcdefgh", "bcdefghi", strict=True)]
     lines += ["rosbag2_bagfile_information: {relative_file_paths: *i}"]
     (tmp_path / "metadata.yaml").write_text("\n".join(lines))
-    ledger = Ledger(tmp_path)
-    assert metadata_of(tmp_path, ledger) == {} and "not readable (ValueError)" in ledger.findings[0].text
+    diagnostics = Diagnostics(tmp_path)
+    assert metadata_of(tmp_path, diagnostics) == {} and "not readable (ValueError)" in diagnostics.findings[0].text
 
 
 @pytest.mark.parametrize("folder", [False, True])

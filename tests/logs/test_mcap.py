@@ -16,7 +16,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from bodylog.errors import FormatError
 from bodylog.logs.decode.ros1_to_cdr import known_definition
-from bodylog.logs.encode.cdr import Field, serialise
+from bodylog.logs.encode.cdr import CdrField, serialise
 from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.mcap.records import CHANNEL, SCHEMA, parse
 from bodylog.logs.storage.compression import Buffer
@@ -294,7 +294,7 @@ def test_pages_read_do_not_stay(tmp_path: Path) -> None:
 def test_pictures_are_looked_at_where_they_are_and_do_not_stay(tmp_path: Path) -> None:
     path, size = tmp_path / "long.mcap", 1 << 20
     noise = np.random.default_rng(0).integers(0, 256, (1, size), np.uint8)
-    fields: list[Field] = [("uint32", 1), ("uint32", 0), ("string", ""), ("uint32", 512), ("uint32", 2048)]
+    fields: list[CdrField] = [("uint32", 1), ("uint32", 0), ("string", ""), ("uint32", 512), ("uint32", 2048)]
     fields += [("string", "mono8"), ("uint8", 0), ("uint32", 2048), ("uint8[]", noise)]
     with path.open("wb") as stream:
         writer = Writer(stream, compression=CompressionType.NONE)

@@ -3,20 +3,20 @@
 import pytest
 
 from bodylog.errors import ConfigError
-from bodylog.logs.decode.message_path import Only, Path, Range, parse, steps
+from bodylog.logs.decode.message_path import IndexRange, Only, Path, parse, steps
 
 
 @pytest.mark.parametrize(
     ("text", "topic", "expected"),
     [
         ("/joint_states", "/joint_states", ()),
-        ("/joint_states.position[0]", "/joint_states", ("position", Range(0, 0))),
-        ("/skin.data[:].prox[0]", "/skin", ("data", Range(0, -1), "prox", Range(0, 0))),
-        ("/a/b.c[1:3]", "/a/b", ("c", Range(1, 3))),
-        ("/a.c[-1]", "/a", ("c", Range(-1, -1))),
-        ("/a.c[2:]", "/a", ("c", Range(2, -1))),
-        ("/a.c[:]{id==2}.x", "/a", ("c", Range(0, -1), Only("id", 2), "x")),
-        ("/a.c[:]{name==\"left arm\"}", "/a", ("c", Range(0, -1), Only("name", "left arm"))),
+        ("/joint_states.position[0]", "/joint_states", ("position", IndexRange(0, 0))),
+        ("/skin.data[:].prox[0]", "/skin", ("data", IndexRange(0, -1), "prox", IndexRange(0, 0))),
+        ("/a/b.c[1:3]", "/a/b", ("c", IndexRange(1, 3))),
+        ("/a.c[-1]", "/a", ("c", IndexRange(-1, -1))),
+        ("/a.c[2:]", "/a", ("c", IndexRange(2, -1))),
+        ("/a.c[:]{id==2}.x", "/a", ("c", IndexRange(0, -1), Only("id", 2), "x")),
+        ('/a.c[:]{name=="left arm"}', "/a", ("c", IndexRange(0, -1), Only("name", "left arm"))),
         ("/a.c{on==true}", "/a", ("c", Only("on", 1))),
         ("io_teleop/joint_states", "io_teleop/joint_states", ()),
     ],
@@ -42,12 +42,12 @@ def test_what_cannot_be_read_is_named(text):
 @pytest.mark.parametrize(
     ("span", "picked"),
     [
-        (Range(1, 2), [1, 2]),
-        (Range(0, -1), [0, 1, 2, 3]),
-        (Range(-2, -1), [2, 3]),
-        (Range(3, 9), [3]),
-        (Range(7, 9), []),
-        (Range(-9, 1), [0, 1]),
+        (IndexRange(1, 2), [1, 2]),
+        (IndexRange(0, -1), [0, 1, 2, 3]),
+        (IndexRange(-2, -1), [2, 3]),
+        (IndexRange(3, 9), [3]),
+        (IndexRange(7, 9), []),
+        (IndexRange(-9, 1), [0, 1]),
     ],
 )
 def test_ranges_include_both_ends(span, picked):

@@ -245,7 +245,7 @@ class _Told:
 def _told_and_read_again(log: Path, said: Settings = PLAIN) -> _Told:
     """Holds that what is told of while a log is read are the frames that are read after it."""
     told = _Told()
-    got, plain = read(log, said, watching=lambda: told), read(log, said)
+    got, plain = read(log, said, consumer=lambda: told), read(log, said)
     assert got.watched is not None and got.watched.by is told and plain.watched is None and told.ended == [None]
     frames = list(plain.frames() if plain.frames else ())
     assert [told.shades[n] for n in got.watched.number] == [int(f.image[0, 0, 0]) for f in frames]
@@ -284,7 +284,7 @@ def test_nobody_is_told_where_there_is_no_camera_or_what_it_shows_is_in_the_log(
     image = camera("/cam", [(T0, compressed(T0, np.zeros((8, 8, 3), np.uint8)))])
     ours = write(tmp_path / "b.mcap", [joints("/j", moves(3)), arrays("/bodylog/x", np.ones((3, 2))), image])
     for log in (never, ours):
-        assert read(log, PLAIN, watching=lambda: pytest.fail("is told")).watched is None
+        assert read(log, PLAIN, consumer=lambda: pytest.fail("is told")).watched is None
 
 
 def test_each_chunk_is_unpacked_once_for_signals_and_pictures_and_none_is_kept(tmp_path, monkeypatch):
@@ -301,7 +301,7 @@ def test_each_chunk_is_unpacked_once_for_signals_and_pictures_and_none_is_kept(t
         told = _Told()
         unpacked.clear()
         tracemalloc.start()
-        assert read(log, PLAIN, watching=lambda told=told: told).watched is not None
+        assert read(log, PLAIN, consumer=lambda told=told: told).watched is not None
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         assert len(told.shades) == count and len(unpacked) == len(set(unpacked)) > count / 20
@@ -314,7 +314,7 @@ def test_who_watches_hears_that_the_log_cannot_be_used(tmp_path):
     log = write(tmp_path / "a.mcap", [pictures, Stream("/skin", kind, define(kind), [(T0, b"\0\1\0\0")])])
     told = _Told()
     with pytest.raises(LogError, match="no usable message on /skin"):
-        read(log, settings(topics=Topics(skin="/skin")), watching=lambda: told)
+        read(log, settings(topics=Topics(skin="/skin")), consumer=lambda: told)
     assert told.ended == [LogError] and len(told.shades) == 3
 
 

@@ -10,7 +10,7 @@ from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.annotating.annotate import annotate
-from bodylog.logs.mcap.prefix import ROOT
+from bodylog.logs.topic_names import PREFIX
 
 from .written import START, UNSUITED, amount, by_pybag, by_rosbags, foreign, outgoing, source, streamed
 
@@ -82,7 +82,7 @@ def plain(value):
 def decoded(path):
     with AnyReader([path]) as reader:
         found = [(c.topic, t, plain(reader.deserialize(raw, c.msgtype))) for c, t, raw in reader.messages()]
-    return sorted((message for message in found if not message[0].startswith(ROOT)), key=lambda m: m[:2])
+    return sorted((message for message in found if not message[0].startswith(PREFIX)), key=lambda m: m[:2])
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import pytest
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.stream_reader import StreamReader
 
-from bodylog.logs.mcap.encode import Messages, gather
+from bodylog.logs.mcap.encode import MessageTable, gather
 from bodylog.logs.mcap.writer import CHUNK_BYTES, Contents, Writer
 
 
@@ -18,7 +18,7 @@ def table(channels, rng, count, longest):
     offset = np.zeros(count, np.int64)
     offset[order] = np.cumsum(length[order]) - length[order] + 7
     channel = rng.choice(channels, count)
-    return Messages(channel, np.arange(count), log_ns, log_ns + 3, (data,), offset, length)
+    return MessageTable(channel, np.arange(count), log_ns, log_ns + 3, (data,), offset, length)
 
 
 def file_of(*tables, topics=3, **about):

@@ -9,7 +9,7 @@ import pytest
 from bodylog.errors import LogError
 from bodylog.perception.colours import hsv_ranges
 from bodylog.perception.tracking.frame_search import Looking, Seen
-from bodylog.types import Array, Frame, Watched
+from bodylog.types import Array, ConsumedFrames, Frame
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
@@ -23,7 +23,7 @@ def look(frames: Iterator[Frame], threads: int, number: Array | None = None) -> 
             told(frame)
             count += 1
     chosen = np.arange(count) if number is None else number
-    return told.seen(Watched(chosen / 30.0, chosen, chosen, told))
+    return told.seen(ConsumedFrames(chosen / 30.0, chosen, chosen, told))
 
 
 def _film(count: int, seed: int) -> list[Frame]:

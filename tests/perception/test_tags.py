@@ -10,7 +10,7 @@ from bodylog.perception.tags.codes import codes
 from bodylog.perception.tags.tags import TagTracker
 from bodylog.perception.tracking.frame_search import Looking
 from bodylog.sources import DICTIONARIES, TagSource
-from bodylog.types import Array, Frame, Watched
+from bodylog.types import Array, ConsumedFrames, Frame
 from tests.perception import tag_scenes
 from tests.perception.tag_scenes import Look
 
@@ -132,7 +132,7 @@ def test_the_same_bytes_however_many_threads_decode() -> None:
         with Looking([], None, False, threads, tracking.trackers({"it": TagSource(7)})) as looks:
             for image in images:
                 looks(Frame(0.0, 0, lambda k, image=image: cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)))
-        seen = looks.seen(Watched(np.arange(41.0), np.arange(41), np.arange(41)[::-1], looks))
+        seen = looks.seen(ConsumedFrames(np.arange(41.0), np.arange(41), np.arange(41)[::-1], looks))
         return tracking.series(seen.tracked, seen.t, seen.source_ns, seen.number)[0]["it"].values.tobytes()
 
     alone = looked(1)

@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 from ...errors import LogError
 from ...io import episodes
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..formats import open_log
 from ..limits import LIMITS, Input
+from ..mcap.records import is_mcap
 from ..protocol import Log
 from ..records import Finding
 from ..rosbag2.folder import METADATA, members, metadata_of
-from ..storage.mmapped import mapped, uncut
+from ..storage.mmapped import check_untruncated, mapped
 from ..storage.zstd_files import ZSTD, unpack_file
 from .rewrite import repair
 
@@ -123,7 +124,7 @@ def _compare(log: Log, seen: dict[int, _Seen], remarks: _Remarks) -> None:
 
 def _metadata(log: Log, seen: dict[int, _Seen], remarks: _Remarks) -> None:
     """metadata.yaml against what the files hold."""
-    said = metadata_of(log.path, Ledger(log.path))
+    said = metadata_of(log.path, Diagnostics(log.path))
     if not said:
         return
     messages = sum(one.messages for one in seen.values())
@@ -159,7 +160,7 @@ def _topics(said: dict[str, Any]) -> Iterator[tuple[str, str, int]]:
 
 def _mcaps(path: Path) -> list[Path]:
     try:
-        files = members(path, Ledger(path)) if path.is_dir() else [path] if path.is_file() else []
+        files = members(path, Diagnostics(path)) if path.is_dir() else [path] if path.is_file() else []
     except LogError:
         return []
     return [file for file in files if ".mcap" in file.suffixes]
@@ -170,11 +171,10 @@ def _check(file: Path, limits: Input) -> list[Finding]:
 
     def checked(source: Path) -> list[Finding]:
         remarks = _Remarks(file)
-        with source.open("rb") as stream:
-            if stream.read(8) == b"\x89MCAP0\r\n":
-                data = mapped(source)
-                check(data, Ledger(file, limits=limits), remarks.say)
-                uncut(data, file)
+        if is_mcap(source):
+            data = mapped(source)
+            check(data, Diagnostics(file, limits=limits), remarks.say)
+            check_untruncated(data, file)
         return list(remarks.findings())
 
     with file.open("rb") as stream:

@@ -14,13 +14,14 @@ from ..encode.cdr import Payloads, merge
 from ..formats import open_log
 from ..limits import LIMITS, Input
 from ..mcap.chunks import heads_at
-from ..mcap.encode import MESSAGE_HEAD, Messages, attachment, gather, metadata
-from ..mcap.prefix import NAME, ROOT, is_mcap, no_utf8
+from ..mcap.encode import MESSAGE_HEAD, MessageTable, attachment, gather, metadata
+from ..mcap.prefix import NAME, no_utf8
 from ..mcap.record_file import sound_heads
-from ..mcap.records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record
+from ..mcap.records import ATTACHMENT, HEADER, MESSAGE, METADATA, Record, is_mcap
 from ..mcap.writer import CHUNK_BYTES, Contents, Writer
 from ..records import Array, Batch, Finding, Topic
 from ..storage.zstd_files import unpack_file
+from ..topic_names import PREFIX
 
 PROFILE = "ros2"
 LIBRARY = "bodylog"
@@ -63,7 +64,7 @@ def carry(
         writer = Writer(stream, Contents())
         findings: list[Finding] = []
         writer.begin(_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
-        wanted = [t for t in log.topics if (ours or not t.name.startswith(ROOT)) and (only is None or t.name in only)]
+        wanted = [t for t in log.topics if (ours or not t.name.startswith(PREFIX)) and (only is None or t.name in only)]
         carriers = {topic.id: _carrier(writer, topic, log.format, findings) for topic in wanted}
         for table in _tables(log.batches(list(carriers)), carriers, writer, span):
             writer.write(table)
@@ -103,9 +104,9 @@ def _keep(writer: Writer, topic: Topic) -> int:
 
 def _tables(
     batches: Iterable[Batch], carriers: Mapping[int, _Carrier], writer: Writer, span: Span | None
-) -> Iterator[Messages]:
+) -> Iterator[MessageTable]:
     """Batches in groups of a few MiB, each in order of log time."""
-    pending: list[Messages] = []
+    pending: list[MessageTable] = []
     size = 0
     for batch in _pieces(batches if span is None else _within(batches, span)):
         pending.append(_taken(batch, carriers[batch.topic_id], writer))
@@ -134,7 +135,7 @@ def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
             yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
 
 
-def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> Messages:
+def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> MessageTable:
     """A batch as messages of the new file, in bytes of their own."""
     count = len(batch.log_ns)
     channel = np.full(count, carrier.channel)
@@ -144,7 +145,7 @@ def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> Messages:
     else:
         data, offset, length = _converted(batch, carrier, channel, writer)
     carrier.carried += count
-    return Messages(channel, sequence, batch.log_ns, publish_ns, (data,), offset, length)
+    return MessageTable(channel, sequence, batch.log_ns, publish_ns, (data,), offset, length)
 
 
 def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
@@ -160,7 +161,7 @@ def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
 def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) -> tuple[Array, Array, Array]:
     """The payloads as CDR; one that is not what its definition says stays ROS 1, on a channel of its own."""
     assert carrier.convert is not None
-    left, parts = _alike(batch, carrier.convert)
+    left, parts = _convert_same_layout(batch, carrier.convert)
     single: list[bytes | memoryview] = []
     for i in left.tolist():
         payload = batch.data[batch.offset[i] : batch.offset[i] + batch.length[i]].data
@@ -177,7 +178,7 @@ def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) 
     return merged.data, merged.offset, merged.length
 
 
-def _alike(batch: Batch, convert: Converter) -> tuple[Array, list[tuple[Array, Payloads]]]:
+def _convert_same_layout(batch: Batch, convert: Converter) -> tuple[Array, list[tuple[Array, Payloads]]]:
     """Short messages of equal length and layout as CDR, group by group, and the rows that are left."""
     left, parts = np.ones(len(batch.log_ns), bool), []
     sizes, counts = np.unique(batch.length, return_counts=True)
@@ -185,7 +186,7 @@ def _alike(batch: Batch, convert: Converter) -> tuple[Array, list[tuple[Array, P
         rows = np.flatnonzero(batch.length == size)
         while len(rows) >= _FEW:
             try:
-                same, out = convert.alike(batch.data[batch.offset[rows, None] + np.arange(size)])
+                same, out = convert.convert_same_layout(batch.data[batch.offset[rows, None] + np.arange(size)])
             except FormatError:
                 break
             width = np.full(len(out), out.shape[1])
@@ -201,11 +202,11 @@ def _resistance(source: Path, carrier: _Carrier) -> Finding:
     return Finding("warning", f"{text}; they stay ROS 1, which ROS 2 tools do not read")
 
 
-def _sorted(parts: list[Messages]) -> Messages:
+def _sorted(parts: list[MessageTable]) -> MessageTable:
     shift = np.cumsum([0, *(part.data[0].size for part in parts)])
     log_ns = np.concatenate([part.log_ns for part in parts])
     order = np.argsort(log_ns, kind="stable")
-    return Messages(
+    return MessageTable(
         np.concatenate([part.channel for part in parts])[order],
         np.concatenate([part.sequence for part in parts])[order],
         log_ns[order],

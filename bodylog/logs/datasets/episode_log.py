@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import LogError
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
-from ..encode.cdr import Field, Payloads
+from ..encode.cdr import CdrField, Payloads
 from ..encode.schemas import definition
 from ..records import Array, Batch, Finding, Topic
 
@@ -178,10 +178,10 @@ def _held(number: int, one: Signal | Texts | Camera) -> Iterator[Batch]:
     yield Batch(number, one.ns, made.data, made.offset, made.length)
 
 
-def _fields(one: Signal | Camera) -> list[Field]:
+def _fields(one: Signal | Camera) -> list[CdrField]:
     if isinstance(one, Camera):
         return _image_fields(one, one.ns, np.empty((len(one.ns), 0), np.uint8))
-    fields: list[Field] = [*cdr.header(one.ns), ("string[]", one.names), ("float64[]", one.values)]
+    fields: list[CdrField] = [*cdr.header(one.ns), ("string[]", one.names), ("float64[]", one.values)]
     # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array
     unknown = np.full(one.values.shape, np.nan)
     return fields + ([("float64[]", unknown)] * 2 if one.type == JOINT_STATE else [])
@@ -192,7 +192,7 @@ def _texts(one: Texts) -> Payloads:
     return cdr.merge(parts, len(one.texts))
 
 
-def _image_fields(camera: Camera, ns: Array, data: Array) -> list[Field]:
+def _image_fields(camera: Camera, ns: Array, data: Array) -> list[CdrField]:
     """CompressedImage or Image with the bytes data (n,B); B = 0 of a raw image means none."""
     if camera.size is None:
         return [*cdr.header(ns), ("string", camera.form), ("uint8[]", data)]

@@ -15,7 +15,9 @@ _LONGEST = 1 << 16
 _NAMED, _BASE, _SEQUENCE = 2, 1, 4
 
 
-def alike(store: Any, kind: str, rows: Array, convert: Callable[[memoryview], memoryview]) -> tuple[Array, Array]:
+def convert_same_layout(
+    store: Any, kind: str, rows: Array, convert: Callable[[memoryview], memoryview]
+) -> tuple[Array, Array]:
     """Which of the rows (n,L) uint8 are laid out as the first (n,) bool, and their CDR (m,K) uint8.
 
     `convert` turns one payload of that type into CDR; rosbags' type store says where its lengths and texts are.

@@ -12,7 +12,7 @@ from ..records import Array, Batch, Topic
 from .cursor import CDR_KINDS, Payload
 from .definitions import Definition, parse
 from .gather import Template, agrees, gather, template, values
-from .layout import Layout, leaf_field, rest, walk, widened
+from .layout import Layout, leaf_field, locate_fields, rest, widened
 from .message_path import Step
 from .message_path import steps as read_steps
 from .parts import Columns, joined
@@ -142,10 +142,10 @@ class _Decoder:
 
     def _walk(self, payload: bytes) -> Layout | None:
         with suppress(FormatError):
-            return walk(self.definition, payload, self.paths, self.ros1)
+            return locate_fields(self.definition, payload, self.paths, self.ros1)
         for sized in (fits := widened(self.definition, payload, self.ros1)):
             self.definition = sized if len(fits) == 1 else self.definition
-            return walk(sized, payload, self.paths, self.ros1)
+            return locate_fields(sized, payload, self.paths, self.ros1)
         self.rejected["malformed"] += 1
         return None
 
@@ -176,5 +176,3 @@ class _Decoder:
 def _payload(batch: Batch, index: int) -> bytes:
     start = int(batch.offset[index])
     return batch.data[start : start + int(batch.length[index])].tobytes()
-
-

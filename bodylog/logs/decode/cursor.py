@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import FormatError
 from ..records import Array
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
-from .message_path import Only, Range, Step, is_index
+from .message_path import IndexRange, Only, Step, is_index
 
 CDR_KINDS = {(0, 0): (True, 8), (0, 1): (False, 8), (0, 6): (True, 4), (0, 7): (False, 4)}
 """First two bytes of a CDR payload -> (big endian, largest alignment)."""
@@ -17,7 +17,7 @@ Payload = bytes | memoryview
 """One message's bytes."""
 
 _SIZES = {name: int(code[1]) for name, code in PRIMITIVES.items()}
-_RANGE_ALL = Range(0, -1)
+_RANGE_ALL = IndexRange(0, -1)
 Wanted = Sequence[tuple[int, tuple[Step, ...]]]
 
 
@@ -31,7 +31,7 @@ class Leaf:
     single: bool
 
 
-class Walker:
+class CdrCursor:
     """A cursor over one payload that notes constants and wanted places as it passes them."""
 
     def __init__(self, definition: Definition, payload: Payload, wanted: int, ros1: bool) -> None:
@@ -135,7 +135,7 @@ class Walker:
         return passed
 
     def _equals(self, type_: str, only: Only) -> bool:
-        probe = Walker(self.definition, self.payload, 1, self.ros1)
+        probe = CdrCursor(self.definition, self.payload, 1, self.ros1)
         probe.pos = self.pos
         probe.struct(type_, ((0, (only.field,)),), True)
         self.constants += probe.constants
@@ -228,4 +228,4 @@ def _cdr_kind(root: str, payload: Payload) -> tuple[bool, int]:
 
 def _range(steps: tuple[Step, ...], count: int) -> range:
     step = steps[0] if steps else _RANGE_ALL
-    return step.of(count) if isinstance(step, Range) else range(count)
+    return step.of(count) if isinstance(step, IndexRange) else range(count)

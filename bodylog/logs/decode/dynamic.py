@@ -46,17 +46,19 @@ class ObjectDecoder:
         self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
         self.seen = self.fast = 0
         self.rejected: Counter[str] = Counter()
-        from .objects_alike import JsonAlike, ProtobufAlike
+        from .batch_decoders import JsonBatchDecoder, ProtobufBatchDecoder
 
-        self.alike: JsonAlike | ProtobufAlike = (
-            JsonAlike(paths, self.single) if topic.encoding == "json" else ProtobufAlike(topic, paths, self.single)
+        self.together: JsonBatchDecoder | ProtobufBatchDecoder = (
+            JsonBatchDecoder(paths, self.single)
+            if topic.encoding == "json"
+            else ProtobufBatchDecoder(topic, paths, self.single)
         )
 
     def feed(self, batch: Batch) -> None:
         """Decode one more batch: messages laid out alike at once, then those that are left."""
         self.log_ns.append(np.array(batch.log_ns, np.int64))
         left = np.ones(len(batch.log_ns), bool)
-        for index, values in self.alike.take(batch):
+        for index, values in self.together.take(batch):
             shape = tuple(v if isinstance(v, tuple) else v.shape[1:] for v in values)
             self.pieces.setdefault(shape, []).append((self.seen + index, values))
             left[index] = False

@@ -6,7 +6,7 @@ from copy import copy
 from dataclasses import dataclass, replace
 
 from ...errors import ConfigError, FormatError
-from .cursor import Leaf, Payload, Walker
+from .cursor import CdrCursor, Leaf, Payload
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition, Field
 from .message_path import Only, Step, is_index
 
@@ -66,9 +66,9 @@ def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:
     return definition.types.get(type_, ())
 
 
-def walk(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
+def locate_fields(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
     """The layout of `payload`, walked as far as the last wanted field; FormatError when it contradicts itself."""
-    walker = Walker(definition, payload, len(wanted), ros1)
+    walker = CdrCursor(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
     leaves = tuple(walker.leaf(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
     constants = _merged(walker.constants)
@@ -78,7 +78,7 @@ def walk(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, 
 
 def rest(definition: Definition, payload: Payload, ros1: bool) -> int:
     """Bytes left over after walking all of `payload`."""
-    return len(payload) - walk(definition, payload, (), ros1).width
+    return len(payload) - locate_fields(definition, payload, (), ros1).width
 
 
 def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Definition]:
@@ -106,19 +106,19 @@ class Picker:
         """For messages of one definition and dialect; ConfigError names what could have been meant."""
         self._definition, self._wanted, self._ros1 = definition, wanted, ros1
         self._ends = tuple(leaf_field(definition, steps) for steps in wanted)
-        self._last: Walker | None = None
+        self._last: CdrCursor | None = None
 
     def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
         """The wanted fields of one message; FormatError when it contradicts itself. Threads may share a picker."""
         walker = _again(self._last, payload) if self._last else None
         if walker is None:
-            walker = Walker(self._definition, payload, len(self._wanted), self._ros1)
+            walker = CdrCursor(self._definition, payload, len(self._wanted), self._ros1)
             walker.struct(self._definition.root, tuple(enumerate(self._wanted)), True)
             self._last = walker
         return tuple(walker.single(k, end) for k, end in enumerate(self._ends))
 
 
-def _again(last: Walker, payload: Payload) -> Walker | None:
+def _again(last: CdrCursor, payload: Payload) -> CdrCursor | None:
     """The walk over a payload unlike the last one in no constant but the length of the bytes it ended with, or None."""
     start, stop = last.constants[-1] if last.constants else (0, 0)
     tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]

@@ -15,7 +15,7 @@ _STEP = re.compile(
 
 
 @dataclass(frozen=True)
-class Range:
+class IndexRange:
     """Elements first to last, both included, as in Foxglove; negative ones count from the end."""
 
     first: int
@@ -35,7 +35,7 @@ class Only:
     value: int | str
 
 
-Step = str | Range | Only
+Step = str | IndexRange | Only
 
 
 @dataclass(frozen=True)
@@ -69,17 +69,17 @@ def steps(text: str, whole: str | None = None) -> tuple[Step, ...]:
 
 def is_index(step: Step) -> bool:
     """Whether a step picks one element by number."""
-    return isinstance(step, Range) and step.first == step.last
+    return isinstance(step, IndexRange) and step.first == step.last
 
 
 def _step(match: re.Match[str]) -> Step:
     if match["name"]:
         return match["name"]
     if match["index"]:
-        return Range(int(match["index"]), int(match["index"]))
+        return IndexRange(int(match["index"]), int(match["index"]))
     if match["key"]:
         value = match["value"]
         if value in ("true", "false"):
             return Only(match["key"], int(value == "true"))
         return Only(match["key"], value[1:-1] if value[0] in "\"'" else int(value))
-    return Range(int(match["first"] or 0), int(match["last"] or -1))
+    return IndexRange(int(match["first"] or 0), int(match["last"] or -1))

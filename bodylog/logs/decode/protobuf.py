@@ -14,7 +14,7 @@ DEEPEST = 64
 
 
 @dataclass(frozen=True)
-class Field:
+class ProtobufField:
     """One field of a message type; `type` names its message type."""
 
     name: str
@@ -23,7 +23,7 @@ class Field:
     type: str
 
 
-Types = Mapping[str, Mapping[int, Field]]
+Types = Mapping[str, Mapping[int, ProtobufField]]
 """Message type -> field number -> field."""
 
 
@@ -53,7 +53,7 @@ def root_of(topic: Topic) -> tuple[Types, str]:
 
 
 def _types(descriptors: bytes) -> Types:
-    found: dict[str, dict[int, Field]] = {}
+    found: dict[str, dict[int, ProtobufField]] = {}
     for number, file in _records(memoryview(descriptors)):
         if number == 1:
             parts = list(_records(file))
@@ -64,7 +64,7 @@ def _types(descriptors: bytes) -> Types:
     return found
 
 
-def _describe(message: Any, above: str, found: dict[str, dict[int, Field]], depth: int) -> None:
+def _describe(message: Any, above: str, found: dict[str, dict[int, ProtobufField]], depth: int) -> None:
     if depth > DEEPEST:
         raise FormatError("messages nested too deeply")
     parts = list(_records(message))
@@ -75,10 +75,10 @@ def _describe(message: Any, above: str, found: dict[str, dict[int, Field]], dept
             _describe(value, name, found, depth + 1)
 
 
-def _field(record: Any) -> tuple[int, Field]:
+def _field(record: Any) -> tuple[int, ProtobufField]:
     parts = dict(_records(record))
     name, type_ = bytes(parts.get(1, b"")).decode(), bytes(parts.get(6, b"")).decode().lstrip(".")
-    return int(parts.get(3, 0)), Field(name, int(parts.get(5, 0)), parts.get(4) == 3, type_)
+    return int(parts.get(3, 0)), ProtobufField(name, int(parts.get(5, 0)), parts.get(4) == 3, type_)
 
 
 def _records(data: Any) -> Iterator[tuple[int, Any]]:
@@ -128,7 +128,7 @@ def _message(data: memoryview, type_: str, types: Types, topic: str, depth: int)
     return out
 
 
-def _store(out: dict[str, Any], field: Field, raw: Any, types: Types, topic: str, depth: int) -> None:
+def _store(out: dict[str, Any], field: ProtobufField, raw: Any, types: Types, topic: str, depth: int) -> None:
     if field.kind == MESSAGE:
         value = _message(raw, field.type, types, topic, depth + 1) if isinstance(raw, memoryview) else None
     elif field.repeated and field.kind not in (STRING, BYTES) and isinstance(raw, memoryview):
@@ -142,7 +142,7 @@ def _store(out: dict[str, Any], field: Field, raw: Any, types: Types, topic: str
         out[field.name] = value
 
 
-def _packed(field: Field, raw: memoryview) -> list[Any]:
+def _packed(field: ProtobufField, raw: memoryview) -> list[Any]:
     if field.kind in FIXED:
         size = struct.calcsize(FIXED[field.kind])
         return list(struct.unpack(f"<{len(raw) // size}{FIXED[field.kind][1]}", raw[: len(raw) // size * size]))
@@ -167,7 +167,7 @@ def _scalar(kind: int, raw: Any) -> Any:
     return raw
 
 
-def _default(field: Field) -> Any:
+def _default(field: ProtobufField) -> Any:
     if field.repeated:
         return []
     if field.kind in (STRING, BYTES):

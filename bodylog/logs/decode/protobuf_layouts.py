@@ -11,7 +11,7 @@ from .gather import agrees, gather, template
 from .layout import Layout
 from .message_path import Step
 from .object_places import Item, Opaque, Place, column, items, text
-from .protobuf import BYTES, DEEPEST, FIXED, MESSAGE, STRING, Field, Types, varint
+from .protobuf import BYTES, DEEPEST, FIXED, MESSAGE, STRING, ProtobufField, Types, varint
 
 _WIRES = {0: 0, 1: 8, 5: 4}
 _LONGEST_VARINT = 10
@@ -72,7 +72,7 @@ class _Walk:
             if number in fields:
                 self._store(out, fields[number], wire, at, stop, depth)
             elif wire == 0:
-                self._place(Field("", 0, False, ""), at, stop)
+                self._place(ProtobufField("", 0, False, ""), at, stop)
         return out
 
     def _records(self, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
@@ -97,7 +97,7 @@ class _Walk:
             yield key >> 3, wire, at, stop
             pos = stop
 
-    def _store(self, out: dict[str, Any], field: Field, wire: int, at: int, stop: int, depth: int) -> None:
+    def _store(self, out: dict[str, Any], field: ProtobufField, wire: int, at: int, stop: int, depth: int) -> None:
         if field.repeated and wire == 2 and field.kind not in (MESSAGE, STRING, BYTES):
             out[field.name].extend(self._packed(field, at, stop))
             return
@@ -107,7 +107,7 @@ class _Walk:
         else:
             out[field.name] = value
 
-    def _value(self, field: Field, wire: int, at: int, stop: int, depth: int) -> Any:
+    def _value(self, field: ProtobufField, wire: int, at: int, stop: int, depth: int) -> Any:
         if (wire == 2) != (field.kind in (MESSAGE, STRING, BYTES)):
             raise FormatError("a value of another kind than its field")
         if field.kind == MESSAGE:
@@ -120,7 +120,7 @@ class _Walk:
         (self.high if content.isascii() else self.constants).append((at, stop))
         return text(content.decode(), at, stop, self.pinned)
 
-    def _packed(self, field: Field, at: int, stop: int) -> list[Place]:
+    def _packed(self, field: ProtobufField, at: int, stop: int) -> list[Place]:
         if field.kind in FIXED:
             size = np.dtype(FIXED[field.kind]).itemsize
             return [self._place(field, start, start + size) for start in range(at, stop - size + 1, size)]
@@ -131,7 +131,7 @@ class _Walk:
             at = after
         return found
 
-    def _place(self, field: Field, at: int, stop: int) -> Place:
+    def _place(self, field: ProtobufField, at: int, stop: int) -> Place:
         if field.kind in FIXED:
             if stop - at != np.dtype(FIXED[field.kind]).itemsize:
                 raise FormatError("a number of another size than its field's")
@@ -147,7 +147,7 @@ class _Walk:
         return place
 
 
-def _default(field: Field) -> Any:
+def _default(field: ProtobufField) -> Any:
     if field.repeated:
         return []
     if field.kind == STRING:

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...errors import FormatError
 from ..records import Array, Topic
-from .bulk_convert import alike
+from .bulk_convert import convert_same_layout
 
 _HEADER = "std_msgs/msg/Header"
 _MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
@@ -33,9 +33,9 @@ class Converter:
         except (SerdeError, *_TROUBLE) as problem:
             raise FormatError(f"topic {self.topic.name}: {problem}") from None
 
-    def alike(self, rows: Array) -> tuple[Array, Array]:
+    def convert_same_layout(self, rows: Array) -> tuple[Array, Array]:
         """Which payloads (n,L) uint8 are laid out as the first (n,) bool, and their CDR (m,K)."""
-        return alike(self.store, self.topic.type, rows, self)
+        return convert_same_layout(self.store, self.topic.type, rows, self)
 
 
 def converter(topic: Topic) -> tuple[Converter, bytes]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..records import Array
 
-Field = tuple[str, Any]
+CdrField = tuple[str, Any]
 """(kind, value): a primitive with an array (n,) or a constant · `string`, `string[]` with constants ·
 `<primitive>*` a fixed array (n,k) · `<primitive>[]` a sequence (n,k)."""
 
@@ -37,17 +37,17 @@ class Payloads:
     length: Array
 
 
-def time(ns: Array) -> list[Field]:
+def time(ns: Array) -> list[CdrField]:
     """builtin_interfaces/Time or Duration from int64 ns (n,)."""
     return [("int32", ns // 1_000_000_000), ("uint32", ns % 1_000_000_000)]
 
 
-def header(ns: Array, frame_id: str = "") -> list[Field]:
+def header(ns: Array, frame_id: str = "") -> list[CdrField]:
     """std_msgs/Header from int64 stamps in ns (n,)."""
     return [*time(ns), ("string", frame_id)]
 
 
-def serialise(count: int, fields: Sequence[Field]) -> Payloads:
+def serialise(count: int, fields: Sequence[CdrField]) -> Payloads:
     """`count` messages made of `fields` in order, all of one length."""
     layout = _Layout()
     for kind, value in fields:

@@ -23,7 +23,7 @@ _SILENT = 0
 """Held while standard error is another file."""
 
 
-def unpacked(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
+def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
     """(H/k, W/k, 3) uint8 BGR of a picture's bytes; FormatError, which says its `form`, when there is none in them."""
     height, width, jpeg = _size(data[: 1 << 16], form)
     check_size(height, width, mpx)

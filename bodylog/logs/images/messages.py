@@ -14,7 +14,7 @@ from ..decode.dynamic import reader
 from ..decode.layout import Picker
 from ..limits import LIMITS
 from ..records import Array, Topic
-from .codecs import check_size, unpacked
+from .codecs import check_size, decode_image
 
 COMPRESSED = ("sensor_msgs/msg/CompressedImage", "foxglove_msgs/msg/CompressedImage", "foxglove.CompressedImage")
 RAW = ("sensor_msgs/msg/Image", "foxglove_msgs/msg/RawImage", "foxglove.RawImage")
@@ -143,7 +143,7 @@ def _compressed(message: Mapping[str, Any], k: int, mpx: float) -> Array:
     form = str(message.get("format", ""))
     if "compresseddepth" in form.lower():
         raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not a picture")
-    return unpacked(memoryview(message.get("data", b"")), form, k, mpx)
+    return decode_image(memoryview(message.get("data", b"")), form, k, mpx)
 
 
 def whole(message: Mapping[str, Any], name: str) -> int:

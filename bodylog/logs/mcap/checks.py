@@ -9,11 +9,11 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
-from ..storage.mmapped import forget
-from .chunks import Chunk, Messages, chunk_head, heads_at, index_of, load, messages
+from ..storage.mmapped import drop_pages
+from .chunks import Chunk, MessageRecords, chunk_head, heads_at, index_of, load, messages
 from .records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -31,8 +31,8 @@ from .records import (
     STATISTICS,
     SUMMARY_OFFSET,
     Record,
+    iter_records,
     parse,
-    walk,
 )
 from .resync import sound_records
 from .summary import records_of, section
@@ -61,10 +61,10 @@ class _Tally:
             self.times += [int(heads["log"].min()), int(heads["log"].max())]
 
 
-def check(data: memoryview, ledger: Ledger, say: Say) -> None:
+def check(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
     """Tell `say` of every disagreement in the MCAP; unreadable parts are left to the reader's own findings."""
-    tally, buffer = _Tally(), Buffer(ledger.path, ledger.limits)
-    chunk: tuple[Chunk, Messages] | None = None
+    tally, buffer = _Tally(), Buffer(diagnostics.path, diagnostics.limits)
+    chunk: tuple[Chunk, MessageRecords] | None = None
 
     def lost(_at: int, size: int) -> None:
         nonlocal chunk
@@ -75,7 +75,7 @@ def check(data: memoryview, ledger: Ledger, say: Say) -> None:
         tally.records[opcode] = tally.records.get(opcode, 0) + 1
         body = data[at + HEAD.size : at + HEAD.size + length]
         if opcode == CHUNK:
-            chunk = _chunk(data, at, length, tally, buffer, ledger, say)
+            chunk = _chunk(data, at, length, tally, buffer, diagnostics, say)
         elif opcode == MESSAGE_INDEX and chunk is not None:
             _index(data, at, chunk, say)
         elif opcode == MESSAGE:
@@ -93,18 +93,18 @@ def check(data: memoryview, ledger: Ledger, say: Say) -> None:
 
 
 def _chunk(
-    data: memoryview, at: int, length: int, tally: _Tally, buffer: Buffer, ledger: Ledger, say: Say
-) -> tuple[Chunk, Messages] | None:
+    data: memoryview, at: int, length: int, tally: _Tally, buffer: Buffer, diagnostics: Diagnostics, say: Say
+) -> tuple[Chunk, MessageRecords] | None:
     first, last, *_ = chunk_head(data, at)
     chunk = Chunk(at, HEAD.size + length, first, last)
-    content = load(data, chunk, buffer, ledger)
+    content = load(data, chunk, buffer, diagnostics)
     if content is None:
         tally.lost += chunk.length
         return None
-    found = messages(content, data, chunk, ledger)
-    forget(data, at, at + chunk.length)
+    found = messages(content, data, chunk, diagnostics)
+    drop_pages(data, at, at + chunk.length)
     tally.add(found.heads)
-    for opcode, start, size in walk(content.data, 0, len(content)):
+    for opcode, start, size in iter_records(content.data, 0, len(content)):
         if opcode in tally.declared:
             tally.declared[opcode].add(parse(opcode, content.data[start : start + size]).fields["id"])
     if len(found.starts):
@@ -115,7 +115,7 @@ def _chunk(
     return chunk, found
 
 
-def _index(data: memoryview, at: int, chunk: tuple[Chunk, Messages], say: Say) -> None:
+def _index(data: memoryview, at: int, chunk: tuple[Chunk, MessageRecords], say: Say) -> None:
     """A MessageIndex against the messages of its channel in the chunk before it."""
     channel = int.from_bytes(data[at + HEAD.size : at + HEAD.size + 2], "little")
     listed = index_of(data, at)
@@ -142,7 +142,7 @@ def _data_end(data: memoryview, at: int, body: memoryview, say: Say) -> None:
     found = 0
     for low in range(0, at, 1 << 24):
         found = crc32(data[low : min(at, low + (1 << 24))], found)
-        forget(data, low, low + (1 << 24))
+        drop_pages(data, low, low + (1 << 24))
     if found != declared:
         say("data", f"the data section has CRC {found:08x} where {declared:08x} is declared")
 
@@ -216,7 +216,7 @@ def _group(data: memoryview, said: dict[str, Any], say: Say) -> None:
     if start == end:
         return
     try:
-        opcodes = {opcode for opcode, _, _ in walk(data, start, min(end, len(data)))}
+        opcodes = {opcode for opcode, _, _ in iter_records(data, start, min(end, len(data)))}
     except FormatError:
         opcodes = set()
     if opcodes != {said["group_opcode"]}:

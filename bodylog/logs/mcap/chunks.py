@@ -9,11 +9,11 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
-from ..storage.mmapped import bring
-from .records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, Record, parse, walk
+from ..storage.mmapped import ensure_local
+from .records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, Record, iter_records, parse
 
 MESSAGE_HEAD = np.dtype(
     [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
@@ -54,7 +54,7 @@ class Loose(NamedTuple):
     end: int
 
 
-class Messages(NamedTuple):
+class MessageRecords(NamedTuple):
     """Message records inside `data`: where each starts (n,) and its first 31 bytes (n,) MESSAGE_HEAD."""
 
     starts: Array
@@ -91,7 +91,7 @@ def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
 
     Of one that is cut, as far as they go: nothing vouches for them but that they unpack.
     """
-    bring(data, chunk.start, chunk.start + chunk.length)
+    ensure_local(data, chunk.start, chunk.start + chunk.length)
     _, _, size, crc, compression, packed = chunk_head(data, chunk.start, chunk.cut)
     content = buffer.load(compression, packed, size, chunk.cut)
     if chunk.cut and len(content) < size:
@@ -102,42 +102,42 @@ def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
     return content
 
 
-def load(data: memoryview, chunk: Chunk, buffer: Buffer, ledger: Ledger) -> Array | None:
-    """The chunk's records (bytes,) uint8 once its CRC agrees, else None and the loss is in the ledger."""
+def load(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostics) -> Array | None:
+    """The chunk's records (bytes,) uint8 once its CRC agrees, else None and the loss is in the diagnostics."""
     try:
         return unpack(data, chunk, buffer)
     except FormatError as problem:
-        lose(data, chunk, problem, ledger)
+        lose(data, chunk, problem, diagnostics)
         return None
 
 
-def lose(data: memoryview, chunk: Chunk, problem: FormatError, ledger: Ledger) -> None:
-    """Tell the ledger what was in a chunk that cannot be used."""
+def lose(data: memoryview, chunk: Chunk, problem: FormatError, diagnostics: Diagnostics) -> None:
+    """Tell the diagnostics what was in a chunk that cannot be used."""
     count = sum(len(index_of(data, at)) for at in chunk.indexes.values()) if chunk.indexes else None
     seconds = max(0, chunk.end_ns - chunk.start_ns) / 1e9
-    ledger.lost(chunk.start, chunk.length, count, seconds, str(problem))
+    diagnostics.add_loss(chunk.start, chunk.length, count, seconds, str(problem))
 
 
 def index_of(data: memoryview, at: int) -> Array:
     """The MessageIndex at byte `at`: (n, 2) int64 log time (ns) and offset in the chunk; empty when it is none."""
     if not 0 <= at <= len(data) - _INDEX_HEAD.size:
         return np.empty((0, 2), np.int64)
-    bring(data, at, at + _INDEX_HEAD.size)
+    ensure_local(data, at, at + _INDEX_HEAD.size)
     opcode, length, _, size = _INDEX_HEAD.unpack_from(data, at)
     if opcode != MESSAGE_INDEX or size > length or at + _INDEX_HEAD.size + size > len(data):
         return np.empty((0, 2), np.int64)
-    bring(data, at, at + _INDEX_HEAD.size + size)
+    ensure_local(data, at, at + _INDEX_HEAD.size + size)
     return np.frombuffer(data, "<i8", size // 16 * 2, at + _INDEX_HEAD.size).reshape(-1, 2)
 
 
-def messages(content: Array, data: memoryview, chunk: Chunk, ledger: Ledger) -> Messages:
+def messages(content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
     """All messages of a loaded chunk in its own order: by its indexes where they are right, else by walking."""
     if chunk.indexes:
         found = indexed(content, [(0, len(content))], data, [chunk])
         if found is not None:
             return found
-        ledger.warn(f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were walked")
-    return _walked(content, chunk, ledger)
+        diagnostics.warn(f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were walked")
+    return _walked(content, chunk, diagnostics)
 
 
 def heads_of(content: Array | memoryview) -> Array:
@@ -152,7 +152,7 @@ def heads_at(content: Array | memoryview, starts: Array) -> Array:
 
 def indexed(
     content: Array, places: Sequence[tuple[int, int]], data: memoryview, chunks: Sequence[Chunk]
-) -> Messages | None:
+) -> MessageRecords | None:
     """All messages of chunks by their indexes, each chunk's records between two bytes of `content`; None if wrong."""
     listed = [
         (channel, index_of(data, at)[:, 1] + low)
@@ -170,7 +170,9 @@ def indexed(
         order = np.argsort(starts, kind="stable")
         starts, heads = starts[order], heads[order]
     empty = (np.diff(np.searchsorted(starts, [low for low, _ in places]), append=len(starts)) == 0).any()
-    return None if empty or not _tiled(content, np.array(places), starts, heads["size"]) else Messages(starts, heads)
+    return (
+        None if empty or not _tiled(content, np.array(places), starts, heads["size"]) else MessageRecords(starts, heads)
+    )
 
 
 def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
@@ -185,35 +187,35 @@ def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
         return False
     view = content.data
     try:
-        between = [walk(view, lows[i].item(), highs[i].item()) for i in np.flatnonzero(lows < highs)]
+        between = [iter_records(view, lows[i].item(), highs[i].item()) for i in np.flatnonzero(lows < highs)]
         return all(opcode != MESSAGE for records in between for opcode, _, _ in records)
     except FormatError:
         return False
 
 
-def _walked(content: Array, chunk: Chunk, ledger: Ledger) -> Messages:
+def _walked(content: Array, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
     starts = []
     try:
-        for opcode, body, length in walk(content.data, 0, len(content)):
+        for opcode, body, length in iter_records(content.data, 0, len(content)):
             if opcode == MESSAGE and length >= MESSAGE_HEAD.itemsize - HEAD.size:
                 starts.append(body - HEAD.size)
     except FormatError as problem:
-        ledger.lost(chunk.start, chunk.length, None, None, f"inside the chunk, {problem}")
+        diagnostics.add_loss(chunk.start, chunk.length, None, None, f"inside the chunk, {problem}")
     return _at(content, starts)
 
 
-def _at(content: Array | memoryview, starts: list[int]) -> Messages:
+def _at(content: Array | memoryview, starts: list[int]) -> MessageRecords:
     where = np.array(starts, np.int64)
-    return Messages(where, heads_at(content, where))
+    return MessageRecords(where, heads_at(content, where))
 
 
-def loose_messages(data: memoryview, run: Loose) -> Iterator[Messages]:
+def loose_messages(data: memoryview, run: Loose) -> Iterator[MessageRecords]:
     """The messages of a run, in blocks."""
     at = run.start
     while at < run.end:
         starts, after = following(data, at, run.end)
         if len(starts):
-            yield Messages(starts, heads_at(data, starts))
+            yield MessageRecords(starts, heads_at(data, starts))
         else:
             after = at + HEAD.size + HEAD.unpack_from(data, at)[1]
         at = after
@@ -258,13 +260,13 @@ def _one_after_another(data: memoryview, at: int, end: int) -> tuple[Array, int]
 def every_record(data: memoryview) -> Iterator[Record]:
     """All records of an undamaged file, those inside chunks in place of the chunk; FormatError at the first damage."""
     buffer = Buffer()
-    for opcode, at, length in walk(data, len(MAGIC), len(data) - len(MAGIC)):
+    for opcode, at, length in iter_records(data, len(MAGIC), len(data) - len(MAGIC)):
         if opcode == CHUNK:
             _, _, size, crc, compression, packed = chunk_head(data, at - HEAD.size)
             content = buffer.load(compression, packed, size).data
             if crc and crc32(content) != crc:
                 raise FormatError(f"byte {at - HEAD.size}: the chunk's CRC is wrong")
-            for inner, start, size in walk(content, 0, len(content)):
+            for inner, start, size in iter_records(content, 0, len(content)):
                 yield parse(inner, content[start : start + size], start - HEAD.size)
         elif opcode in FIELDS:
             yield parse(opcode, data[at : at + length], at - HEAD.size)

@@ -40,7 +40,7 @@ MESSAGE_HEAD = _MESSAGE.itemsize
 
 
 @dataclass(frozen=True, eq=False)
-class Messages:
+class MessageTable:
     """n messages of any channels: channel, sequence, log_ns, publish_ns (n,), payload i in data at offset[i].
 
     Offsets count through the arrays of `data`, one after another; no payload lies in two.
@@ -163,7 +163,7 @@ def data_end(crc: int) -> bytes:
     return record(DATA_END, struct.pack("<I", crc))
 
 
-def messages(table: Messages) -> tuple[Array, Array]:
+def messages(table: MessageTable) -> tuple[Array, Array]:
     """All message records one after another as (bytes,) uint8, and where each begins (n,)."""
     size = table.length + MESSAGE_HEAD
     start = np.cumsum(size) - size

@@ -5,10 +5,10 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
-from ..storage.mmapped import fetch
+from ..storage.mmapped import advise_sequential
 from .chunks import Chunk, Loose, unpack
 
 if TYPE_CHECKING:
@@ -25,24 +25,24 @@ Unpacked = Array | FormatError | None
 
 
 def unpacked_parts(
-    data: memoryview, parts: Sequence[Chunk | Loose], ledger: Ledger, alone: bool = False
+    data: memoryview, parts: Sequence[Chunk | Loose], diagnostics: Diagnostics, alone: bool = False
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
     """Each part with what it unpacks to, valid until the next is asked for; `alone`: nothing between is wanted."""
     if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _processors() < 2:
-        buffer = Buffer(ledger.path, ledger.limits)
+        buffer = Buffer(diagnostics.path, diagnostics.limits)
         yield from ((part, _unpacked(data, part, buffer, alone)) for part in parts)
         return
     from concurrent.futures import ThreadPoolExecutor
 
     with ThreadPoolExecutor(1) as pool:
-        yield from _overlapped(data, parts, pool, ledger, alone)
+        yield from _overlapped(data, parts, pool, diagnostics, alone)
 
 
 def _overlapped(
-    data: memoryview, parts: Sequence[Chunk | Loose], pool: "ThreadPoolExecutor", ledger: Ledger, alone: bool
+    data: memoryview, parts: Sequence[Chunk | Loose], pool: "ThreadPoolExecutor", diagnostics: Diagnostics, alone: bool
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
     """Two buffers in turn; the first part comes alone, since who looks at a log's beginning wants no more."""
-    here, there = Buffer(ledger.path, ledger.limits), Buffer(ledger.path, ledger.limits)
+    here, there = Buffer(diagnostics.path, diagnostics.limits), Buffer(diagnostics.path, diagnostics.limits)
     waiting: Future[Unpacked] | None = None
     for number, part in enumerate(parts):
         found = waiting.result() if waiting else _unpacked(data, part, here, alone)
@@ -56,7 +56,7 @@ def _overlapped(
 def _unpacked(data: memoryview, part: Chunk | Loose, buffer: Buffer, alone: bool) -> Unpacked:
     if isinstance(part, Loose):
         return None
-    fetch(data, part.start, part.start + part.length, alone)
+    advise_sequential(data, part.start, part.start + part.length, alone)
     try:
         return unpack(data, part, buffer)
     except FormatError as problem:

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...errors import FormatError
-from .record_file import Head, TopLevel
+from ..topic_names import PREFIX
+from .record_file import Head, RecordFile
 from .records import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
@@ -28,9 +29,6 @@ from .records import (
 )
 from .writer import Contents
 
-ROOT = "/bodylog/"
-"""What we add to a log is under this topic."""
-
 NAME = "bodylog"
 """The metadata record that says how it was made."""
 
@@ -40,7 +38,7 @@ _Summary = Mapping[int, list[tuple[Record, bytes]]]
 
 
 @dataclass(frozen=True)
-class Base:
+class Prefix:
     """Bytes [0, end) of a file, what its summary says of them, and their CRC where the file keeps one."""
 
     end: int
@@ -57,45 +55,36 @@ class _Part(NamedTuple):
     messages: int = 0
 
 
-def is_mcap(path: Path) -> bool:
-    """Whether a file begins as an MCAP does."""
-    try:
-        with TopLevel(path):
-            return True
-    except (FormatError, OSError):
-        return False
-
-
-def keepable(path: Path) -> Base:
+def reusable_prefix(path: Path) -> Prefix:
     """All of a chunked MCAP with a sound summary but what an earlier run appended.
 
     FormatError says why the file must be rewritten instead: not chunked, no summary, one that its data contradict, or
     /bodylog/ messages between others; or a name is no UTF-8, which other readers refuse.
     """
-    with TopLevel(path) as file:
-        return _keepable(file, ROOT)
+    with RecordFile(path) as file:
+        return _reusable_prefix(file, PREFIX)
 
 
-def messages(path: Path) -> int:
+def count_messages(path: Path) -> int:
     """How many messages the message indexes of an MCAP hold; FormatError where summary and data disagree."""
-    with TopLevel(path) as file:
-        return sum(_keepable(file, None).contents.counts.values())
+    with RecordFile(path) as file:
+        return sum(_reusable_prefix(file, None).contents.counts.values())
 
 
-def _keepable(file: TopLevel, root: str | None) -> Base:
+def _reusable_prefix(file: RecordFile, root: str | None) -> Prefix:
     start, records = file.summary()
     summary: dict[int, list[tuple[Record, bytes]]] = {}
     for record, raw in records:
         summary.setdefault(record.opcode, []).append((record, raw))
     if root is not None and any(map(no_utf8, _named(file, start, [one for one, _ in records]))):
         raise FormatError("a name in it is no UTF-8")
-    file.expect(_heads(summary))
+    file.prefetch(_heads(summary))
     parts = _parts(file.heads(start), summary)
     ours = _ours(summary, root)
     foreign = {r.fields["offset"] for r, _ in summary.get(METADATA_INDEX, []) if r.fields["name"] != NAME}
     cut = _cut(parts, ours, foreign)
     contents = _contents(summary, [p for p in parts if p.start < cut], ours)
-    return Base(cut, _crc(file, cut, parts[-1].start), contents)
+    return Prefix(cut, _crc(file, cut, parts[-1].start), contents)
 
 
 def no_utf8(record: Record) -> bool:
@@ -104,7 +93,7 @@ def no_utf8(record: Record) -> bool:
     return any(isinstance(text, str) and "\ufffd" in text for texts in values for text in texts)
 
 
-def _named(file: TopLevel, end: int, summary: list[Record]) -> Iterator[Record]:
+def _named(file: RecordFile, end: int, summary: list[Record]) -> Iterator[Record]:
     """The records of a file that hold names: its header, what its summary repeats, and metadata but ours."""
     first = next(file.heads(end), None)
     if first is not None and first.opcode == HEADER:
@@ -179,13 +168,13 @@ def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
     first = next((i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1)
     tail = parts[first:-1]
     if any(p.opcode == ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours for p in tail):
-        raise FormatError(f"{ROOT} messages lie between others")
+        raise FormatError(f"{PREFIX} messages lie between others")
     while tail and first and parts[first - 1].opcode == SCHEMA:
         first -= 1
     return parts[first].start
 
 
-def _crc(file: TopLevel, cut: int, end: int) -> int | None:
+def _crc(file: RecordFile, cut: int, end: int) -> int | None:
     """The CRC of the bytes kept; None where the file does not keep one."""
     stored = int.from_bytes(file.read(end, 13)[9:], "little")
     if not stored:

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Topic
-from ..storage.mmapped import bring, fetch, forget, mapped, uncut
-from ..storage.zstd_files import unpacked
+from ..storage.mmapped import advise_sequential, check_untruncated, drop_pages, ensure_local, mapped
+from ..storage.zstd_files import decompress_messages
 from ..topics import Topics, span, split
-from .chunks import MESSAGE_HEAD, Chunk, Loose, Messages, loose_messages, lose, messages
+from .chunks import MESSAGE_HEAD, Chunk, Loose, MessageRecords, loose_messages, lose, messages
 from .prefetch import unpacked_parts
 from .records import HEAD, MAGIC, Record, parse
 from .survey import Survey
@@ -25,23 +25,21 @@ class McapLog:
 
     format = "mcap"
 
-    def __init__(
-        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
-    ) -> None:
+    def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
         """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
         from .scan import survey_of
 
         self.path = path
-        self._ledger = Ledger(path, strict, limits)
+        self._diagnostics = Diagnostics(path, strict, limits)
         self._data = mapped(source or path)
-        self.survey = survey_of(self._data, self._ledger)
-        self.topics, self._topic_of = _topics(self.survey, self._ledger)
-        self.start_ns, self.end_ns = span(self.survey.times, self._ledger)
+        self.survey = survey_of(self._data, self._diagnostics)
+        self.topics, self._topic_of = _topics(self.survey, self._diagnostics)
+        self.start_ns, self.end_ns = span(self.survey.times, self._diagnostics)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong so far; reading on may add to it."""
-        return self._ledger.findings
+        return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
@@ -52,9 +50,9 @@ class McapLog:
             topic_of[~known[topic_of]] = -1
         found = self.messages(topic_of >= 0)
         batches = (batch for content, some in found for batch in _split(content, some, topic_of))
-        yield from unpacked(batches, self.topics, self._ledger)
+        yield from decompress_messages(batches, self.topics, self._diagnostics)
 
-    def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, Messages]]:
+    def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, MessageRecords]]:
         """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
         done, channels = 0, None if wanted is None else frozenset(np.flatnonzero(wanted).tolist())
         parts = [part for part in self.survey.parts if _holds(part, channels)]
@@ -65,25 +63,25 @@ class McapLog:
                 yield from self._one_by_one(some, alone)
                 continue
             yield found
-            forget(self._data, done, some[0].start)  # not this run, whose pictures may still be looked at
+            drop_pages(self._data, done, some[0].start)  # not this run, whose pictures may still be looked at
             done = some[0].start
-        forget(self._data, done, len(self._data))
+        drop_pages(self._data, done, len(self._data))
 
-    def _one_by_one(self, parts: Sequence[Chunk | Loose], alone: bool) -> Iterator[tuple[Array, Messages]]:
+    def _one_by_one(self, parts: Sequence[Chunk | Loose], alone: bool) -> Iterator[tuple[Array, MessageRecords]]:
         done = parts[0].start
-        for part, content in unpacked_parts(self._data, parts, self._ledger, alone):
+        for part, content in unpacked_parts(self._data, parts, self._diagnostics, alone):
             if isinstance(part, Loose):
-                fetch(self._data, part.start, part.end)
+                advise_sequential(self._data, part.start, part.end)
                 whole = np.frombuffer(self._data, np.uint8)
                 for found in loose_messages(self._data, part):
                     yield whole, found
-                    forget(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
+                    drop_pages(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
                 continue
             if isinstance(content, FormatError):
-                lose(self._data, part, content, self._ledger)
+                lose(self._data, part, content, self._diagnostics)
             elif content is not None:
-                yield content, messages(content, self._data, part, self._ledger)
-            forget(self._data, done, part.start + part.length)  # and what was touched since the chunk before
+                yield content, messages(content, self._data, part, self._diagnostics)
+            drop_pages(self._data, done, part.start + part.length)  # and what was touched since the chunk before
             done = part.start + part.length
 
     def spans(self) -> dict[int, tuple[int, int]]:
@@ -94,7 +92,7 @@ class McapLog:
         """The sound records of that opcode that are not in chunks."""
         from .resync import sound_records
 
-        bring(self._data, 0, len(self._data))
+        ensure_local(self._data, 0, len(self._data))
         for found, at, length in sound_records(self._data, len(MAGIC), len(self._data), (), lambda _at, _size: None):
             if found == opcode:
                 yield parse(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)
@@ -111,7 +109,7 @@ class McapLog:
         """Close; LogError when the file was cut meanwhile."""
         data = self._data
         self.close()
-        uncut(data, self.path, problem)
+        check_untruncated(data, self.path, problem)
 
 
 def _holds(part: Chunk | Loose, wanted: frozenset[int] | None) -> bool:
@@ -121,7 +119,7 @@ def _holds(part: Chunk | Loose, wanted: frozenset[int] | None) -> bool:
     return not wanted.isdisjoint(part.indexes)
 
 
-def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:
+def _topics(survey: Survey, diagnostics: Diagnostics) -> tuple[tuple[Topic, ...], Array]:
     """The topics, and a table (65536,) from channel id to topic id, -1 where there is none."""
     topics, topic_of = Topics(), np.full(1 << 16, -1, np.int64)
     for channel, record in survey.channels.items():
@@ -131,7 +129,9 @@ def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:
         if schema is not None:
             name, encoding, data = schema.fields["name"], schema.fields["encoding"], schema.fields["data"]
         elif said["schema_id"] and channel in survey.counts:
-            ledger.warn(f"topic {said['topic']}: schema {said['schema_id']} is missing; its messages are undefined")
+            diagnostics.warn(
+                f"topic {said['topic']}: schema {said['schema_id']} is missing; its messages are undefined"
+            )
         count = survey.counts.get(channel, 0)
         topic_of[channel] = topics.add(
             said["topic"], name, said["message_encoding"], data, encoding, count, said["metadata"]
@@ -139,7 +139,7 @@ def _topics(survey: Survey, ledger: Ledger) -> tuple[tuple[Topic, ...], Array]:
     return topics.all(), topic_of
 
 
-def _split(content: Array, found: Messages, topic_of: Array) -> Iterator[Batch]:
+def _split(content: Array, found: MessageRecords, topic_of: Array) -> Iterator[Batch]:
     heads = found.heads
     offset = found.starts + MESSAGE_HEAD.itemsize
     length = heads["size"] - (MESSAGE_HEAD.itemsize - HEAD.size)

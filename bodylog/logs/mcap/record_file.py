@@ -8,7 +8,7 @@ from typing import NamedTuple
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from .records import FOOTER, HEAD, MAGIC, Record, parse, walk
+from .records import FOOTER, HEAD, MAGIC, Record, iter_records, parse
 
 _WINDOW = 4096
 _FIRST = 6
@@ -29,7 +29,7 @@ class Head(NamedTuple):
         return self.start + HEAD.size + self.size
 
 
-class TopLevel:
+class RecordFile:
     """An open MCAP file."""
 
     def __init__(self, path: Path) -> None:
@@ -40,7 +40,7 @@ class TopLevel:
             self._file.close()
             raise FormatError("the file does not begin as an MCAP")
 
-    def __enter__(self) -> "TopLevel":
+    def __enter__(self) -> "RecordFile":
         """The file itself."""
         return self
 
@@ -55,7 +55,7 @@ class TopLevel:
             raise FormatError(f"byte {start}: {len(found)} bytes where {size} belong")
         return found
 
-    def expect(self, places: Iterable[tuple[int, int]]) -> None:
+    def prefetch(self, places: Iterable[tuple[int, int]]) -> None:
         """Have the disk fetch these (start, size) all at once: one after the other, each would be waited for."""
         for start, size in places if hasattr(os, "posix_fadvise") else ():
             if start + size <= self.size:
@@ -100,7 +100,7 @@ class TopLevel:
         view = memoryview(raw)
         records = [
             (parse(op, view[at : at + size], start + at - HEAD.size), raw[at - HEAD.size : at + size])
-            for op, at, size in walk(view, 0, len(raw))
+            for op, at, size in iter_records(view, 0, len(raw))
         ]
         return start, records
 
@@ -112,10 +112,10 @@ class TopLevel:
         return found
 
 
-def sound_heads(path: Path) -> Iterator[tuple[TopLevel, Head]]:
+def sound_heads(path: Path) -> Iterator[tuple[RecordFile, Head]]:
     """The records outside chunks up to the first that is damaged; none when the file is no MCAP."""
     try:
-        with TopLevel(path) as file:
+        with RecordFile(path) as file:
             for head in file.heads(file.size - len(MAGIC)):
                 yield file, head
     except (FormatError, OSError):

@@ -3,6 +3,7 @@
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from ...errors import FormatError
@@ -124,6 +125,15 @@ def _offsets(content: memoryview) -> dict[int, int]:
     return dict(_OFFSET.iter_unpack(content))
 
 
+def is_mcap(path: Path) -> bool:
+    """Whether a file begins with the magic of an MCAP; False for a folder or a file that cannot be read."""
+    try:
+        with path.open("rb") as stream:
+            return stream.read(len(MAGIC)) == MAGIC
+    except OSError:
+        return False
+
+
 def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
     """The record in `body`; FormatError when a length inside contradicts it."""
     reader = _Reader(body)
@@ -136,7 +146,7 @@ def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
     return Record(opcode, start, fields)
 
 
-def walk(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:
+def iter_records(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:
     """(opcode, body start, body length) of the records from `start`; FormatError where one passes `end`."""
     at = start
     while at < end:

@@ -7,7 +7,7 @@ import numpy as np
 from ...errors import FormatError
 from ..records import Array
 from ..storage.compression import NAMES
-from ..storage.mmapped import forget, void
+from ..storage.mmapped import drop_pages, is_zero
 from .chunks import CHUNK_HEAD, MESSAGE_HEAD, chunk_head, following, heads_of
 from .records import (
     CHANNEL,
@@ -90,7 +90,7 @@ def _chunked(data: memoryview, start: int, end: int) -> bool:
     if _chunk_like(data, start):
         return True
     for low in range(start, end, _WINDOW):
-        if void(data, low, min(end, low + _WINDOW)):
+        if is_zero(data, low, min(end, low + _WINDOW)):
             continue
         heads = heads_of(data[low : min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)])
         likely = (heads["opcode"] == CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
@@ -142,20 +142,18 @@ def _plausible(data: memoryview, at: int, end: int) -> bool:
     return True
 
 
-def resync(
-    data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]
-) -> int | None:
+def resync(data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]) -> int | None:
     """The first byte from `start` where such a record, or a message of such a channel, convincingly begins, or None."""
     known = np.zeros(1 << 16, bool)
     known[list(channels)] = True
     for low in range(start, end, _WINDOW):
-        if void(data, low, min(end, low + _WINDOW)):
+        if is_zero(data, low, min(end, low + _WINDOW)):
             continue
         high = min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)
         for at in _candidates(data[low:high], end - low, list(opcodes), known):
             if _convincing(data, low + at, end):
                 return low + at
-        forget(data, low, high)
+        drop_pages(data, low, high)
     return None
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import STORED, Buffer
-from ..storage.mmapped import bring, forget
+from ..storage.mmapped import drop_pages, ensure_local
 from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages, unpack
 from .records import (
     CHANNEL,
@@ -21,8 +21,8 @@ from .records import (
     MESSAGE,
     MESSAGE_INDEX,
     SCHEMA,
+    iter_records,
     parse,
-    walk,
 )
 from .resync import sound_records
 from .summary import Summary, believe_counts, summary_of
@@ -37,61 +37,63 @@ _INDEX_HEAD = 6
 _TIMES = struct.Struct("<QQ")
 
 
-def survey_of(data: memoryview, ledger: Ledger) -> Survey:
-    """What the file holds; damage and doubts go to the ledger."""
+def survey_of(data: memoryview, diagnostics: Diagnostics) -> Survey:
+    """What the file holds; damage and doubts go to the diagnostics."""
     survey = None
     try:
         summary = summary_of(data)
         if summary:
-            survey = _summarised(data, summary, ledger)
+            survey = _summarised(data, summary, diagnostics)
     except FormatError as problem:
-        ledger.warn(f"the summary is not used: {problem}")
+        diagnostics.warn(f"the summary is not used: {problem}")
     if survey is None:
         survey = Survey()
-        last = _scan(data, len(MAGIC), len(data), survey, ledger)
+        last = _scan(data, len(MAGIC), len(data), survey, diagnostics)
         if last == DATA_END or (last == FOOTER and data[-len(MAGIC) :] != MAGIC):
-            ledger.warn("the file ends inside its summary or footer; all data come before")
+            diagnostics.warn("the file ends inside its summary or footer; all data come before")
         elif last is None:
-            ledger.lost(len(data), 0, None, None, "the file ends without its footer: what came after is not there")
-        _learn(data, survey, ledger)
+            diagnostics.add_loss(
+                len(data), 0, None, None, "the file ends without its footer: what came after is not there"
+            )
+        _learn(data, survey, diagnostics)
     for channel in survey.counts.keys() - survey.channels.keys():
-        ledger.lost(-channel - 1, 0, survey.counts[channel], None, f"no record says what channel {channel} is")
+        diagnostics.add_loss(-channel - 1, 0, survey.counts[channel], None, f"no record says what channel {channel} is")
     return survey
 
 
-def _summarised(data: memoryview, summary: Summary, ledger: Ledger) -> Survey:
+def _summarised(data: memoryview, summary: Summary, diagnostics: Diagnostics) -> Survey:
     survey, at = Survey(), len(MAGIC)
     for record in summary.records:
         if record.opcode in (SCHEMA, CHANNEL):
             survey.declare(record)
     for chunk, end in summary.chunks:
-        _scan(data, at, chunk.start, survey, ledger)
+        _scan(data, at, chunk.start, survey, diagnostics)
         survey.parts.append(chunk)
         at = end
-    _scan(data, at, summary.start, survey, ledger)
-    if not believe_counts(summary, survey, ledger):
-        _learn(data, survey, ledger)
+    _scan(data, at, summary.start, survey, diagnostics)
+    if not believe_counts(summary, survey, diagnostics):
+        _learn(data, survey, diagnostics)
     return survey
 
 
-def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger) -> int | None:
+def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: Diagnostics) -> int | None:
     """Add what lies between two bytes to the survey; FOOTER or DATA_END if they were met, CHUNK if a cut was said."""
     if start == end:
         return None
-    bring(data, start, end)
-    run, ended, unsummarised = _Run(data, survey, start, ledger), None, end == len(data)
+    ensure_local(data, start, end)
+    run, ended, unsummarised = _Run(data, survey, start, diagnostics), None, end == len(data)
 
     def lost(at: int, size: int) -> None:
         run.close(at + size)
         if ended:
-            ledger.warn(f"{size} bytes from byte {at}, after the end of the data, are damaged")
+            diagnostics.warn(f"{size} bytes from byte {at}, after the end of the data, are damaged")
             return
         cut = _cut(data, at) if at + size == len(data) else None
         if cut is None:
-            ledger.lost(at, size, None, _seconds(data, at), "no whole record can be read there")
+            diagnostics.add_loss(at, size, None, _seconds(data, at), "no whole record can be read there")
         else:
             why = f"the file ends in this chunk, after {size} bytes, which are read without their checksum"
-            ledger.lost(at, None, None, None, why)
+            diagnostics.add_loss(at, None, None, None, why)
         run.chunk, run.loss, run.told = None, at, at + size == end
         if survey.parts and isinstance(survey.parts[-1], Chunk):
             survey.parts[-1] = survey.parts[-1]._replace(indexes={})
@@ -125,9 +127,9 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, ledger: Ledger
 class _Run:
     """Messages outside chunks, counted until something else interrupts them."""
 
-    def __init__(self, data: memoryview, survey: Survey, start: int, ledger: Ledger) -> None:
+    def __init__(self, data: memoryview, survey: Survey, start: int, diagnostics: Diagnostics) -> None:
         self._data = data
-        self._ledger = ledger
+        self._diagnostics = diagnostics
         self._survey = survey
         self._start = start
         self._end = start
@@ -170,7 +172,7 @@ class _Run:
         parts = self._survey.parts
         before = parts[-1].end_ns if parts and isinstance(parts[-1], Chunk) else None
         if self.loss is not None and before is not None and 0 <= chunk.start_ns - before < _LONGEST_NS:
-            self._ledger.lasted(self.loss, (chunk.start_ns - before) / 1e9)
+            self._diagnostics.set_duration(self.loss, (chunk.start_ns - before) / 1e9)
         self.chunk, self.loss = chunk, None
         parts.append(chunk)
 
@@ -181,7 +183,7 @@ class _Run:
             self.chunk = self.chunk._replace(indexes={**self.chunk.indexes, channel: at})
             self._survey.parts[-1] = self.chunk
         elif self.loss is not None:
-            self._ledger.add(self.loss, len(index_of(self._data, at)))
+            self._diagnostics.add_messages(self.loss, len(index_of(self._data, at)))
 
     def _flush(self) -> None:
         if self._found:
@@ -191,12 +193,12 @@ class _Run:
     def _count(self, starts: Array) -> None:
         heads = heads_at(self._data, starts)
         self._survey.count(heads["channel"], heads["log"])
-        forget(self._data, int(starts[0]), self._end)
+        drop_pages(self._data, int(starts[0]), self._end)
 
 
-def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
+def _learn(data: memoryview, survey: Survey, diagnostics: Diagnostics) -> None:
     """Count the messages of every chunk: by its indexes where all their channels are known, else by opening it."""
-    buffer, unopened = Buffer(ledger.path, ledger.limits), []
+    buffer, unopened = Buffer(diagnostics.path, diagnostics.limits), []
     for chunk in [part for part in survey.parts if isinstance(part, Chunk)]:
         if chunk.indexes and survey.knows(chunk.indexes):
             for channel, at in chunk.indexes.items():
@@ -204,26 +206,26 @@ def _learn(data: memoryview, survey: Survey, ledger: Ledger) -> None:
                 survey.count(np.full(len(times), channel), times)
             unopened.append(chunk)
             continue
-        content = load(data, chunk, buffer, ledger)
+        content = load(data, chunk, buffer, diagnostics)
         if content is not None:
             _declare(content.data, survey)
-            heads = messages(content, data, chunk, ledger).heads
+            heads = messages(content, data, chunk, diagnostics).heads
             survey.count(heads["channel"], heads["log"])
             if chunk.cut and len(heads):
-                ledger.lasted(chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9)
-        forget(data, chunk.start, chunk.start + chunk.length)
+                diagnostics.set_duration(chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9)
+        drop_pages(data, chunk.start, chunk.start + chunk.length)
     for chunk in unopened:  # a schema may stand in a chunk that holds no message of it
         if survey.knows(survey.counts):
             return
-        content = load(data, chunk, buffer, ledger)
+        content = load(data, chunk, buffer, diagnostics)
         if content is not None:
             _declare(content.data, survey)
-        forget(data, chunk.start, chunk.start + chunk.length)
+        drop_pages(data, chunk.start, chunk.start + chunk.length)
 
 
 def _declare(content: memoryview, survey: Survey) -> None:
     try:
-        for opcode, at, length in walk(content, 0, len(content)):
+        for opcode, at, length in iter_records(content, 0, len(content)):
             if opcode in (SCHEMA, CHANNEL):
                 survey.declare(parse(opcode, content[at : at + length], at))
     except FormatError:
@@ -238,7 +240,7 @@ def _cut(data: memoryview, at: int) -> Chunk | None:
         content = unpack(data, chunk, Buffer())
     except FormatError:
         return None
-    return chunk if len(messages(content, data, chunk, Ledger(Path())).starts) else None
+    return chunk if len(messages(content, data, chunk, Diagnostics(Path())).starts) else None
 
 
 def _seconds(data: memoryview, at: int) -> float | None:

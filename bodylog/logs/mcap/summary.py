@@ -7,11 +7,11 @@ from typing import NamedTuple
 from isal.isal_zlib import crc32
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..storage.compression import STORED
-from ..storage.mmapped import bring, fetch
+from ..storage.mmapped import advise_sequential, ensure_local
 from .chunks import Chunk
-from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, parse, walk
+from .records import CHUNK, CHUNK_INDEX, FIELDS, FOOTER, HEAD, MAGIC, STATISTICS, Record, iter_records, parse
 from .survey import Survey
 
 _FOOTER = HEAD.size + 20
@@ -47,7 +47,7 @@ def section(data: memoryview) -> tuple[int, int] | None:
     start, crc = footer.fields["summary_start"], footer.fields["summary_crc"]
     if not len(MAGIC) <= start <= footer.start:
         raise FormatError(f"it is said to start at byte {start}, outside the file")
-    fetch(data, start, len(data), alone=True)
+    advise_sequential(data, start, len(data), alone=True)
     found = crc32(data[start : footer.start + HEAD.size + 16])
     if crc and found != crc:
         raise FormatError(f"its CRC is {found:08x} where {crc:08x} is declared")
@@ -56,7 +56,7 @@ def section(data: memoryview) -> tuple[int, int] | None:
 
 def records_of(data: memoryview, start: int, end: int) -> Iterator[Record]:
     """The summary section's records; FormatError where it is damaged."""
-    for opcode, at, size in walk(data, start, end):
+    for opcode, at, size in iter_records(data, start, end):
         if opcode in FIELDS:
             yield parse(opcode, data[at : at + size], at - HEAD.size)
 
@@ -73,7 +73,7 @@ def summary_of(data: memoryview) -> Summary | None:
 
 def _summary(data: memoryview, start: int, end: int) -> Summary:
     records, chunks, indexed = [], [], 0
-    for opcode, at, size in walk(data, start, end):
+    for opcode, at, size in iter_records(data, start, end):
         if opcode == CHUNK_INDEX:
             chunk, after = _chunk(data, at, at + size)
             chunks.append((chunk, chunk.start + chunk.length + after))
@@ -92,7 +92,7 @@ def _fit(data: memoryview, summary: Summary) -> None:
             raise FormatError(f"a chunk of {chunk.length} bytes at byte {chunk.start} does not fit there")
         if end == following:
             continue
-        bring(data, chunk.start, chunk.start + HEAD.size)
+        ensure_local(data, chunk.start, chunk.start + HEAD.size)
         if HEAD.unpack_from(data, chunk.start) != (CHUNK, chunk.length - HEAD.size):
             raise FormatError(f"there is no chunk of {chunk.length} bytes at byte {chunk.start}")
 
@@ -116,7 +116,7 @@ def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
     return Chunk(start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored), after
 
 
-def believe_counts(summary: Summary, survey: Survey, ledger: Ledger) -> bool:
+def believe_counts(summary: Summary, survey: Survey, diagnostics: Diagnostics) -> bool:
     """Take counts and times from Statistics where they agree with the indexes and the channels; else change nothing."""
     said = next((record.fields for record in summary.records if record.opcode == STATISTICS), None)
     if said is None:
@@ -124,7 +124,7 @@ def believe_counts(summary: Summary, survey: Survey, ledger: Ledger) -> bool:
     counts = said["channel_message_counts"]
     chunks = [part for part in survey.parts if isinstance(part, Chunk)]
     if sum(counts.values()) != said["message_count"]:
-        ledger.warn(f"the statistics count {said['message_count']} messages, {sum(counts.values())} by channel")
+        diagnostics.warn(f"the statistics count {said['message_count']} messages, {sum(counts.values())} by channel")
         return False
     if len(summary.chunks) != len(chunks):
         return False
@@ -133,7 +133,7 @@ def believe_counts(summary: Summary, survey: Survey, ledger: Ledger) -> bool:
     if any(chunk.indexes for chunk in chunks):
         indexed = summary.indexed + sum(survey.counts.values())
         if indexed != said["message_count"]:
-            ledger.warn(f"the statistics count {said['message_count']} messages, the indexes {indexed}")
+            diagnostics.warn(f"the statistics count {said['message_count']} messages, the indexes {indexed}")
             survey.parts = [p._replace(indexes={}) if isinstance(p, Chunk) else p for p in survey.parts]
             return False
     survey.counts = dict(counts)
@@ -142,4 +142,3 @@ def believe_counts(summary: Summary, survey: Survey, ledger: Ledger) -> bool:
     if dated:  # rosbag2 takes a message at time zero for none in its statistics, not in its chunks
         survey.times += [min(chunk.start_ns for chunk in dated), max(chunk.end_ns for chunk in dated)]
     return True
-

@@ -10,8 +10,8 @@ from isal.isal_zlib import crc32
 from ...errors import FormatError
 from ..records import Array
 from ..storage.compression import STORED
-from ..storage.mmapped import fetch
-from .chunks import Chunk, Loose, Messages, chunk_head, indexed, records_at
+from ..storage.mmapped import advise_sequential
+from .chunks import Chunk, Loose, MessageRecords, chunk_head, indexed, records_at
 
 _TOGETHER = 16 << 20
 
@@ -30,7 +30,7 @@ def runs(parts: Sequence[Chunk | Loose]) -> Iterator[list[Chunk | Loose]]:
     return (list(some) for _, some in groupby(parts, key))
 
 
-def together(data: memoryview, parts: Sequence[Chunk | Loose], alone: bool) -> tuple[Array, Messages] | None:
+def together(data: memoryview, parts: Sequence[Chunk | Loose], alone: bool) -> tuple[Array, MessageRecords] | None:
     """The file (bytes,) uint8 and all messages in a run of stored chunks.
 
     `alone`: what lies around it is not wanted.
@@ -40,7 +40,7 @@ def together(data: memoryview, parts: Sequence[Chunk | Loose], alone: bool) -> t
     if len(chunks) < len(parts):
         return None
     for first, last in [(c, c) for c in chunks] if alone else [(chunks[0], chunks[-1])]:
-        fetch(data, first.start, last.start + last.length, alone)
+        advise_sequential(data, first.start, last.start + last.length, alone)
     places = [place for chunk in chunks if (place := _sound(data, chunk))]
     whole = np.frombuffer(data, np.uint8)
     found = indexed(whole, places, data, chunks) if len(places) == len(chunks) else None

@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from ...errors import FormatError, LogError
-from .prefix import messages
+from .prefix import count_messages
 
 
 def verify(beside: Path, expected: int, out: Path) -> None:
     """Open what was written and count it by its message indexes."""
     try:
-        found = messages(beside)
+        found = count_messages(beside)
     except FormatError as problem:
         raise LogError(f"{out}: was not written soundly ({problem}); is the disk full?") from None
     if found != expected:

@@ -12,7 +12,7 @@ import numpy as np
 from isal.isal_zlib import crc32
 
 from . import encode as mcap
-from .encode import Messages
+from .encode import MessageTable
 from .records import (
     ATTACHMENT_INDEX,
     CHANNEL,
@@ -98,7 +98,7 @@ class Writer:
         self.put(self.contents.channels[number])
         return number
 
-    def write(self, table: Messages) -> None:
+    def write(self, table: MessageTable) -> None:
         """Messages in the given order, as chunks of about 1 MiB each."""
         edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
         cuts = [0, *(np.flatnonzero(np.diff(edges)) + 1).tolist(), len(edges)]
@@ -155,7 +155,7 @@ class Writer:
         self.contents.seen(*packed.span)
 
 
-def _packed(table: Messages) -> _Packed:
+def _packed(table: MessageTable) -> _Packed:
     import zstandard
 
     raw, start = mcap.messages(table)
@@ -176,8 +176,8 @@ def _free(taken: Mapping[int, bytes]) -> int:
     return last + 1 if last < _MOST else next(n for n in range(1, _MOST + 1) if n not in taken)
 
 
-def _part(table: Messages, rows: slice) -> Messages:
-    return Messages(
+def _part(table: MessageTable, rows: slice) -> MessageTable:
+    return MessageTable(
         table.channel[rows],
         table.sequence[rows],
         table.log_ns[rows],

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
 from .records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, record_at, sound_records
-from .truncated import cut_at, unpacked
+from .truncated import cut_at, decompress_truncated
 
 _VARY = ((b"conn=", 4), (b"time=", 8))
 
@@ -41,7 +41,7 @@ class BagRun(NamedTuple):
     end: int
 
 
-class Messages(NamedTuple):
+class BagMessages(NamedTuple):
     """Messages inside a chunk, in its order: connection, log time (ns), and where each payload is; all (n,)."""
 
     connection: Array
@@ -51,11 +51,13 @@ class Messages(NamedTuple):
     starts: Array
 
 
-def load(data: memoryview, chunk: BagChunk, buffer: Buffer, ledger: Ledger) -> tuple[Array, dict[int, Index]] | None:
+def load(
+    data: memoryview, chunk: BagChunk, buffer: Buffer, diagnostics: Diagnostics
+) -> tuple[Array, dict[int, Index]] | None:
     """The chunk's records (bytes,) uint8 and the lists of messages behind it; None and a loss when it is damaged."""
     if chunk.cut:
         found = cut_at(data, chunk.start)
-        return (np.frombuffer(unpacked(found), np.uint8), {}) if found else None
+        return (np.frombuffer(decompress_truncated(found), np.uint8), {}) if found else None
     size = None
     try:
         record = record_at(data, chunk.start, len(data))
@@ -66,7 +68,7 @@ def load(data: memoryview, chunk: BagChunk, buffer: Buffer, ledger: Ledger) -> t
         packed = data[record.body : record.end]
         return buffer.load(compression, packed, record.number(b"size")), indexes_at(data, record.end)
     except FormatError as problem:
-        ledger.lost(chunk.start, size, sum(chunk.counts.values()) or None, None, str(problem))
+        diagnostics.add_loss(chunk.start, size, sum(chunk.counts.values()) or None, None, str(problem))
         return None
 
 
@@ -86,14 +88,14 @@ def indexes_at(data: memoryview, at: int) -> dict[int, Index]:
 
 
 def messages(
-    content: Array, data: memoryview, place: int, indexes: dict[int, Index], ledger: Ledger
-) -> Messages:
+    content: Array, data: memoryview, place: int, indexes: dict[int, Index], diagnostics: Diagnostics
+) -> BagMessages:
     """All messages of a loaded chunk in its own order: by its indexes where they are right, else by walking."""
     found = _indexed(content, data, indexes) if indexes else None
     if found is None:
         if indexes:
-            ledger.warn(f"the index of the chunk at byte {place} is wrong; its records were walked")
-        return walked(content.data, 0, len(content), place, ledger)
+            diagnostics.warn(f"the index of the chunk at byte {place} is wrong; its records were walked")
+        return walked(content.data, 0, len(content), place, diagnostics)
     return found
 
 
@@ -107,7 +109,7 @@ def _u32(content: Array, at: Array) -> Array:
     return _slide(content, 4)[at].view("<u4")[:, 0].astype(np.int64)
 
 
-def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> Messages | None:
+def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> BagMessages | None:
     lists = [np.frombuffer(data, "<u4", 3 * count, at)[2::3].astype(np.int64) for at, count in indexes.values()]
     starts = np.concatenate(lists)
     listed = np.repeat(np.array(list(indexes), np.int64), [len(part) for part in lists])
@@ -125,14 +127,14 @@ def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> Mes
     connection, log_ns = np.empty_like(starts), np.empty_like(starts)
     for size in np.unique(header).tolist():
         rows = np.flatnonzero(header == size)
-        said = _alike(content, starts[rows] + 4, size)
+        said = _same_headers(content, starts[rows] + 4, size)
         if said is None:
             return None
         connection[rows], log_ns[rows] = said
-    return Messages(connection, log_ns, offset, length, starts) if (connection == listed).all() else None
+    return BagMessages(connection, log_ns, offset, length, starts) if (connection == listed).all() else None
 
 
-def _alike(content: Array, at: Array, size: int) -> tuple[Array, Array] | None:
+def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] | None:
     """Connection and time of message headers that differ in nothing else; None when they do."""
     headers = _slide(content, size)[at]
     first = memoryview(headers[0].data)
@@ -173,11 +175,11 @@ def _tiled(content: Array, starts: Array, ends: Array) -> bool:
     return True
 
 
-def walked(data: memoryview, start: int, end: int, place: int, ledger: Ledger) -> Messages:
+def walked(data: memoryview, start: int, end: int, place: int, diagnostics: Diagnostics) -> BagMessages:
     """The messages between two bytes of `data`, one record after another; losses are said to be at byte `place`."""
 
     def lost(at: int, size: int) -> None:
-        ledger.lost(place, size, None, None, f"records inside the chunk are damaged from its byte {at}")
+        diagnostics.add_loss(place, size, None, None, f"records inside the chunk are damaged from its byte {at}")
 
     rows = []
     for record in sound_records(data, start, end, lost):
@@ -188,4 +190,4 @@ def walked(data: memoryview, start: int, end: int, place: int, ledger: Ledger) -
                 lost(record.start, record.end - record.start)
                 continue
             rows.append(row)
-    return Messages(*np.array(rows, np.int64).reshape(-1, 5).T)
+    return BagMessages(*np.array(rows, np.int64).reshape(-1, 5).T)

@@ -5,13 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Topic
 from ..storage.compression import Buffer
-from ..storage.mmapped import forget, mapped, uncut
+from ..storage.mmapped import check_untruncated, drop_pages, mapped
 from ..topics import Topics, span, split
-from .chunks import BagRun, Messages, load, messages, walked
+from .chunks import BagMessages, BagRun, load, messages, walked
 from .survey import BagSurvey
 
 
@@ -20,38 +20,40 @@ class BagLog:
 
     format = "bag"
 
-    def __init__(
-        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
-    ) -> None:
+    def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
         """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
         from .scan import survey_of
 
         self.path = path
-        self._ledger = Ledger(path, strict, limits)
+        self._diagnostics = Diagnostics(path, strict, limits)
         self._data = mapped(source or path)
-        self._survey = survey_of(self._data, self._ledger)
+        self._survey = survey_of(self._data, self._diagnostics)
         self.topics, self._topic_of = _topics(self._survey)
-        self.start_ns, self.end_ns = span(self._survey.times, self._ledger)
+        self.start_ns, self.end_ns = span(self._survey.times, self._diagnostics)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong so far; reading on may add to it."""
-        return self._ledger.findings
+        return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or run."""
         wanted = {c: t for c, t in self._topic_of.items() if ids is None or t in ids}
-        buffer = Buffer(self.path, self._ledger.limits)
+        buffer = Buffer(self.path, self._diagnostics.limits)
         for part in self._survey.parts:
             if isinstance(part, BagRun):
                 whole = np.frombuffer(self._data, np.uint8)
-                yield from _split(whole, walked(self._data, part.start, part.end, part.start, self._ledger), wanted)
+                yield from _split(
+                    whole, walked(self._data, part.start, part.end, part.start, self._diagnostics), wanted
+                )
             elif not part.counts or wanted.keys() & part.counts.keys():
-                loaded = load(self._data, part, buffer, self._ledger)
+                loaded = load(self._data, part, buffer, self._diagnostics)
                 if loaded is not None:
                     content, indexes = loaded
-                    yield from _split(content, messages(content, self._data, part.start, indexes, self._ledger), wanted)
-                    forget(self._data, part.start, part.start + len(content))
+                    yield from _split(
+                        content, messages(content, self._data, part.start, indexes, self._diagnostics), wanted
+                    )
+                    drop_pages(self._data, part.start, part.start + len(content))
 
     def spans(self) -> dict[int, tuple[int, int]]:
         """None: a bag's indexes say so of chunks, not of topics."""
@@ -69,7 +71,7 @@ class BagLog:
         """Close; LogError when the file was cut meanwhile."""
         data = self._data
         self.close()
-        uncut(data, self.path, problem)
+        check_untruncated(data, self.path, problem)
 
 
 def _topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:
@@ -83,7 +85,7 @@ def _topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:
     return topics.all(), topic_of
 
 
-def _split(content: Array, found: Messages, wanted: dict[int, int]) -> Iterator[Batch]:
+def _split(content: Array, found: BagMessages, wanted: dict[int, int]) -> Iterator[Batch]:
     known, where = np.unique(found.connection, return_inverse=True)
     topic = np.array([wanted.get(int(one), -1) for one in known], np.int64)[where]
     return split(topic, found.log_ns, content, found.offset, found.length)

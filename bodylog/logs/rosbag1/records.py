@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ...errors import FormatError
-from ..storage.mmapped import forget, void
+from ..storage.mmapped import drop_pages, is_zero
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = range(2, 8)
@@ -107,7 +107,7 @@ def _resync(data: memoryview, start: int, end: int) -> int:
     """The first byte from `start` where a whole record begins, or `end`."""
     window = 1 << 20
     for low in range(start, end, window):
-        if void(data, low, min(end, low + window)):
+        if is_zero(data, low, min(end, low + window)):
             continue
         text = bytes(data[low : min(end, low + window + _BACK)])
         at = text.find(_OP)
@@ -116,7 +116,7 @@ def _resync(data: memoryview, start: int, end: int) -> int:
             if found is not None:
                 return found
             at = text.find(_OP, at + 1)
-        forget(data, low, min(end, low + window))
+        drop_pages(data, low, min(end, low + window))
     return end
 
 

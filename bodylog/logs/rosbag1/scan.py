@@ -6,35 +6,35 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..storage.compression import STORED, Buffer
 from .chunks import BagChunk, BagRun, load, messages, walked
 from .records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord, record_at, sound_records
 from .survey import BagSurvey
-from .truncated import cut_at, unpacked
+from .truncated import cut_at, decompress_truncated
 
 
-def survey_of(data: memoryview, ledger: Ledger) -> BagSurvey:
-    """What the bag holds; damage and doubts go to the ledger."""
+def survey_of(data: memoryview, diagnostics: Diagnostics) -> BagSurvey:
+    """What the bag holds; damage and doubts go to the diagnostics."""
     survey = None
     try:
-        survey = _indexed(data, ledger)
+        survey = _indexed(data, diagnostics)
     except FormatError as problem:
-        ledger.warn(f"the bag's index is not used: {problem}")
+        diagnostics.warn(f"the bag's index is not used: {problem}")
     if survey is None:
         survey = BagSurvey()
-        _scan(data, survey, ledger)
+        _scan(data, survey, diagnostics)
     for connection in survey.counts.keys() - survey.connections.keys():
         why = f"no record says what connection {connection} is"
-        ledger.lost(-connection - 1, 0, survey.counts[connection], None, why)
+        diagnostics.add_loss(-connection - 1, 0, survey.counts[connection], None, why)
     return survey
 
 
-def _indexed(data: memoryview, ledger: Ledger) -> BagSurvey | None:
+def _indexed(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
     header = record_at(data, len(MAGIC), len(data))
     at = header.number(b"index_pos", 8)
     if header.op != BAG_HEADER or at == 0:
-        ledger.warn("the bag was never closed: it has no index; its records were walked")
+        diagnostics.warn("the bag was never closed: it has no index; its records were walked")
         return None
     if not header.end <= at <= len(data):
         raise FormatError(f"it is said to start at byte {at} of {len(data)}")
@@ -68,29 +68,29 @@ def _announce(data: memoryview, record: BagRecord, survey: BagSurvey) -> None:
         survey.times += [record.time_ns(b"start_time"), record.time_ns(b"end_time")]
 
 
-def _scan(data: memoryview, survey: BagSurvey, ledger: Ledger) -> None:
+def _scan(data: memoryview, survey: BagSurvey, diagnostics: Diagnostics) -> None:
     """Survey by walking all records; chunks are opened for the connections and messages inside."""
 
     def lost(at: int, size: int) -> None:
-        ledger.lost(at, size, None, None, "no whole record can be read there")
+        diagnostics.add_loss(at, size, None, None, "no whole record can be read there")
 
     def cut(at: int) -> int | None:
-        return _cut(data, at, survey, ledger)
+        return _cut(data, at, survey, diagnostics)
 
-    buffer = Buffer(ledger.path, ledger.limits)
+    buffer = Buffer(diagnostics.path, diagnostics.limits)
     for record in sound_records(data, len(MAGIC), len(data), lost, cut):
         try:
             if record.op == CONNECTION:
                 survey.declare(record, data)
             elif record.op == CHUNK:
-                _open(data, BagChunk(record.start, {}), survey, buffer, ledger)
+                _open(data, BagChunk(record.start, {}), survey, buffer, diagnostics)
             elif record.op == MESSAGE:
                 _loose(record, survey)
         except FormatError:
             lost(record.start, record.end - record.start)
 
 
-def _cut(data: memoryview, at: int, survey: BagSurvey, ledger: Ledger) -> int | None:
+def _cut(data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics) -> int | None:
     """The byte after what is left of a chunk at byte `at` in which the file ends, taken in, or of its head, if stored.
 
     None where no such chunk is there, or no message unpacks.
@@ -100,25 +100,25 @@ def _cut(data: memoryview, at: int, survey: BagSurvey, ledger: Ledger) -> int | 
         return None
     why = f"the file ends in this chunk, after {len(data) - at} bytes, which are read as far as they "
     if found.compression in STORED:
-        ledger.lost(at, found.lacks, None, None, why + "go")
+        diagnostics.add_loss(at, found.lacks, None, None, why + "go")
         return len(data) - len(found.packed)
-    content = unpacked(found)
-    if not len(walked(memoryview(content), 0, len(content), at, Ledger(Path())).starts):
+    content = decompress_truncated(found)
+    if not len(walked(memoryview(content), 0, len(content), at, Diagnostics(Path())).starts):
         return None
-    ledger.lost(at, None, None, None, why + "unpack")
-    _open(data, BagChunk(at, {}, cut=True), survey, Buffer(ledger.path, ledger.limits), ledger)
+    diagnostics.add_loss(at, None, None, None, why + "unpack")
+    _open(data, BagChunk(at, {}, cut=True), survey, Buffer(diagnostics.path, diagnostics.limits), diagnostics)
     return len(data)
 
 
-def _open(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, ledger: Ledger) -> None:
-    loaded = load(data, chunk, buffer, ledger)
+def _open(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, diagnostics: Diagnostics) -> None:
+    loaded = load(data, chunk, buffer, diagnostics)
     if loaded is None:
         return
     content, indexes = loaded
     for inner in sound_records(content.data, 0, len(content), lambda _at, _size: None):
         if inner.op == CONNECTION:
             survey.declare(inner, content.data)
-    found = messages(content, data, chunk.start, indexes, ledger)
+    found = messages(content, data, chunk.start, indexes, diagnostics)
     survey.count(found.connection, found.log_ns)
     survey.parts.append(replace(chunk, counts=dict.fromkeys(np.unique(found.connection).tolist(), 0)))
 

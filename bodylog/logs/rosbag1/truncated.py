@@ -48,7 +48,7 @@ def cut_at(data: memoryview, at: int) -> Cut | None:
     return None
 
 
-def unpacked(cut: Cut) -> bytes:
+def decompress_truncated(cut: Cut) -> bytes:
     """The records before the cut, as far as they unpack: bz2 block by block, lz4 byte by byte."""
     if cut.compression == "bz2":
         return _bz2(cut.packed, cut.most)

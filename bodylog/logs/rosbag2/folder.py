@@ -9,7 +9,7 @@ from typing import Any
 
 from ...errors import InputError, LogError
 from ...io import atomic_files
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..limits import Input
 from ..mcap.time_ranges import widen
 from ..protocol import Log
@@ -32,30 +32,30 @@ class Rosbag2Log:
         """Survey every file, opened by `open_file`; LogError when none can be read, or when strict and one cannot."""
         self.path = path
         self._strict, self._open = strict, open_file
-        self._ledger = Ledger(path, strict, limits)
+        self._diagnostics = Diagnostics(path, strict, limits)
         self._members: list[tuple[Path, dict[int, int]]] = []
         self._findings: dict[Finding, None] = {}
         self._spans: dict[int, tuple[int, int]] = {}
         self._unsaid: set[int] = set()
         topics, times = Topics(), []
-        for member in members(path, self._ledger):
+        for member in members(path, self._diagnostics):
             times += self._survey(member, topics)
         if not self._members:
-            raise LogError(f"{path}: none of its files can be read: {self._ledger.findings[-1].text}")
+            raise LogError(f"{path}: none of its files can be read: {self._diagnostics.findings[-1].text}")
         self.topics: tuple[Topic, ...] = topics.all()
         self.start_ns, self.end_ns = min(times, default=0), max(times, default=0)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong so far; reading on may add to it."""
-        return (*self._ledger.findings, *self._findings)
+        return (*self._diagnostics.findings, *self._findings)
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all), file after file, one batch per topic and chunk or block."""
         for member, topic_of in self._members:
             inner = [own for own, topic in topic_of.items() if ids is None or topic in ids]
             if inner:
-                with self._open(member, self._strict, self._ledger.limits) as log:
+                with self._open(member, self._strict, self._diagnostics.limits) as log:
                     for batch in log.batches(inner):
                         yield replace(batch, topic_id=topic_of[batch.topic_id])
                     self._findings.update(dict.fromkeys(log.findings))
@@ -78,9 +78,9 @@ class Rosbag2Log:
     def _survey(self, member: Path, topics: Topics) -> list[int]:
         """Take in one file's topics; its first and last log time (ns), if it has messages."""
         try:
-            log = self._open(member, self._strict, self._ledger.limits)
+            log = self._open(member, self._strict, self._diagnostics.limits)
         except InputError as problem:
-            self._ledger.lost(len(self._members), member.stat().st_size, None, None, str(problem))
+            self._diagnostics.add_loss(len(self._members), member.stat().st_size, None, None, str(problem))
             return []
         with log:
             topic_of, spans = {}, log.spans()
@@ -96,7 +96,7 @@ class Rosbag2Log:
             return [log.start_ns, log.end_ns] if any(topic.messages for topic in log.topics) else []
 
 
-def members(path: Path, ledger: Ledger) -> list[Path]:
+def members(path: Path, diagnostics: Diagnostics) -> list[Path]:
     """The log files of a folder, in order; LogError when there are none."""
     found = sorted((p for p in path.iterdir() if p.is_file() and p.name.endswith(SUFFIXES)), key=_natural)
     plain = {p.name for p in found}
@@ -104,33 +104,35 @@ def members(path: Path, ledger: Ledger) -> list[Path]:
     if not found:
         names = ", ".join(sorted(p.name for p in path.iterdir())[:5]) or "nothing"
         raise LogError(f"{path}: a folder without .db3 or .mcap files (it holds {names}); name a log or rosbag2 folder")
-    named = _named(metadata_of(path, ledger).get("relative_file_paths"), ledger)
+    named = _named(metadata_of(path, diagnostics).get("relative_file_paths"), diagnostics)
     listed = [p for name in named for p in found if p.name in (name, f"{name}.zstd", f"{name}.zst") or p.stem == name]
     missing = len(named) - len(listed)
     if not named or not listed:
         return found
     others = [p for p in found if p not in listed]
     if missing > 0:
-        ledger.warn(f"{METADATA} names {missing} files that are not here; the log files that are here are read")
+        diagnostics.warn(f"{METADATA} names {missing} files that are not here; the log files that are here are read")
         return sorted({*listed, *others}, key=_natural)
     if others:
-        ledger.info(f"{METADATA} does not name {', '.join(p.name for p in others[:5])}; left out")
+        diagnostics.info(f"{METADATA} does not name {', '.join(p.name for p in others[:5])}; left out")
     return list(dict.fromkeys(listed))
 
 
-def _named(listed: Any, ledger: Ledger) -> list[str]:
+def _named(listed: Any, diagnostics: Diagnostics) -> list[str]:
     """The names of files that metadata.yaml lists; what is no list of texts names none, with a remark."""
     if listed is None or (isinstance(listed, list) and all(isinstance(name, str) for name in listed)):
         return [Path(name).name for name in listed or ()]
-    ledger.warn(f"{METADATA}: relative_file_paths is {str(listed)[:60]!r}; a list of names is possible; it is not used")
+    diagnostics.warn(
+        f"{METADATA}: relative_file_paths is {str(listed)[:60]!r}; a list of names is possible; it is not used"
+    )
     return []
 
 
-def metadata_of(path: Path, ledger: Ledger) -> dict[str, Any]:
+def metadata_of(path: Path, diagnostics: Diagnostics) -> dict[str, Any]:
     """What metadata.yaml says about the bag; empty, with a remark, when it is missing or unreadable."""
     file = path / METADATA
     if not file.is_file():
-        ledger.warn(f"there is no {METADATA}; all logs in the folder are read as one")
+        diagnostics.warn(f"there is no {METADATA}; all logs in the folder are read as one")
         return {}
     try:
         said = _yaml(atomic_files.text(file, _LONGEST))["rosbag2_bagfile_information"]
@@ -138,7 +140,7 @@ def metadata_of(path: Path, ledger: Ledger) -> dict[str, Any]:
             return said
         raise ValueError("no table rosbag2_bagfile_information")
     except Exception as problem:  # whatever is wrong with this file (also RecursionError), the log is read without it
-        ledger.warn(f"{METADATA} is not readable ({type(problem).__name__}); the files' own contents are used")
+        diagnostics.warn(f"{METADATA} is not readable ({type(problem).__name__}); the files' own contents are used")
         return {}
 
 

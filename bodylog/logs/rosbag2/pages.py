@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import FormatError
 from ..decode.gather import gather
 from ..records import Array
-from ..storage.mmapped import fetch, forget
+from ..storage.mmapped import advise_sequential, drop_pages
 
 _INTERIOR, _LEAF = 5, 13
 _HEAD = {_INTERIOR: 12, _LEAF: 8}
@@ -98,7 +98,7 @@ class Pages:
         base = (leaves - 1) * self._size
         low, high = int(base.min()), int(base.max()) + self._size
         if high - low <= 4 * self._size * len(leaves):
-            fetch(self._view, low, high)
+            advise_sequential(self._view, low, high)
         at, end = self._cells(base, _LEAF)
         (size, rowid, *header), places = self._varints(at, end, 7)
         at = places[1]
@@ -111,7 +111,7 @@ class Pages:
         if (offset + length != at + size).any():
             raise FormatError("a record of another length than its values")
         found = Rows(rowid, self._integers(body, topic), self._integers(body + sizes[0], timestamp), offset, length)
-        forget(self._view, low, high)
+        drop_pages(self._view, low, high)
         return found
 
     def _varints(self, at: Array, end: Array, count: int) -> tuple[list[Array], list[Array]]:

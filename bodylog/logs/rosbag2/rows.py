@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...errors import FormatError
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..records import Array
 from .pages import Pages
 from .pages import Rows as PageRows
@@ -24,6 +24,7 @@ _BYTES = 16 << 20
 _LOWEST = -(1 << 63)
 _COLUMNS = "rowid, topic_id, timestamp, data"
 _SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
+
 
 def interrupted(problem: Exception) -> None:
     """KeyboardInterrupt where a signal, not damage, ended a query: SQLite keeps what its handler raises to itself.
@@ -50,11 +51,11 @@ class Block(NamedTuple):
 
 
 class Rows:
-    """The table of messages; what of it is lost goes into the ledger."""
+    """The table of messages; what of it is lost goes into the diagnostics."""
 
-    def __init__(self, store: sqlite3.Connection, ledger: Ledger, pages: Pages | None = None) -> None:
+    def __init__(self, store: sqlite3.Connection, diagnostics: Diagnostics, pages: Pages | None = None) -> None:
         """Of an open database, and its pages where they can be read by themselves."""
-        self._store, self._ledger, self._pages = store, ledger, pages
+        self._store, self._diagnostics, self._pages = store, diagnostics, pages
 
     def blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
         """The rows of these topics in the order stored; what cannot be read is skipped and said."""
@@ -109,7 +110,7 @@ class Rows:
         if block is not None:
             yield block
         else:
-            self._ledger.lost(row[0], None, 1, None, f"row {row[0]} of messages is damaged")
+            self._diagnostics.add_loss(row[0], None, 1, None, f"row {row[0]} of messages is damaged")
 
     def _next(self, low: int, last_ns: int | None, problem: Exception) -> Row | None:
         """The next row after rowid `low` that can be read, or None; what lies between is lost."""
@@ -124,7 +125,9 @@ class Rows:
         if row is None or row[0] > base + 1:
             rows = row[0] - base - 1 if row else None
             seconds = max(0, row[2] - last_ns) / 1e9 if row and last_ns is not None else None
-            self._ledger.lost(base, None, rows, seconds, f"the rows after rowid {base} cannot be read: {problem}")
+            self._diagnostics.add_loss(
+                base, None, rows, seconds, f"the rows after rowid {base} cannot be read: {problem}"
+            )
         return row
 
     def _readable(self, after: int) -> bool:

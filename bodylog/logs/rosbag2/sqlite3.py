@@ -11,11 +11,11 @@ import numpy as np
 
 from ...errors import FormatError, LogError
 from ...io.temporary import scratch
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Batch, Finding, Topic
 from ..storage.mmapped import mapped
-from ..storage.zstd_files import unpacked
+from ..storage.zstd_files import decompress_messages
 from ..topics import Topics, normalised, span, split
 from .pages import Pages
 from .rows import DAMAGE, Block, Rows, interrupted
@@ -34,16 +34,14 @@ class Db3Log:
 
     format = "db3"
 
-    def __init__(
-        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
-    ) -> None:
+    def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
         """Open `source` (default: `path` itself) read only; LogError when it has no topics or messages."""
         self.path = path
-        self._ledger = Ledger(path, strict, limits)
+        self._diagnostics = Diagnostics(path, strict, limits)
         self._store, alone = _connect(path, source or path)
         try:
             _only_tables(path, self._store)
-            self._rows = Rows(self._store, self._ledger, _pages(self._store, source or path) if alone else None)
+            self._rows = Rows(self._store, self._diagnostics, _pages(self._store, source or path) if alone else None)
             named = _topics(self._store)
             counts, *ends = self._survey(list(named))
         except LogError:
@@ -54,19 +52,19 @@ class Db3Log:
             interrupted(problem)
             advice = f"type: sqlite3 {path} .recover | sqlite3 whole.db3"
             raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; {advice}") from None
-        self.start_ns, self.end_ns = span(ends if counts else (), self._ledger)
+        self.start_ns, self.end_ns = span(ends if counts else (), self._diagnostics)
         topics, self._topic_of = Topics(), {}
         for number, (name, kind, encoding, definition, dialect, metadata) in named.items():
             count = counts.get(number, 0)
             self._topic_of[number] = topics.add(name, kind, encoding, definition, dialect, count, metadata)
         self.topics: tuple[Topic, ...] = topics.all()
         for number in counts.keys() - named.keys():
-            self._ledger.lost(-number, None, counts[number], None, f"no row says what topic {number} is")
+            self._diagnostics.add_loss(-number, None, counts[number], None, f"no row says what topic {number} is")
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What was found wrong so far; reading on may add to it."""
-        return self._ledger.findings
+        return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in the order stored, one batch per topic and block of rows."""
@@ -74,7 +72,7 @@ class Db3Log:
         if wanted:
             blocks = self._rows.blocks(None if ids is None else wanted)
             found = (batch for block in blocks for batch in _batches(block, wanted))
-            yield from unpacked(found, self.topics, self._ledger)
+            yield from decompress_messages(found, self.topics, self._diagnostics)
 
     def spans(self) -> dict[int, tuple[int, int]]:
         """None: that takes a pass over all rows."""
@@ -104,7 +102,7 @@ class Db3Log:
                 return counts, times[0] or 0, times[1] or 0
         except DAMAGE as problem:
             interrupted(problem)
-            self._ledger.warn(f"the table of messages is damaged: {problem}")
+            self._diagnostics.warn(f"the table of messages is damaged: {problem}")
         counts, ends = {}, []
         for block in self._rows.blocks(None):
             for topic in block.topic.tolist():

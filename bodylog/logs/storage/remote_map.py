@@ -17,15 +17,15 @@ Read = Callable[[int, int], bytes]
 """The bytes of a remote file from one to before another; more than those where the store gives no less."""
 
 
-class Sparse(mmap.mmap):
-    """See the module; `bring` before touching."""
+class RemoteMap(mmap.mmap):
+    """See the module; `ensure_local` before touching."""
 
     missing: set[int]
     remote: Read
     lock: Lock
     handle: int
 
-    def bring(self, start: int, end: int) -> None:
+    def ensure_local(self, start: int, end: int) -> None:
         """Fetch what is not there yet of the bytes from `start` to before `end`, whole blocks, in few requests."""
         with self.lock:
             wanted = sorted(self.missing.intersection(range(start // _BLOCK, -(-end // _BLOCK))))
@@ -52,33 +52,33 @@ def _runs(blocks: list[int]) -> Iterator[tuple[int, int]]:
         yield first, last
 
 
-_GLIMPSED: dict[Path, tuple[Read, int]] = {}
+_MAPPED: dict[Path, tuple[Read, int]] = {}
 
 
 @contextmanager
-def glimpse(name: str, size: int, read: Read) -> Iterator[Path]:
+def mapped_remote(name: str, size: int, read: Read) -> Iterator[Path]:
     """A path that `mapping.mapped` maps as a Sparse file of `size` bytes, its head there for who looks at the magic."""
     with scratch() as folder:
         path = folder / name
         with path.open("wb") as stream:
             stream.write(read(0, min(size, 64))[:64])
             stream.truncate(size)
-        _GLIMPSED[path] = read, size
+        _MAPPED[path] = read, size
         try:
             yield path
         finally:
-            del _GLIMPSED[path]
+            del _MAPPED[path]
 
 
-def sparse(path: Path) -> Sparse | None:
+def remote_map_of(path: Path) -> RemoteMap | None:
     """The map of a glimpsed file, its ends there; None for any other path."""
-    if path not in _GLIMPSED:
+    if path not in _MAPPED:
         return None
-    read, size = _GLIMPSED[path]
+    read, size = _MAPPED[path]
     handle = os.open(path, os.O_RDWR)
-    found = Sparse(handle, 0, access=mmap.ACCESS_READ)
+    found = RemoteMap(handle, 0, access=mmap.ACCESS_READ)
     finalize(found, os.close, handle)
     found.missing, found.remote, found.lock, found.handle = set(range(-(-size // _BLOCK))), read, Lock(), handle
-    found.bring(0, min(_BLOCK, size))
-    found.bring(max(0, size - _ENDS), size)
+    found.ensure_local(0, min(_BLOCK, size))
+    found.ensure_local(max(0, size - _ENDS), size)
     return found

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import FormatError, LogError
 from ...io.temporary import scratch
-from ..diagnostics import Ledger
+from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Topic
 from .compression import Allowance, unpack_zstd
@@ -70,18 +70,23 @@ def _unpack(path: Path, inner: Path, limit: int, limits: Input, check: Callable[
         raise LogError(f"{path}: zstd data is damaged: {said}; copy it again")
 
 
-def unpacked(batches: Iterable[Batch], topics: tuple[Topic, ...], ledger: Ledger) -> Iterator[Batch]:
+def decompress_messages(
+    batches: Iterable[Batch], topics: tuple[Topic, ...], diagnostics: Diagnostics
+) -> Iterator[Batch]:
     """The batches, with CDR payloads that rosbag2 packed one by one unpacked."""
-    cdr, allowance = {topic.id for topic in topics if topic.encoding == "cdr"}, Allowance(ledger.path, ledger.limits)
+    cdr, allowance = (
+        {topic.id for topic in topics if topic.encoding == "cdr"},
+        Allowance(diagnostics.path, diagnostics.limits),
+    )
     for batch in batches:
         first = batch.data[batch.offset[0] : batch.offset[0] + 4].tobytes()
         if first == ZSTD and batch.topic_id in cdr:
-            yield from _each(batch, ledger, allowance)
+            yield from _each(batch, diagnostics, allowance)
         elif len(batch.length):
             yield batch
 
 
-def _each(batch: Batch, ledger: Ledger, allowance: Allowance) -> Iterator[Batch]:
+def _each(batch: Batch, diagnostics: Diagnostics, allowance: Allowance) -> Iterator[Batch]:
     """The batch unpacked, in parts of some megabytes: of very many bytes never more at once than of one message."""
     kept: list[int] = []
     payloads: list[bytes] = []
@@ -92,7 +97,7 @@ def _each(batch: Batch, ledger: Ledger, allowance: Allowance) -> Iterator[Batch]
             kept.append(i)
             size += len(payloads[-1])
         except FormatError as problem:
-            ledger.lost(int(batch.offset[i]), len(payload), 1, 0.0, f"a message packed by itself: {problem}")
+            diagnostics.add_loss(int(batch.offset[i]), len(payload), 1, 0.0, f"a message packed by itself: {problem}")
         if size > _TOGETHER:
             yield _joined(batch, kept, payloads)
             kept, payloads, size = [], [], 0

@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import BodylogError, LogError
 from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
-from ..encode.cdr import Field
+from ..encode.cdr import CdrField
 from ..encode.schemas import definition
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
@@ -28,9 +28,7 @@ _AS_THEY_ARE = (".jpg", ".jpeg", ".png", ".webp")
 class PoseLog:
     """A CSV, Parquet or YAML table of poses; see protocol.Log."""
 
-    def __init__(
-        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
-    ) -> None:
+    def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
         """Read the table `source` (default: `path` itself) whole; LogError when it holds no poses."""
         source, self.path = source or path, path
         with source.open("rb") as stream:
@@ -42,7 +40,7 @@ class PoseLog:
         self._add("warning", *table.odd)
         self._add("lost", *table.lost)
         if far := in_degrees(found.joints):
-            text = f"{', '.join(far)}: more than two turns; are these degrees? type: [body] unit = \"deg\""
+            text = f'{", ".join(far)}: more than two turns; are these degrees? type: [body] unit = "deg"'
             self._add("warning", text)
         first = found.t.min()
         # a stamp of zero means none, so times begin a second after it
@@ -97,16 +95,16 @@ class PoseLog:
         values = np.column_stack(list(joints.values()))
         # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
         unknown = np.full(values.shape, np.nan)
-        rows: list[Field] = [("float64[]", values), ("float64[]", unknown), ("float64[]", unknown)]
+        rows: list[CdrField] = [("float64[]", values), ("float64[]", unknown), ("float64[]", unknown)]
         return [self._outgoing_of(JOINTS, JOINT_STATE, [*cdr.header(self._ns), ("string[]", tuple(joints)), *rows])]
 
     def _tracks(self, tracks: Mapping[str, Array], std: Mapping[str, Array]) -> Iterator[Outgoing]:
         for name, places in tracks.items():
             data = np.hstack([places, std.get(name, np.full(places.shape, np.nan))])
-            fields: list[Field] = [*cdr.header(self._ns), ("string[]", TRACK_NAMES), ("float64[]", data)]
+            fields: list[CdrField] = [*cdr.header(self._ns), ("string[]", TRACK_NAMES), ("float64[]", data)]
             yield self._outgoing_of(TRACK + escape(name), VECTOR, fields)
 
-    def _outgoing_of(self, topic: str, kind: str, fields: Sequence[Field]) -> Outgoing:
+    def _outgoing_of(self, topic: str, kind: str, fields: Sequence[CdrField]) -> Outgoing:
         made = cdr.serialise(len(self._ns), fields)
         return Outgoing(topic, kind, definition(kind), self._ns, made.data, made.offset, made.length)
 
@@ -165,6 +163,6 @@ def _camera(number: int, column: str, images: int) -> Topic:
     return Topic(number, f"/{escape(column)}/compressed", COMPRESSED, "cdr", text, "ros2msg", images)
 
 
-def _image_fields(ns: int, data: Array) -> list[Field]:
+def _image_fields(ns: int, data: Array) -> list[CdrField]:
     form = "png" if bytes(data[:4]) == b"\x89PNG" else "jpeg"
     return [*cdr.header(np.array([ns])), ("string", form), ("uint8[]", data[None])]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...settings import Colour
-from ...types import Array, Finding, Frame, Health, Series, Watched
+from ...types import Array, ConsumedFrames, Finding, Frame, Health, Series
 from ..tracking import target_selection
 from ..tracking.contract import Tracker
 from ..tracking.frame_search import Looking, Seen
@@ -54,7 +54,7 @@ def look(
             t.append(frame.t)
             source_ns.append(frame.source_ns)
             looks(frame)
-    return looks.seen(Watched(np.array(t), np.array(source_ns, dtype=np.int64), np.arange(len(t)), looks))
+    return looks.seen(ConsumedFrames(np.array(t), np.array(source_ns, dtype=np.int64), np.arange(len(t)), looks))
 
 
 def track(

@@ -10,8 +10,8 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ...errors import InputError
-from ...runtime.blas_threads import later, one_opencv
-from ...types import Array, Frame, Watched
+from ...runtime.blas_threads import lower_priority, one_opencv
+from ...types import Array, ConsumedFrames, Frame
 from ..colours import blob_measurement as blobs
 from ..colours import coarse_search
 from ..colours.coarse_search import Window, gray
@@ -99,7 +99,7 @@ class Looking:
         for other in self._others if kind is None else ():
             other.result()
 
-    def seen(self, watched: Watched) -> Seen:
+    def seen(self, watched: ConsumedFrames) -> Seen:
         """What the frames among the pictures show."""
         for sheet, looks in self._sheets.items():
             self._measured[sheet] = _measured(looks, self._ranges)
@@ -113,7 +113,7 @@ class Looking:
 
     def _begin(self) -> None:
         self._begun.enter_context(one_opencv())
-        pool = self._begun.enter_context(ThreadPoolExecutor(self._threads, initializer=later))
+        pool = self._begun.enter_context(ThreadPoolExecutor(self._threads, initializer=lower_priority))
         self._others += [pool.submit(self._work) for _ in range(self._threads - 1)]
 
     def _hand_out(self) -> None:

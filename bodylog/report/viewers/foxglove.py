@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from ...io.atomic_files import replacing
+from ...logs.topic_names import PREFIX
 from ...types import Estimate
-
-ROOT = "/bodylog"
 
 
 def write(out: Path, camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> None:
@@ -25,14 +24,14 @@ def layout(camera: str | None, estimate: Estimate, views: Mapping[str, str]) -> 
     panels: dict[str, Any] = {
         "Plot!belief": _plot([(_item("joint_states", "position", k), name) for k, name in joints]),
         "Plot!errors": _plot(_errors(senses)),
-        "Plot!free_energy": _plot([(f"{ROOT}/free_energy.data", "free energy, nats")]),
-        "Image!camera": _image(camera, f"{ROOT}/annotations"),
-        "RawMessages!faults": {"topicPath": f"{ROOT}/faults"},
+        "Plot!free_energy": _plot([(f"{PREFIX}free_energy.data", "free energy, nats")]),
+        "Image!camera": _image(camera, f"{PREFIX}annotations"),
+        "RawMessages!faults": {"topicPath": f"{PREFIX}faults"},
     }
     plots = _split("column", "Plot!belief", _split("column", "Plot!errors", "Plot!free_energy", 60), 45)
     picture = _split("column", "Image!camera", "RawMessages!faults", 75)
     for name, topic in views.items():
-        panels[f"Image!{name}"] = _image(topic, f"{ROOT}/annotations/{name}")
+        panels[f"Image!{name}"] = _image(topic, f"{PREFIX}annotations/{name}")
         picture = _split("column", f"Image!{name}", picture, 40)
     return {
         "configById": panels,
@@ -52,7 +51,7 @@ def _errors(senses: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
 
 
 def _item(topic: str, field: str, index: int) -> str:
-    return f"{_quoted(f'{ROOT}/{topic}')}.{field}[{index}]"
+    return f"{_quoted(f'{PREFIX}{topic}')}.{field}[{index}]"
 
 
 def _quoted(topic: str) -> str:

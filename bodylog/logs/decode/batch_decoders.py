@@ -27,7 +27,7 @@ Found = Iterator[tuple[Array, list[Any]]]
 _UNLIKE = (FormatError, KeyError, ValueError, TypeError, RecursionError)
 
 
-class JsonAlike:
+class JsonBatchDecoder:
     """Messages whose bytes but numbers are the same."""
 
     def __init__(self, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
@@ -91,7 +91,7 @@ def _joined(batch: Batch) -> tuple[Array, Array, bytes]:
     return np.frombuffer(bytearray().join(pieces), np.uint8), np.cumsum(batch.length) - batch.length, b""
 
 
-class ProtobufAlike:
+class ProtobufBatchDecoder:
     """Messages of the same fields in the same order, equally long."""
 
     def __init__(self, topic: Topic, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
@@ -106,15 +106,15 @@ class ProtobufAlike:
         for length in np.unique(batch.length).tolist():
             index = np.flatnonzero(batch.length == length)
             for layout in self._known.get(length, ()):
-                index = yield from self._alike(batch, index, layout)
+                index = yield from self._same_layout(batch, index, layout)
             while len(index) > _FEW and self._count < _MOST_LAYOUTS:
                 learned = self._learn(batch, int(index[0]))
                 if learned is None:
                     index = index[1:]
                 else:
-                    index = yield from self._alike(batch, index, learned)
+                    index = yield from self._same_layout(batch, index, learned)
 
-    def _alike(self, batch: Batch, index: Array, layout: ProtobufLayout) -> Any:
+    def _same_layout(self, batch: Batch, index: Array, layout: ProtobufLayout) -> Any:
         """Gives, as a generator does, the messages that are laid out so, and returns the others."""
         if not len(index):
             return index

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from bodylog.logs.decode import objects_alike
+from bodylog.logs.decode import batch_decoders
 from bodylog.logs.decode.columns import columns
 
 from .test_columns import Messages
@@ -32,7 +32,7 @@ def assert_the_same(messages, of, fields, monkeypatch, least=0):
     fast = columns(Messages(messages, 500), of, (fields[0],)).fast
     together = column_by_column(messages, of, fields)
     with monkeypatch.context() as slowly:
-        slowly.setattr(objects_alike, "_FEW", 1 << 60)
+        slowly.setattr(batch_decoders, "_FEW", 1 << 60)
         alone = column_by_column(messages, of, fields)
     for field in fields:
         assert repr(together[field]) == repr(alone[field]), field
