@@ -191,41 +191,59 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
 
     And the most standard deviations (R,M) by which three readings in a row are off, their median; of order 3 alone.
     """
-    shape, q = (*ratios.shape, y.shape[2]), ratios[:, :, None]
-    x, p, (squares, logs, lag) = np.zeros((order, *shape)), np.zeros((order, order, *shape)), np.zeros((3, *shape))
-    recent = np.zeros((3, *shape))
     finite, count = np.isfinite(y), np.arange(len(y))[:, None, None]
     fresh = np.asarray(fresh | (count == 0))
     counts = np.asarray(finite & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
     begins = np.asarray(fresh.any(axis=(1, 2)))
-    steps = np.array([np.median(own[own > 0]) for own in dt.swapaxes(0, 1)])[:, None] if order > 2 else 1.0
-    vague = np.zeros(p.shape)
-    for state in range(order):
-        vague[state, state] = VAGUE / steps ** (2 * state)
+    # readings of the same times and ratios have the same covariance: it is found once for all of them
+    first, which = _alike(dt, finite, fresh, ratios)
+    own_dt, own_counts, q = dt[:, first], counts[:, first], ratios[:, first, None]
+    x, (squares, lag) = np.zeros((order, *ratios.shape, y.shape[2])), np.zeros((2, *ratios.shape, y.shape[2]))
+    logs, recent = np.zeros((*q.shape[:2], y.shape[2])), np.zeros((3, *squares.shape))
+    p, vague = np.zeros((order, order, *logs.shape)), _vague(own_dt, order, logs.shape)
+    grown = [(row, column, own_dt**power / scale) for row, column, power, scale in SPREADS[order]]
     for i, h in enumerate(dt):
         _carry(x, h)
-        _carry(p, h)
-        _carry(p.swapaxes(0, 1), h)
-        for row, column, power, scale in SPREADS[order]:
-            p[row, column] += q * (h**power / scale)
+        _carry(p, own_dt[i])
+        _carry(p.swapaxes(0, 1), own_dt[i])
+        for row, column, unit in grown:
+            p[row, column] += q * unit[i]
         if begins[i]:
             x[0], x[1:] = np.where(fresh[i], y[i], x[0]), np.where(fresh[i], 0.0, x[1:])
-            p = np.where(fresh[i], vague, p)
+            p = np.where(fresh[i][first], vague, p)
         s, nu = p[0, 0] + 1.0, np.where(finite[i], y[i] - x[0], 0.0)
         gain = p[0] / s
-        squares += nu * nu * (counts[i] / s)
-        logs += counts[i] * np.log(s)
+        cost = nu * nu * (own_counts[i] / s)[:, which]
+        squares += cost
+        logs += own_counts[i] * np.log(s)
         if order > 2:
-            recent[i % 3] = counts[i] * nu * nu / s
+            recent[i % 3] = cost
             one, two, three = recent
             np.maximum(lag, np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three)), out=lag)
-        x += gain * nu
+        x += gain[:, :, which] * nu
         p -= gain[:, None] * p[0].copy()[None]
         p[0] = p[:, 0] = gain
     n, misfit = np.maximum(counts.sum(axis=(0, 2)), 1.0), squares.sum(axis=2)
     noise = np.maximum(misfit / n, LEAST)
-    score = -0.5 * (n * np.log(noise) + misfit / noise + logs.sum(axis=2))
+    score = -0.5 * (n * np.log(noise) + misfit / noise + logs.sum(axis=2)[:, which])
     return np.where(np.isfinite(score), score, -np.inf), noise, np.sqrt(lag.max(axis=2) / noise)
+
+
+def _alike(*parts: Array) -> tuple[Array, Array | slice]:
+    """The first (U,) of each group of columns that are alike in all parts (L,M,…), and each column's group (M,)."""
+    keys = [b"".join(part[:, column].tobytes() for part in parts) for column in range(parts[0].shape[1])]
+    numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}
+    first = np.array([keys.index(key) for key in numbers])
+    return first, slice(None) if len(first) == 1 else np.array([numbers[key] for key in keys])
+
+
+def _vague(dt: Array, order: int, shape: tuple[int, ...]) -> Array:
+    """Covariance (S,S,…) of a filter that starts anew, by the typical step of times dt (L,U,C)."""
+    steps = np.array([np.median(own[own > 0]) for own in dt.swapaxes(0, 1)])[:, None] if order > 2 else 1.0
+    vague = np.zeros((order, order, *shape))
+    for state in range(order):
+        vague[state, state] = VAGUE / steps ** (2 * state)
+    return vague
 
 
 def _carry(a: Array, h: Array) -> None:
