@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .body_model import BodyModel
-from .config import toml_value
 from .errors import ConfigError
+from .io.toml_keys import toml_value
 from .settings import Colours, Settings
 from .sources import Source, check_colour, parse, spelled
 from .types import Features, Finding, Recording

@@ -1,165 +1,213 @@
-"""Every setting with its default, one record per section of robot.toml; config.py resolves them."""
+"""Every setting with its meaning, values and default: one record per section of robot.toml; config.py resolves them."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from .errors import ConfigError
+from .io.toml_keys import Key, declared, key, spell
+from .logs.joint_units import counts
 from .logs.limits import Input
-from .sources import Colour, ColourSource, Source, spelled
+from .sources import NAMED_COLOURS, RANGES, Colour, ColourSource, Source, check_colour, spelled
 
 __all__ = [
     "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Kinematics", "Settings", "Skin", "Source",
-    "Time", "Topics", "plain", "wanted",
+    "Time", "Topics", "about", "plain", "wanted",
 ]  # fmt: skip
+
+METHODS = ("laplace", "smoother", "ekf", "kalman", "predictive-coding")
+"""Names of the methods of estimation."""
+PRESETS = ("default", "paper")
+CLOCKS = ("auto", "header", "log")
+
+
+def _colour(value: Any) -> bool:
+    with suppress(ConfigError):
+        return check_colour(value, "") is not None
+    return False
+
+
+def _markers(value: Mapping[str, Any]) -> bool:
+    return all(name and "/" not in name and _colour(colour) for name, colour in value.items())
+
+
+def _unit(value: str) -> bool:
+    return value in ("rad", "deg") or counts(value) is not None
+
+
+_COLOUR = f"{', '.join(NAMED_COLOURS)}, or {RANGES}"
 
 
 @dataclass(frozen=True)
 class Topics:
-    """[topics]: which topic plays which role, with a message path where a field must be named; None is guessed.
+    """[topics]: the topic of each role; a message path names a field in it, e.g. "/state.q"."""
 
-    `joints` may be several topics, each with its own clock. `camera` may be several, the first of which names its
-    tracks plainly. One may be a video file beside the log: then `start` is the time of its first frame (s since epoch;
-    None: the first joint) and `rate` its frames per second (None: as the file says). `reference` has the true angles
-    of a log to learn from, where encoders read another function of them; it is never guessed.
-    """
-
-    joints: str | tuple[str, ...] | None = None
-    camera: str | tuple[str, ...] | None = None
-    skin: str | None = None
-    truth: str | None = None
-    start: float | None = None
-    rate: float | None = None
-    reference: str | None = None
+    joints: str | tuple[str, ...] | None = key(
+        None, "Joint states; several topics keep a clock each.", noun="topic", distinct=True, unset="by message type"
+    )
+    camera: str | tuple[str, ...] | None = key(
+        None, "Images, or a video file; the first camera's tracks have no prefix.", noun="topic", distinct=True,
+        unset="by message type",
+    )  # fmt: skip
+    skin: str | None = key(None, "Values of the skin's cells.", noun="topic", unset="by message type and name")
+    truth: str | None = key(None, "True joint angles for scores.", noun="topic", unset="by message type and name")
+    start: float | None = key(
+        None, "Time of a video file's first frame.", unit="s since 1970", low=-9e9, high=9e9, unset="first joint state"
+    )
+    rate: float | None = key(
+        None, "Frame rate of a video file.", unit="Hz", low=1e-3, high=1e6, unset="as the file declares"
+    )
+    reference: str | None = key(
+        None, "True angles to learn from, where encoders read a function of them.", noun="topic", unset="not used"
+    )
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """The cameras named, the first one first; none when they are to be guessed."""
+        """The configured cameras, the first one first; empty where roles are assigned by message type."""
         return (self.camera,) if isinstance(self.camera, str) else self.camera or ()
 
 
 @dataclass(frozen=True)
 class Body:
-    """[body]: joint names in the order wanted (None: those that move), and the unit the log speaks.
+    """[body]: the robot's joints."""
 
-    That is rad, deg, or encoder counts: "4096 counts" of one turn, "4096 counts from 2048" where 2048 is 0 rad.
-    """
-
-    joints: tuple[str, ...] | None = None
-    unit: str = "rad"
+    joints: tuple[str, ...] | None = key(
+        None, "Joints in the order wanted.", noun="joint", distinct=True, unset="the joints that move"
+    )
+    unit: str = key(
+        "rad", "Unit of joint readings whose topic declares none.", accepts=_unit,
+        choices=("rad", "deg", "4096 counts", "4096 counts from 2048"),
+        form='rad, deg, or counts of one turn: "4096 counts", "4096 counts from 2048" (2048 is 0 rad)',
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Colours:
-    """[colours]: what to look for in the pictures; `markers` names further features on the arm.
+    """[colours]: coloured markers to track in the images."""
 
-    `fast` looks at JPEG pictures at half scale: less exact, in less time.
-    """
-
-    effector: Colour = "green"
-    hand: Colour = "red"
-    markers: Mapping[str, Colour] = field(default_factory=dict)
-    fast: bool = False
+    effector: Colour = key("green", "Colour of the end effector.", choices=NAMED_COLOURS, accepts=_colour, form=_COLOUR)
+    hand: Colour = key(
+        "red", "Colour of the hand that touches the skin.", choices=NAMED_COLOURS, accepts=_colour, form=_COLOUR
+    )
+    markers: Mapping[str, Colour] = key(
+        {}, "Further markers on the arm.", accepts=_markers, form="{NAME = COLOUR}, names without /", unset="no others"
+    )
+    fast: bool = key(False, "Decode JPEG images at half scale: faster, less accurate.")
 
 
 @dataclass(frozen=True)
 class Skin:
-    """[skin]: a cell is touched above `threshold` until below `release`; shorter than `shortest` s is noise.
+    """[skin]: how touches are found in the values of the skin's cells."""
 
-    Cells neighbour by number, or by row and column where `columns` says how many cells make a row.
-    """
-
-    threshold: float = 0.7
-    release: float = 0.6
-    shortest: float = 0.02
-    columns: int | None = None
+    threshold: float = key(0.7, "A touch begins above this value.", low=0, high=1)
+    release: float = key(0.6, "A touch ends below this value.", low=0, high=1)
+    shortest: float = key(0.02, "Shorter touches are noise.", unit="s", low=0, high=3600)
+    columns: int | None = key(
+        None, "Cells per row of a grid.", low=1, high=10**6, unset="cells with consecutive numbers are neighbours"
+    )
 
 
 @dataclass(frozen=True)
 class Clocks:
-    """[synchrony]: how much later (s) the camera's clock dates what the skin feels; "auto": the log's own median."""
+    """[synchrony]: the camera's clock against the skin's."""
 
-    clock_offset: float | str = 0.0
+    clock_offset: float | str = key(
+        0.0, "Lag of the camera's timestamps behind the skin's; auto estimates it.", unit="s", low=-9e9, high=9e9,
+        choices=("auto",),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Time:
-    """[time]: which clock dates each stream, "header", "log" or "auto" (header where there is a sound one).
+    """[time]: the clock that timestamps each stream; auto takes message headers where these are sound."""
 
-    `delay`: how much later (s) than the encoders each camera dates what it shows, {name: s}, or the joints what they
-    read, as those know that ask where the body is; "auto": as the log has it, where it is sure; "off": not at all.
-    """
-
-    joints: str = "auto"
-    camera: str = "auto"
-    skin: str = "auto"
-    truth: str = "auto"
-    reference: str = "auto"
-    delay: str | Mapping[str, float] = "auto"
+    joints: str = key("auto", "Clock of the joint states.", choices=CLOCKS)
+    camera: str = key("auto", "Clock of the images.", choices=CLOCKS)
+    skin: str = key("auto", "Clock of the skin.", choices=CLOCKS)
+    truth: str = key("auto", "Clock of the true angles.", choices=CLOCKS)
+    reference: str = key("auto", "Clock of the reference.", choices=CLOCKS)
+    delay: str | Mapping[str, float] = key(
+        "auto", "Delay of a camera or of joints; auto estimates it.", unit="s",
+        low=-3600, high=3600, choices=("auto", "off"),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Fit:
-    """[fit]: preset default or paper · most samples kept · use every n-th frame · seed of restarts.
+    """[fit]: how a body is learned."""
 
-    without: tracks, or features with all their tracks, that are not learned.
-    """
-
-    preset: str = "default"
-    samples: int = 2000
-    every: int = 1
-    seed: int = 0
-    without: tuple[str, ...] = ()
+    preset: str = key("default", "paper: the paper's constants and 46 samples.", choices=PRESETS)
+    samples: int = key(2000, "Most samples that a model keeps.", low=8, high=10**9)
+    every: int = key(1, "Use every n-th frame.", low=1, high=10**9)
+    seed: int = key(0, "Seed of the optimiser's restarts.", low=0, high=2**63)
+    without: tuple[str, ...] = key((), "Tracks or features that are not learned.", noun="track", unset="learn all")
 
 
 @dataclass(frozen=True)
 class Kinematics:
-    """[kinematics]: the URDF (None: the log's own, if any; "log": insist on it), whether to use it, σ of offsets, °.
+    """[kinematics]: the robot's URDF and what may differ from it."""
 
-    scale_prior: σ of the joints' scales, in shares of one; 0: a joint turns by what it reads.
-    """
-
-    urdf: str | None = None
-    use: bool = True
-    offset_prior: float = 5.0
-    scale_prior: float = 0.0
+    urdf: str | None = key(
+        None, "URDF file of the robot; log requires the log's own.", noun="file", unset="the log's own, if any"
+    )
+    use: bool = key(True, "Use the URDF.")
+    offset_prior: float = key(
+        5.0, "Prior standard deviation of joint offsets; 0 estimates none.", unit="deg", low=0, high=180
+    )
+    scale_prior: float = key(  # beyond 0.3 the gear is another one
+        0.0, "Prior standard deviation of joint scales, relative; 0 estimates none.", low=0, high=0.3
+    )
 
 
 @dataclass(frozen=True)
 class Estimation:
-    """[estimate]: method, senses (None: all that are there), output rate in Hz (None: as the encoders, at most 100).
+    """[estimate]: how joint angles are estimated; variances set here replace those of `precision`."""
 
-    Where robot.toml or the command line sets the preset paper and names no method, that is predictive-coding.
-    Variances that are typed are used as they are, others are found as `precision` says: sigma_encoders (rad²) and
-    process (rad²/s³) for all joints or {joint: …}, sigma_vision (px²) for all tracks or {track: …}, sigma_touch (px²).
-    `lambda` (written lambda_ in Python): how fast the prior of predictive coding follows its belief, 1/s.
-    """
-
-    method: str = "laplace"
-    preset: str = "default"
-    senses: tuple[str, ...] | None = None
-    without: tuple[str, ...] = ()
-    rate: float | None = None
-    precision: str = "auto"
-    bias: str = "auto"
-    touch: str = "likelihood"
-    step: str = "implicit"
-    start: tuple[float, ...] | None = None
-    sigma_encoders: float | Mapping[str, float] | None = None
-    sigma_vision: float | Mapping[str, float] | None = None
-    sigma_touch: float | None = None
-    process: float | Mapping[str, float] | None = None
-    lambda_: float | None = None
+    method: str = key("laplace", "Estimation method; preset paper implies predictive-coding.", choices=METHODS)
+    preset: str = key("default", "paper: the paper's constants.", choices=PRESETS)
+    senses: tuple[str, ...] | None = key(
+        None, "Senses to use: encoders, vision, touch, joints or tracks.", noun="sense", unset="all in the log"
+    )
+    without: tuple[str, ...] = key((), "Senses to leave out.", noun="sense", unset="leave out none")
+    rate: float | None = key(  # up to that of the fastest joint controllers
+        None, "Estimates per second.", unit="Hz", low=1e-3, high=1e4, unset="the encoders' rate, at most 100"
+    )
+    precision: str = key(
+        "auto", "Variances: from this log (auto), the body (model) or the paper (fixed).",
+        choices=("auto", "model", "fixed"),
+    )  # fmt: skip
+    bias: str = key("auto", "Encoder offset states; not for kalman, predictive-coding.", choices=("auto", "on", "off"))
+    touch: str = key("likelihood", "Reading of the paper's touch equation.", choices=("likelihood", "literal"))
+    step: str = key("implicit", "Euler step of predictive-coding.", choices=("implicit", "explicit"))
+    start: tuple[float, ...] | None = key(
+        None, "Joint angles at the start.", unit="rad", low=-1e4, high=1e4, unset="from the measurements"
+    )
+    sigma_encoders: float | Mapping[str, float] | None = key(
+        None, "Variance of all encoders, or by joint.", unit="rad²", low=1e-18, high=1e6, unset="by precision"
+    )
+    sigma_vision: float | Mapping[str, float] | None = key(
+        None, "Variance of all tracks, or by track.", unit="px²", low=1e-12, high=1e12, unset="by precision"
+    )
+    sigma_touch: float | None = key(None, "Variance of touch.", unit="px²", low=1e-12, high=1e12, unset="by precision")
+    process: float | Mapping[str, float] | None = key(
+        None, "Process noise of all joints, or by joint.", unit="rad²/s³", low=1e-18, high=1e9, unset="by precision"
+    )
+    lambda_: float | None = key(
+        None, "Rate at which predictive-coding's prior follows its belief.", unit="1/s", low=0, high=1e3,
+        unset="the paper's",
+    )  # fmt: skip
 
     @property
     def typed(self) -> dict[str, float | Mapping[str, float]]:
-        """The variances that are typed, by key."""
+        """The variances that are set, by key."""
         keys = ("sigma_encoders", "sigma_vision", "sigma_touch", "process", "lambda_")
         return {spell(key): value for key in keys if (value := getattr(self, key)) is not None}
 
 
 @dataclass(frozen=True)
 class Settings:
-    """All sections; `features` {name: source} says where each track comes from, beside [colours]."""
+    """All sections; `features` {name: source} declares tracks beside those of [colours]."""
 
     input: Input = field(default_factory=Input)
     topics: Topics = field(default_factory=Topics)
@@ -174,27 +222,21 @@ class Settings:
     synchrony: Clocks = field(default_factory=Clocks)
 
 
-def spell(field: str) -> str:
-    """A setting's key in robot.toml: Python's own words end in _ as names of fields."""
-    return field.rstrip("_")
-
-
-def _spelled(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {spell(key): value for key, value in values.items()}
+def about(section: str, name: str) -> Key:
+    """The description of a setting by its section and key in robot.toml."""
+    return declared(type(getattr(Settings(), section)))[name].key
 
 
 def plain(settings: Settings) -> dict[str, Any]:
     """The settings as nested plain values, to be written beside a result."""
-    from dataclasses import asdict
-
-    found = {section: _spelled(values) for section, values in asdict(settings).items()}
+    found = {section: {spell(k): v for k, v in values.items()} for section, values in asdict(settings).items()}
     return found | {"features": {name: spelled(source) for name, source in settings.features.items()}}
 
 
 def wanted(settings: Settings) -> dict[str, Source]:
-    """Every feature to look for and its source: [colours], then [features], which wins.
+    """Every feature to track and its source: [colours], then [features], which wins.
 
-    Once [features] names anything, the effector's colour is looked for only where it is not the default.
+    Once [features] names anything, the effector's colour is tracked only where it is not the default.
     """
     colours = settings.colours
     found: dict[str, Source] = {"effector": ColourSource(colours.effector), "hand": ColourSource(colours.hand)}

@@ -1,12 +1,14 @@
 """robot.toml over defaults, command line over robot.toml, and what is refused by name."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
 from bodylog.config import load, toml
 from bodylog.errors import ConfigError
-from bodylog.settings import Settings
+from bodylog.io.toml_keys import declared
+from bodylog.settings import METHODS, Settings, plain
 
 
 def _file(tmp_path, text):
@@ -45,32 +47,37 @@ def test_colours_take_a_name_or_ranges_and_markers_a_table_of_them(tmp_path):
     [
         ("[topic]\njoints = '/j'", "did you mean topics"),
         ("[body]\njoint = ['a']", "did you mean joints"),
-        ("[body]\njoints = 3", "must be a list"),
-        ("[topics]\ncamera = []", "topics.camera is \\[\\]; it must be a topic, or several different ones"),
-        ("[topics]\ncamera = ['/a', '/a']", "several different ones"),
-        ("[colours]\nshapes = {elbow = 'blue'}", "has a new name; type: \\[colours\\] markers"),
-        ("[colours]\nmarkers = {'side/elbow' = 'blue'}", "names 'side/elbow'; a feature's name has no /"),
-        ("[body]\njoints = [3]", "must be a list"),
-        ("[body]\nunit = 'degrees'", "did you mean deg"),
+        ("[body]\njoints = 3", r"joints is 3; possible: \[joint, …\] without repeats; leave it out for: the joints"),
+        ("[topics]\ncamera = []", r"topics.camera is \[\]; possible: topic, or \[topic, …\] without repeats"),
+        ("[topics]\ncamera = ['/a', '/a']", "without repeats"),
+        ("[topics]\ncamera = ''", "topics.camera is ''; possible: topic"),
+        ("[colours]\nshapes = {elbow = 'blue'}", r"has a new name; type: \[colours\] markers"),
+        ("[colours]\nmarkers = {'side/elbow' = 'blue'}", "names without /"),
+        ("[colours]\nmarkers = {elbow = 'puce'}", "possible: {NAME = COLOUR}"),
+        ("[body]\njoints = [3]", r"possible: \[joint, …\]"),
+        ("[body]\nunit = 'degrees'", "possible: rad, deg, or counts of one turn.*did you mean deg"),
+        ("[body]\nunit = '0 counts'", "possible: rad, deg, or counts"),
         ("[colours]\nhand = 'puce'", "possible: blue"),
-        ("[colours]\nhand = {low = [1, 2], high = [3, 4, 5]}", "must be"),
+        ("[colours]\nhand = {low = [1, 2], high = [3, 4, 5]}", "possible: blue.*default: \"red\""),
         ("[colours]\nhand = {low = [1, 2, 300], high = [3, 4, 5]}", "h 0..180"),
-        ("[estimate]\nrate = true", "must be a finite number"),
-        ("[estimate]\nrate = nan", "must be a finite number"),
-        ("[synchrony]\nclock_offset = -inf", "must be a finite number or text"),
-        ("[time]\ndelay = 'soon'", "must be auto, off or {camera = seconds}"),
-        ("[time]\ndelay = {camera = 'late'}", "must be text or a table"),
-        ("[time]\ndelay = {camera = nan}", "must be text or a table"),
-        ("[fit]\nevery = 1.5", "must be a whole number"),
-        ("[fit]\nevery = 0", "must be from 1 to 1e\\+09"),
-        ("[fit]\nsamples = 1", "must be from 8"),
-        ("[topics]\nstart = 1e308", "must be from -9e\\+09 to 9e\\+09"),
-        ("[time]\ndelay = {camera = 1e9}", "must be at most 3600 s"),
-        ("[fit]\nseed = -1", "must be from 0"),
-        ("[skin]\nthreshold = 70", "must be from 0 to 1"),
-        ("[skin]\ncolumns = 0", "must be from 1"),
-        ("[body]\njoints = []", "must name joints, each once"),
-        ("[body]\njoints = ['a', 'a']", "must name joints, each once"),
+        ("[estimate]\nmethod = 'smother'", "possible: laplace, smoother, .*; did you mean smoother?"),
+        ("[estimate]\nrate = true", "possible: number from 0.001 to 10000 Hz; leave it out for: the encoders' rate"),
+        ("[estimate]\nrate = nan", "possible: number"),
+        ("[synchrony]\nclock_offset = -inf", "possible: number from -9e\\+09 to 9e\\+09 s, or auto"),
+        ("[synchrony]\nclock_offset = 'later'", "did you mean auto"),
+        ("[time]\ndelay = 'soon'", "possible: auto, off, or {NAME = number from -3600 to 3600 s}"),
+        ("[time]\ndelay = {camera = 'late'}", "possible: auto, off, or {NAME"),
+        ("[time]\ndelay = {camera = nan}", "possible: auto, off, or {NAME"),
+        ("[fit]\nevery = 1.5", "possible: whole number from 1 to 1e\\+09; default: 1"),
+        ("[fit]\nevery = 0", "from 1 to 1e\\+09"),
+        ("[fit]\nsamples = 1", "from 8"),
+        ("[topics]\nstart = 1e308", "from -9e\\+09 to 9e\\+09"),
+        ("[time]\ndelay = {camera = 1e9}", "to 3600 s"),
+        ("[fit]\nseed = -1", "from 0"),
+        ("[skin]\nthreshold = 70", "skin.threshold is 70; possible: number from 0 to 1; default: 0.7"),
+        ("[skin]\ncolumns = 0", "from 1"),
+        ("[body]\njoints = []", "without repeats"),
+        ("[body]\njoints = ['a', 'a']", "without repeats"),
         ("skin = 3", "must be a table"),
         ("[skin", "cannot be read as TOML"),
         ("skin = " + "[" * 100_000, "cannot be read as TOML"),
@@ -106,3 +113,29 @@ def test_the_papers_preset_is_the_papers_method(tmp_path):
     assert load(toml, {"estimate": {"method": "kalman"}}).estimate.method == "kalman"
     assert load(None, {"estimate": {"preset": "paper", "method": "smoother"}}).estimate.method == "smoother"
     assert load(None, {"estimate": {"preset": "default"}}).estimate.method == "laplace"
+
+
+SECTIONS = {f.name: type(getattr(Settings(), f.name)) for f in fields(Settings) if f.name != "features"}
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_settings_are_described_and_their_defaults_are_possible(section):
+    for name, one in declared(SECTIONS[section]).items():
+        assert one.key.meaning.endswith(".") and len(one.key.meaning.split()) <= 12, name
+        assert one.key.unset or one.default is not None, name
+        assert load(None, {section: {name: one.default}}) == Settings()
+
+
+def test_methods_are_those_of_estimation():
+    from bodylog import estimation
+
+    assert tuple(estimation.METHODS) == METHODS
+
+
+def test_printed_settings_name_every_key_below_its_meaning():
+    lines = toml(Settings()).splitlines()
+    for section, values in plain(Settings()).items():
+        for name in values:
+            one = declared(SECTIONS[section])[name]
+            place = lines.index(f"# {one.key.meaning}", lines.index(f"[{section}]"))
+            assert lines[place + 2].removeprefix("# ").startswith(f"{name} ="), name

@@ -1,22 +1,23 @@
-"""How much a log may unpack to."""
+"""Limits on what a log may decompress to."""
 
 from dataclasses import dataclass
+
+from ..io.toml_keys import key
 
 
 @dataclass(frozen=True)
 class Input:
-    """[input]: whether a damaged log is refused instead of read as far as it is sound; how much it may unpack to.
+    """[input]: how damaged and large logs are read."""
 
-    Of what is larger than `max_image_mpx` (10⁶ pixels) no image is made, and of what is larger than `max_message_mb`
-    (10⁶ bytes) no packed message or chunk. `max_unpacked_gb` (10⁹ bytes) limits all of a file, unless that is at most
-    a thousand times as large as what is packed.
-    """
-
-    strict: bool = False
-    max_image_mpx: float = 32.0
-    max_message_mb: float = 128.0
-    max_unpacked_gb: float = 0.5
+    strict: bool = key(False, "Refuse a damaged log instead of reading its sound part.")
+    max_image_mpx: float = key(32.0, "Largest image that is decoded.", unit="Mpx", low=1e-3, high=1e4)
+    max_message_mb: float = key(
+        128.0, "Largest decompressed message or chunk, or 16 times its packed size.", unit="MB", low=1, high=1e5
+    )
+    max_unpacked_gb: float = key(
+        0.5, "Most that a log decompresses to, or 1024 times its packed size.", unit="GB", low=1e-3, high=1e6
+    )
 
 
 LIMITS = Input()
-"""The limits where no settings are at hand."""
+"""The limits where there are no settings."""

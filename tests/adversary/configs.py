@@ -1,13 +1,14 @@
 """Hostile settings: robot.toml and what is typed."""
 
 import json
+import math
 import typing
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
-from bodylog.config import ALLOWED, LIMITS
-from bodylog.settings import Settings
+from bodylog.io.toml_keys import spell
+from bodylog.settings import Settings, about
 
 from .grammar import FLOATS, INTEGERS, TEXTS, Draw
 
@@ -88,9 +89,10 @@ def value(draw: Draw, depth: int = 0) -> Any:
 
 def fitting(draw: Draw, section: str, key: str, hint: Any) -> Any:
     """A value of a setting's type, most of them in range."""
-    if (section, key) in ALLOWED:
-        return draw.of(ALLOWED[section, key])
-    low, high = LIMITS.get((section, key), (-10.0, 10.0))
+    described = about(section, spell(key))
+    if described.choices and hint is str:
+        return draw.of(described.choices)
+    low, high = (-10.0, 10.0) if described.low == -math.inf else (described.low, described.high)
     options = [option for option in typing.get_args(hint) or (hint,) if option is not type(None)]
     option = draw.of(options) if typing.get_origin(hint) is not tuple else hint
     if option is bool:
