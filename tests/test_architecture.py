@@ -9,7 +9,7 @@ import bodylog
 
 ROOT = Path(__file__).parents[1]
 BELOW = {"errors", "version", "io", "runtime"}
-RECORDS = {*BELOW, "logs", "types", "body_model", "settings", "sources"}
+RECORDS = {*BELOW, "logs", "types", "body_model", "overlay_style", "settings", "sources"}
 ROOMS = {
     "errors": set(),
     "version": set(),
@@ -20,6 +20,7 @@ ROOMS = {
     "settings": {*BELOW, "logs", "sources"},
     "types": {*BELOW, "body_model", "logs", "settings"},
     "body_model": {*BELOW, "logs"},
+    "overlay_style": RECORDS,
     "config": RECORDS,
     "kinematics": RECORDS,
     "annotating": RECORDS,

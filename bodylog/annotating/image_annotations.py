@@ -6,15 +6,12 @@ import numpy as np
 
 from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField, Payloads
+from ..overlay_style import CORNERS, PREDICTED, ellipses, measured
 from ..types import Array, Series
 
-_COLOURS = {"effector": (0.1, 0.9, 0.2, 1.0), "hand": (1.0, 0.25, 0.2, 1.0)}
-_OTHER = (0.3, 0.6, 1.0, 1.0)
-_PREDICTED = (1.0, 0.85, 0.1, 1.0)
+_PREDICTED = (*PREDICTED.image, 1.0)
 _CLEAR = (0.0, 0.0, 0.0, 0.0)
 _LINE_LOOP = 2
-_CORNERS = 32
-_SIGMAS = 2.0
 _Circle = tuple[tuple[float, ...], float, Array]
 """Colour, diameter (px), centre (n,2) px."""
 
@@ -27,10 +24,9 @@ def annotations(
     tracks = [*seen.values(), *predicted.values()]
     times, first = np.unique(np.concatenate([track.source_ns for track in tracks]), return_index=True)
     stamp = start_ns + np.rint(np.concatenate([track.t for track in tracks])[first] * 1e9).astype(np.int64)
-    inks = {name: _COLOURS.get(name.rpartition("/")[2], _OTHER) for name in seen}
-    circles: list[_Circle] = [(inks[name], 16.0, _at(times, track)) for name, track in seen.items()]
+    circles: list[_Circle] = [((*measured(name).image, 1.0), 16.0, _at(times, track)) for name, track in seen.items()]
     circles += [(_PREDICTED, 8.0, _at(times, track)) for track in predicted.values()]
-    loops = [_at(times, series, _ellipse(series, cov[name])) for name, series in predicted.items() if name in cov]
+    loops = [_at(times, series, _ellipses(series, cov[name])) for name, series in predicted.items() if name in cov]
     return times, _grouped(stamp, circles, loops)
 
 
@@ -42,17 +38,9 @@ def _at(times: Array, track: Series, values: Array | None = None) -> Array:
     return out
 
 
-def _ellipse(series: Series, cov: Array) -> Array:
-    """Corners (K,2*32) of the 2-sigma ellipses of cov (K,2,2) around the predictions."""
-    angle = np.linspace(0.0, 2.0 * np.pi, _CORNERS, endpoint=False)
-    circle = np.column_stack([np.cos(angle), np.sin(angle)])
-    a, b, c = np.sqrt(cov[:, 0, 0]), cov[:, 0, 1], cov[:, 1, 1]
-    lower = np.zeros_like(cov)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        lower[:, 0, 0], lower[:, 1, 0] = a, np.where(a > 0, b / a, 0.0)
-        lower[:, 1, 1] = np.sqrt(np.maximum(c - lower[:, 1, 0] ** 2, 0.0))
-    corners = series.values[:, None] + _SIGMAS * circle @ lower.transpose(0, 2, 1)
-    return corners.reshape(len(cov), -1)
+def _ellipses(series: Series, cov: Array) -> Array:
+    """Corners (K,2*CORNERS) px of the 2-sigma ellipses of cov (K,2,2) px² around the predictions."""
+    return ellipses(series.values, cov).reshape(len(cov), -1)
 
 
 def _grouped(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloads:
@@ -85,7 +73,7 @@ def _loop(stamp: Array, corners: Array) -> list[CdrField]:
     return [
         *cdr.time(stamp),
         ("uint8", _LINE_LOOP),
-        ("uint32", _CORNERS),
+        ("uint32", CORNERS),
         ("float64*", corners),
         ("float64*", np.array([_PREDICTED])),
         ("uint32", 0),

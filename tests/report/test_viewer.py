@@ -10,7 +10,6 @@ import pytest
 from bodylog import views
 from bodylog.errors import LogError, UsageError
 from bodylog.report.viewers import rerun_process, rerun_recording
-from bodylog.report.viewers.rerun_recording import ellipses
 
 from ..logs.writing import T0, Stream, cdr, define, header, joint_state, joints, write
 from .records import estimate, features
@@ -249,13 +248,3 @@ def test_without_rerun_the_error_says_what_to_type(monkeypatch):
     monkeypatch.setattr(rerun_process, "find_spec", lambda name: None)
     with pytest.raises(UsageError, match=r"pip install 'bodylog\[view\]'"):
         rerun_process.ready()
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_every_point_of_an_ellipse_is_two_standard_deviations_off(seed):
-    rng = np.random.default_rng(seed)
-    root = rng.normal(size=(20, 2, 2))
-    cov, centre = root @ root.transpose(0, 2, 1), rng.normal(size=(20, 2)) * 100
-    off = ellipses(centre, cov) - centre[:, None]
-    assert np.allclose(np.einsum("kpi,kij,kpj->kp", off, np.linalg.inv(cov), off), 4.0)
-    assert np.allclose(off[:, 0], off[:, -1]) and off.shape == (20, 33, 2)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.report.viewers import rerun_process, rerun_recording
+from bodylog.overlay_style import PREDICTED
+from bodylog.report.viewers import rerun_process
 
 DRIVERS = os.environ.get("VK_ICD_FILENAMES") or [*Path("/usr/share/vulkan/icd.d").glob("*.json")]
 pytestmark = [
@@ -52,7 +53,7 @@ def test_the_prediction_is_drawn_on_the_picture(window, tmp_path):
         time.sleep(0.5)
         if shot.exists() and (image := cv2.imread(str(shot))) is not None:
             picture = image[40 : image.shape[0] // 3, : image.shape[1] // 2].astype(int)
-            near = np.abs(picture - rerun_recording.PREDICTED[::-1]).max(axis=2) < 40
+            near = np.abs(picture - PREDICTED.rgb[::-1]).max(axis=2) < 40
             if near.sum() > 20 and (picture.max(axis=2) > 60).mean() > 0.2:
                 return
     pytest.fail("no prediction on the picture within a minute")

@@ -7,6 +7,7 @@ from typing import Any
 
 from ...errors import UsageError
 from ...io.atomic_files import replacing
+from ...overlay_style import MEASURED
 
 FORMATS = {
     ".png": {"format": "png", "metadata": {"Software": None}},
@@ -14,9 +15,8 @@ FORMATS = {
 }
 """Suffix -> how matplotlib is told to write it without dates or version stamps."""
 
-INK, FELT, SEEN, TRUTH = "#20262e", "#e07b1f", "#7a52c7", "#111111"
+INK, FELT, SEEN = "#20262e", "#e07b1f", "#7a52c7"
 LINES = ("#1f77d0", "#d1495b", "#2a9d68", "#b5862a", "#7a52c7", "#159aa8", "#d267b0", "#6b7280")
-TRACKS = {"effector": "#2a9d68", "hand": "#d1495b"}
 
 _STYLE = {
     "svg.hashsalt": "bodylog",
@@ -62,7 +62,7 @@ def label(name: str, longest: int = 40) -> str:
 
 def colour(name: str, index: int) -> str:
     """The colour of a track by its name, of anything else by its place."""
-    return TRACKS.get(name, LINES[index % len(LINES)])
+    return MEASURED[name].plot if name in MEASURED else LINES[index % len(LINES)]
 
 
 def _known(out: Path) -> None:

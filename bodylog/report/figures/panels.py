@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
+from ...overlay_style import BELIEF, TRUTH
 from ...types import Array, Estimate, Features, Series, Stroke
 from ..page.decimate import envelope, extremes, thin
-from .canvas import FELT, INK, LINES, SEEN, TRUTH, colour, label
+from .canvas import FELT, INK, LINES, SEEN, colour, label
 
 _POINTS = 3000
 _COLUMNS = 1200
@@ -99,9 +100,9 @@ def belief(estimate: Estimate, m: int, truth: Series | None, recorded: Series | 
     name, t, mean = estimate.joints.names[m], estimate.joints.t, estimate.joints.values[:, m]
     spread = 2.0 * np.sqrt(estimate.cov[:, m, m])
     _other(ax, recorded, name, {"color": "#b8bec6", "lw": 0.7}, "encoder")
-    ax.fill_between(*envelope(t, mean - spread, mean + spread, _POINTS), color=LINES[0], alpha=0.25, lw=0, zorder=2)
-    ax.plot(*thin(t, mean, _POINTS), color=LINES[0], label="belief")
-    _other(ax, truth, name, {"color": TRUTH, "lw": 0.9, "ls": "--"}, "truth")
+    ax.fill_between(*envelope(t, mean - spread, mean + spread, _POINTS), color=BELIEF.plot, alpha=0.25, lw=0, zorder=2)
+    ax.plot(*thin(t, mean, _POINTS), color=BELIEF.plot, label="belief")
+    _other(ax, truth, name, {"color": TRUTH.plot, "lw": 0.9, "ls": "--"}, "truth")
     for fault in estimate.faults:
         if fault.name == name:
             ax.axvline(fault.since, color=LINES[1], ls=":", label=label(f"{fault.kind} since {fault.since:.1f} s"))
@@ -117,9 +118,9 @@ def deviation(estimate: Estimate, m: int, truth: Series, recorded: Series | None
     if recorded is not None and name in recorded.names:
         off = 1e3 * (recorded.values[:, recorded.names.index(name)] - np.interp(recorded.t, truth.t, real))
         ax.plot(*thin(recorded.t, off, _POINTS), color="#c9ced5", lw=0.7, label="encoder")
-    ax.fill_between(*envelope(t, -spread, spread, _POINTS), color=LINES[0], alpha=0.25, lw=0, zorder=2)
+    ax.fill_between(*envelope(t, -spread, spread, _POINTS), color=BELIEF.plot, alpha=0.25, lw=0, zorder=2)
     off = 1e3 * (estimate.joints.values[:, m] - np.interp(t, truth.t, real))
-    ax.plot(*thin(t, off, _POINTS), color=LINES[0], label="belief")
+    ax.plot(*thin(t, off, _POINTS), color=BELIEF.plot, label="belief")
     ax.set_ylabel("off truth, mrad")
     ax.tick_params(labelbottom=False)
     _legend(ax)

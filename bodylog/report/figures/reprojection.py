@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from ...overlay_style import PREDICTED, measured
 from ...types import Array, Estimate, Features
 from ..page.tables import escaped, table
-from .canvas import INK, LINES, label
+from .canvas import LINES, label
 
 TRACKS, POINTS = 12, 300
 """Most tracks that are drawn, and points of each."""
 _ZEROS = 64
-_ALONE, _BOTH, _SEEN = LINES[3], LINES[0], "#6b7280"
+_ALONE, _BOTH, _RULE = LINES[4], PREDICTED.plot, "#6b7280"
 _WIDTH, _HEIGHT, _SIDE = 460.0, 345.0, 345.0
 _LONG = 0.06
 """Share of the image's width that a large residual is drawn as."""
@@ -104,7 +105,7 @@ def section(drawn: Sequence[Sheet], offsets: Sequence[Zero]) -> str:
     """The sheet as part of a page, every name escaped; nothing where there is nothing to show."""
     body = "\n".join(_figure(sheet.some()) for sheet in drawn[:TRACKS])
     left = f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} tracks.</p>' if len(drawn) > TRACKS else ""
-    key = "dot: measured · amber: by kinematics alone · blue: with the process; lines lead from measured to expected"
+    key = "dot: measured · violet: by kinematics alone · yellow: with the process; lines lead from measured to expected"
     shown = f'<h2>Reprojection</h2>\n<p class="soft">{key}</p>\n<div>\n{body}\n</div>{left}'
     rows = [(zero.joint, *zero.shown) for zero in offsets]
     told = table("Zeros of the joints", ("joint", "offset", ""), rows)
@@ -129,12 +130,13 @@ def _plane(sheet: Sheet, times: float) -> Iterator[str]:
     scale = float(0.84 * min(_WIDTH / span[0], _HEIGHT / span[1]))
     corner = 0.5 * (np.array([_WIDTH, _HEIGHT]) - scale * span)
     places = (sheet.measured - low) * scale + corner
-    yield f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" fill="none" stroke="{_SEEN}" stroke-opacity="0.4"/>'
+    yield f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" fill="none" stroke="{_RULE}" stroke-opacity="0.4"/>'
     for expected, ink in ((sheet.kinematics, _ALONE), (sheet.both, _BOTH)):
         ends = places + times * scale * (expected - sheet.measured)
         lines = "".join(f"M{_xy(a)}L{_xy(b)}" for a, b in zip(places, ends, strict=True))
         yield f'<path d="{lines}" stroke="{ink}" fill="none"/>'
-    yield from (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{_SEEN}"/>' for x, y in places)
+    ink = measured(sheet.name).plot
+    yield from (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{ink}"/>' for x, y in places)
 
 
 def _residuals(sheet: Sheet) -> Iterator[str]:
@@ -143,8 +145,8 @@ def _residuals(sheet: Sheet) -> Iterator[str]:
     scale, centre = 0.45 * _SIDE / reach, np.array([_WIDTH + 10 + _SIDE / 2, _HEIGHT / 2])
     ring = 10.0 ** np.floor(np.log10(reach))
     x, y = centre
-    yield f'<circle cx="{x:g}" cy="{y:g}" r="{ring * scale:.1f}" fill="none" stroke="{_SEEN}" stroke-opacity="0.5"/>'
-    yield f'<text x="{x + ring * scale:.1f}" y="{y - 4:g}" font-size="11" fill="{_SEEN}">{ring:g} px</text>'
+    yield f'<circle cx="{x:g}" cy="{y:g}" r="{ring * scale:.1f}" fill="none" stroke="{_RULE}" stroke-opacity="0.5"/>'
+    yield f'<text x="{x + ring * scale:.1f}" y="{y - 4:g}" font-size="11" fill="{_RULE}">{ring:g} px</text>'
     for part, ink in zip(left, (_ALONE, _BOTH), strict=True):
         near = part[np.linalg.norm(part, axis=1) <= reach]
         dots = (centre + scale * one for one in near)
@@ -162,7 +164,7 @@ def plane(sheet: Sheet, ax: Any) -> None:
         off = times * (expected - some.measured)
         arrows = {"angles": "xy", "scale_units": "xy", "scale": 1, "headwidth": 1, "headlength": 0, "width": 0.003}
         ax.quiver(*some.measured.T, *off.T, color=ink, label=what, **arrows)
-    ax.plot(*some.measured.T, ".", color=INK, ms=2, label="measured")
+    ax.plot(*some.measured.T, ".", color=measured(sheet.name).plot, ms=2, label="measured")
     ax.set(aspect="equal", title=f"{label(sheet.name)}: residuals {times:g} ×", xlabel="u, pixels", ylabel="v, pixels")
     ax.invert_yaxis()
     ax.legend(loc="best")
@@ -186,10 +188,10 @@ def offsets(found: Sequence[Zero], ax: Any) -> None:
     for row, zero in enumerate(found):
         factor = degrees(1.0) if zero.unit == "rad" else 1e3
         if zero.value is None:
-            ax.text(0.0, row, " not identifiable", va="center", color=_SEEN, fontsize=8)
+            ax.text(0.0, row, " not identifiable", va="center", color=_RULE, fontsize=8)
         else:
             ax.errorbar(factor * zero.value, row, xerr=factor * zero.std, fmt="o", color=LINES[0], capsize=3)
-    ax.axvline(0.0, color=_SEEN, lw=0.8)
+    ax.axvline(0.0, color=_RULE, lw=0.8)
     ax.set_yticks(range(len(found)), [label(zero.joint, 22) for zero in found])
     ax.set_ylim(len(found) - 0.5, -0.5)
     ax.set(title="zeros of the joints ± σ", xlabel="offset, degrees (mm of joints that slide)")

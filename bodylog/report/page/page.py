@@ -58,7 +58,7 @@ def _gallery(pictures: Sequence[Picture]) -> str:
         f"<figcaption>{escaped(picture.caption)}</figcaption></figure>"
         for picture in pictures
     )
-    key = "yellow ring: seen · blue cross and ellipse: predicted, 2σ · white square: hand"
+    key = "green ring: measured · yellow cross and ellipse: predicted, 2σ · red square: hand"
     return f'<h2>Pictures</h2>\n<p class="soft">{key}</p>\n<div class="pictures">\n{shown}\n</div>'
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from ...overlay_style import STYLE_SHEET
 from .data import embedded
 from .tables import escaped
 
@@ -19,7 +20,8 @@ _HELP = (
 
 def document(title: str, body: str, groups: Sequence[Mapping[str, Any]]) -> str:
     """The page as text; `groups` are those of `packing.plain`, one for each `plots` in the body, in order."""
-    style = _asset("page.css")
+    inks = ";".join(f"--{name}:{ink}" for name, ink in STYLE_SHEET.items())
+    style = f":root{{{inks}}}\n{_asset('page.css')}"
     script = _asset("panel.js") + _asset("view.js") if groups else ""
     policy = _POLICY.format(_source(style), _source(script))
     data = f'<script type="application/json" id="data">{embedded(groups)}</script>\n' if groups else ""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...overlay_style import OTHER, measured
 from ...types import Array, Estimate, Features, Recording, Series
 
 JOINTS, TRACKS, COLUMNS, EVENTS = 24, 12, 32, 2000
@@ -68,20 +69,21 @@ def _joint(recording: Recording, estimate: Estimate, m: int) -> Iterator[Panel]:
     name, t, mean = estimate.joints.names[m], estimate.joints.t, estimate.joints.values[:, m]
     spread = 2.0 * np.sqrt(np.maximum(estimate.cov[:, m, m], 0.0))
     encoder, truth = _line(recording.joints, name, "encoder", "encoder"), _line(recording.truth, name, "truth", "truth")
-    belief = Trace("2σ", "c0", t, mean - spread, "band", mean + spread), Trace("belief", "c0", t, mean)
+    belief = Trace("2σ", "belief", t, mean - spread, "band", mean + spread), Trace("belief", "belief", t, mean)
     yield Panel(f"{name}, rad", (*encoder, *belief, *truth), half=bool(truth))
     for real in truth:
         off = tuple(Trace(x.name, x.ink, x.t, x.y - np.interp(x.t, real.t, real.y)) for x in (*encoder, belief[1]))
-        band = Trace("2σ", "c0", t, -spread, "band", spread)
+        band = Trace("2σ", "belief", t, -spread, "band", spread)
         yield Panel(f"{name} minus truth, rad", (*off[:-1], band, off[-1]), half=True)
 
 
 def _sights(features: Features, estimate: Estimate) -> Iterator[Panel]:
     for name, track in list(features.tracks.items())[:TRACKS]:
+        ink = name.rpartition("/")[2] if measured(name) is not OTHER else "other"
         for d, axis in enumerate(track.names):
-            expected = _line(estimate.predicted.get(name), axis, "predicted", "c0")
+            expected = _line(estimate.predicted.get(name), axis, "predicted", "predicted")
             band = _spread(estimate.predicted.get(name), axis)
-            seen = Trace("seen", f"c{2 + d}", track.t, track.values[:, d], "dots")
+            seen = Trace("measured", ink, track.t, track.values[:, d], "dots")
             yield Panel(f"{name} {axis}, {track.unit}", (*band, *expected, seen), half=len(track.names) == 2)
 
 
@@ -122,4 +124,4 @@ def _spread(series: Series | None, column: str) -> tuple[Trace, ...]:
         return ()
     d = series.names.index(column)
     low, high = (series.values[:, d] + k * series.std[:, d] for k in (-2.0, 2.0))
-    return (Trace("2σ", "c0", series.t, low, "band", high),)
+    return (Trace("2σ", "predicted", series.t, low, "band", high),)

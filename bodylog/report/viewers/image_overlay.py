@@ -9,9 +9,11 @@ import numpy as np
 
 from ...errors import FormatError, UsageError
 from ...io.atomic_files import replacing
+from ...overlay_style import PREDICTED, ellipses, measured
 from ...types import Array, Estimate, Features, Recording, Series
 
-_SEEN, _PREDICTED, _HAND = (80, 230, 250), (240, 150, 60), (240, 240, 240)  # BGR
+_RIM = (20, 20, 20)
+_MEASURED, _PREDICTED, _HAND = (ink.rgb[::-1] for ink in (measured("effector"), PREDICTED, measured("hand")))  # BGR
 _WIDTH = 480
 _ACROSS, _TILE = 3, 320  # pictures in a row of a sheet, and px each is wide there
 _FINE = 4  # cv2 draws in 1/16 px with shift 4
@@ -27,11 +29,11 @@ class Picture:
 
 
 def overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Array | None, hand: Array | None) -> Array:
-    """A copy of image (H,W,3) BGR: seen ring, predicted cross, 2-sigma ellipse of cov (2,2) px², hand square."""
+    """A copy of image (H,W,3) BGR: measured ring, predicted cross with the 2σ ellipse of cov (2,2) px², hand square."""
     import cv2
 
     drawn = image.copy()
-    for width, inks in ((4, ((20, 20, 20),) * 3), (2, (_SEEN, _PREDICTED, _HAND))):  # a dark rim: seen on any ground
+    for width, inks in ((4, (_RIM,) * 3), (2, (_MEASURED, _PREDICTED, _HAND))):  # a dark rim shows on any ground
         if (place := _sound(predicted)) is not None:
             for arm in (np.array([5.0, 0.0]), np.array([0.0, 5.0])):
                 cv2.line(drawn, _fixed(place - arm), _fixed(place + arm), inks[1], width, cv2.LINE_AA, _FINE)
@@ -70,7 +72,7 @@ def overlay_sheet(drawn: Sequence[Picture], out: Path) -> None:
     for i, tile in enumerate(tiles):
         top, left = i // _ACROSS * height, i % _ACROSS * _TILE
         sheet[top : top + len(tile), left : left + _TILE] = tile
-    key = _words("ring: seen | cross and ellipse: predicted, 2 sigma | square: hand", sheet.shape[1])
+    key = _words("green ring: measured | yellow cross, ellipse: predicted, 2 sigma | red square: hand", sheet.shape[1])
     write(np.vstack([sheet, key]), out)
 
 
@@ -137,13 +139,12 @@ def _fixed(point: Array) -> tuple[int, int]:
 def _ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int, int, int], width: int) -> None:
     import cv2
 
-    if cov is None or not np.isfinite(cov).all():
+    if cov is None or not np.isfinite(cov).all() or not 0 < np.linalg.eigvalsh(cov)[-1] < 1e8:
         return
-    variances, axes = np.linalg.eigh(cov)
-    if 0 < variances[-1] < 1e8:
-        radii = _fixed(2.0 * np.sqrt(np.maximum(variances, 0.0)))
-        angle = float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0])))
-        cv2.ellipse(image, _fixed(centre), radii, angle, 0, 360, ink, width, cv2.LINE_AA, _FINE)
+    corners = ellipses(centre[None], cov[None])
+    if np.isfinite(corners).all():
+        fixed = np.rint(corners * (1 << _FINE)).astype(np.int32)
+        cv2.polylines(image, fixed, True, ink, width, cv2.LINE_AA, _FINE)
 
 
 def _tile(picture: Picture) -> Array:

@@ -12,19 +12,18 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError
+from ...overlay_style import BELIEF, PREDICTED, TRUTH, ellipses, measured
 from ...types import Array, Estimate, Features, Frame, Series
 
 ROOT = "bodylog"
 """Beside the log's own topics: what is drawn of joint names stands below /bodylog/belief and /bodylog/errors."""
 TIME = "message_log_time"
-SIGMAS, CORNERS = 2.0, 33
 _PLANE = "_image_plane"
 """Rerun puts a picture of frame X into the frame X_image_plane, and what is not in it is not drawn on it."""
 CORNER = 0.5
 """px: Rerun counts from the first pixel's corner, tracks from its centre."""
 Event = tuple[int, str, str]
 """Log time in ns, level, text."""
-SEEN, PREDICTED, HAND, TRUTH = (80, 230, 110), (60, 150, 240), (250, 70, 60), (150, 150, 150)
 
 
 @dataclass(frozen=True)
@@ -101,14 +100,14 @@ def _seen(stream: Any, cameras: Mapping[str, Camera], features: Features) -> Non
     """Points where things were seen, below the entity of their camera's picture."""
     for name, track in features.tracks.items():
         if camera := cameras.get(name.rpartition("/")[0]):
-            _points(stream, camera, f"{name} seen", track, HAND if name == "hand" else SEEN)
+            _points(stream, camera, f"{name} seen", track, measured(name).rgb)
 
 
 def _predicted(stream: Any, cameras: Mapping[str, Camera], estimate: Estimate) -> None:
     """Points where they were predicted, with their 2-sigma ellipses."""
     for name, track in estimate.predicted.items():
         if camera := cameras.get(name.rpartition("/")[0]):
-            _points(stream, camera, f"{name} predicted", track, PREDICTED)
+            _points(stream, camera, f"{name} predicted", track, PREDICTED.rgb)
             if name in estimate.predicted_cov:
                 _ellipses(stream, camera, f"{name} predicted, 2 sigma", track, estimate.predicted_cov[name])
 
@@ -128,19 +127,11 @@ def _ellipses(stream: Any, camera: Camera, name: str, track: Series, cov: Array)
     import rerun
 
     known = np.isfinite(track.values).all(axis=1) & np.isfinite(cov).all(axis=(1, 2))
-    strips = list(ellipses(track.values[known] + CORNER, cov[known]))
+    corners = ellipses(track.values[known] + CORNER, cov[known])
+    strips = list(np.concatenate([corners, corners[:, :1]], axis=1))
     columns = rerun.LineStrips2D.columns(strips=strips)
-    path = _in_picture(stream, camera, name, rerun.LineStrips2D.from_fields(colors=[PREDICTED]))
+    path = _in_picture(stream, camera, name, rerun.LineStrips2D.from_fields(colors=[PREDICTED.rgb]))
     stream.send_columns(path, [_times(track.source_ns)], columns.partition(known.astype(np.int64)))
-
-
-def ellipses(centre: Array, cov: Array) -> Array:
-    """Closed outlines (K,33,2) px of the 2-sigma ellipses of cov (K,2,2) px² about centre (K,2) px."""
-    angle = np.linspace(0.0, 2.0 * np.pi, CORNERS)
-    variances, axes = np.linalg.eigh(cov)
-    radii = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
-    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.asarray(centre[:, None] + (circle * radii[:, None]) @ axes.transpose(0, 2, 1))
 
 
 def _in_picture(stream: Any, camera: Camera, name: str, look: Any) -> str:
@@ -158,14 +149,14 @@ def _belief(stream: Any, estimate: Estimate, truth: Series | None) -> None:
     for m, name in enumerate(estimate.joints.names):
         mean = estimate.joints.values[:, m]
         band = np.stack([mean, mean - spread[:, m], mean + spread[:, m]], axis=1)
-        _lines(stream, _path(ROOT, "belief", name), ns, band, (name, "-2 sigma", "+2 sigma"), PREDICTED)
+        _lines(stream, _path(ROOT, "belief", name), ns, band, (name, "-2 sigma", "+2 sigma"), BELIEF.rgb)
         if truth is not None and name in truth.names:
             real = truth.values[:, [truth.names.index(name)]]
-            _lines(stream, _path(ROOT, "belief", name, "truth"), truth.source_ns, real, ("truth",), TRUTH)
+            _lines(stream, _path(ROOT, "belief", name, "truth"), truth.source_ns, real, ("truth",), TRUTH.rgb)
     for sense, errors in estimate.errors.items():
         _lines(stream, _path(ROOT, "errors", sense), errors.source_ns, errors.values, errors.names, None)
     energy = estimate.free_energy[:, None]
-    _lines(stream, _path(ROOT, "energy"), ns, energy, ("free energy, nats",), PREDICTED)
+    _lines(stream, _path(ROOT, "energy"), ns, energy, ("free energy, nats",), BELIEF.rgb)
 
 
 def _lines(
