@@ -4,12 +4,12 @@ import os
 import resource
 import subprocess
 import sys
-import time
 
 import pytest
 
 from bodylog.errors import ConfigError
 from bodylog.io import atomic_files, toml_file
+from tests.work import at_most
 
 BOMBS = {
     "dotted": "a." * 500_000 + "a = 1",
@@ -35,10 +35,8 @@ BOMBS = {
 def test_a_bomb_is_refused_in_a_line(tmp_path, name):
     path = tmp_path / "robot.toml"
     path.write_bytes(BOMBS[name].encode(errors="surrogatepass"))
-    begun = time.process_time()
-    with pytest.raises(ConfigError, match=r"^.*robot\.toml: [^\n]{1,300}$"):
+    with at_most(calls=5_000_000), pytest.raises(ConfigError, match=r"^.*robot\.toml: [^\n]{1,300}$"):
         toml_file.read(path)
-    assert time.process_time() - begun < 5
 
 
 def test_what_people_write_is_read(tmp_path):

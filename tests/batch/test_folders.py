@@ -4,7 +4,6 @@ import json
 import shutil
 import subprocess
 import sys
-import time
 
 import pytest
 
@@ -13,6 +12,7 @@ from bodylog.batch.jobs import Job, find, named
 from bodylog.batch.results import Journal
 from bodylog.errors import UsageError
 from bodylog.settings import Settings
+from tests.work import at_most
 
 
 def _tree(out):
@@ -199,9 +199,8 @@ def test_a_search_without_end_is_refused(tmp_path, monkeypatch):
         sys.setrecursionlimit(limit)
     (tmp_path / "below" / "1/2/3/4/5/6/7/8/9/10").mkdir(parents=True)
     (tmp_path / "below" / "a.mcap").touch()
-    begun = time.process_time()
-    assert list(find(f"{tmp_path}/below/{'**/' * 12}a.mca?")) == [str(tmp_path / "below" / "a.mcap")]
-    assert time.process_time() - begun < 2
+    with at_most(calls=100_000):
+        assert list(find(f"{tmp_path}/below/{'**/' * 12}a.mca?")) == [str(tmp_path / "below" / "a.mcap")]
     with pytest.raises(UsageError, match="goes back"):
         list(find(f"{tmp_path}/*/../*/../a.mcap"))
     monkeypatch.setattr(jobs, "MOST", 10)

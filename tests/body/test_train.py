@@ -1,4 +1,3 @@
-import time
 import tracemalloc
 
 import numpy as np
@@ -88,14 +87,12 @@ def test_more_samples_than_are_exact_are_all_used(count: int, camera) -> None:
 
 
 @pytest.mark.soak
-def test_a_hundred_thousand_samples_fit_in_a_minute_and_little_memory(camera) -> None:
+def test_a_hundred_thousand_samples_fit_in_little_memory(camera) -> None:
     _, data = _arm(5, 100_000, 0.0, camera)
     data = samples(data.x, data.y)
     tracemalloc.start()
-    started = time.perf_counter()
     found = fitted(data, ROTATION, True, 0)
     gp = build(data, found, ("u", "v"), "px")
-    assert time.perf_counter() - started < 60.0
     assert tracemalloc.get_traced_memory()[1] < 2e9
     tracemalloc.stop()
     part = data.rows(np.arange(3000))

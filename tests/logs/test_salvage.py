@@ -2,7 +2,6 @@
 
 import json
 import struct
-import time
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ from hypothesis import strategies as st
 from bodylog.errors import BodylogError, LogError
 from bodylog.logs.formats import open_log, payloads
 from bodylog.types import Finding
+from tests.work import at_most
 
 FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
 EXPECTED = json.loads((FOLDER / "expected.json").read_text())
@@ -22,7 +22,7 @@ REFUSED = [name for name, told in EXPECTED.items() if "error" in told]
 LOST = [name for name in READ if EXPECTED[name]["worst"] == "lost"]
 SEVERITIES = (None, "info", "warning", "lost")
 START_NS, STEP_NS, MESSAGES = 1_700_000_000_000_000_000, 10_000_000, 60
-LONGEST_S, MOST_BYTES = 5.0, 200 << 20
+MOST_CALLS, MOST_BYTES = 500_000, 200 << 20
 DAMAGED = ("none.mcap", "zstd.mcap", "unchunked.mcap", "no_summary.mcap", "none.bag", "lz4.bag", "killed.bag.active",
            "humble.db3", "packed.mcap.zst", "packed_messages.db3")  # fmt: skip
 CHECKED = ("none.mcap", "lz4.mcap", "zstd.mcap", "no_summary.mcap", "no_message_index.mcap")
@@ -181,18 +181,17 @@ damages = st.tuples(st.none() | places, st.lists(st.tuples(places, st.integers(0
 
 
 def survives(path: Path) -> Read:
-    """What is read from a damaged log, having checked that it ends, in time, in little memory, without a traceback."""
+    """What is read from a damaged log, once it ends after little work, in little memory, without a traceback."""
     tracemalloc.start()
-    began = time.process_time()
     found: Read = []
     try:
-        found = read(path)[0]
+        with at_most(MOST_CALLS):
+            found = read(path)[0]
     except BodylogError as problem:
         assert "\n" not in str(problem)
     finally:
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    assert time.process_time() - began < LONGEST_S
     assert peak < MOST_BYTES
     return found
 
