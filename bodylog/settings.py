@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from .errors import ConfigError
-from .io.toml_keys import Key, declared, key, spell
+from .io.toml_keys import Declared, declared, key, spell
 from .logs.joint_units import counts
 from .logs.limits import Input
 from .sources import NAMED_COLOURS, RANGES, Colour, ColourSource, Source, check_colour, spelled
@@ -137,7 +137,9 @@ class Time:
 class Fit:
     """[fit]: how a body is learned."""
 
-    preset: str = key("default", "paper: the paper's constants and 46 samples.", choices=PRESETS)
+    preset: str = key(
+        "default", "Model constants: learned (default), or the paper's with 46 samples (paper).", choices=PRESETS
+    )
     samples: int = key(2000, "Most samples that a model keeps.", low=8, high=10**9)
     every: int = key(1, "Use every n-th frame.", low=1, high=10**9)
     seed: int = key(0, "Seed of the optimiser's restarts.", low=0, high=2**63)
@@ -165,7 +167,7 @@ class Estimation:
     """[estimate]: how joint angles are estimated; variances set here replace those of `precision`."""
 
     method: str = key("laplace", "Estimation method; preset paper implies predictive-coding.", choices=METHODS)
-    preset: str = key("default", "paper: the paper's constants.", choices=PRESETS)
+    preset: str = key("default", "Constants: of bodylog (default) or of the paper (paper).", choices=PRESETS)
     senses: tuple[str, ...] | None = key(
         None, "Senses to use: encoders, vision, touch, joints or tracks.", noun="sense", unset="all in the log"
     )
@@ -222,9 +224,9 @@ class Settings:
     synchrony: Clocks = field(default_factory=Clocks)
 
 
-def about(section: str, name: str) -> Key:
-    """The description of a setting by its section and key in robot.toml."""
-    return declared(type(getattr(Settings(), section)))[name].key
+def about(section: str, name: str) -> Declared:
+    """The declaration of a setting by its section and key in robot.toml."""
+    return declared(type(getattr(Settings(), section)))[name]
 
 
 def plain(settings: Settings) -> dict[str, Any]:

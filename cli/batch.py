@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from . import options
+from .setting_options import clock_option, delay_option, estimation, estimation_options
 
 if TYPE_CHECKING:
     from bodylog.batch import Group
@@ -26,9 +27,9 @@ if TYPE_CHECKING:
 @click.option("--keep-going", is_flag=True, help="Go on to further logs even after a bug of ours.")
 @options.episodic("logs")
 @options.fail_option
-@options.estimation_options
-@options.clock_option
-@options.delay_option
+@estimation_options
+@clock_option
+@delay_option
 @options.common_options
 def batch(
     logs: tuple[str, ...], memory: str | None, shard: str, common: options.Common, as_json: bool, **typed: Any
@@ -45,7 +46,7 @@ def batch(
 
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
-    groups = _groups(logs, common.settings(estimate=options.estimation(typed)), what)
+    groups = _groups(logs, common.settings(estimate=estimation(typed)), what)
     read = tuple(path for path in (*map(Path, logs), common.config_file) if path is not None and path.is_file())
     plan = Plan(groups=groups, shard=_shard(shard), memory=_bytes(memory), inputs=read, **how)
     rows = run(plan, _tell)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from . import options
+from .setting_options import clock_option, delay_option
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -18,8 +19,8 @@ COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out")
 @click.command(epilog="Example: bodylog compare run.bag --body body.npz")
 @options.log_argument
 @click.option("--body", type=options.PATH, required=True, help="The body model that fit wrote.")
-@options.clock_option
-@options.delay_option
+@clock_option
+@delay_option
 @options.common_options
 def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
     """Every method with every subset of senses on one log, in one table.

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from .options import Common, OutputLog, common_options, finite, listed, logs_argument
+from .options import Common, OutputLog, common_options, finite, logs_argument
+from .setting_options import listed
 
 
 @click.command(epilog="Example: bodylog convert run.bag -o dataset --to lerobot --task 'fold the cloth'")

@@ -6,18 +6,21 @@ from typing import Any
 import click
 
 from . import options
+from .setting_options import clock_option, delay_option, estimation, estimation_options, fast_option, setting
+
+_URDF = "Without --body: joint limits of this URDF. Default: the log's own, if any."
 
 
 @click.command(epilog="Example: bodylog estimate run.bag --body body.npz -o run.mcap --method smoother")
 @options.log_argument
 @click.option("--body", type=options.PATH, help="What fit wrote; without it, joint sensors alone.")
-@click.option("--urdf", metavar="ROBOT.urdf|log", help="Without --body: joint limits; default: the log's URDF.")
+@setting("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
 @options.out_option("The annotated MCAP to write.")
 @options.fail_option
-@options.estimation_options
-@options.fast_option
-@options.clock_option
-@options.delay_option
+@estimation_options
+@fast_option
+@clock_option
+@delay_option
 @options.common_options
 def estimate(
     log: Path,
@@ -41,7 +44,7 @@ def estimate(
     if urdf is not None and body is not None:
         raise UsageError("--urdf: the body knows its robot; leave --urdf out, or type: bodylog fit LOG --urdf FILE")
     kinematics = {"urdf": urdf}
-    chosen = common.settings(colours={"fast": fast}, kinematics=kinematics, estimate=options.estimation(typed))
+    chosen = common.settings(colours={"fast": fast}, kinematics=kinematics, estimate=estimation(typed))
     with progress("estimate") as tick:
         result = pipeline.estimate(log, body, out, chosen, tick)
     code = show(result, as_json)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from .options import FOLDER, Common, clock_option, common_options, fast_option, log_argument, out_option
+from .options import FOLDER, Common, common_options, log_argument, out_option
+from .setting_options import clock_option, fast_option
 
 
 @click.command(epilog="Example: bodylog extract run.bag -o features.mcap")

@@ -4,21 +4,22 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, clock_option, common_options, delay_option, listed, logs_argument, out_option
+from .options import PATH, Common, common_options, logs_argument, out_option
+from .setting_options import clock_option, delay_option, listed, setting
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
 @logs_argument
 @out_option("The body model to write (.npz).")
-@click.option("--preset", help="paper: the printed constants and 46 samples.")
-@click.option("--joints", help="Learn over these joints, e.g. pan,lift,elbow; default: those that move.")
-@click.option("--every", type=click.IntRange(min=1), help="Use every n-th frame.")
-@click.option("--without", metavar="TRACKS", help="Leave these tracks out, e.g. published,elbow.")
+@setting("fit", "preset")
+@setting("body", "joints", metavar="A,B,...")
+@setting("fit", "every")
+@setting("fit", "without", metavar="TRACKS")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
 @click.option("--test", type=PATH, multiple=True, metavar="LOG", help="Score the body on this log; may be repeated.")
-@click.option("--urdf", metavar="ROBOT.urdf|log", help="Learn with this URDF; default: the log's own, if any.")
+@setting("kinematics", "urdf", metavar="ROBOT.urdf|log")
 @click.option("--no-urdf", is_flag=True, default=None, help="Learn without a URDF.")
-@click.option("--offset-prior", type=float, metavar="DEG", help="Expected size of joint offsets; default 5, 0: none.")
+@setting("kinematics", "offset_prior", metavar="DEG")
 @clock_option
 @delay_option
 @common_options

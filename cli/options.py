@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from .setting_options import setting
+
 if TYPE_CHECKING:
     from bodylog.settings import Settings
 
@@ -204,11 +206,11 @@ def _delays(text: str | None) -> dict[str, float] | str | None:
     if text in (None, "auto", "off"):
         return text
     try:
-        told = (one.rpartition("=") for one in text.split(","))
-        return {name or "camera": float(seconds) for name, _, seconds in told}
+        pairs = (one.rpartition("=") for one in text.split(","))
+        return {name or "camera": float(seconds) for name, _, seconds in pairs}
     except ValueError:
-        said = f"{text!r}; it must be auto, off or NAME=S, with commas between, e.g. camera=0.05"
-        raise click.BadParameter(said, param_hint="--delay") from None
+        possible = "possible: auto, off, or NAME=S with commas between, e.g. camera=0.05"
+        raise click.BadParameter(f"{text!r}; {possible}", param_hint="--delay") from None
 
 
 def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -221,62 +223,14 @@ def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
     for option in (
         click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output."),
-        click.option("--strict", is_flag=True, help="Refuse a damaged log instead of reading what is sound."),
-        click.option("--config", "config_file", type=PATH, help="A robot.toml with what cannot be guessed."),
+        setting("input", "strict", default=False),
+        click.option("--config", "config_file", type=PATH, help="Settings for this robot: a robot.toml."),
     ):
         wrapped = option(wrapped)
     return wrapped
-
-
-def clock_option(function: Command) -> Command:
-    """--clock-offset: what to subtract before picture and skin are compared; stands above common_options."""
-    help_ = "Camera behind the skin by S seconds; auto: measure it and take it out. Default 0."
-    return click.option("--clock-offset", metavar="auto|S", help=help_)(function)
-
-
-def delay_option(function: Command) -> Command:
-    """--delay: how late cameras date their pictures beside the encoders; stands above common_options."""
-    help_ = "This camera dates its pictures S seconds late; auto (default): measure it and take it off."
-    return click.option("--delay", metavar="auto|off|NAME=S", help=help_)(function)
 
 
 def fail_option(function: Command) -> Command:
     """--fail-if: bounds on scores, faults, delays and what was used."""
     help_ = "E.g. 'joint_rmse>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; broken: exit 4."
     return click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help=help_)(function)
-
-
-def fast_option(function: Command) -> Command:
-    """--fast: the pictures at half scale."""
-    help_ = "Look at JPEG pictures at half scale: in less time, less exact."
-    return click.option("--fast", is_flag=True, default=None, help=help_)(function)
-
-
-def estimation_options(function: Command) -> Command:
-    """How the belief is computed; what is left out comes from robot.toml or the defaults."""
-    for option in reversed(ESTIMATION):
-        function = option(function)
-    return function
-
-
-ESTIMATION = (
-    click.option("--method", help="laplace (default), smoother, ekf, predictive-coding or kalman."),
-    click.option("--preset", help="paper: predictive-coding with the printed constants."),
-    click.option("--with", "senses", metavar="SENSES", help="Use just these senses, e.g. encoders,vision,touch."),
-    click.option("--without", metavar="SENSES", help="Use all senses but these."),
-    click.option("--rate", type=float, metavar="HZ", help="Estimates per second; default: the encoders', at most 100."),
-    click.option("--precision", help="auto (default): variances from this log; model: as learned; fixed: the paper's."),
-    click.option("--bias", help="Encoder offset states: auto (default), on or off; not for kalman, predictive-coding."),
-    click.option("--touch", help="likelihood (default) or literal: the paper's two readings of its touch equation."),
-    click.option("--step", help="predictive-coding: implicit (default) or explicit Euler."),
-)
-
-
-def estimation(typed: dict[str, Any]) -> dict[str, Any]:
-    """The [estimate] section as typed, comma lists split."""
-    return {**typed, **{key: listed(typed[key]) for key in ("senses", "without")}}
-
-
-def listed(text: str | None) -> tuple[str, ...] | None:
-    """What was typed as a list with commas; None when nothing was."""
-    return None if text is None else tuple(text.split(","))

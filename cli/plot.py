@@ -4,7 +4,8 @@ from pathlib import Path
 
 import click
 
-from .options import OUT, PATH, Common, clock_option, common_options, episodic
+from .options import OUT, PATH, Common, common_options, episodic
+from .setting_options import clock_option
 
 
 @click.command(epilog="Example: bodylog plot run.bag -o run.png")

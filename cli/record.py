@@ -5,11 +5,20 @@ from typing import Any
 
 import click
 
+from bodylog import simulation_choices as choices
+
 from .options import finite, out_option
+from .setting_options import Choice
+
+_VARIANTS = tuple(dict.fromkeys(variant for variants in choices.VARIANTS.values() for variant in variants))
+_HELP = f"""Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth.
+
+SCENARIO is one of {", ".join(choices.VARIANTS)}.
+"""
 
 
-@click.command(epilog="Example: bodylog record babble -o explore.mcap --seed 1 --duration 40")
-@click.argument("scenario")
+@click.command(help=_HELP, epilog="Example: bodylog record babble -o explore.mcap --seed 1 --duration 40")
+@click.argument("scenario", type=Choice(tuple(choices.VARIANTS)), metavar="SCENARIO")
 @out_option("The log to write (.mcap).")
 @click.option("--seed", type=int, default=0, show_default=True, help="Same seed, same bytes.")
 @click.option(
@@ -19,19 +28,19 @@ from .options import finite, out_option
     metavar="S",
     help="Default: the scenario's.",
 )
-@click.option("--image", type=click.Choice(["jpeg", "raw"]), default="jpeg", show_default=True)
+@click.option("--image", type=Choice(choices.IMAGES), default="jpeg", show_default=True)
 @click.option("--size", metavar="WxH", default="640x480", show_default=True, help="Picture size.")
 @click.option(
     "--noise", type=click.FloatRange(0), callback=finite, metavar="RAD", help="Standard deviation of the encoders."
 )
 @click.option("--full", is_flag=True, help="babble: move every joint.")
-@click.option("--arm", default="ur5", show_default=True, help="ur5 or seven.")
-@click.option("--variant", help="Of the scenario, e.g. touch: synchronous, late, jitter, wide-jitter.")
-@click.option("--place", help="rubber-hand: left, centre or right.")
+@click.option("--arm", type=Choice(choices.ARMS), default="ur5", show_default=True)
+@click.option("--variant", type=Choice(_VARIANTS), help="Variant of the scenario. Default: its first.")
+@click.option("--place", type=Choice(choices.PLACES), help="rubber-hand: place of the hand. Default: right.")
 @click.option("--marker", is_flag=True, help="A blue ball on the wrist as a second feature.")
 @click.option("--cameras", type=int, default=1, show_default=True, help="2: one at the side as well.")
 @click.option("--turning", is_flag=True, help="The head with its camera turns: one more joint.")
-@click.option("--feature", type=click.Choice(["ball", "tag", "none"]), default="ball", show_default=True)
+@click.option("--feature", type=Choice(choices.FEATURES), default="ball", show_default=True)
 @click.option(
     "--feature-size",
     type=click.FloatRange(0, min_open=True),
@@ -41,13 +50,10 @@ from .options import finite, out_option
 )
 @click.option("--clutter", is_flag=True, help="Things of the feature's colour, a foreign tag, furniture.")
 @click.option("--split-joints", is_flag=True, help="Arm, head and gripper on topics of their own.")
-@click.option("--camera", type=click.Choice(["head", "wrist"]), default="head", show_default=True)
+@click.option("--camera", type=Choice(choices.CAMERAS), default="head", show_default=True)
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output.")
 def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -> int:
-    """Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth.
-
-    SCENARIO is babble (exploration), reach, ...; an unknown one lists them all.
-    """
+    """Simulate a robot (PyBullet, headless, seeded) into an ordinary log with truth."""
     from bodylog import pipeline
 
     from .output import progress, show

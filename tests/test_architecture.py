@@ -17,6 +17,7 @@ ROOMS = {
     "io": {"errors", "runtime"},
     "logs": BELOW,
     "sources": BELOW,
+    "simulation_choices": set(),
     "settings": {*BELOW, "logs", "sources"},
     "types": {*BELOW, "body_model", "logs", "settings"},
     "body_model": {*BELOW, "logs"},
@@ -30,7 +31,7 @@ ROOMS = {
     "estimation": {*RECORDS, "kinematics"},
     "evaluation": RECORDS,
     "report": RECORDS,
-    "sim": RECORDS,
+    "sim": {*RECORDS, "simulation_choices"},
 }
 """Which parts of bodylog a room may import; what imports several rooms stands in LAYERS, each above the one before."""
 LAYERS = (

@@ -78,11 +78,12 @@ def checked(table: type, values: Mapping[str, Any], where: str, section: str) ->
 def require_known(name: str, known: list[str], where: str, label: str) -> None:
     """ConfigError that names the nearest known name unless the name is known."""
     if name not in known:
-        near = _nearest(name, known)
+        near = nearest(name, known)
         raise ConfigError(f"{where}: unknown {label[:200]}; did you mean {near}? possible: {', '.join(known)}")
 
 
-def _nearest(name: str, known: Sequence[str]) -> str:
+def nearest(name: str, known: Sequence[str]) -> str:
+    """The known name most like a name."""
     import difflib
 
     return difflib.get_close_matches(name[:99], known, 1, 0.0)[0]
@@ -129,7 +130,7 @@ def _advice(about: Declared, value: Any) -> str:
     """What to type instead of an impossible value."""
     choices = about.key.choices
     if isinstance(value, str) and choices:
-        return f"did you mean {_nearest(value, choices)}?"
+        return f"did you mean {nearest(value, choices)}?"
     default = default_text(about)
     return f"leave it out for: {default}" if about.default is None else f"default: {default}"
 

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 from ..errors import UsageError
+from ..simulation_choices import CAMERAS, FEATURES, IMAGES
 from .plan import Plan, unknown
 
-IMAGES, FEATURES, CAMERAS = ("jpeg", "raw"), ("ball", "tag", "none"), ("head", "wrist")
 SIZES = {"ball": 0.05, "tag": 0.08, "none": 0.0}
 """Diameter of the ball, side of the tag's black square (m), unless another is asked for."""
 

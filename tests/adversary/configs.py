@@ -89,7 +89,7 @@ def value(draw: Draw, depth: int = 0) -> Any:
 
 def fitting(draw: Draw, section: str, key: str, hint: Any) -> Any:
     """A value of a setting's type, most of them in range."""
-    described = about(section, spell(key))
+    described = about(section, spell(key)).key
     if described.choices and hint is str:
         return draw.of(described.choices)
     low, high = (-10.0, 10.0) if described.low == -math.inf else (described.low, described.high)

@@ -1,0 +1,83 @@
+"""Options of settings: their choices, bounds, meanings and defaults are those that bodylog/settings.py declares."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from bodylog.io.toml_keys import default_text, nearest
+from bodylog.settings import about
+
+if TYPE_CHECKING:
+    from bodylog.io.toml_keys import Declared
+
+    ChoiceType = click.Choice[str]
+else:
+    ChoiceType = click.Choice
+    """Generic in new versions of click only."""
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Choice(ChoiceType):
+    """One of several texts; an error names the nearest."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The text, if it is one of them."""
+        if value not in self.choices:
+            near = nearest(str(value), self.choices)
+            self.fail(f"{value!r}; did you mean {near}? possible: {', '.join(self.choices)}", param, ctx)
+        return str(value)
+
+
+def setting(section: str, key: str, *names: str, **more: Any) -> Callable[[Command], Command]:
+    """The option of a setting; `names` and keywords of `click.option` replace those of its declaration."""
+    found = about(section, key)
+    default = "" if found.hint is bool else f" Default: {default_text(found).strip(chr(34))}."
+    names = names or (f"--{key.replace('_', '-')}",)
+    return click.option(*names, **{"help": found.key.meaning + default, **_kind(found), **more})
+
+
+def _kind(found: "Declared") -> dict[str, Any]:
+    if found.hint is bool:
+        return {"is_flag": True, "default": None}
+    if found.hint is str and found.key.choices:
+        return {"type": Choice(found.key.choices)}
+    if found.hint is int:
+        return {"type": click.IntRange(int(found.key.low), int(found.key.high)), "metavar": "N"}
+    return {"type": float} if found.hint in (float, float | None) else {}
+
+
+clock_option = setting("synchrony", "clock_offset", metavar="auto|S")
+"""--clock-offset; stands above common_options."""
+delay_option = setting("time", "delay", metavar="auto|off|NAME=S")
+"""--delay; stands above common_options."""
+fast_option = setting("colours", "fast")
+ESTIMATION = (
+    setting("estimate", "method"),
+    setting("estimate", "preset"),
+    setting("estimate", "senses", "--with", "senses", metavar="SENSES"),
+    setting("estimate", "without", metavar="SENSES"),
+    setting("estimate", "rate", metavar="HZ"),
+    setting("estimate", "precision"),
+    setting("estimate", "bias"),
+    setting("estimate", "touch"),
+    setting("estimate", "step"),
+)
+
+
+def estimation_options(function: Command) -> Command:
+    """The options of [estimate]."""
+    for option in reversed(ESTIMATION):
+        function = option(function)
+    return function
+
+
+def estimation(typed: dict[str, Any]) -> dict[str, Any]:
+    """The [estimate] section as typed, with comma-separated lists split."""
+    return {**typed, **{key: listed(typed[key]) for key in ("senses", "without")}}
+
+
+def listed(text: str | None) -> tuple[str, ...] | None:
+    """The items of a comma-separated list; None for an option that was not typed."""
+    return None if text is None else tuple(text.split(","))

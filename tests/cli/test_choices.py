@@ -1,0 +1,51 @@
+"""Options with choices: they are the tables' names, and help, completion and errors show them."""
+
+import click
+import pytest
+from bodylog_cli.commands import bodylog
+
+from bodylog import sim, simulation_choices
+from bodylog.settings import METHODS
+from bodylog.sim.arms import ARMS
+
+ENUMERATED = {
+    "estimate": ("method", "preset", "precision", "bias", "touch", "step"),
+    "batch": ("method", "preset", "precision", "bias", "touch", "step"),
+    "fit": ("preset",),
+    "record": ("scenario", "arm", "variant", "place", "image", "feature", "camera"),
+}
+
+
+@pytest.mark.parametrize("command", ENUMERATED)
+def test_options_with_choices_show_and_complete_them(command):
+    names = ["-h", "--help"]
+    context = click.Context(bodylog.commands[command], terminal_width=1000, help_option_names=names)
+    shown = bodylog.commands[command].get_help(context)
+    options = {option.name: option for option in bodylog.commands[command].params}
+    for name in ENUMERATED[command]:
+        completed = [item.value for item in options[name].shell_complete(context, "")]
+        assert len(completed) > 1 and all(choice in shown for choice in completed)
+        assert options[name].shell_complete(context, completed[-1])[0].value == completed[-1]
+    if "method" in options:
+        assert tuple(options["method"].type.choices) == METHODS
+
+
+def test_simulation_choices_are_those_of_the_simulator():
+    assert {name: one.variants for name, one in sim.SCENARIOS.items() if one.variants != ("",)} == {
+        name: variants for name, variants in simulation_choices.VARIANTS.items() if variants
+    }
+    assert tuple(sim.SCENARIOS) == tuple(simulation_choices.VARIANTS) and tuple(ARMS) == simulation_choices.ARMS
+    assert sim.SCENARIOS["rubber-hand"].places == simulation_choices.PLACES
+
+
+@pytest.mark.parametrize(
+    ("typed", "text"),
+    [
+        (("estimate", "run.mcap", "-o", "out.mcap", "--method", "smother"), "did you mean smoother? possible: laplace"),
+        (("record", "reech", "-o", "out.mcap"), "'SCENARIO': 'reech'; did you mean reach? possible: babble"),
+        (("fit", "run.mcap", "-o", "body.npz", "--preset", "papers"), "did you mean paper?"),
+    ],
+)
+def test_impossible_choices_name_the_nearest(capsys, run_cli, typed, text):
+    assert run_cli(*typed) == 2
+    assert text in capsys.readouterr().err
