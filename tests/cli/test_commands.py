@@ -136,7 +136,7 @@ def _wrong(robot, tmp_path):
         "not a log": (65, "text.bag", ("estimate", tmp_path / "text.bag", *estimate)),
         "no such log": (65, "absent.mcap", ("estimate", absent, *estimate)),
         "missing topic": (65, "/nowhere", ("estimate", reach, *estimate, "--config", tmp_path / "topic.toml")),
-        "too many steps": (2, "possible: number from 0.001 to 10000 Hz", ("estimate", reach, *estimate, "--rate", "1e6")),
+        "too many steps": (2, "number from 0.001 to 10000 Hz", ("estimate", reach, *estimate, "--rate", "1e6")),
         "unknown joint": (65, "knee_joint", ("fit", explore, "-o", out, "--config", tmp_path / "joint.toml")),
         "unknown key": (2, "did you mean joints", ("fit", explore, "-o", out, "--config", tmp_path / "key.toml")),
         "not a model": (65, "not.npz", ("estimate", reach, "-o", out, "--body", tmp_path / "not.npz")),
