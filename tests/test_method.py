@@ -11,8 +11,8 @@ from bodylog.experiments import EXPERIMENTS
 ROOT = Path(__file__).parents[1]
 METHOD = (ROOT / "docs" / "method.md").read_text()
 PAPER = (ROOT / "docs" / "paper.md").read_text()
-EQUATIONS = METHOD.split("## From equation to function")[1].split("\n## ")[0]
-ROWS = [line for line in EQUATIONS.splitlines() if line.startswith("|") and not re.match(r"\|\s*(equation|-)", line)]
+EQUATIONS = METHOD.split("## From equation to function")[1]
+ROWS = [line for line in EQUATIONS.splitlines() if re.match(r"\|(?!\s*(equation|what is|-))", line)]
 NAMED = sorted({pair for row in ROWS for pair in re.findall(r"`([\w/]+\.py)` `([\w.]+)`", row)})
 
 
