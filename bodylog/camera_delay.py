@@ -99,8 +99,8 @@ def _missed(turn: _Turn, cameras: Iterable[str]) -> float:
     """Root mean square (px) of what the body misses on withheld places of some cameras' tracks, all together."""
     from .estimation.measurements.gather import camera
 
-    kinds = (score.name.partition(".") for score in turn.found.scores)
-    seen = [kind == "held_out" and track and camera(track) in cameras for kind, _, track in kinds]
+    kinds = (score.name.partition("rmse/held_out/") for score in turn.found.scores)
+    seen = [found and camera(track) in cameras for _, found, track in kinds]
     return sqrt(sum(score.value**2 for score, counts in zip(turn.found.scores, seen, strict=True) if counts))
 
 

@@ -200,7 +200,7 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     found = estimation.estimate(*understood, settings.time.delay)
     if "encoders" not in learned.senses or features.joints is None:
         return found
-    said = Finding("info", "encoders: read what the body has learned, no angles; encoder_rmse is left out")
+    said = Finding("info", "encoders: read what the body has learned, no angles; rmse/encoders is left out")
     return replace(found, settings={**found.settings, READ: "as learned"}, findings=(*found.findings, said))
 
 

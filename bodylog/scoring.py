@@ -74,7 +74,7 @@ def _beside(path: Path, read: Recording, settings: Settings) -> Series:
 
 
 def bounded(found: Estimate, scores: tuple[Score, ...]) -> tuple[Score, ...]:
-    """Everything that --fail-if may name: the scores, faults, delays, shares and squared innovations."""
+    """Everything that --fail-if may name: the scores, faults, delays and shares used."""
     from .evaluation.figures import figures
 
     return (*scores, *figures(found))

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from bodylog.settings import Settings
 
 
-@click.command(epilog="Example: bodylog batch logs/ -o out --train explore.bag --jobs 2 --fail-if 'joint_rmse>0.02'")
+@click.command(epilog="Example: bodylog batch logs/ -o out --train explore.bag --jobs 2 --fail-if 'rmse/joint>0.02'")
 @click.argument("logs", metavar="LOG|GLOB|DIR...", type=options.SEARCHED, nargs=-1, required=True)
 @click.option("-o", "--output", "out", type=options.FOLDER, required=True, help="The folder for everything.")
 @click.option("--body", type=options.PATH, help="The body model that fit wrote.")

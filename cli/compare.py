@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from bodylog.compare import Row
 
-COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out")
+COLUMNS = ("rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", "log_density/held_out")
 
 
 @click.command(epilog="Example: bodylog compare run.bag --body body.npz")
@@ -25,7 +25,7 @@ COLUMNS = ("joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out")
 def compare(log: Path, body: Path, common: options.Common, as_json: bool) -> int:
     """Every method with every subset of senses on one log, in one table.
 
-    held_out, which needs no truth, is the mean log density (nats) of pictures withheld from the method, one in five.
+    log_density/held_out needs no truth: the mean log density (nats) of images withheld from the method, one in five.
     log_evidence is about what a row heard: hold it against rows of the same senses. seconds are of the processor, for
     the estimate alone.
     """

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from bodylog.pipeline import Result
 
 
-@click.command(epilog="Example: bodylog evaluate run.mcap --fail-if 'joint_rmse>0.02'")
+@click.command(epilog="Example: bodylog evaluate run.mcap --fail-if 'rmse/joint>0.02'")
 @logs_argument
 @fail_option
 @click.option("--truth", type=PATH, metavar="FILE", help="True angles kept elsewhere: .csv, .npz or a log.")

@@ -232,5 +232,5 @@ def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def fail_option(function: Command) -> Command:
     """--fail-if: bounds on scores, faults, delays and what was used."""
-    help_ = "E.g. 'joint_rmse>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; broken: exit 4."
+    help_ = "E.g. 'rmse/joint>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; broken: exit 4."
     return click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help=help_)(function)

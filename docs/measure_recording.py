@@ -92,7 +92,7 @@ def measured(case: Case, seed: int, work: Path) -> tuple[float, ...]:
     for log in used.values():
         scores = pipeline.estimate(log, body, work / "estimate.mcap", settings).scores
         values = {score.name: score.value for score in scores}
-        ends.append((values["joint_rmse"], values["encoder_rmse"]))
+        ends.append((values["rmse/joint"], values["rmse/encoders"]))
     estimates, encoders = zip(*ends, strict=True)
     return 100 * tracked.used / tracked.seen, body_error(used["reach"], body), *estimates, *encoders
 

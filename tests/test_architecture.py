@@ -9,13 +9,14 @@ import bodylog
 
 ROOT = Path(__file__).parents[1]
 BELOW = {"errors", "version", "io", "runtime"}
-RECORDS = {*BELOW, "logs", "types", "body_model", "overlay_style", "settings", "sources"}
+RECORDS = {*BELOW, "logs", "types", "body_model", "overlay_style", "score_names", "settings", "sources"}
 ROOMS = {
     "errors": set(),
     "version": set(),
     "runtime": {"errors"},
     "io": {"errors", "runtime"},
     "logs": BELOW,
+    "score_names": BELOW,
     "sources": BELOW,
     "simulation_choices": set(),
     "settings": {*BELOW, "logs", "sources"},

@@ -58,7 +58,7 @@ def test_encoders_that_read_no_angles_are_scored_by_none():
     settings = Settings(estimate=Estimation(method="predictive-coding", start=tuple(drawn.truth.values[0])))
     found = pipeline.infer(features, body, settings)
     assert not [score.name for score in scores(found, drawn.truth, features.joints) if score.name.startswith("encoder")]
-    assert any("encoder_rmse is left out" in finding.text for finding in found.findings)
+    assert any("rmse/encoders is left out" in finding.text for finding in found.findings)
 
 
 def test_a_log_without_joints_is_named_when_a_body_shall_be_learned(tmp_path, monkeypatch, arm) -> None:

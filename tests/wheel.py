@@ -76,7 +76,7 @@ def _use(run_cli: Path, work: Path) -> None:
     _run(run_cli, "record", "reach", "-o", reach, "--duration", "3", "--size", "160x120")
     _run(run_cli, "fit", explore, "-o", body)
     _run(run_cli, "estimate", reach, "--body", body, "-o", out)
-    _run(run_cli, "evaluate", out, "--fail-if", "joint_rmse>0.05")
+    _run(run_cli, "evaluate", out, "--fail-if", "rmse/joint>0.05")
 
 
 def _run(program: Path, *arguments: str, folder: Path = Path("/")) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..io.atomic_files import replacing
+from ..score_names import split
 from . import folders, resume
 from .jobs import Job, Row
 from .resume import ODD
@@ -109,7 +110,7 @@ def _xml(text: str) -> str:
 
 def summary(rows: Sequence[Row]) -> str:
     """A page with one line per log; everything from a log is escaped."""
-    names = sorted({name for row in rows for name in row["scores"] if "/" not in name})
+    names = sorted({name for row in rows for name in row["scores"] if not split(name)[1]})
     head = "".join(f"<th>{html.escape(name)}</th>" for name in ("log", "status", *names, "remark"))
     body = "\n".join(_line(row, names) for row in rows)
     return PAGE.format(count=len(rows), head=head, body=body)

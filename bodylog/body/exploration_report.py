@@ -13,13 +13,13 @@ from .gp.model import GP
 def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> Iterator[Score]:
     """Range of each joint, its influence on each track, the model's own uncertainty beside the pixel noise."""
     for joint in chosen:
-        yield Score(f"range.{joint.name}", joint.range, "rad")
+        yield Score(f"range/{joint.name}", joint.range, "rad")
     for name, gp in senses.items():
         for joint, size in zip(chosen, influence(gp), strict=True):
-            yield Score(f"influence.{name}.{joint.name}", size, gp.unit)
+            yield Score(f"influence/{name}/{joint.name}", size, gp.unit)
         spread = gp.predict(gp.samples)[2]
-        yield Score(f"model_std.{name}", float(np.sqrt(spread.mean())), gp.unit)
-        yield Score(f"model_std_over_noise.{name}", float(np.sqrt(spread.mean() / np.mean(noise.senses[name]))), "1")
+        yield Score(f"std/model/{name}", float(np.sqrt(spread.mean())), gp.unit)
+        yield Score(f"std_over_noise/model/{name}", float(np.sqrt(spread.mean() / np.mean(noise.senses[name]))), "1")
 
 
 def findings(heard: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:

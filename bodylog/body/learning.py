@@ -77,7 +77,7 @@ def learn(
         given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
         constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
     scores = [s for name, found in senses.items() for s in track.scores(name, found, names, learned)]
-    scores += [Score(f"explained.{name}", trainable.explained(found), "1") for name, found in senses.items()]
+    scores += [Score(f"explained/{name}", trainable.explained(found), "1") for name, found in senses.items()]
     useless = [name for name in poor if name not in senses]
     few = [Finding("warning", f"{n}: left out: {poor[n]}; {trainable.seen(features, n)}") for n in useless]
     left_out = [f for name, found in senses.items() for f in track.findings(name, found)]

@@ -57,13 +57,13 @@ def _scores(name: str, error: Array, total: Array) -> Iterator[Score]:
     """Errors (N,2) px and how they compare with what the body says of them, per axis and together."""
     ratio = error**2 / total
     size = np.linalg.norm(error, axis=1)
-    yield Score(f"test_rmse/{name}", float(np.sqrt(np.mean(size**2))), "px")
-    yield Score(f"test_rmse_u/{name}", float(np.sqrt(np.mean(error[:, 0] ** 2))), "px")
-    yield Score(f"test_rmse_v/{name}", float(np.sqrt(np.mean(error[:, 1] ** 2))), "px")
-    yield Score(f"test_median/{name}", float(np.median(size)), "px")
-    yield Score(f"test_standardised/{name}", float(ratio.mean()), "1")
-    yield Score(f"test_coverage/{name}", float((ratio <= COVERED**2).mean() * 100.0), "%")
-    yield Score(f"test_sightings/{name}", float(len(error)), "images")
+    yield Score(f"rmse/test/{name}", float(np.sqrt(np.mean(size**2))), "px")
+    yield Score(f"rmse/test_u/{name}", float(np.sqrt(np.mean(error[:, 0] ** 2))), "px")
+    yield Score(f"rmse/test_v/{name}", float(np.sqrt(np.mean(error[:, 1] ** 2))), "px")
+    yield Score(f"median_error/test/{name}", float(np.median(size)), "px")
+    yield Score(f"nis/test/{name}", float(ratio.mean()), "1")
+    yield Score(f"coverage_2sigma/test/{name}", float((ratio <= COVERED**2).mean() * 100.0), "%")
+    yield Score(f"sightings/test/{name}", float(len(error)), "images")
 
 
 def _pixels(name: str, part: Pairs, model: BodyModel) -> Array:

@@ -7,11 +7,12 @@ from pathlib import Path
 from ..errors import BoundError, InputError, UsageError
 from ..io import atomic_files
 from ..io.values import read_json
+from ..score_names import renamed, split
 from ..types import Score
 
 _MOST_BYTES = 256 << 20
-ERRORS = ("joint_rmse",)
-"""Scores where more is worse; the parts behind a slash count with them."""
+ERRORS = ("rmse/joint",)
+"""Figures where more is worse."""
 
 
 def tolerance(text: str) -> float:
@@ -28,9 +29,13 @@ def load(path: Path) -> dict[str, dict[str, float | None]]:
     """Scores by log name from a results.jsonl; InputError if it is not one."""
     try:
         rows = [read_json(line) for line in atomic_files.text(path, _MOST_BYTES).splitlines()]
-        return {row["name"]: dict(row["scores"]) for row in rows}
+        found = {row["name"]: dict(row["scores"]) for row in rows}
     except (OSError, ValueError, KeyError, TypeError) as err:
         raise InputError(f"{path}: not a results.jsonl of a batch ({err}); type: bodylog batch LOG... -o DIR") from err
+    for name, now in ((name, renamed(name)) for scores in found.values() for name in scores):
+        if now is not None:
+            raise InputError(f"{path}: score {name} is called {now} now; run the batch again with this version")
+    return found
 
 
 def check(found: Mapping[str, Sequence[Score]], before: Mapping[str, Mapping[str, float | None]], share: float) -> None:
@@ -48,6 +53,6 @@ def _worse(
     grown = []
     for score in scores:
         old = before[name].get(score.name)
-        if score.name.split("/")[0] in ERRORS and old is not None and not score.value <= old * (1 + share):
+        if split(score.name)[0] in ERRORS and old is not None and not score.value <= old * (1 + share):
             grown.append(f"{name}: {score.name} was {old:.6g}, is {score.value:.6g}, more than {share:.3%} worse")
     return grown

@@ -1,4 +1,4 @@
-"""Bounds as typed after --fail-if: 'joint_rmse>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/*>0.05'."""
+"""Bounds as typed after --fail-if: 'rmse/joint>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/*>0.05'."""
 
 import operator
 import re
@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from fnmatch import fnmatchcase
 
 from ..errors import BoundError, UsageError
+from ..score_names import renamed
 from ..types import Score
 
 COMPARE: Mapping[str, Callable[[float, float], bool]] = {
@@ -30,8 +31,10 @@ class Bound:
 
 
 def parse(text: str) -> Bound:
-    """A bound as typed; UsageError when it is not NAME, sign and number."""
+    """A bound as typed; UsageError unless it is a name of today, a sign and a number."""
     found = re.fullmatch(r"\s*([^\s<>=]+)\s*(>=|<=|>|<)\s*([-+0-9.eE]+)\s*", text)
+    if found and (now := renamed(found[1])):
+        raise UsageError(f"--fail-if {text!r}: {found[1]} is called {now} now; type {now}{found[2]}{found[3]}")
     try:
         return Bound(found[1], found[2], float(found[3])) if found else _refuse(text)
     except ValueError:
@@ -40,7 +43,7 @@ def parse(text: str) -> Bound:
 
 def _refuse(text: str) -> Bound:
     raise UsageError(
-        f"--fail-if {text!r}: not a bound; type a score, a sign and a number, e.g. 'joint_rmse>0.02' or 'faults>0'"
+        f"--fail-if {text!r}: not a bound; type a score, a sign and a number, e.g. 'rmse/joint>0.02' or 'faults>0'"
     )
 
 

@@ -1,4 +1,4 @@
-"""What bounds may be set on beside scores: faults by kind and joint, delays, what was used, squared innovations."""
+"""What bounds may be set on beside scores: faults by kind and joint, delays, shares used."""
 
 from collections.abc import Iterator, Sequence
 
@@ -7,6 +7,8 @@ from ..types import Estimate, Fault, Score
 OFFSET = ("drifting", "jumping", "offset")
 """Kinds of fault that are offsets of an encoder."""
 KINDS = ("encoder_offset", *OFFSET, "frozen", "dead")
+SIZELESS = ("frozen", "dead")
+"""Kinds of an encoder's fault without a size."""
 SOUGHT = ("encoder_offset", "drifting", "offset")
 """Kinds that only images show, and only to methods that look for them: else there is no saying, NaN."""
 FIRST = 1.0
@@ -35,6 +37,7 @@ def _faults(found: Estimate) -> Iterator[Score]:
         for kind in dict.fromkeys((*KINDS, *others)):
             own = [fault for fault in found.faults if name in _names(fault) and kind in _kinds(fault)]
             unit = own[0].unit if own else "rad" if name in found.joints.names else "px"
+            unit = "1" if kind in SIZELESS and name in found.joints.names else unit
             open_ = not own and kind in SOUGHT and not sought
             yield Score(f"fault/{kind}/{name}", float("nan") if open_ else _greatest(own), unit)
     cameras = [name.rpartition("/")[0] or CAMERA for name in tracks]
@@ -66,10 +69,6 @@ def _delays(found: Estimate) -> Iterator[Score]:
 
 
 def _shares(found: Estimate) -> Iterator[Score]:
-    """Share of each sense's observations that was used, and the mean square of its normalised innovations."""
+    """Share of each sense's measurements that was used."""
     for sense, health in sorted(found.used.items()):
         yield Score(f"used_share/{sense}", health.used / health.seen if health.seen else 0.0, "1")
-    for sense, errors in sorted(found.errors.items()):
-        known = errors.values[errors.values == errors.values]
-        if len(known):
-            yield Score(f"nis/{sense}", float((known**2).mean()), "1")

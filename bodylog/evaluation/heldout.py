@@ -32,7 +32,7 @@ def withhold(features: Features) -> tuple[Features, Mapping[str, Series]]:
 def held_out(estimate: Estimate, withheld: Mapping[str, Series], body: BodyModel) -> tuple[Score, ...]:
     """Mean log density (nats) per withheld frame of what the body can predict; nothing where no frame was withheld."""
     nats = [_nats(estimate, name, seen, body) for name, seen in withheld.items() if name in body.senses and len(seen.t)]
-    return (Score("held_out", float(np.concatenate(nats).mean()), "nats"),) if nats else ()
+    return (Score("log_density/held_out", float(np.concatenate(nats).mean()), "nats"),) if nats else ()
 
 
 def _nats(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array:

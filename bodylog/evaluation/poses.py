@@ -29,7 +29,7 @@ def scores(found: Poses, truth: Poses) -> tuple[Score, ...]:
     turned = np.isfinite(truth.turn[rows]).all(axis=1)
     if turned.any():
         error = _turns(_between(found, t[turned], before[turned]), truth.turn[rows][turned])
-        told += _scored("effector_turn", error, None if cov is None else cov[near[turned], 3:, 3:], "rad")
+        told += _scored("effector_rotation", error, None if cov is None else cov[near[turned], 3:, 3:], "rad")
     return tuple(told)
 
 
@@ -44,7 +44,7 @@ def _inside(t: Array, known: Array) -> Array:
 
 
 def _scored(name: str, error: Array, cov: Array | None, unit: str) -> list[Score]:
-    found = [Score(f"{name}_rmse", float(np.sqrt(np.square(error).sum(axis=1).mean())), unit)]
+    found = [Score(f"rmse/{name}", float(np.sqrt(np.square(error).sum(axis=1).mean())), unit)]
     if cov is None:
         return found
     # few joints turn a thing about few axes: of the others neither error nor variance says anything
@@ -54,7 +54,7 @@ def _scored(name: str, error: Array, cov: Array | None, unit: str) -> list[Score
     square = np.where(known, np.square(along) / np.where(known, values, 1.0), 0.0).sum(axis=1)
     square /= np.maximum(known.sum(axis=1), 1)
     covered = float((np.square(error) <= 4.0 * np.einsum("nii->ni", cov)).mean() * 100.0)
-    return [*found, Score(f"{name}_nees", float(square.mean()), "1"), Score(f"{name}_coverage_2sigma", covered, "%")]
+    return [*found, Score(f"nees/{name}", float(square.mean()), "1"), Score(f"coverage_2sigma/{name}", covered, "%")]
 
 
 def _between(found: Poses, t: Array, before: Array) -> Array:

@@ -15,7 +15,7 @@ READ = "encoders_read"
 
 
 def scores(estimate: Estimate, truth: Series | None, joints: Series | None) -> tuple[Score, ...]:
-    """joint_rmse, nees, coverage_2sigma (with truth), encoder_rmse (with encoders), evidence and counts per sense."""
+    """rmse/joint, nees, coverage_2sigma (with truth), rmse/encoders (with encoders), evidence and counts per sense."""
     found: list[Score] = []
     if truth is not None:
         names = [name for name in estimate.joints.names if name in truth.names]
@@ -37,11 +37,11 @@ def against_truth(estimate: Estimate, truth: Series, names: list[str]) -> list[S
         ratio = error**2 / var
     nees = _normalised(error, cov) / len(names)
     return [
-        Score("joint_rmse", _rms(error), "rad"),
-        *(Score(f"joint_rmse/{name}", _rms(error[:, i]), "rad") for i, name in enumerate(names)),
-        Score("nees", float(nees.mean()), "1"),
-        *(Score(f"nees/{name}", float(ratio[:, i].mean()), "1") for i, name in enumerate(names)),
-        Score("coverage_2sigma", float((ratio <= 4.0).mean() * 100.0), "%"),
+        Score("rmse/joint", _rms(error), "rad"),
+        *(Score(f"rmse/joint/{name}", _rms(error[:, i]), "rad") for i, name in enumerate(names)),
+        Score("nees/joint", float(nees.mean()), "1"),
+        *(Score(f"nees/joint/{name}", float(ratio[:, i].mean()), "1") for i, name in enumerate(names)),
+        Score("coverage_2sigma/joint", float((ratio <= 4.0).mean() * 100.0), "%"),
     ]
 
 
@@ -61,7 +61,7 @@ def encoder_scores(estimate: Estimate, truth: Series, joints: Series, names: lis
         return []
     error = (joints.values[:, [joints.names.index(name) for name in names]] - at_times(truth, names, joints.t))[rows]
     error = error[np.isfinite(error)]
-    return [Score("encoder_rmse", _rms(error), "rad")] if len(error) else []
+    return [Score("rmse/encoders", _rms(error), "rad")] if len(error) else []
 
 
 def own_scores(estimate: Estimate) -> list[Score]:
@@ -77,7 +77,7 @@ def own_scores(estimate: Estimate) -> list[Score]:
     for sense, errors in sorted(estimate.errors.items()):
         finite = errors.values[np.isfinite(errors.values)]
         if len(finite):
-            found.append(Score(f"error_squared/{sense}", float(np.mean(finite**2)), "1"))
+            found.append(Score(f"nis/{sense}", float(np.mean(finite**2)), "1"))
     found += [Score(f"used/{sense}", float(health.used), "messages") for sense, health in sorted(estimate.used.items())]
     return [*found, *precision_scores(estimate)]
 
@@ -85,10 +85,11 @@ def own_scores(estimate: Estimate) -> list[Score]:
 def precision_scores(estimate: Estimate) -> list[Score]:
     """What was taken for noise: each joint's encoder_std and process, and by how much a track's variance was scaled."""
     names, said = estimate.joints.names, estimate.settings
-    found = [Score(f"encoder_std/{n}", v**0.5, "rad") for n, v in _each(names, said.get("encoder"))]
+    found = [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, said.get("encoder"))]
     if READ not in said:
-        found += [Score(f"encoder_std/{n}", v**0.5, "rad") for n, v in _each(names, said.get("sigma_encoders"))]
-    found += [Score(f"process/{n}", v, "rad²/s³") for n, v in _each(names, said.get("process"))]
+        found += [Score(f"std/encoders/{n}", v**0.5, "rad") for n, v in _each(names, said.get("sigma_encoders"))]
+    kind, unit = ("jerk", "rad²/s⁵") if said.get("order") == 3 else ("acceleration", "rad²/s³")
+    found += [Score(f"process_noise/{kind}/{n}", v, unit) for n, v in _each(names, said.get("process"))]
     scale = said.get("scale")
     factors = sorted(scale.items()) if isinstance(scale, Mapping) else ()
     return found + [Score(f"variance_factor/{n}", v, "1") for track, v in factors for n, v in _each((track,), [v])]
@@ -109,7 +110,7 @@ def track_scores(estimate: Estimate) -> list[Score]:
             continue
         rows = np.minimum(np.searchsorted(predicted.t, errors.t - SAME), len(predicted.t) - 1)
         pixels = errors.values * predicted.std[rows]
-        found.append(Score(f"{name}_rmse", _rms(pixels[np.isfinite(pixels)]), "px"))
+        found.append(Score(f"rmse/innovation/{name}", _rms(pixels[np.isfinite(pixels)]), "px"))
     return found
 
 

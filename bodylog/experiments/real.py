@@ -13,6 +13,7 @@ import numpy as np
 from .. import pipeline
 from ..errors import BodylogError, UsageError
 from ..io.temporary import scratch
+from ..score_names import split
 from ..settings import Settings
 from ..sources import CharucoSource
 from .judging import Bound, Claim, comparison
@@ -48,9 +49,9 @@ def nao(data: Path, work: Path) -> dict[str, float]:
         _without(folder / name, work / name, NAO_COLUMNS)
     for key, urdf in (("ours", str(folder / "nao.urdf")), ("ours, process alone", None)):
         scores = _fitted(work / "left_train.csv", work / "left_test.csv", work / "nao.npz", urdf)
-        found[key] = _named(scores, "test_rmse/")
-        found[f"{key}, median"] = _named(scores, "test_median/")
-        found[f"{key}, within 2 σ in %"] = _named(scores, "test_coverage/")
+        found[key] = _named(scores, "rmse/test/")
+        found[f"{key}, median"] = _named(scores, "median_error/test/")
+        found[f"{key}, within 2 σ in %"] = _named(scores, "coverage_2sigma/test/")
     table = np.genfromtxt(folder / "left_test.csv", delimiter=",", names=True)
     off = np.hypot(table["marker_u"] - table["published_u"], table["marker_v"] - table["published_v"])
     return found | {"published": float(np.sqrt(np.nanmean(off**2))), "published, median": float(np.nanmedian(off))}
@@ -62,8 +63,9 @@ def motoman(data: Path, work: Path) -> dict[str, float]:
     for name, part in {"train": [r for k, r in enumerate(rows) if k % 3 != 2], "test": rows[2::3]}.items():
         (work / f"motoman_{name}.csv").write_text("\n".join([head, *part]) + "\n", encoding="utf-8")
     scores = _fitted(work / "motoman_train.csv", work / "motoman_test.csv", work / "motoman.npz", None)
-    often = [n.partition("/")[2] for n, v in scores.items() if n.startswith("test_sightings/") and v >= OFTEN]
-    axes = [float(np.sqrt(np.mean([scores[f"test_rmse_{axis}/{name}"] ** 2 for name in often]))) for axis in "uv"]
+    seen = {split(name)[1]: value for name, value in scores.items() if split(name)[0] == "sightings/test"}
+    often = [name for name, value in seen.items() if value >= OFTEN]
+    axes = [float(np.sqrt(np.mean([scores[f"rmse/test_{axis}/{name}"] ** 2 for name in often]))) for axis in "uv"]
     return {"ours": float(np.mean(axes)), "ours, u": axes[0], "ours, v": axes[1], "tracks": float(len(often))}
 
 
@@ -80,7 +82,7 @@ def panda(data: Path, work: Path) -> dict[str, float]:
     settings = replace(Settings(), features={"board": BOARD})
     train, test = work / "panda_train.csv", work / "panda_test.csv"
     scores = _fitted(train, test, work / "panda.npz", str(data / "panda" / "panda.urdf"), settings)
-    axes = [scores[f"test_rmse_{axis}/board"] for axis in "uv"]
+    axes = [scores[f"rmse/test_{axis}/board"] for axis in "uv"]
     return {"ours": float(np.sqrt(np.mean(np.square(axes)))), "ours, u": axes[0], "ours, v": axes[1]}
 
 

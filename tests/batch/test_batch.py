@@ -51,14 +51,14 @@ def test_every_log_has_its_row_and_the_worst_kind_is_the_exit_code(tmp_path, mix
 
 
 def test_junit_counts_failures_and_errors(tmp_path, mixed, robot, run_cli):
-    run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
+    run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "rmse/joint>1e-9")
     suite = ET.parse(tmp_path / "junit.xml").getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "2")
 
 
 def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot, run_cli):
     junitparser = pytest.importorskip("junitparser")
-    run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "joint_rmse>1e-9")
+    run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "rmse/joint>1e-9")
     suite = next(iter(junitparser.JUnitXml.fromfile(str(tmp_path / "junit.xml"))))
     kinds = {case.name: [type(result).__name__ for result in case.result] for case in suite}
     broken, unusable = ["Failure"], ["Error"]
@@ -203,7 +203,7 @@ def test_nothing_to_do_is_said(tmp_path, logs, shard, said):
 @pytest.mark.parametrize(
     ("typed", "code", "said"),
     [
-        (("--fail-if", "joint_rmse"), 2, "not a bound"),
+        (("--fail-if", "rmse/joint"), 2, "not a bound"),
         (("--method", "x"), 2, "x"),
         (("--with", "smell"), 2, "smell"),
         (("--rate", "0"), 2, "rate"),

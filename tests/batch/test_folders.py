@@ -154,7 +154,7 @@ def _shard(runs, robot, out, how, part):
 def test_shards_one_after_the_other_show_what_is_done_so_far(tmp_path, runs, robot, run_cli):
     """Rows of other settings, which a later shard is to replace, are not shown meanwhile."""
     out, typed = tmp_path / "out", ("batch", runs / "logs", "--body", robot / "body.npz", "-o")
-    bad = ("--fail-if", "joint_rmse>9")
+    bad = ("--fail-if", "rmse/joint>9")
     for part, names in (("1/3", "ad"), ("3/3", "cad")):
         run_cli(*typed, out, "--shard", part, *(() if part == "3/3" else bad))
         if part == "1/3":

@@ -10,7 +10,7 @@ name = "left arm"
 train = ["explore.bag"]
 logs = ["runs/*.mcap"]
 methods = ["laplace", "smoother"]
-fail_if = ["joint_rmse>0.02"]
+fail_if = ["rmse/joint>0.02"]
 settings = {skin = {threshold = 0.5}}
 
 [[group]]
@@ -30,7 +30,7 @@ def test_a_group_per_method_with_paths_beside_the_manifest(tmp_path):
     assert (laplace.name, smoother.name, other.name) == ("left_arm-laplace", "left_arm-smoother", "group2")
     assert smoother.settings.estimate.method == "smoother" and smoother.settings.skin.threshold == 0.5
     assert laplace.train == (tmp_path / "explore.bag",) and laplace.logs == (str(tmp_path / "runs/*.mcap"),)
-    assert laplace.bounds == ("joint_rmse>0.02",) and other.body == tmp_path / "body.npz"
+    assert laplace.bounds == ("rmse/joint>0.02",) and other.body == tmp_path / "body.npz"
 
 
 @pytest.mark.parametrize(

@@ -80,8 +80,8 @@ def test_zeros_are_told_and_a_joint_that_is_turned_moves_its_own_alone(learned, 
 
 def test_what_is_said_is_of_the_board_and_not_of_each_corner(learned):
     names = {score.name for score in learned.scores}
-    assert "held_out.board" in names and "kinematics_alone.board" in names
-    assert not any(name.startswith("held_out.board.") for name in names)
+    assert "rmse/held_out/board" in names and "rmse/kinematics/board" in names
+    assert not any(name.startswith("rmse/held_out/board.") for name in names)
     assert not any(one.text.startswith("board.") for one in learned.findings)
     assert any(one.text.startswith("board: camera on base, marker on ") for one in learned.findings)
 
@@ -109,9 +109,9 @@ def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
 def test_a_board_is_scored_on_other_poses_as_one(learned):
     other = features(robots.angles(30, seed=21), seed=5)
     scores = {score.name: score.value for score in test_scores.score(learned.model, [other])[0]}
-    each = [k for k in range(12) if f"test_sightings/board.{k}" in scores]
-    assert scores["test_sightings/board"] == sum(scores[f"test_sightings/board.{k}"] for k in each)
-    assert scores["test_rmse/board"] < 1.0 and 80.0 < scores["test_coverage/board"] <= 100.0
+    each = [k for k in range(12) if f"sightings/test/board.{k}" in scores]
+    assert scores["sightings/test/board"] == sum(scores[f"sightings/test/board.{k}"] for k in each)
+    assert scores["rmse/test/board"] < 1.0 and 80.0 < scores["coverage_2sigma/test/board"] <= 100.0
 
 
 SCALED = ARM.replace("0 -0.05 0.4", "0 -0.0525 0.42").replace("0 0 0.35", "0 0 0.3675").replace("0 0.1 0", "0 0.105 0")

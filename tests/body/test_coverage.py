@@ -25,6 +25,6 @@ def test_joints_vision_says_nothing_about_are_named(explored) -> None:
     said = findings(heard, heard[:3], {"effector": gp}, noise)
     assert [(f.severity, f.text.split(":")[0]) for f in said] == [("info", "wrist"), ("warning", "elbow")]
     values = {s.name: s for s in scores(heard[:3], {"effector": gp}, noise)}
-    assert values["range.pan"].unit == "rad" and values["influence.effector.pan"].value > 10
-    ratio = values["model_std.effector"].value / 0.3
-    assert values["model_std_over_noise.effector"].value == pytest.approx(ratio)
+    assert values["range/pan"].unit == "rad" and values["influence/effector/pan"].value > 10
+    ratio = values["std/model/effector"].value / 0.3
+    assert values["std_over_noise/model/effector"].value == pytest.approx(ratio)

@@ -98,9 +98,9 @@ def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
 
 def test_zeros_are_told_and_what_is_not_is_said(learned):
     scores = {score.name: score.value for score in learned.scores}
-    assert "offset.pan" not in scores and "offset.wrist" not in scores
+    assert "offset/pan" not in scores and "offset/wrist" not in scores
     for name, true in OFFSETS.items():
-        assert abs(scores[f"offset.{name}"] - true) < 3 * scores[f"offset_std.{name}"] < 4.5 * DEGREE
+        assert abs(scores[f"offset/{name}"] - true) < 3 * scores[f"std/offset/{name}"] < 4.5 * DEGREE
     text = [finding.text for finding in learned.findings]
     assert any("pan: its zero cannot be told from camera's" in line for line in text)
 
@@ -175,7 +175,7 @@ def test_an_error_that_lasts_is_found_and_stated():
     for drift in (0.0, 2.0):
         some = features(bend=0.0, drift=drift)
         found = learn([some], Settings(), body.learn([some], Settings(), {}), given())
-        sizes[drift] = {score.name: score.value for score in found.scores}["lasting_error.effector"]
+        sizes[drift] = {score.name: score.value for score in found.scores}["std/lasting/effector"]
     assert sizes[0.0] < 0.1 and 0.5 < sizes[2.0] < 4.0
 
 
@@ -245,8 +245,8 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     assert run_cli(*typed) == 2 and run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
     again = learn([features()], Settings(), plain, given((tmp_path / "new.urdf").read_text()))
     for score in again.scores:
-        if score.name.startswith("offset."):
-            std = next(s.value for s in again.scores if s.name == score.name.replace("offset.", "offset_std."))
+        if score.name.startswith("offset/"):
+            std = next(s.value for s in again.scores if s.name == score.name.replace("offset/", "std/offset/"))
             assert abs(score.value) < 2 * std
     assert run_cli("info", tmp_path / "body.npz") == 0
     told = capsys.readouterr().out

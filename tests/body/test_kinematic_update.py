@@ -38,11 +38,11 @@ def test_it_keeps_chain_and_base_and_knows_more(known):
     before, after = known.senses["effector"], found.model.senses["effector"]
     assert isinstance(after, KinematicGP) and len(after.samples) == 50
     assert after.base is before.base and after.rig.sights[0].chain.end == before.rig.sights[0].chain.end
-    zeros = {s.name: s.value for s in found.scores if s.name.startswith("offset")}
+    zeros = {s.name: s.value for s in found.scores}
     for name, true in OFFSETS.items():
         index = after.rig.of_joints.start + after.rig.joints.index(name)
-        assert zeros[f"offset_std.{name}"] < 0.9 * np.sqrt(np.square(before.root[index]).sum())
-        assert abs(zeros[f"offset.{name}"] - true) < 3 * zeros[f"offset_std.{name}"]
+        assert zeros[f"std/offset/{name}"] < 0.9 * np.sqrt(np.square(before.root[index]).sum())
+        assert abs(zeros[f"offset/{name}"] - true) < 3 * zeros[f"std/offset/{name}"]
     q = robots.angles(200, seed=9)
     rig = robots.rig(known=False)
     true = rig.see(rig.sights[0], robots.truth(rig, OFFSETS), q).image[:, 0]

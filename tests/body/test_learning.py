@@ -48,11 +48,11 @@ def test_noise_is_learned_with_its_error_bars(learned: Learned) -> None:
 
 def test_scores_say_what_was_learned(learned: Learned) -> None:
     scores = _scores(learned)
-    assert scores["frames_used.effector"] == 1.0
-    assert 0.3 < scores["held_out.effector"] < 1.5
-    assert 0.7 < scores["held_out_standardised.effector"] < 1.4
-    assert {f"length_scale.effector.{j}" for j in learned.model.joints} <= set(scores)
-    assert all(scores[f"influence.effector.{j}"] > 5.0 and scores[f"range.{j}"] > 0.5 for j in learned.model.joints)
+    assert scores["used_share/effector"] == 1.0
+    assert 0.3 < scores["rmse/held_out/effector"] < 1.5
+    assert 0.7 < scores["nis/held_out/effector"] < 1.4
+    assert {f"length_scale/effector/{j}" for j in learned.model.joints} <= set(scores)
+    assert all(scores[f"influence/effector/{j}"] > 5.0 and scores[f"range/{j}"] > 0.5 for j in learned.model.joints)
     assert all(np.isfinite(v) for v in scores.values())
 
 
@@ -281,4 +281,4 @@ def test_an_exploration_whose_encoders_fell_silent_is_learned_from_the_rest(expl
     learned = learn([replace(run.features, joints=replace(told, values=values))], Settings(), {})
     error = learned.model.senses["effector"].predict(run.angles)[0] - run.pixels
     assert np.median(np.abs(error)) < 0.3
-    assert 0.5 < _scores(learned)["frames_used.effector"] < 0.75
+    assert 0.5 < _scores(learned)["used_share/effector"] < 0.75

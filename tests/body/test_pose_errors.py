@@ -80,11 +80,11 @@ def _shifted(features: Features, names, by: np.ndarray) -> Features:
 def test_real_poses_are_foretold_to_less_than_a_pixel(motoman):
     learned, _, result = motoman
     found = {score.name: score.value for score in result.scores}
-    often = [n for n in learned.senses if found.get(f"test_sightings/{n}", 0) >= 35]
+    often = [n for n in learned.senses if found.get(f"sightings/test/{n}", 0) >= 35]
     assert len(often) == 14
     for axis in "uv":
-        assert np.sqrt(np.mean([found[f"test_rmse_{axis}/{name}"] ** 2 for name in often])) < 0.85
-    assert 0.8 < np.mean([found[f"test_standardised/{name}"] for name in often]) < 1.25
+        assert np.sqrt(np.mean([found[f"rmse/test_{axis}/{name}"] ** 2 for name in often])) < 0.85
+    assert 0.8 < np.mean([found[f"nis/test/{name}"] for name in often]) < 1.25
 
 
 @pytest.mark.parametrize(("size", "joints"), [(0.05, range(0, 6, 2)), (-0.05, range(1, 6, 2))])

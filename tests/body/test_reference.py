@@ -49,7 +49,7 @@ def test_what_encoders_read_is_learned_to_a_fraction_of_their_noise(explored, se
     assert isinstance(model, Polynomial)
     assert np.sqrt(np.square(model.predict(x)[0] - reading(x)).mean()) < 0.15 * NOISE
     assert np.sqrt(learned.model.noise.encoder) == pytest.approx(NOISE, rel=0.06)
-    assert _score(learned, "held_out.encoders.pan") == pytest.approx(NOISE, rel=0.06)
+    assert _score(learned, "rmse/held_out_encoders/pan") == pytest.approx(NOISE, rel=0.06)
     error = learned.model.senses["effector"].predict(x)[0] - explored(seed, 0.0, 20.0).pixels
     assert np.sqrt(np.mean(error**2)) < 0.25
 

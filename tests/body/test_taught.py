@@ -85,7 +85,7 @@ def test_too_few_sightings_for_the_joints_are_refused_with_the_counts(run):
 
 def test_what_was_learned_says_how_much_the_joints_explain(run):
     found = body.learn([run], Settings(), {})
-    (explained,) = (s.value for s in found.scores if s.name == "explained.effector")
+    (explained,) = (s.value for s in found.scores if s.name == "explained/effector")
     assert 0.999 < explained < 1.0
     (said,) = (f.text for f in found.findings if f.text.startswith("joints: 3 learned over"))
     assert "pan" in said and said.endswith("not learned over: wrist")

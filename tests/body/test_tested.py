@@ -11,7 +11,8 @@ from bodylog.body.test_scores import score
 from bodylog.errors import EvidenceError, ModelError
 from bodylog.settings import Settings
 
-NAMES = ("rmse", "rmse_u", "rmse_v", "median", "standardised", "coverage", "sightings")
+ERRORS = ("rmse/test", "rmse/test_u", "rmse/test_v", "median_error/test")
+NAMES = (*ERRORS, "nis/test", "coverage_2sigma/test", "sightings/test")
 
 
 def _scores(model, *features):
@@ -27,15 +28,15 @@ def learned(explored):
 def test_scores_are_the_errors_against_what_was_seen(explored, learned):
     seeds = [explored(seed, 0.003, 20.0) for seed in (5, 6, 7)]
     found = _scores(learned, *(run.features for run in seeds))
-    assert set(found) == {f"test_{name}/effector" for name in NAMES}
-    assert found["test_sightings/effector"] == sum(len(run.pixels) for run in seeds)
+    assert set(found) == {f"{name}/effector" for name in NAMES}
+    assert found["sightings/test/effector"] == sum(len(run.pixels) for run in seeds)
     truth = np.concatenate([learned.senses["effector"].predict(run.angles)[0] for run in seeds])
     seen = np.concatenate([run.features.tracks["effector"].values for run in seeds])
     rms = np.sqrt(np.mean((seen - truth) ** 2, axis=0))
-    assert abs(found["test_rmse_u/effector"] - rms[0]) < 0.05 and abs(found["test_rmse_v/effector"] - rms[1]) < 0.05
-    squares = sum(found[f"test_rmse_{axis}/effector"] ** 2 for axis in "uv")
-    np.testing.assert_allclose(found["test_rmse/effector"] ** 2, squares)
-    assert 0.7 < found["test_standardised/effector"] < 1.4 and found["test_coverage/effector"] > 90
+    assert abs(found["rmse/test_u/effector"] - rms[0]) < 0.05 and abs(found["rmse/test_v/effector"] - rms[1]) < 0.05
+    squares = sum(found[f"rmse/test_{axis}/effector"] ** 2 for axis in "uv")
+    np.testing.assert_allclose(found["rmse/test/effector"] ** 2, squares)
+    assert 0.7 < found["nis/test/effector"] < 1.4 and found["coverage_2sigma/test/effector"] > 90
 
 
 def test_a_wrong_body_is_found_out(explored, learned):
@@ -43,8 +44,8 @@ def test_a_wrong_body_is_found_out(explored, learned):
     track = run.tracks["effector"]
     moved = replace(run, tracks={"effector": replace(track, values=track.values + np.array([4.0, 0.0]))})
     found = _scores(learned, moved)
-    assert found["test_rmse_u/effector"] > 3.5 and found["test_standardised/effector"] > 10
-    assert found["test_coverage/effector"] < 60
+    assert found["rmse/test_u/effector"] > 3.5 and found["nis/test/effector"] > 10
+    assert found["coverage_2sigma/test/effector"] < 60
 
 
 def test_a_log_that_cannot_score_is_refused(explored, learned):
@@ -68,6 +69,6 @@ def test_fit_scores_the_body_on_the_tables_given(tmp_path, run_cli, capsys):
     assert run_cli("fit", train, "--test", test, "-o", out, "--json") == 0
     found = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
     assert {f"test_{name}/tip" for name in NAMES} <= set(found)
-    assert found["test_rmse/tip"] < 0.8 and 0.6 < found["test_standardised/tip"] < 1.6
+    assert found["rmse/test/tip"] < 0.8 and 0.6 < found["nis/test/tip"] < 1.6
     assert run_cli("fit", train, "--test", test, "-o", test) == 2  # a log is never overwritten
     assert run_cli("fit", train, "--test", tmp_path / "none.csv", "-o", out) == 65

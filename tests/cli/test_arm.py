@@ -26,9 +26,9 @@ def test_error_is_near_what_is_attainable_and_error_bars_are_true(
 ):
     out = tmp_path / "out.mcap"
     found = _scores(_json(capsys, run_cli, "estimate", arm / log, "--body", arm_body, "-o", out, "--method", method))
-    assert found["joint_rmse"] <= factor * ATTAINABLE[log][column]
-    assert 0.8 <= found["nees"] <= 1.3
-    assert 92 <= found["coverage_2sigma"] <= 98
+    assert found["rmse/joint"] <= factor * ATTAINABLE[log][column]
+    assert 0.8 <= found["nees/joint"] <= 1.3
+    assert 92 <= found["coverage_2sigma/joint"] <= 98
 
 
 def test_three_containers_of_one_motion_give_one_estimate(tmp_path, capsys, run_cli, arm, arm_body):
@@ -52,7 +52,7 @@ def test_the_paper_preset_ends_and_is_reported_beside_the_others(tmp_path, capsy
         typed = ("estimate", arm / log, "--body", arm_body, "-o", tmp_path / "out.mcap")
         paper = _scores(_json(capsys, run_cli, *typed, "--method", "predictive-coding", "--preset", "paper"))
         ours = _scores(_json(capsys, run_cli, *typed))
-        assert ours["joint_rmse"] < ours["encoder_rmse"] < paper["joint_rmse"] < 0.5
+        assert ours["rmse/joint"] < ours["rmse/encoders"] < paper["rmse/joint"] < 0.5
 
 
 def test_same_log_twice_gives_the_same_bytes(tmp_path, run_cli, arm, arm_body):
@@ -72,7 +72,7 @@ def test_features_are_taken_over_instead_of_the_pictures(tmp_path, capsys, run_c
     for log in (arm / "reach.mcap", features):
         out = tmp_path / f"{log.stem}.out.mcap"
         scores.append(_scores(_json(capsys, run_cli, "estimate", log, "--body", arm_body, "-o", out)))
-    assert scores[1]["joint_rmse"] == pytest.approx(scores[0]["joint_rmse"], rel=1e-4)
+    assert scores[1]["rmse/joint"] == pytest.approx(scores[0]["rmse/joint"], rel=1e-4)
 
 
 def test_the_drifting_encoder_is_named_and_no_other(tmp_path, capsys, run_cli, arm, arm_body):

@@ -52,7 +52,7 @@ def test_readings_that_are_no_numbers_are_passed_over(tmp_path, capsys, run_cli,
 
     result, scores = _estimated(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     assert not result["faults"]
-    assert scores["joint_rmse"] < 0.012 < 0.018 < scores["encoder_rmse"] < 0.022
+    assert scores["rmse/joint"] < 0.012 < 0.018 < scores["rmse/encoders"] < 0.022
 
 
 def _said_of_time(result):
@@ -71,7 +71,7 @@ def test_a_few_stamps_that_run_backwards_are_left_out(tmp_path, capsys, run_cli,
     result, scores = _estimated(capsys, run_cli, made(log, change), arm_body, tmp_path / "out.mcap")
     assert "10 of 150 messages, 1.200 to 1.380 s after its first" in _said_of_time(result)
     assert any("rejected 10 (time runs backwards) of 150" in one["text"] for one in result["findings"])
-    assert scores["used/encoders"] == 140 and scores["joint_rmse"] < scores["encoder_rmse"]
+    assert scores["used/encoders"] == 140 and scores["rmse/joint"] < scores["rmse/encoders"]
     assert not result["faults"]
 
 
@@ -84,7 +84,7 @@ def test_a_clock_that_runs_backwards_is_named_and_not_used(tmp_path, capsys, run
 
     result, scores = _estimated(capsys, run_cli, made(log, change, until=6.0), arm_body, tmp_path / "out.mcap")
     assert "log time is used instead" in _said_of_time(result)
-    assert scores["used/encoders"] == 300 and scores["joint_rmse"] < 0.6 * scores["encoder_rmse"]
+    assert scores["used/encoders"] == 300 and scores["rmse/joint"] < 0.6 * scores["rmse/encoders"]
     assert not result["faults"]
 
 
@@ -144,8 +144,8 @@ def test_a_named_sense_without_an_observation_is_refused_by_name(
 def test_senses_nobody_named_may_be_absent(tmp_path, capsys, run_cli, arm_body, made, log):
     blind = made(log, _nothing, kept=lambda topic: "image" not in topic)
     _, scores = _estimated(capsys, run_cli, blind, arm_body, tmp_path / "out.mcap")
-    assert scores["used/encoders"] == 150 and "error_squared/effector" not in scores
-    assert scores["joint_rmse"] < scores["encoder_rmse"]
+    assert scores["used/encoders"] == 150 and "nis/effector" not in scores
+    assert scores["rmse/joint"] < scores["rmse/encoders"]
 
 
 @PLACES
@@ -167,7 +167,7 @@ def test_encoders_that_lie_are_named_with_when_and_how_much(tmp_path, capsys, ru
     assert (fault["name"], fault["kind"]) == ("shoulder_pan_joint", what)
     assert fault["since"] == pytest.approx(3.0, abs=0.05)
     assert fault["size"] == pytest.approx(0.4 if what == "jumping" else 0.0, abs=0.03)
-    assert scores["joint_rmse/shoulder_pan_joint"] < 0.012
+    assert scores["rmse/joint/shoulder_pan_joint"] < 0.012
 
 
 def test_a_log_cut_before_anything_can_be_read_is_named_with_what_is_lost(tmp_path, capsys, run_cli, arm, arm_body):
@@ -187,5 +187,5 @@ def test_a_log_cut_inside_its_only_chunk_is_read_up_to_there(tmp_path, capsys, r
     assert "from byte 36 " in lost and "4.501 s lost: the file ends in this chunk, after 299964 bytes, which" in lost
     scores = {score["name"]: score["value"] for score in result["scores"]}
     assert scores["used/encoders"] == 134 and scores["used/effector"] > 28
-    assert scores["joint_rmse"] < 0.6 * scores["encoder_rmse"]
+    assert scores["rmse/joint"] < 0.6 * scores["rmse/encoders"]
     assert run_cli("info", cut, "--strict") == 65

@@ -38,9 +38,9 @@ def test_two_cameras_know_more_than_one(tmp_path, capsys, run_cli, watched, meth
     typed, both = ("--method", method), ("--config", watched / "both.toml")
     one = _estimated(capsys, run_cli, watched, "one.npz", tmp_path / "1.mcap", *typed)
     two = _estimated(capsys, run_cli, watched, "two.npz", tmp_path / "2.mcap", *typed, *both)
-    assert two["joint_rmse"] <= (1.02 if method == "predictive-coding" else 0.85) * one["joint_rmse"]
+    assert two["rmse/joint"] <= (1.02 if method == "predictive-coding" else 0.85) * one["rmse/joint"]
     if method == "laplace":
-        assert 0.7 <= two["nees"] <= 1.6 and 0.5 <= two["error_squared/side/effector"] <= 1.5
+        assert 0.7 <= two["nees/joint"] <= 1.6 and 0.5 <= two["nis/side/effector"] <= 1.5
 
 
 def test_each_camera_has_its_track_its_error_and_its_overlay(tmp_path, capsys, run_cli, watched):
@@ -139,7 +139,7 @@ def test_a_tidy_log_keeps_every_camera(tmp_path, capsys, run_cli, watched):
         for log in (watched / "reach.mcap", tidy)
     )  # fmt: skip
     # a tidy log keeps the true angles, not the true poses
-    kept = [one for one in raw["scores"] if not one["name"].startswith(("effector_position", "effector_turn"))]
+    kept = [one for one in raw["scores"] if not one["name"].endswith(("/effector_position", "/effector_rotation"))]
     assert len(kept) == len(raw["scores"]) - 6 and kept == again["scores"]
     swapped = tmp_path / "swapped.toml"
     swapped.write_text(SWAPPED)
@@ -153,7 +153,7 @@ def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsy
     assert run_cli("extract", watched / "reach.mcap", "-o", features, *typed) == 0
     typed = (*typed, "--body", watched / "two.npz", "-o", tmp_path / "out.mcap")
     whole, found = (_said(capsys, run_cli, "estimate", log, *typed) for log in (watched / "reach.mcap", features))
-    kept = [one for one in whole["scores"] if not one["name"].startswith(("effector_position", "effector_turn"))]
+    kept = [one for one in whole["scores"] if not one["name"].endswith(("/effector_position", "/effector_rotation"))]
     assert "side/effector" in found["health"] and found["scores"] == kept  # features have no true poses beside them
 
 
@@ -164,6 +164,6 @@ def test_a_head_that_turns_is_learned_and_estimated_as_a_joint(tmp_path, capsys,
     body = tmp_path / "body.npz"
     learned = _said(capsys, run_cli, "fit", tmp_path / "explore.mcap", "-o", body)
     scores = {score["name"]: score["value"] for score in learned["scores"]}
-    assert scores["influence.effector.head_pan_joint"] > 4 and scores["held_out.effector"] < 0.4
+    assert scores["influence/effector/head_pan_joint"] > 4 and scores["rmse/held_out/effector"] < 0.4
     found = _estimated(capsys, run_cli, tmp_path, "body.npz", tmp_path / "out.mcap")
-    assert found["joint_rmse/head_pan_joint"] < 0.5 * found["encoder_rmse"] and 0.5 < found["nees"] < 2.0
+    assert found["rmse/joint/head_pan_joint"] < 0.5 * found["rmse/encoders"] and 0.5 < found["nees/joint"] < 2.0

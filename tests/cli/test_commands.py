@@ -39,26 +39,26 @@ def test_estimate_then_evaluate_say_the_same_scores(tmp_path, capsys, run_cli, r
     values = {score["name"]: score["value"] for score in estimated["scores"]}
     for score in evaluated["scores"]:
         assert score["value"] == pytest.approx(values[score["name"]], rel=1e-9, abs=1e-12)
-    assert values["joint_rmse"] < values["encoder_rmse"]
+    assert values["rmse/joint"] < values["rmse/encoders"]
 
 
 def test_a_broken_bound_ends_with_4_and_says_which(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
-    assert "joint_rmse" in _said(capsys, 4, run_cli, "evaluate", out, "--fail-if", "joint_rmse>1e-9")
-    assert run_cli("evaluate", out, "--fail-if", "joint_rmse>1") == 0
+    assert "rmse/joint" in _said(capsys, 4, run_cli, "evaluate", out, "--fail-if", "rmse/joint>1e-9")
+    assert run_cli("evaluate", out, "--fail-if", "rmse/joint>1") == 0
 
 
 def test_of_many_evaluated_one_that_holds_nothing_hides_no_other(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out.mcap"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
     (tmp_path / "empty.mcap").write_bytes(b"")
-    typed = ("evaluate", out, tmp_path / "empty.mcap", "--json", "--fail-if", "joint_rmse>1e-9")
+    typed = ("evaluate", out, tmp_path / "empty.mcap", "--json", "--fail-if", "rmse/joint>1e-9")
     capsys.readouterr()
     assert run_cli(*typed) == 65
     shown, said = capsys.readouterr()
     assert [one["path"] for one in json.loads(shown)] == [str(out)]
-    assert "empty.mcap: the file is empty" in said and "joint_rmse is" in said
+    assert "empty.mcap: the file is empty" in said and "rmse/joint is" in said
 
 
 def test_named_senses_are_used_and_no_others(tmp_path, capsys, run_cli, robot):
@@ -67,10 +67,10 @@ def test_named_senses_are_used_and_no_others(tmp_path, capsys, run_cli, robot):
     capsys.readouterr()
     assert run_cli(*typed, "--with", "encoders") == 0
     scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
-    assert "used/encoders" in scores and "error_squared/effector" not in scores
+    assert "used/encoders" in scores and "nis/effector" not in scores
     assert run_cli(*typed, "--without", "encoders") == 0
     scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
-    assert "error_squared/effector" in scores and "error_squared/encoders" not in scores
+    assert "nis/effector" in scores and "nis/encoders" not in scores
 
 
 def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
@@ -79,8 +79,8 @@ def test_compare_has_a_row_for_every_method_and_subset(capsys, run_cli, robot):
     rows = json.loads(capsys.readouterr().out)["rows"]
     ran = {f"{row['method']} {','.join(row['senses'])}" for row in rows}
     assert {"laplace encoders,vision", "laplace encoders", "kalman encoders", "smoother vision"} <= ran
-    assert all(row["scores"]["joint_rmse"] > 0 for row in rows)
-    foretold = {f"{row['method']} {','.join(row['senses'])}": row["scores"]["held_out"] for row in rows}
+    assert all(row["scores"]["rmse/joint"] > 0 for row in rows)
+    foretold = {f"{row['method']} {','.join(row['senses'])}": row["scores"]["log_density/held_out"] for row in rows}
     assert foretold["smoother encoders,vision"] > foretold["smoother encoders"]
 
 
@@ -164,7 +164,7 @@ def _wrong(robot, tmp_path):
         "no memory": (2, "must be a size", ("batch", reach, "-o", tmp_path / "b", *estimate[2:], "--memory", "0")),
         "no name": (2, "a name is expected", ("estimate", "", *estimate)),
         "no name for a batch": (2, "a name is expected", ("batch", "", "-o", tmp_path / "batch", *estimate[2:])),
-        "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "joint_rmse")),
+        "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "rmse/joint")),
     }
 
 

@@ -27,8 +27,8 @@ def test_what_the_settings_leave_out_is_in_no_row(tmp_path, capsys, run_cli, rob
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "--config", config)
     rows, said = _ran(capsys, run_cli, *typed)
     assert rows == {(method, ("encoders",)) for method in METHODS}
-    assert all("encoder_std/elbow_joint" in row["scores"] for row in said["rows"] if row["method"] == "laplace")
-    assert all(row["scores"]["joint_rmse/elbow_joint"] > 0.01 for row in said["rows"])
+    assert all("std/encoders/elbow_joint" in row["scores"] for row in said["rows"] if row["method"] == "laplace")
+    assert all(row["scores"]["rmse/joint/elbow_joint"] > 0.01 for row in said["rows"])
 
 
 def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, run_cli, robot):
@@ -37,7 +37,7 @@ def test_a_sense_the_body_lacks_is_in_no_row(tmp_path, capsys, run_cli, robot):
     storage.save(replace(body, senses={}, noise=noise), tmp_path / "blind.npz")
     rows, said = _ran(capsys, run_cli, robot / "reach.mcap", "--body", tmp_path / "blind.npz")
     assert rows == {(method, ("encoders",)) for method in METHODS}
-    assert not any("held_out" in row["scores"] for row in said["rows"])
+    assert not any("log_density/held_out" in row["scores"] for row in said["rows"])
 
 
 def test_warnings_name_the_rows_they_are_about(capsys, run_cli, robot):

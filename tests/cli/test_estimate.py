@@ -39,9 +39,9 @@ def test_precisions_are_told_as_they_were(tmp_path, capsys, run_cli, arm, arm_bo
     result, scores = _estimated(capsys, run_cli, arm / "reach.bag", arm_body, out, "--precision", precision)
     expected = {"auto": (0.02, 0.05), "model": (0.003, 0.1), "fixed": (1.0, 0.0)}[precision]
     for index, joint in enumerate(JOINTS):
-        assert scores[f"encoder_std/{joint}"] == pytest.approx(expected[0], rel=expected[1])
-        assert result["settings"]["encoder"][index] == pytest.approx(scores[f"encoder_std/{joint}"] ** 2)
-        assert scores[f"process/{joint}"] > 0.0
+        assert scores[f"std/encoders/{joint}"] == pytest.approx(expected[0], rel=expected[1])
+        assert result["settings"]["encoder"][index] == pytest.approx(scores[f"std/encoders/{joint}"] ** 2)
+        assert scores[f"process_noise/acceleration/{joint}"] > 0.0
     factor = scores["variance_factor/effector"]
     assert {"auto": factor >= 1.0, "model": factor == 1.0, "fixed": factor != 1.0}[precision]
     assert run_cli("evaluate", out, "--json") == 0
@@ -64,11 +64,11 @@ def test_offsets_are_learned_when_asked_or_when_the_evidence_asks(tmp_path, caps
     assert read_estimate(drift).bias is not None and read_estimate(drift).faults
     result, scores = _estimated(capsys, run_cli, arm / "drift.mcap", arm_body, out, "--bias", "off")
     assert read_estimate(out).bias is None and not result["faults"]
-    assert scores["joint_rmse/shoulder_pan_joint"] > 0.015
+    assert scores["rmse/joint/shoulder_pan_joint"] > 0.015
     for bias, told in (("on", True), ("auto", False)):
         result, scores = _estimated(capsys, run_cli, arm / "reach.bag", arm_body, out, "--bias", bias)
         assert (read_estimate(out).bias is not None) == told and not result["faults"]
-        assert scores["joint_rmse"] < 0.009
+        assert scores["rmse/joint"] < 0.009
 
 
 def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, run_cli, drift):
@@ -86,7 +86,7 @@ def test_a_fault_is_on_its_topic_and_on_the_page(tmp_path, capsys, run_cli, drif
     assert "warning: encoders shoulder_pan_joint: drifting since " in capsys.readouterr().err
     assert run_cli("report", drift, "-o", tmp_path / "page.html") == 0
     page = (tmp_path / "page.html").read_text()
-    assert "<th>encoder_std</th>" in page and "<th>process</th>" in page
+    assert "<th>std/encoders</th>" in page and "<th>process_noise/acceleration</th>" in page
     table = page[page.index("Which sensor lied") :]
     assert table.index("shoulder_pan_joint") < table.index("drifting") < table.index(f"{fault.size:.4g} rad") < 1500
 
@@ -100,7 +100,7 @@ def test_every_method_leaves_an_estimate_of_its_name(tmp_path, capsys, run_cli, 
     found = read_estimate(out)
     assert found.method == method and found.joints.names == JOINTS
     assert np.isfinite(found.joints.values).all() and (np.linalg.eigvalsh(found.cov) > 0.0).all()
-    assert (scores["joint_rmse"] < scores["encoder_rmse"]) == (method != "kalman")
+    assert (scores["rmse/joint"] < scores["rmse/encoders"]) == (method != "kalman")
     assert ("log_evidence" in scores) == (method in ("laplace", "smoother", "ekf"))
 
 
@@ -109,7 +109,7 @@ def test_touch_has_two_readings_one_of_them_the_papers_methods_alone(tmp_path, c
     energies = []
     for form in ("likelihood", "literal"):
         _, scores = _estimated(capsys, run_cli, *typed, form)
-        assert scores["used/touch"] == 6 and scores["joint_rmse"] < 0.002
+        assert scores["used/touch"] == 6 and scores["rmse/joint"] < 0.002
         energies.append(scores["free_energy"])
     assert energies[0] != energies[1]
     (tmp_path / "out.mcap").unlink()
@@ -145,7 +145,8 @@ def test_compare_needs_no_truth(tmp_path, capsys, run_cli, arm, arm_body):
     capsys.readouterr()
     assert run_cli("compare", log, "--body", arm_body) == 0
     head, *rows = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert head[2:] == ["joint_rmse", "nees", "coverage_2sigma", "log_evidence", "held_out", "seconds"]
+    figures = ["rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", "log_density/held_out"]
+    assert head[2:] == [*figures, "seconds"]
     ran = {(row[0], row[1]) for row in rows}
     both = [(m, s) for m in METHODS if m != "kalman" for s in ("encoders,vision", "encoders", "vision")]
     assert ran == {*both, ("kalman", "encoders")} and len(rows) == len(ran)

@@ -28,11 +28,11 @@ def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, run_cl
     said = _said(capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz")
     scores = {name: float(value) for name, value in re.findall(r"^(\w+\.\S+) +([0-9.e-]+)  ", said.out, re.MULTILINE)}
     for joint in JOINTS:
-        assert 0.5 < scores[f"range.{joint}"] < 1.5
-        assert scores[f"influence.effector.{joint}"] > 10.0
-        assert 1.0 < scores[f"length_scale.effector.{joint}"] < 3.0
-    assert scores["frames_used.effector"] == 1.0 and scores["held_out.effector"] < 0.6
-    assert 0.7 < scores["held_out_standardised.effector"] < 1.5
+        assert 0.5 < scores[f"range/{joint}"] < 1.5
+        assert scores[f"influence/effector/{joint}"] > 10.0
+        assert 1.0 < scores[f"length_scale/effector/{joint}"] < 3.0
+    assert scores["used_share/effector"] == 1.0 and scores["rmse/held_out/effector"] < 0.6
+    assert 0.7 < scores["nis/held_out/effector"] < 1.5
     for joint in ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"):
         assert f"{joint}: moved 0.000 rad, left out: vision says nothing about it" in said.err
     told = _said(capsys, run_cli, "info", tmp_path / "body.npz").out
@@ -56,7 +56,7 @@ def test_logs_of_three_containers_are_learned_from_together(tmp_path, capsys, ru
     assert [name for name, _ in body["provenance"]["inputs"]] == [log.name for log in logs]
     assert body["joints"] == list(JOINTS) and body["senses"]["effector"]["samples"] == 320 + 2 * 120
     assert {key.split(":")[0] for key in result["health"]} == {log.name for log in logs}
-    assert scores["frames_used.effector"] == 1.0
+    assert scores["used_share/effector"] == 1.0
 
 
 def test_the_papers_preset_is_the_papers(tmp_path, capsys, run_cli, arm):
@@ -64,8 +64,8 @@ def test_the_papers_preset_is_the_papers(tmp_path, capsys, run_cli, arm):
     _, scores, body = _learned(capsys, run_cli, tmp_path / "paper.npz", *typed)
     assert body["senses"]["effector"]["samples"] == 46
     assert body["senses"]["effector"]["length_scales"] == [dict.fromkeys(JOINTS, pytest.approx(np.exp(0.1)))]
-    assert scores["noise.effector.u"] == scores["noise.effector.v"] == pytest.approx(np.exp(0.02))
-    assert scores["frames_used.effector"] == 46 / 320
+    assert scores["std/noise/effector/u"] == scores["std/noise/effector/v"] == pytest.approx(np.exp(0.02))
+    assert scores["used_share/effector"] == 46 / 320
 
 
 def test_joints_are_those_named_in_that_order_and_frames_every_nth(tmp_path, capsys, run_cli, arm):

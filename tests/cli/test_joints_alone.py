@@ -30,7 +30,7 @@ def test_a_log_without_a_body_gets_its_joints_alone(robot, alone, capsys, run_cl
     said = json.loads(capsys.readouterr().out)
     texts = [finding["text"] for finding in said["findings"]]
     assert any("no --body: the joints' own sensors alone" in text and "--body body.npz" in text for text in texts)
-    assert not said["faults"] and "joint_rmse" in {score["name"] for score in said["scores"]}
+    assert not said["faults"] and "rmse/joint" in {score["name"] for score in said["scores"]}
 
 
 def test_what_no_sense_could_show_breaks_its_bound_without_a_body(robot, alone, run_cli):
@@ -64,7 +64,7 @@ def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone,
         capsys.readouterr()
         assert run_cli("evaluate", alone, "--json", *typed) == 0
         said.append({s["name"]: s["value"] for s in json.loads(capsys.readouterr().out)["scores"]})
-    assert said[0]["joint_rmse"] == pytest.approx(said[1]["joint_rmse"], rel=1e-4)
+    assert said[0]["rmse/joint"] == pytest.approx(said[1]["rmse/joint"], rel=1e-4)
 
 
 def test_truth_of_other_joints_or_another_time_is_refused_with_what_is_possible(tmp_path, alone, run_cli, capsys):

@@ -23,8 +23,8 @@ def test_seven_joints_are_learned_and_estimated(tmp_path, capsys, run_cli, seven
     typed = (seven / "reach.mcap", "--body", seven / "body.npz", "-o", out, "--method", method, "--json")
     assert run_cli("estimate", *typed) == 0
     scores = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
-    assert sum(name.startswith("joint_rmse/joint_") for name in scores) == 7
-    assert scores["joint_rmse"] < most * scores["encoder_rmse"]
-    assert 85 <= scores["coverage_2sigma"] <= 99
+    assert sum(name.startswith("rmse/joint/joint_") for name in scores) == 7
+    assert scores["rmse/joint"] < most * scores["rmse/encoders"]
+    assert 85 <= scores["coverage_2sigma/joint"] <= 99
     assert run_cli("report", out, "-o", tmp_path / "page.html") == 0
     assert all(f"joint_{k}" in (tmp_path / "page.html").read_text() for k in range(1, 8))

@@ -33,7 +33,7 @@ def test_tags_give_tracks_a_body_and_are_remembered(tagged, run_cli, capsys) -> 
     # nobody says again what to look for: the log itself knows
     assert run_cli("fit", tagged / "features.mcap", "-o", tagged / "body.npz", "--json") == 0
     scores = {score["name"] for score in json.loads(capsys.readouterr().out)["scores"]}
-    assert {f"held_out.{name}" for name in names} <= scores and "held_out.effector" not in scores
+    assert {f"rmse/held_out/{name}" for name in names} <= scores and "rmse/held_out/effector" not in scores
 
     from bodylog import pipeline
     from bodylog.settings import Settings

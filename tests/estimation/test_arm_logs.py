@@ -50,9 +50,9 @@ def scored(seen, learned, name, method="laplace"):
 @pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.2)])
 def test_the_error_is_close_to_the_attainable(seen, learned, name, method, column, factor):
     found, score = scored(seen, learned, name, method)
-    assert score["joint_rmse"] <= factor * ATTAINABLE[name][column]
-    assert 93.0 < score["coverage_2sigma"] < 97.1
-    assert 0.85 < score["nees"] < 1.2
+    assert score["rmse/joint"] <= factor * ATTAINABLE[name][column]
+    assert 93.0 < score["coverage_2sigma/joint"] < 97.1
+    assert 0.85 < score["nees/joint"] < 1.2
     assert not found.faults
 
 
@@ -104,7 +104,7 @@ def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(see
         heard = found.used["touch"]
         assert heard.used == (heard.seen if name == "touch.mcap" else 0)
         assert sum(heard.rejected.values()) == heard.seen - heard.used
-        joints = {s.name: s.value for s in scores(found, truth, None)}["joint_rmse"]
+        joints = {s.name: s.value for s in scores(found, truth, None)}["rmse/joint"]
         error[name] = np.array([displaced(found, truth, model, features.touches), joints])
     apart = model.senses["effector"].predict(np.stack([start, start - shift]))[0]
     wrong = np.array([np.sqrt(np.mean((apart[0] - apart[1]) ** 2)), 0.1])
@@ -120,5 +120,5 @@ def test_pictures_alone_keep_the_arm_where_it_was_explored(seen, learned):
     found = estimate(features, learned, Estimation(senses=("vision",)))
     error = {s.name: s.value for s in scores(found, truth_of("reach.bag", recording), None)}
     assert np.abs(found.joints.values).max() < 2.0
-    assert error["joint_rmse"] < 0.5
-    assert error["effector_rmse"] < 10.0
+    assert error["rmse/joint"] < 0.5
+    assert error["rmse/innovation/effector"] < 10.0

@@ -14,7 +14,7 @@ from tests.estimation.test_delay import delayed
 
 
 def nees(found, drawn):
-    return next(s.value for s in against_truth(found, drawn.truth, list(drawn.truth.names)) if s.name == "nees")
+    return next(s.value for s in against_truth(found, drawn.truth, list(drawn.truth.names)) if s.name == "nees/joint")
 
 
 def said(found, severity="warning"):

@@ -67,7 +67,7 @@ def test_a_still_arm_states_the_noise_that_is_let_through_and_no_motion(world, s
     for seed in range(6):
         drawn = world(seed, speed=0.0)
         found = estimate(drawn.features, drawn.body, Estimation(senses=("encoders",)))
-        ratios.append([rmse(found, drawn)[f"nees/{name}"] for name in drawn.body.joints])
+        ratios.append([rmse(found, drawn)[f"nees/joint/{name}"] for name in drawn.body.joints])
         shares.append(found.settings["stated"])
     assert 0.85 < np.mean(ratios) < 1.2
     assert 0.75 <= np.mean(shares) < 0.85
@@ -77,7 +77,7 @@ def test_a_mistaken_blob_does_no_harm(world):
     worse = []
     for seed in range(4):
         clean, spoilt = (world(seed, duration=10.0, blunder=share) for share in (0.0, 0.06))
-        found = [rmse(estimate(w.features, w.body, MODEL), w)["joint_rmse"] for w in (clean, spoilt)]
+        found = [rmse(estimate(w.features, w.body, MODEL), w)["rmse/joint"] for w in (clean, spoilt)]
         worse.append(found[1] / found[0])
     assert np.mean(worse) < 1.1
 
@@ -88,8 +88,8 @@ def test_error_bars_are_true_and_the_gap_is_no_exception(world):
         drawn = world(seed, duration=14.0, hidden=(6.0, 8.0), pixel_std=0.1)
         found = estimate(drawn.features, drawn.body, Estimation())
         score = rmse(found, drawn)
-        nees.append([score[f"nees/{name}"] for name in drawn.body.joints])
-        inside.append(score["coverage_2sigma"])
+        nees.append([score[f"nees/joint/{name}"] for name in drawn.body.joints])
+        inside.append(score["coverage_2sigma/joint"])
         gap = (found.joints.t > 6.0) & (found.joints.t < 8.0)
         ratio = (found.joints.values - drawn.truth.values)[gap] ** 2 / np.einsum("nii->ni", found.cov[gap])
         hidden.append(ratio.mean())
@@ -101,7 +101,7 @@ def test_error_bars_are_true_and_the_gap_is_no_exception(world):
 def test_vision_alone_replaces_a_silent_encoder(world):
     drawn = world(3)
     found = estimate(drawn.features, drawn.body, Estimation(senses=("pan", "elbow", "vision")))
-    assert rmse(found, drawn)["joint_rmse/lift"] < 0.01
+    assert rmse(found, drawn)["rmse/joint/lift"] < 0.01
 
 
 def test_predictions_and_errors_are_standardised(world):
@@ -142,7 +142,7 @@ def test_nan_and_backward_times_are_skipped_and_counted(world):
     spoilt = Series(t, values, joints.names, joints.unit, joints.source_ns)
     found = estimate(replace(drawn.features, joints=spoilt), drawn.body, Estimation())
     assert found.used["encoders"].rejected == {"time runs backwards": 10, "not a number": 10, "without elbow": 10}
-    assert rmse(found, drawn)["joint_rmse"] < 0.01
+    assert rmse(found, drawn)["rmse/joint"] < 0.01
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
@@ -151,5 +151,5 @@ def test_a_body_that_thinks_its_encoders_far_too_quiet_still_gives_a_belief(worl
     body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(9e-6,) * 3, process=(0.06,) * 3))
     found = estimate(drawn.features, body, Estimation(method=method, precision="model"))
     assert np.isfinite(found.joints.values).all()
-    assert rmse(found, drawn)["joint_rmse"] < 0.05
+    assert rmse(found, drawn)["rmse/joint"] < 0.05
     assert np.linalg.eigvalsh(found.cov).min() > 0

@@ -59,8 +59,8 @@ def test_calibrated_descent_beats_the_encoders_and_the_papers_preset(world):
         for preset in ("default", "paper"):
             found = estimate(drawn.features, drawn.body, replace(DESCENT, preset=preset))
             rmse[preset] = {s.name: s.value for s in scores(found, drawn.truth, drawn.features.joints)}
-        assert rmse["default"]["joint_rmse"] < rmse["default"]["encoder_rmse"] < rmse["paper"]["joint_rmse"]
-        ratios.append(rmse["default"]["joint_rmse"])
+        assert rmse["default"]["rmse/joint"] < rmse["default"]["rmse/encoders"] < rmse["paper"]["rmse/joint"]
+        ratios.append(rmse["default"]["rmse/joint"])
     assert np.mean(ratios) < 0.016
 
 
@@ -149,7 +149,7 @@ def test_descent_on_encoders_alone_is_the_papers_kalman_filter_in_kind(world, se
     drawn = world(seed)
     descent = estimate(drawn.features, drawn.body, replace(DESCENT, preset="paper", senses=("encoders",)))
     kalman = estimate(drawn.features, drawn.body, Estimation(method="kalman"))
-    rmse = [{s.name: s.value for s in scores(found, drawn.truth, None)}["joint_rmse"] for found in (descent, kalman)]
+    rmse = [{s.name: s.value for s in scores(found, drawn.truth, None)}["rmse/joint"] for found in (descent, kalman)]
     assert 0.5 < rmse[0] / rmse[1] < 2.0
 
 
@@ -169,8 +169,8 @@ def test_error_bars_know_the_models_error(world, seed, turns):
     body = replace(drawn.body, senses=senses)
     found = estimate(replace(drawn.features, tracks=tracks), body, DESCENT)
     score = {s.name: s.value for s in scores(found, truth, drawn.features.joints)}
-    assert 0.7 < score["nees"] < 2.0
-    assert score["joint_rmse"] < (0.012, 0.003)[len(turns) - 1]
+    assert 0.7 < score["nees/joint"] < 2.0
+    assert score["rmse/joint"] < (0.012, 0.003)[len(turns) - 1]
 
 
 def test_joints_without_an_encoder_are_said_to_have_no_true_error_bars(world):

@@ -57,5 +57,5 @@ def test_it_is_not_over_confident(world):
     for seed in range(6):
         drawn = world(seed, duration=10.0)
         found = estimate(drawn.features, drawn.body, Estimation(method="smoother"))
-        inside.append({s.name: s.value for s in scores(found, drawn.truth, None)}["coverage_2sigma"])
+        inside.append({s.name: s.value for s in scores(found, drawn.truth, None)}["coverage_2sigma/joint"])
     assert np.mean(inside) > 94.0

@@ -71,9 +71,9 @@ def row(features, learned, truth, lines):
         whole, hidden = (
             {s.name: s.value for s in scores(part, truth, None)} for part in (belief, within(belief, *HIDDEN))
         )
-        own = (whole["joint_rmse"] / least[method], *(whole[f"nees/{name}"] for name in names))
-        gap = np.mean([hidden[f"nees/{name}"] for name in names]), hidden["coverage_2sigma"]
-        found[method] = (*own, whole["coverage_2sigma"], *gap)
+        own = (whole["rmse/joint"] / least[method], *(whole[f"nees/joint/{name}"] for name in names))
+        gap = np.mean([hidden[f"nees/joint/{name}"] for name in names]), hidden["coverage_2sigma/joint"]
+        found[method] = (*own, whole["coverage_2sigma/joint"], *gap)
     return found
 
 
@@ -129,7 +129,7 @@ def test_still_arms_in_drawn_postures(tmp_path, monkeypatch):
         for method, found in ratios.items():
             belief = estimate(features, learned[seed % len(SEEDS)], Estimation(method=method))
             score = {s.name: s.value for s in scores(belief, read.truth, None)}
-            found.append([score[f"nees/{name}"] for name in UR5])
+            found.append([score[f"nees/joint/{name}"] for name in UR5])
     for method, found in ratios.items():
         mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
         print(f"\n{method}: nees {mean.round(3)} ± {error.round(3)}")

@@ -6,12 +6,12 @@ from bodylog.errors import BoundError, InputError, UsageError
 from bodylog.evaluation.baseline import check, load, tolerance
 from bodylog.types import Score
 
-BEFORE = {"run.mcap": {"joint_rmse": 0.01, "joint_rmse/elbow": 0.02, "nees": 1.0}}
+BEFORE = {"run.mcap": {"rmse/joint": 0.01, "rmse/joint/elbow": 0.02, "nees/joint": 1.0}}
 
 
 def _found(rmse, elbow=0.02):
-    errors = (Score("joint_rmse", rmse, "rad"), Score("joint_rmse/elbow", elbow, "rad"))
-    return {"run.mcap": (*errors, Score("nees", 9.0, ""))}
+    errors = (Score("rmse/joint", rmse, "rad"), Score("rmse/joint/elbow", elbow, "rad"))
+    return {"run.mcap": (*errors, Score("nees/joint", 9.0, ""))}
 
 
 def test_an_error_within_the_tolerance_passes():
@@ -20,7 +20,7 @@ def test_an_error_within_the_tolerance_passes():
 
 @pytest.mark.parametrize("found", [_found(0.0106), _found(0.01, 0.0211), _found(float("nan"))])
 def test_an_error_that_grew_names_score_and_both_values(found):
-    with pytest.raises(BoundError, match=r"run\.mcap: joint_rmse\S* was 0\.0[12], is"):
+    with pytest.raises(BoundError, match=r"run\.mcap: rmse/joint\S* was 0\.0[12], is"):
         check(found, BEFORE, 0.05)
 
 
@@ -57,3 +57,10 @@ def test_what_is_no_share_is_refused(text):
 def test_a_number_that_may_be_a_share_or_a_percentage_is_refused():
     with pytest.raises(UsageError, match="type --tolerance 5%"):
         tolerance("5")
+
+
+def test_scores_of_an_earlier_version_are_refused(tmp_path) -> None:
+    path = tmp_path / "results.jsonl"
+    path.write_text('{"name": "run.mcap", "scores": {"joint_rmse": 0.01}}\n')
+    with pytest.raises(InputError, match="joint_rmse is called rmse/joint now"):
+        load(path)

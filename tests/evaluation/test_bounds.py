@@ -4,26 +4,51 @@ from bodylog.errors import BoundError, UsageError
 from bodylog.evaluation.bounds import check, parse
 from bodylog.types import Score
 
-SCORES = {"run.mcap": (Score("joint_rmse", 0.03, "rad"), Score("nees", float("nan"), ""))}
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("joint_rmse>1", "rmse/joint>1"),
+        ("joint_rmse/elbow>1", "rmse/joint/elbow>1"),
+        ("nees/elbow<2", "nees/joint/elbow<2"),
+        ("error_squared/side/tip>=2", "nis/side/tip>=2"),
+        ("effector_turn_nees>1", "nees/effector_rotation>1"),
+        ("tip_rmse>3", "rmse/innovation/tip>3"),
+    ],
+)
+def test_an_old_name_is_an_error_that_gives_the_new_one(old: str, new: str) -> None:
+    with pytest.raises(UsageError, match=f"type {new}$"):
+        parse(old)
 
 
-@pytest.mark.parametrize("text", ["joint_rmse>0.02", "joint_rmse >= 3e-2", "joint_rmse<0.04", "nees>100", "nees<0"])
+@pytest.mark.parametrize("name", ["nees/*", "nis/tip", "rmse/joint", "fault/*/elbow", "nonsense"])
+def test_other_names_are_not_taken_for_old_ones(name: str) -> None:
+    assert parse(f"{name}>1").name == name
+
+
+SCORES = {"run.mcap": (Score("rmse/joint", 0.03, "rad"), Score("nees/joint", float("nan"), ""))}
+
+
+BROKEN = ["rmse/joint>0.02", "rmse/joint >= 3e-2", "rmse/joint<0.04", "nees/joint>100", "nees/joint<0"]
+
+
+@pytest.mark.parametrize("text", BROKEN)
 def test_a_broken_bound_names_log_score_value_and_bound(text):
-    with pytest.raises(BoundError, match=r"run\.mcap: (joint_rmse is 0\.03|nees is nan), bound broken"):
+    with pytest.raises(BoundError, match=r"run\.mcap: (rmse/joint is 0\.03|nees/joint is nan), bound broken"):
         check(SCORES, [parse(text)])
 
 
-@pytest.mark.parametrize("text", ["joint_rmse>0.03", "joint_rmse<0.03", "joint_rmse>1"])
+@pytest.mark.parametrize("text", ["rmse/joint>0.03", "rmse/joint<0.03", "rmse/joint>1"])
 def test_a_bound_that_holds_is_silent(text):
     check(SCORES, [parse(text)])
 
 
-@pytest.mark.parametrize("text", ["joint_rmse", "joint_rmse=1", "joint_rmse>", ">1", "joint_rmse>1e", "a b>1"])
+@pytest.mark.parametrize("text", ["rmse/joint", "rmse/joint=1", "rmse/joint>", ">1", "rmse/joint>1e", "a b>1"])
 def test_what_is_no_bound_is_refused(text):
     with pytest.raises(UsageError, match="type a score"):
         parse(text)
 
 
 def test_an_unknown_score_lists_the_known():
-    with pytest.raises(UsageError, match="possible: joint_rmse, nees"):
+    with pytest.raises(UsageError, match="possible: nees/joint, rmse/joint"):
         check(SCORES, [parse("rmse>1")])

@@ -96,11 +96,11 @@ def _some(count=400, seed=0, cov=True):
 def test_errors_that_are_as_large_as_stated_have_a_nees_of_one():
     found, true = _some()
     told = {score.name: score.value for score in figures.scores(found, true)}
-    assert told["effector_position_rmse"] == pytest.approx(np.sqrt(6e-4), rel=0.1)
-    assert told["effector_turn_rmse"] == pytest.approx(np.sqrt(5e-3), rel=0.1)
-    for part in ("position", "turn"):
-        assert told[f"effector_{part}_nees"] == pytest.approx(1.0, abs=0.1)
-        assert 93 < told[f"effector_{part}_coverage_2sigma"] < 98
+    assert told["rmse/effector_position"] == pytest.approx(np.sqrt(6e-4), rel=0.1)
+    assert told["rmse/effector_rotation"] == pytest.approx(np.sqrt(5e-3), rel=0.1)
+    for part in ("position", "rotation"):
+        assert told[f"nees/effector_{part}"] == pytest.approx(1.0, abs=0.1)
+        assert 93 < told[f"coverage_2sigma/effector_{part}"] < 98
 
 
 def test_a_table_of_places_is_scored_without_turns(tmp_path):
@@ -108,7 +108,7 @@ def test_a_table_of_places_is_scored_without_turns(tmp_path):
     rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(true.t, true.place, strict=True))
     (tmp_path / "laser.csv").write_text("t,x,y,z\n" + rows)
     told = {s.name: s.value for s in figures.scores(found, load_poses(tmp_path / "laser.csv", 0))}
-    assert told["effector_position_nees"] == pytest.approx(1.0, abs=0.1) and "effector_turn_rmse" not in told
+    assert told["nees/effector_position"] == pytest.approx(1.0, abs=0.1) and "rmse/effector_rotation" not in told
     (tmp_path / "joints.csv").write_text("t,pan\n0,1\n")
     assert load_poses(tmp_path / "joints.csv", 0) is None and load_poses(tmp_path / "x.npz", 0) is None
 

@@ -113,10 +113,10 @@ UNSEEN = features(tracks={}, touches=None, strokes=(), synchrony=(), health={})
 """Of a log without camera and skin."""
 
 SCORES = (
-    Score("joint_rmse", 0.0068, "rad"),
-    Score("joint_rmse/elbow_joint", 0.0071, "rad"),
-    Score("nees", 0.97, "1"),
-    Score("nees/elbow_joint", 1.25, "1"),
+    Score("rmse/joint", 0.0068, "rad"),
+    Score("rmse/joint/elbow_joint", 0.0071, "rad"),
+    Score("nees/joint", 0.97, "1"),
+    Score("nees/joint/elbow_joint", 1.25, "1"),
 )
 
 

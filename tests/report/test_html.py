@@ -103,15 +103,15 @@ def test_the_page_shows_everything(tmp_path):
         ("encoder", "line"), ("2σ", "band"), ("belief", "line"), ("truth", "dashes")
     ]  # fmt: skip
     assert [mark["ink"] for mark in plotted(page)["marks"]] == ["felt"] * 5 + ["seen"] * 5 + ["fault"]
-    words = ("0.0068 rad", "joint_rmse", "drift", "8.250 s", "60 not seen", "3 not finite", "/joint_states", "sha256")
+    words = ("0.0068 rad", "rmse/joint", "drift", "8.250 s", "60 not seen", "3 not finite", "/joint_states", "sha256")
     for said in words:
         assert said in page
     assert page.count("data:image/jpeg;base64,") == 6
 
 
 def test_scores_in_parts_are_one_row_per_part(tmp_path):
-    page = report(tmp_path / "r.html", scores=(*SCORES, Score("nees/wrist", 2.0, "1")))
-    assert "<tr><th>part</th><th>joint_rmse</th><th>nees</th></tr>" in page
+    page = report(tmp_path / "r.html", scores=(*SCORES, Score("nees/joint/wrist", 2.0, "1")))
+    assert "<tr><th>part</th><th>rmse/joint</th><th>nees/joint</th></tr>" in page
     assert "<tr><td>elbow_joint</td><td>0.0071 rad</td><td>1.25</td></tr>" in page
     assert "<tr><td>wrist</td><td>–</td><td>2</td></tr>" in page
 
@@ -218,7 +218,7 @@ def test_numbers_that_are_none_do_not_break_the_page(tmp_path):
         cov=np.full_like(belief.cov, np.nan),
         faults=(Fault("encoders", "elbow", "stuck", np.nan, np.nan, "rad"),),
     )
-    page = report(tmp_path / "r.html", estimate=broken, scores=(Score("nees", np.nan, "1"),))
+    page = report(tmp_path / "r.html", estimate=broken, scores=(Score("nees/joint", np.nan, "1"),))
     data = plotted(page)
     assert all(np.isfinite([mark["from"], mark["to"]]).all() for mark in data["marks"])
     energy = next(panel for panel in data["panels"] if panel["title"].startswith("free energy"))["traces"][0]

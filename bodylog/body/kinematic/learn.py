@@ -155,14 +155,14 @@ def _apart(found: Learned, tracks: set[str]) -> Learned:
     noise = {name: one for name, one in model.noise.senses.items() if name not in tracks}
     errors = {name: one for name, one in model.noise.std_error.items() if name not in tracks}
     model = replace(model, senses=senses, noise=replace(model.noise, senses=noise, std_error=errors))
-    scores = [one for one in found.scores if not _of(one.name.partition(".")[2], tracks)]
+    scores = [one for one in found.scores if not _of(one.name, tracks)]
     findings = [one for one in found.findings if one.text.partition(":")[0] not in tracks]
     return replace(found, model=model, scores=tuple(scores), findings=tuple(findings))
 
 
 def _of(name: str, tracks: set[str]) -> bool:
     """Whether a score's name is of one of the tracks, or of something of one."""
-    return name in tracks or any(name.startswith(f"{track}.") for track in tracks)
+    return any(f"/{track}/" in f"{name}/" for track in tracks)
 
 
 def _with(found: Learned, things: Mapping[str, Mapping[str, KinematicGP]], both: Together) -> Learned:

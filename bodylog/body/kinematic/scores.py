@@ -64,16 +64,16 @@ def scores(name: str, models: Mapping[str, KinematicGP], part: Part) -> Iterator
     residual, variance = held_out(part.chol, part.rows, part.pairs.block)
     left = np.concatenate([one.y - models[track].kinematics(one.x) for track, one in part.tracks.items()])
     any_ = next(iter(models.values()))
-    yield Score(f"held_out.{name}", float(np.sqrt(np.mean(residual**2))), "px")
-    yield Score(f"held_out_standardised.{name}", float(np.mean(residual**2 / variance)), "1")
-    yield Score(f"kinematics_alone.{name}", float(np.sqrt(np.mean(left**2))), "px")
-    yield Score(f"lasting_error.{name}", float(np.sqrt(part.drift)), "px")
+    yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(residual**2))), "px")
+    yield Score(f"nis/held_out/{name}", float(np.mean(residual**2 / variance)), "1")
+    yield Score(f"rmse/kinematics/{name}", float(np.sqrt(np.mean(left**2))), "px")
+    yield Score(f"std/lasting/{name}", float(np.sqrt(part.drift)), "px")
     used = len(np.unique(part.view.picture))
-    yield Score(f"frames_used.{name}", used / max(part.pairs.frames, 1), "1")
+    yield Score(f"used_share/{name}", used / max(part.pairs.frames, 1), "1")
     for output, value in zip(any_.outputs, any_.noise, strict=True):
-        yield Score(f"noise.{name}.{output}", float(np.sqrt(value)), any_.unit)
+        yield Score(f"std/noise/{name}/{output}", float(np.sqrt(value)), any_.unit)
     for joint, scale in zip(any_.rig.joints, any_.scales[0], strict=True):
-        yield Score(f"length_scale.{name}.{joint}", float(scale), "rad")
+        yield Score(f"length_scale/{name}/{joint}", float(scale), "rad")
 
 
 def zeros(found: Sequence[Offset]) -> Iterator[Score]:
@@ -81,8 +81,8 @@ def zeros(found: Sequence[Offset]) -> Iterator[Score]:
     for one in found:
         if one.identifiable:
             name = "scale" if one.noun == "scale" else "offset"
-            yield Score(f"{name}.{one.joint}", one.value, one.unit)
-            yield Score(f"{name}_std.{one.joint}", one.std, one.unit)
+            yield Score(f"{name}/{one.joint}", one.value, one.unit)
+            yield Score(f"std/{name}/{one.joint}", one.std, one.unit)
 
 
 def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) -> Iterator[Finding]:

@@ -37,7 +37,7 @@ def learned(features: Sequence[Features], chosen: Sequence[Joint], noise: Noise)
     sure = tuple(v * (2.0 / n) ** 0.5 for v, n in zip(variance, counts, strict=True))
     read = replace(noise, encoder=tuple(variance), std_error={**noise.std_error, "encoder": sure})
     names = tuple(joint.name for joint in chosen)
-    scores = tuple(Score(f"held_out.encoders.{n}", v**0.5, "rad") for n, v in zip(names, variance, strict=True))
+    scores = tuple(Score(f"rmse/held_out_encoders/{n}", v**0.5, "rad") for n, v in zip(names, variance, strict=True))
     said = ", ".join(f"{n} {_formula(c)}" for n, c in zip(names, curves, strict=True))
     if all(curve.tolist() == [0.0, 1.0] for curve in curves):
         return Read(read, {}, scores, (Finding("info", "encoders: by the reference they read the angles themselves"),))

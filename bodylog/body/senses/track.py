@@ -59,13 +59,13 @@ def sense(whole: Pairs, chosen: Sequence[Joint], fit: Fit) -> Sense:
 
 def scores(name: str, found: Sense, joints: Sequence[str], noise: Noise) -> Iterator[Score]:
     """Held-out error, share of frames used, noise and length scales of one track."""
-    yield Score(f"held_out.{name}", float(np.sqrt(np.mean(found.residual**2))), "px")
-    yield Score(f"held_out_standardised.{name}", float(np.mean(found.residual**2 / found.variance)), "1")
-    yield Score(f"frames_used.{name}", len(found.gp.samples) / max(found.whole.frames, 1), "1")
+    yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(found.residual**2))), "px")
+    yield Score(f"nis/held_out/{name}", float(np.mean(found.residual**2 / found.variance)), "1")
+    yield Score(f"used_share/{name}", len(found.gp.samples) / max(found.whole.frames, 1), "1")
     for output, value in zip(found.gp.outputs, noise.senses[name], strict=True):
-        yield Score(f"noise.{name}.{output}", float(np.sqrt(value)), found.gp.unit)
+        yield Score(f"std/noise/{name}/{output}", float(np.sqrt(value)), found.gp.unit)
     for joint, scale in zip(joints, found.gp.scales[0], strict=True):
-        yield Score(f"length_scale.{name}.{joint}", float(scale), "rad")
+        yield Score(f"length_scale/{name}/{joint}", float(scale), "rad")
 
 
 def findings(name: str, found: Sense) -> Iterator[Finding]:

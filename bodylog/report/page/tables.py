@@ -8,6 +8,7 @@ from math import isfinite
 from typing import Any, NamedTuple
 
 from ...io.values import read_json
+from ...score_names import split
 from ...types import Estimate, Fault, Features, Health, Recording, Score, Synchrony, Touch
 from .traces import EVENTS, JOINTS, TRACKS
 
@@ -33,7 +34,7 @@ def header(recording: Recording, estimate: Estimate, scores: Sequence[Score]) ->
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     said = escaped(" · ".join(facts))
-    whole = [score for score in scores if "/" not in score.name][:_ROWS]
+    whole = [score for score in scores if not split(score.name)[1]][:_ROWS]
     cards = "".join(f"<div><b>{escaped(_quantity(x))}</b>{escaped(x.name)}</div>" for x in whole)
     shown = f'\n<div class="cards">{cards}</div>' if cards else ""
     return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{said}</p>{shown}'
@@ -41,7 +42,7 @@ def header(recording: Recording, estimate: Estimate, scores: Sequence[Score]) ->
 
 def score_table(scores: Sequence[Score]) -> str:
     """The scores named figure/part: one row per part, one column per figure."""
-    found = {tuple(x.name.split("/", 1)): _quantity(x) for x in scores if "/" in x.name}
+    found = {split(x.name): _quantity(x) for x in scores if split(x.name)[1]}
     figures = list(dict.fromkeys(figure for figure, _ in found))
     parts = dict.fromkeys(part for _, part in found)
     rows = [(part, *(found.get((figure, part), "–") for figure in figures)) for part in parts]

@@ -1,0 +1,58 @@
+"""Names of scores: FIGURE or FIGURE/PART, the unit of each figure, and the names they had before."""
+
+from collections.abc import Mapping
+from fnmatch import fnmatchcase
+
+FIGURES: Mapping[str, str] = {
+    "rmse/joint": "rad", "rmse/encoders": "rad", "rmse/effector_position": "m", "rmse/effector_rotation": "rad",
+    "rmse/innovation": "px", "rmse/held_out": "px", "rmse/held_out_encoders": "rad", "rmse/kinematics": "px",
+    "rmse/test": "px", "rmse/test_u": "px", "rmse/test_v": "px", "median_error/test": "px",
+    "nees/joint": "1", "nees/effector_position": "1", "nees/effector_rotation": "1",
+    "nis": "1", "nis/held_out": "1", "nis/test": "1",
+    "coverage_2sigma/joint": "%", "coverage_2sigma/effector_position": "%",
+    "coverage_2sigma/effector_rotation": "%", "coverage_2sigma/test": "%",
+    "free_energy": "nats", "log_evidence": "nats", "log_density/held_out": "nats",
+    "used": "messages", "used_share": "1", "sightings/test": "images", "explained": "1",
+    "std/encoders": "rad", "std/noise": "px", "std/model": "px", "std/lasting": "px", "std_over_noise/model": "1",
+    "process_noise/acceleration": "rad²/s³", "process_noise/jerk": "rad²/s⁵", "variance_factor": "1",
+    "range": "rad", "influence": "px", "length_scale": "rad",
+    "offset": "rad", "std/offset": "rad", "scale": "1", "std/scale": "1",
+    "faults": "1", "fault": "", "delay": "s",
+}  # fmt: skip
+"""Unit of each figure; a linear joint's offset is in m, a fault's size in its own unit."""
+RENAMED: Mapping[str, str] = {
+    "joint_rmse": "rmse/joint", "encoder_rmse": "rmse/encoders", "nees": "nees/joint",
+    "coverage_2sigma": "coverage_2sigma/joint", "error_squared": "nis", "encoder_std": "std/encoders",
+    "process": "process_noise/acceleration", "held_out": "log_density/held_out",
+} | {
+    f"effector_{old}_{figure}": f"{figure}/effector_{new}"
+    for old, new in (("position", "position"), ("turn", "rotation"))
+    for figure in ("rmse", "nees", "coverage_2sigma")
+}  # fmt: skip
+"""What a figure was called before, and is called now."""
+_LONGEST_FIRST = sorted(FIGURES, key=len, reverse=True)
+
+
+def split(name: str) -> tuple[str, str]:
+    """A score's figure and its part, "" for the whole."""
+    for figure in _LONGEST_FIRST:
+        if name == figure or name.startswith(f"{figure}/"):
+            return figure, name[len(figure) + 1 :]
+    figure, _, part = name.partition("/")
+    return figure, part
+
+
+def unit(name: str) -> str:
+    """The unit of a score, "" where its name does not give it."""
+    return FIGURES.get(split(name)[0], "")
+
+
+def renamed(name: str) -> str | None:
+    """What a score of an earlier version is called now; None for a name of today, or no name at all."""
+    figure, part = split(name)
+    if figure in FIGURES or any(fnmatchcase(one, name) for one in FIGURES):
+        return None
+    if figure in RENAMED:
+        return "/".join(filter(None, (RENAMED[figure], part)))
+    track = name.removesuffix("_rmse")
+    return f"rmse/innovation/{track}" if track != name else None
