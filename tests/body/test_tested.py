@@ -68,7 +68,7 @@ def test_fit_scores_the_body_on_the_tables_given(tmp_path, run_cli, capsys):
     train, test, out = (tmp_path / name for name in ("train.csv", "test.csv", "body.npz"))
     assert run_cli("fit", train, "--test", test, "-o", out, "--json") == 0
     found = {score["name"]: score["value"] for score in json.loads(capsys.readouterr().out)["scores"]}
-    assert {f"test_{name}/tip" for name in NAMES} <= set(found)
+    assert {f"{name}/tip" for name in NAMES} <= set(found)
     assert found["rmse/test/tip"] < 0.8 and 0.6 < found["nis/test/tip"] < 1.6
     assert run_cli("fit", train, "--test", test, "-o", test) == 2  # a log is never overwritten
     assert run_cli("fit", train, "--test", tmp_path / "none.csv", "-o", out) == 65
