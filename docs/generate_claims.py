@@ -42,7 +42,7 @@ def claims(found: Sequence[Row]) -> str:
     parts = ["**The paper's claims**\n\n" + table(head, [_paper(claim) for claim in kinds["paper"]])]
     own = [(c["id"], _said(c), c["bound"], _first(c), f"**{c['verdict']}**") for c in kinds["own"]]
     parts.append("**Our own claims**, of our default\n\n" + table(("", "claim", "must be", "found", "verdict"), own))
-    head = ("", "claim", "must be", "figures", "alike", "not alike", "verdict")
+    head = ("", "claim", "must be", "figures", "same", "different", "verdict")
     others = [_comparison(claim) for claim in kinds["comparison"]]
     return "\n".join([*parts, "**Beside others' figures**\n\n" + table(head, others)])
 
@@ -93,8 +93,8 @@ def _comparison(claim: Row) -> tuple[str, ...]:
         _said(claim),
         claim["bound"],
         figures,
-        claim["alike"],
-        claim["unlike"],
+        claim["shared"],
+        claim["differences"],
         f"**{claim['verdict']}**",
     )
 

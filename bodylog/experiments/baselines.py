@@ -8,8 +8,8 @@ from ..types import Array
 from .beliefs import Belief, ours
 from .cases import case, explored, signals
 from .judging import Bound, Claim, interval, own
-from .lab import ELSEWHERE, JOINTS, Heard, Lab
-from .oracle import Known, Told, known
+from .lab import ELSEWHERE, JOINTS, Lab, ObservedLog
+from .oracle import Known, OracleInputs, known
 from .printed import believed
 from .records import Experiment, Readings, Table, Trial, column
 from .static import kalman
@@ -33,21 +33,21 @@ ROWS = (
 )
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
-    heard = lab.heard("reach", seed + ELSEWHERE, duration=DURATION, noise=ENCODER_STD)
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
+    observed = lab.observed("reach", seed + ELSEWHERE, duration=DURATION, noise=ENCODER_STD)
     body = lab.body("default", seed)
-    log, start = signals(heard), heard.true(JOINTS, heard.truth.t[:1])[0]
+    log, start = signals(observed), observed.true(JOINTS, observed.truth.t[:1])[0]
     figures = {
-        "raw encoders": _rms(_raw(heard)),
+        "raw encoders": _rms(_raw(observed)),
         "printed model, centre": log.error(
             believed(log, [case(explored(lab.body("paper", seed)), {}, "p+v", start)]).x[0], SINCE
         ),
     }
     figures["Kalman filter of the paper, encoders alone"] = log.error(kalman(log, start), SINCE)
     for method, name in (("laplace", "filter"), ("smoother", "smoother")):
-        figures[f"{name}, encoders alone"] = _of(ours(heard, body, ("encoders",), method=method))
-        figures[name] = _of(ours(heard, body, ("encoders", "vision"), method=method))
-    figures |= _oracles(heard)
+        figures[f"{name}, encoders alone"] = _of(ours(observed, body, ("encoders",), method=method))
+        figures[name] = _of(ours(observed, body, ("encoders", "vision"), method=method))
+    figures |= _oracles(observed)
     return {"figures": figures, "panels": []}
 
 
@@ -55,49 +55,49 @@ def _of(belief: Belief) -> float:
     return belief.rmse(SINCE)
 
 
-def _raw(heard: Heard) -> Array:
-    joints = heard.features.joints
+def _raw(observed: ObservedLog) -> Array:
+    joints = observed.features.joints
     assert joints is not None
     columns = [joints.names.index(name) for name in JOINTS]
-    return np.asarray((joints.values[:, columns] - heard.true(JOINTS, joints.t))[joints.t >= SINCE])
+    return np.asarray((joints.values[:, columns] - observed.true(JOINTS, joints.t))[joints.t >= SINCE])
 
 
 def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _oracles(heard: Heard) -> dict[str, float]:
+def _oracles(observed: ObservedLog) -> dict[str, float]:
     figures: dict[str, float] = {}
     for vision, name in ((False, ", encoders alone"), (True, "")):
-        sensed = told_of(heard, vision)
+        sensed = oracle_inputs(observed, vision)
         found = known(sensed)
-        figures |= {f"oracle {kind}{name}": _rms(error) for kind, error in _errors(heard, sensed, found).items()}
+        figures |= {f"oracle {kind}{name}": _rms(error) for kind, error in _errors(observed, sensed, found).items()}
         figures[f"order{name}"] = float(found.order)
     return figures
 
 
-def _errors(heard: Heard, sensed: Told, found: Known) -> dict[str, Array]:
+def _errors(observed: ObservedLog, sensed: OracleInputs, found: Known) -> dict[str, Array]:
     late = sensed.t >= SINCE
-    true = heard.true(JOINTS, sensed.t)
+    true = observed.true(JOINTS, sensed.t)
     return {"filter": (found.filtered - true)[late], "smoother": (found.smoothed - true)[late]}
 
 
-def told_of(heard: Heard, vision: bool) -> Told:
+def oracle_inputs(observed: ObservedLog, vision: bool) -> OracleInputs:
     """What the oracle is told of a log: encoders, and what vision found with the variance it truly has."""
     from .drawn import place
 
-    joints, track = heard.features.joints, heard.features.effector
+    joints, track = observed.features.joints, observed.features.effector
     assert joints is not None and track is not None
     t = np.unique(np.concatenate([joints.t, track.t])) if vision else np.unique(joints.t)
     encoders, seen = np.full((len(t), len(JOINTS)), np.nan), np.full((len(t), 2), np.nan)
     encoders[np.searchsorted(t, joints.t)] = joints.values[:, [joints.names.index(name) for name in JOINTS]]
-    off = track.values - place(heard.true(JOINTS, track.t))
+    off = track.values - place(observed.true(JOINTS, track.t))
     if vision:
         seen[np.searchsorted(t, track.t)] = track.values
-    return Told(t, encoders, seen, ENCODER_STD**2, np.nanmean(off**2, axis=0))
+    return OracleInputs(t, encoders, seen, ENCODER_STD**2, np.nanmean(off**2, axis=0))
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     def over(more: str, less: str) -> list[float]:
         return [a / b for a, b in zip(column(trials, more), column(trials, less), strict=True)]
 

@@ -9,7 +9,7 @@ from .. import pipeline
 from ..body_model import BodyModel
 from ..settings import Estimation, Settings
 from ..types import Array, Estimate
-from .lab import Heard
+from .lab import ObservedLog
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,24 +33,24 @@ class Belief:
         return np.column_stack([np.interp(t, self.t, column) for column in self.x.T])
 
 
-def ours(heard: Heard, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any) -> Belief:
+def ours(observed: ObservedLog, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any) -> Belief:
     """What our default believes."""
-    return believed(estimated(heard, body, Estimation(senses=senses, **settings)), heard)
+    return believed(estimated(observed, body, Estimation(senses=senses, **settings)), observed)
 
 
-def estimated(heard: Heard, body: BodyModel, settings: Estimation) -> Estimate:
+def estimated(observed: ObservedLog, body: BodyModel, settings: Estimation) -> Estimate:
     """The estimate by these settings."""
-    return pipeline.infer(heard.features, body, replace(Settings(), estimate=settings))
+    return pipeline.infer(observed.features, body, replace(Settings(), estimate=settings))
 
 
-def believed(found: Estimate, heard: Heard) -> Belief:
+def believed(found: Estimate, observed: ObservedLog) -> Belief:
     """An estimate beside the truth."""
-    return Belief(found.joints.t, found.joints.values, heard.true(found.joints.names, found.joints.t))
+    return Belief(found.joints.t, found.joints.values, observed.true(found.joints.names, found.joints.t))
 
 
-def noisier(heard: Heard, std: float, seed: int) -> Heard:
+def noisier(observed: ObservedLog, std: float, seed: int) -> ObservedLog:
     """The same log with more noise (rad) on its encoders."""
-    joints = heard.features.joints
+    joints = observed.features.joints
     assert joints is not None
     noise = std * np.random.default_rng([seed, 11]).standard_normal(joints.values.shape)
-    return replace(heard, features=replace(heard.features, joints=replace(joints, values=joints.values + noise)))
+    return replace(observed, features=replace(observed.features, joints=replace(joints, values=joints.values + noise)))

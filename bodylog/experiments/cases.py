@@ -9,7 +9,7 @@ from ..body_model import BodyModel
 from ..types import Array, Features, Synchrony
 from . import readings
 from .drawn import ARM, PIXEL_STD, SIZE, place, px_per_cm
-from .lab import JOINTS, Heard
+from .lab import JOINTS, ObservedLog
 from .printed import DT, Case, Map, Signals, Touching, believed
 from .readings import Reading
 
@@ -41,12 +41,12 @@ class Explored:
 
     def map(self, reading: Reading) -> Map:
         """The forward model in this reading of σ_n."""
-        told = readings.value(reading, "sigma_n")
-        if told not in self.maps:
-            self.maps[told] = (
-                self._learned() if told == "learned" else self._printed(readings.number(reading, "sigma_n"))
+        tried = readings.value(reading, "sigma_n")
+        if tried not in self.maps:
+            self.maps[tried] = (
+                self._learned() if tried == "learned" else self._printed(readings.number(reading, "sigma_n"))
             )
-        return self.maps[told]
+        return self.maps[tried]
 
     def _printed(self, noise: float | None) -> Map:
         """l as printed; the mean depends on noise and amplitude by their ratio alone, here that of deviations."""
@@ -85,11 +85,11 @@ def case(
 ) -> Case:
     """One run of senses such as "p1+p3+v" (p: all encoders) from a start (M,) rad."""
     parts = set(senses.split("+"))
-    heard = tuple("p" in parts or f"p{i + 1}" in parts for i in range(len(start)))
+    encoders = tuple("p" in parts or f"p{i + 1}" in parts for i in range(len(start)))
     prior = {"belief": start, "home": known.home, "zero": np.zeros(len(start))}[readings.value(reading, "mu_x")]
     unit, integration = _unit(known, reading, "sigma_v"), readings.value(reading, "integration")
     felt = _touching(known, reading) if touch or "t" in parts else None
-    return Case(known.map(reading), heard, "v" in parts, unit, integration, start, prior, felt, square)
+    return Case(known.map(reading), encoders, "v" in parts, unit, integration, start, prior, felt, square)
 
 
 def _unit(known: Explored, reading: Reading, name: str) -> float:
@@ -114,20 +114,20 @@ def beside(body: BodyModel) -> Array:
     return np.asarray(places.mean(axis=0)) if len(places) else np.zeros(2)
 
 
-def placed(heard: Signals, reading: Reading, by: Array) -> Signals:
+def placed(sensed: Signals, reading: Reading, by: Array) -> Signals:
     """The signals with the hand in this reading of o_v, touched skin being seen `by` (2,) px beside the effector."""
-    return heard if readings.value(reading, "o_v") == "hand" else replace(heard, hand=heard.hand - by)
+    return sensed if readings.value(reading, "o_v") == "hand" else replace(sensed, hand=sensed.hand - by)
 
 
-def signals(heard: Heard, joints: Sequence[str] = JOINTS) -> Signals:
+def signals(observed: ObservedLog, joints: Sequence[str] = JOINTS) -> Signals:
     """A log on the printed grid of 20 Hz: nearest encoder reading, place between two frames, the touch under way."""
-    features, encoders = heard.features, heard.features.joints
+    features, encoders = observed.features, observed.features.joints
     assert encoders is not None
     t = np.arange(encoders.t[0], encoders.t[-1], DT)
     columns = [encoders.names.index(name) for name in joints]
     hand, delay = _felt(features, t)
     read = encoders.values[_nearest(encoders.t, t)][:, columns]
-    return Signals(t, read, _between(features, t), hand, delay, heard.true(tuple(joints), t))
+    return Signals(t, read, _between(features, t), hand, delay, observed.true(tuple(joints), t))
 
 
 def _nearest(t: Array, at: Array) -> Array:
@@ -179,19 +179,19 @@ class Made:
 
 
 def study(
-    told: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Mapping[str, Case]]
+    tried: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Mapping[str, Case]]
 ) -> dict[str, Made]:
     """What every reading's runs believe, by the reading's key; those on one log run at once."""
     groups: dict[int, list[tuple[str, Signals, Mapping[str, Case]]]] = {}
-    for reading in told:
-        heard = log(reading)
-        groups.setdefault(id(heard), []).append((readings.key(reading), heard, cases(reading, heard)))
+    for reading in tried:
+        sensed = log(reading)
+        groups.setdefault(id(sensed), []).append((readings.key(reading), sensed, cases(reading, sensed)))
     found: dict[str, Made] = {}
     for members in groups.values():
-        heard = members[0][1]
-        made = believed(heard, [case for _, _, of in members for case in of.values()])
+        sensed = members[0][1]
+        made = believed(sensed, [case for _, _, of in members for case in of.values()])
         runs = iter(zip(made.x, made.errors, strict=True))
         for name, _, of in members:
             mine = {run: next(runs) for run in of}
-            found[name] = Made(heard, {k: x for k, (x, _) in mine.items()}, {k: e for k, (_, e) in mine.items()})
+            found[name] = Made(sensed, {k: x for k, (x, _) in mine.items()}, {k: e for k, (_, e) in mine.items()})
     return found

@@ -14,7 +14,7 @@ from ..types import Array, Features, Recording
 from .cases import Explored, explored, signals
 from .drawn import effector
 from .judging import Claim, untestable
-from .lab import NAMES, Heard, Lab
+from .lab import NAMES, Lab, ObservedLog
 from .records import Experiment, Readings, Trial, panel
 
 SECONDS = 30.0
@@ -22,18 +22,18 @@ CUTS = 5
 """Values of shoulder 2 at which the learned map is cut."""
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     """Drawn for the first seed alone: what it shows is no figure of merit."""
     if seed:
         return {"figures": {}, "panels": []}
-    heard = lab.heard("horizontal", seed, duration=lab.exploration)
+    observed = lab.observed("horizontal", seed, duration=lab.exploration)
     known = explored(lab.body("paper", seed, "horizontal"))
     read, features = pipeline.observe(lab.log("touch", seed, duration=SECONDS), Settings())
-    return {"figures": {}, "panels": [*_explored(heard), *_map(known), *_skin(read), *_patterns(features)]}
+    return {"figures": {}, "panels": [*_explored(observed), *_map(known), *_skin(read), *_patterns(features)]}
 
 
-def _explored(heard: Heard) -> list[dict[str, Any]]:
-    log = signals(heard)
+def _explored(observed: ObservedLog) -> list[dict[str, Any]]:
+    log = signals(observed)
     joints = {f"{name}, encoder": log.encoders[:, i] for i, name in enumerate(NAMES)}
     joints |= {f"{name}, truth": log.true[:, i] for i, name in enumerate(NAMES)}
     return [
@@ -95,7 +95,7 @@ UNTESTABLE = {
 """Claims of the paper that no simulation can decide, and why."""
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     return tuple(untestable(f"Data.{k}", text, why) for k, (text, why) in enumerate(UNTESTABLE.items(), 1))
 
 

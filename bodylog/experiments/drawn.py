@@ -11,7 +11,7 @@ from ..kinematics import chain, urdf
 from ..sim.arms import ARMS
 from ..sim.camera import Camera, ellipse_centre, look
 from ..types import Array, Features, Series
-from .lab import JOINTS, Heard
+from .lab import JOINTS, ObservedLog
 
 ARM = ARMS["ur5"]
 RADIUS = 0.025
@@ -70,7 +70,7 @@ def swinging(
 def log(
     period: float, noise: float, seed: int, moving: tuple[bool, bool, bool] = (True, True, True),
     begins: float = 0.0, square: bool = False, seconds: float | None = None,
-) -> Heard:  # fmt: skip
+) -> ObservedLog:  # fmt: skip
     """A log of that motion: encoders with `noise` (rad) at 100 Hz, the effector at 30 Hz; `square`: they read x²."""
     rng = np.random.default_rng([seed, 22])
     end = begins + SETTLING + period if seconds is None else seconds
@@ -81,7 +81,7 @@ def log(
     track = Series(frames, seen, ("u", "v"), "px", _ns(frames), np.full(seen.shape, PIXEL_STD))
     joints = Series(t, read, JOINTS, "rad", _ns(t))
     features = Features(joints, {"effector": track}, None, (), (), {}, (), SIZE)
-    return Heard(features, Series(t, x, JOINTS, "rad", _ns(t)))
+    return ObservedLog(features, Series(t, x, JOINTS, "rad", _ns(t)))
 
 
 def _ns(t: Array) -> Array:

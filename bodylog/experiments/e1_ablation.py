@@ -10,7 +10,7 @@ from . import drawn, readings
 from .beliefs import Belief, ours
 from .cases import Explored, Made, case, explored, signals, study
 from .judging import Bound, Claim, Control, own, paper
-from .lab import NAMES, Heard, Lab
+from .lab import NAMES, Lab, ObservedLog
 from .printed import Case, Signals
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
@@ -34,9 +34,9 @@ class Logs:
     def __init__(self, seed: int, moving: tuple[bool, bool, bool] = SIDEWAYS) -> None:
         """Of this seed; nothing is made yet."""
         self.seed, self.moving = seed, moving
-        self.made: dict[tuple[float, float], tuple[Heard, Signals]] = {}
+        self.made: dict[tuple[float, float], tuple[ObservedLog, Signals]] = {}
 
-    def heard(self, reading: Reading) -> Heard:
+    def observed(self, reading: Reading) -> ObservedLog:
         """The log of this reading."""
         return self._both(reading)[0]
 
@@ -44,38 +44,38 @@ class Logs:
         """Its signals on the printed grid."""
         return self._both(reading)[1]
 
-    def _both(self, reading: Reading) -> tuple[Heard, Signals]:
+    def _both(self, reading: Reading) -> tuple[ObservedLog, Signals]:
         period, noise = (readings.number(reading, name) for name in ("speed", "noise"))
         assert period is not None and noise is not None
         if (period, noise) not in self.made:
-            heard = drawn.log(period, noise, self.seed, self.moving)
-            self.made[period, noise] = heard, signals(heard)
+            observed = drawn.log(period, noise, self.seed, self.moving)
+            self.made[period, noise] = observed, signals(observed)
         return self.made[period, noise]
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     known, logs = explored(lab.body("paper", seed, "horizontal")), Logs(seed)
-    found = study(told.all, logs.signals, lambda reading, heard: _cases(known, reading, heard, SENSES))
-    lags = {speed: _lagging(known, logs, told.all, speed) for speed in (FAST, SLOW)}
+    found = study(tried.all, logs.signals, lambda reading, observed: _cases(known, reading, observed, SENSES))
+    lags = {speed: _lagging(known, logs, tried.all, speed) for speed in (FAST, SLOW)}
     figures: dict[str, float] = {}
-    for reading in told.all:
+    for reading in tried.all:
         key = readings.key(reading)
         figures |= {named(key, name): value for name, value in _figures(found[key]).items()}
         figures[named(key, "slow")] = lags[FAST][key] / lags[SLOW][key]
-    own_figures, beliefs = _ours(lab, seed, logs.heard(told.decide[0]))
+    own_figures, beliefs = _ours(lab, seed, logs.observed(tried.decide[0]))
     return {
         "figures": figures | own_figures,
-        "panels": _panels(found[told.keys[0]], beliefs),
+        "panels": _panels(found[tried.keys[0]], beliefs),
     }
 
 
-def _cases(known: Explored, reading: Reading, heard: Signals, senses: Sequence[str]) -> dict[str, Case]:
-    return {name: case(known, reading, name, heard.true[0] + OFF) for name in senses}
+def _cases(known: Explored, reading: Reading, sensed: Signals, senses: Sequence[str]) -> dict[str, Case]:
+    return {name: case(known, reading, name, sensed.true[0] + OFF) for name in senses}
 
 
-def _lagging(known: Explored, logs: Logs, told: Sequence[Reading], speed: str) -> dict[str, float]:
+def _lagging(known: Explored, logs: Logs, tried: Sequence[Reading], speed: str) -> dict[str, float]:
     """Error (rad) of p+v by reading, at another speed."""
-    moved = {readings.key(reading): {**reading, "speed": speed} for reading in told}
+    moved = {readings.key(reading): {**reading, "speed": speed} for reading in tried}
     found = study(list(moved.values()), logs.signals, lambda r, s: _cases(known, r, s, ["p+v"]))
     return {key: found[readings.key(reading)].error("p+v", drawn.SETTLING) for key, reading in moved.items()}
 
@@ -109,14 +109,14 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _ours(lab: Lab, seed: int, heard: Heard) -> tuple[dict[str, float], dict[str, Belief]]:
+def _ours(lab: Lab, seed: int, observed: ObservedLog) -> tuple[dict[str, float], dict[str, Belief]]:
     body = lab.body("default", seed, "horizontal")
-    start = tuple(float(v) for v in heard.true(body.joints, heard.truth.t[:1])[0] + OFF)
-    beliefs = {name: ours(heard, body, senses, start=start) for name, senses in OURS.items()}
+    start = tuple(float(v) for v in observed.true(body.joints, observed.truth.t[:1])[0] + OFF)
+    beliefs = {name: ours(observed, body, senses, start=start) for name, senses in OURS.items()}
     figures = {f"ours {name}": belief.rmse(drawn.SETTLING) for name, belief in beliefs.items()}
-    joints = heard.features.joints
+    joints = observed.features.joints
     assert joints is not None
-    figures["encoders"] = _rms((joints.values - heard.true(joints.names, joints.t))[joints.t >= drawn.SETTLING])
+    figures["encoders"] = _rms((joints.values - observed.true(joints.names, joints.t))[joints.t >= drawn.SETTLING])
     return figures, beliefs
 
 
@@ -139,7 +139,7 @@ def _panels(made: Made, beliefs: Mapping[str, Belief]) -> list[dict[str, Any]]:
     return panels
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     figures = by_reading(trials)
 
     def claim(
@@ -151,8 +151,8 @@ def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
         *controls: Control,
         without: tuple[str, ...] = (),
     ) -> Claim:
-        tried = told.about(*(name for name in CONCERNED if name not in without))
-        return paper(f"E1.{number}", text, measured, "1", bound, figure, figures, tried.keys, tried.swept, controls)
+        part = tried.restricted(*(name for name in CONCERNED if name not in without))
+        return paper(f"E1.{number}", text, measured, "1", bound, figure, figures, part.keys, part.swept, controls)
 
     found = [Control(f"share of shoulder {i}'s motion that vision alone follows", "1", Bound("≥", 0.5), f"followed {i}")
              for i in (1, 2)]  # fmt: skip
@@ -178,12 +178,12 @@ def _own(trials: Sequence[Trial]) -> tuple[Claim, ...]:
     def over(more: str, fewer: str) -> list[float]:
         return [a / b for a, b in zip(column(trials, more), column(trials, fewer), strict=True)]
 
-    said = "vision alone takes a joint no encoder reads to be about where it was explored: remembered, not seen"
+    explanation = "vision alone takes a joint no encoder reads to be about where it was explored: remembered, not seen"
     return (
         own("E1.7", "our p+v errs less than the raw encoders", "error over the encoders'", "1", Bound("≤", 0.5),
             over("ours p+v", "encoders")),
         own("E1.8", "our p+v errs less than our p", "error of p+v over that of p", "1", Bound("≤", 1.0),
-            over("ours p+v", "ours p"), said),
+            over("ours p+v", "ours p"), explanation),
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from . import drawn, readings
 from .beliefs import Belief, ours
 from .cases import Explored, case, explored, signals, study
 from .judging import Bound, Claim, Control, own, paper
-from .lab import Heard, Lab
+from .lab import Lab, ObservedLog
 from .printed import Case, Signals
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
@@ -28,13 +28,13 @@ INDUCED = 0.01
 CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "speed", "noise")
 
 
-def drifted(heard: Heard) -> Heard:
+def drifted(observed: ObservedLog) -> ObservedLog:
     """The log with the drift in its first encoder's readings."""
-    joints = heard.features.joints
+    joints = observed.features.joints
     assert joints is not None
     values = joints.values.copy()
     values[:, 0] += DRIFT * np.clip((joints.t - BEGINS) / (FULL - BEGINS), 0.0, 1.0)
-    return replace(heard, features=replace(heard.features, joints=replace(joints, values=values)))
+    return replace(observed, features=replace(observed.features, joints=replace(joints, values=values)))
 
 
 class _Logs:
@@ -42,47 +42,47 @@ class _Logs:
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
-        self.made: dict[tuple[float, float, bool], tuple[Heard, Signals]] = {}
+        self.made: dict[tuple[float, float, bool], tuple[ObservedLog, Signals]] = {}
 
-    def both(self, reading: Reading, sound: bool) -> tuple[Heard, Signals]:
+    def both(self, reading: Reading, sound: bool) -> tuple[ObservedLog, Signals]:
         period, noise = (readings.number(reading, name) for name in ("speed", "noise"))
         assert period is not None and noise is not None
         if (period, noise, sound) not in self.made:
-            heard = drawn.log(period, noise, self.seed, seconds=SECONDS)
-            heard = heard if sound else drifted(heard)
-            self.made[period, noise, sound] = heard, signals(heard)
+            observed = drawn.log(period, noise, self.seed, seconds=SECONDS)
+            observed = observed if sound else drifted(observed)
+            self.made[period, noise, sound] = observed, signals(observed)
         return self.made[period, noise, sound]
 
     def signals(self, reading: Reading, sound: bool) -> Signals:
         return self.both(reading, sound)[1]
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     known, logs = explored(lab.body("paper", seed)), _Logs(seed)
     found = {
-        sound: study(told.all, partial(logs.signals, sound=sound), lambda r, s: _cases(known, r, s))
+        sound: study(tried.all, partial(logs.signals, sound=sound), lambda r, s: _cases(known, r, s))
         for sound in (True, False)
     }
     figures: dict[str, float] = {}
-    for reading in told.all:
+    for reading in tried.all:
         key = readings.key(reading)
         ill, sound = found[False][key], found[True][key]
         t = ill.signals.t
         figures |= {named(key, k): v for k, v in effects(t, ill.x["p+v"], sound.x["p+v"]).items()}
         figures[named(key, "alone")] = effects(t, ill.x["p"], sound.x["p"])["left"]
-    beliefs = {sound: _ours(lab, seed, logs.both(told.decide[0], sound)[0]) for sound in (True, False)}
+    beliefs = {sound: _ours(lab, seed, logs.both(tried.decide[0], sound)[0]) for sound in (True, False)}
     whole = beliefs[False]
     figures |= {f"ours {k}": abs(v) for k, v in effects(whole.t, whole.x, beliefs[True].at(whole.t)).items()}
-    first = found[False][told.keys[0]]
+    first = found[False][tried.keys[0]]
     return {"figures": figures, "panels": _panels(first.signals, first.x, whole)}
 
 
-def _cases(known: Explored, reading: Reading, heard: Signals) -> dict[str, Case]:
-    return {name: case(known, reading, name, heard.true[0]) for name in ("p", "p+v")}
+def _cases(known: Explored, reading: Reading, sensed: Signals) -> dict[str, Case]:
+    return {name: case(known, reading, name, sensed.true[0]) for name in ("p", "p+v")}
 
 
-def _ours(lab: Lab, seed: int, heard: Heard) -> Belief:
-    return ours(heard, lab.body("default", seed), ("encoders", "vision"))
+def _ours(lab: Lab, seed: int, observed: ObservedLog) -> Belief:
+    return ours(observed, lab.body("default", seed), ("encoders", "vision"))
 
 
 def effects(t: Array, x: Array, sound: Array) -> dict[str, float]:
@@ -91,8 +91,8 @@ def effects(t: Array, x: Array, sound: Array) -> dict[str, float]:
     return {"left": float(late[0] / DRIFT), "second": float(abs(late[1])), "others": float(np.abs(late[1:]).max())}
 
 
-def _panels(heard: Signals, made: Mapping[str, Array], own_belief: Belief) -> list[dict[str, Any]]:
-    t, true = heard.t, heard.true
+def _panels(sensed: Signals, made: Mapping[str, Array], own_belief: Belief) -> list[dict[str, Any]]:
+    t, true = sensed.t, sensed.true
     panels = []
     for i, name in enumerate(("shoulder 1", "shoulder 2")):
         lines = {
@@ -108,17 +108,17 @@ def _panels(heard: Signals, made: Mapping[str, Array], own_belief: Belief) -> li
     return panels
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     figures = by_reading(trials)
     there = Control("share of the drift that encoders alone leave", "1", Bound("≥", 0.8), "alone")
     reduced = Control("share of the drift left", "1", Bound("≤", 0.9), "left")
     return (
         paper("E3.1", "vision reduces the drift of shoulder 1 by at least a tenth", "share of the drift left", "1",
-              Bound("≤", 0.9), "left", figures, told.keys, told.swept, (there,)),
+              Bound("≤", 0.9), "left", figures, tried.keys, tried.swept, (there,)),
         paper("E3.2", "it nicely reduces it: by half at least", "share of the drift left", "1",
-              Bound("≤", 0.5), "left", figures, told.keys, told.swept, (there,)),
+              Bound("≤", 0.5), "left", figures, tried.keys, tried.swept, (there,)),
         paper("E3.3", "the price is a bias on shoulder 2", "bias of shoulder 2 that the drift induces", "rad",
-              Bound("≥", INDUCED), "second", figures, told.keys, told.swept, (there, reduced)),
+              Bound("≥", INDUCED), "second", figures, tried.keys, tried.swept, (there, reduced)),
         own("E3.4", "ours leaves at most a twentieth of the drift", "share of the drift left", "1", Bound("≤", 0.05),
             column(trials, "ours left")),
         own("E3.5", "ours biases no other joint", "largest bias induced on another joint", "rad",

@@ -11,7 +11,7 @@ from . import readings
 from .beliefs import Belief, noisier, ours
 from .cases import Explored, Made, beside, case, explored, placed, signals, study
 from .judging import Bound, Claim, Control, own, paper
-from .lab import NAMES, Heard, Lab
+from .lab import NAMES, Lab, ObservedLog
 from .printed import Case, Signals
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
@@ -33,9 +33,9 @@ CONCERNED = ("sigma_n", "sigma_v", "mu_x", "integration", "noise", "b_1", "o_v",
 class Noises:
     """The log of one seed with the encoders' noise of a reading; less than its own is not possible and is its own."""
 
-    def __init__(self, heard: Heard, own_noise: float, by: Array, seed: int) -> None:
+    def __init__(self, observed: ObservedLog, own_noise: float, by: Array, seed: int) -> None:
         """Of this seed; nothing is made yet."""
-        self.heard, self.own_noise, self.by, self.seed = heard, own_noise, by, seed
+        self.observed, self.own_noise, self.by, self.seed = observed, own_noise, by, seed
         self.made: dict[tuple[float, str], Signals] = {}
 
     def signals(self, reading: Reading) -> Signals:
@@ -43,46 +43,46 @@ class Noises:
         noise, where = readings.number(reading, "noise"), readings.value(reading, "o_v")
         assert noise is not None
         if (noise, where) not in self.made:
-            heard = signals(with_noise(self.heard, noise, self.own_noise, self.seed))
-            self.made[noise, where] = placed(heard, reading, self.by)
+            observed = signals(with_noise(self.observed, noise, self.own_noise, self.seed))
+            self.made[noise, where] = placed(observed, reading, self.by)
         return self.made[noise, where]
 
 
-def with_noise(heard: Heard, noise: float, own_noise: float, seed: int) -> Heard:
+def with_noise(observed: ObservedLog, noise: float, own_noise: float, seed: int) -> ObservedLog:
     """The log as if its encoders, which have `own_noise` (rad), had `noise`: scaled about the truth, or added to."""
-    joints = heard.features.joints
+    joints = observed.features.joints
     assert joints is not None
     if noise >= own_noise:
-        return noisier(heard, float(np.sqrt(noise**2 - own_noise**2)), seed)
-    true = heard.true(joints.names, joints.t)
+        return noisier(observed, float(np.sqrt(noise**2 - own_noise**2)), seed)
+    true = observed.true(joints.names, joints.t)
     values = true + (joints.values - true) * noise / own_noise
-    return replace(heard, features=replace(heard.features, joints=replace(joints, values=values)))
+    return replace(observed, features=replace(observed.features, joints=replace(joints, values=values)))
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
-    heard = lab.heard("touch", seed, duration=DURATION, noise=OWN_NOISE)
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
+    observed = lab.observed("touch", seed, duration=DURATION, noise=OWN_NOISE)
     body = lab.body("default", seed, touched=True)
-    known, logs = explored(lab.body("paper", seed)), Noises(heard, OWN_NOISE, beside(body), seed)
+    known, logs = explored(lab.body("paper", seed)), Noises(observed, OWN_NOISE, beside(body), seed)
     rng = np.random.default_rng([seed, 4])
     off = rng.choice([-1.0, 1.0], 3) * rng.uniform(0.1, 0.2, 3)
-    found = study(told.all, logs.signals, lambda r, s: _cases(known, r, s, off))
+    found = study(tried.all, logs.signals, lambda r, s: _cases(known, r, s, off))
     figures: dict[str, float] = {}
-    for reading in told.all:
+    for reading in tried.all:
         key = readings.key(reading)
         figures |= {named(key, name): value for name, value in _figures(found[key]).items()}
-    start = tuple((heard.true(body.joints, heard.truth.t[:1])[0] + off).tolist())
-    beliefs = {name: ours(heard, body, senses, start=start) for name, senses in OURS.items()}
+    start = tuple((observed.true(body.joints, observed.truth.t[:1])[0] + off).tolist())
+    beliefs = {name: ours(observed, body, senses, start=start) for name, senses in OURS.items()}
     figures |= {f"ours {name}": belief.rmse(SINCE) for name, belief in beliefs.items()}
     for noise in POOR:
-        poor = noisier(heard, noise, seed)
+        poor = noisier(observed, noise, seed)
         figures |= {
             f"ours {name} {noise:g}": ours(poor, body, OURS[name], start=start).rmse(SINCE) for name in ("p", "p+t")
         }
-    return {"figures": figures, "panels": _panels(found[told.keys[0]], beliefs)}
+    return {"figures": figures, "panels": _panels(found[tried.keys[0]], beliefs)}
 
 
-def _cases(known: Explored, reading: Reading, heard: Signals, off: Any) -> dict[str, Case]:
-    return {name: case(known, reading, name, heard.true[0] + off) for name in SENSES}
+def _cases(known: Explored, reading: Reading, sensed: Signals, off: Any) -> dict[str, Case]:
+    return {name: case(known, reading, name, sensed.true[0] + off) for name in SENSES}
 
 
 def _figures(made: Made) -> dict[str, float]:
@@ -103,21 +103,21 @@ def _panels(made: Made, beliefs: dict[str, Belief]) -> list[dict[str, Any]]:
     return [*panels, panel("mean absolute error", "rad", t, lines, "6a")]
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     figures = by_reading(trials)
     found = Control("error of p+v", "rad", Bound("≤", 0.1), "p+v")
 
     def claim(
         number: int, text: str, more: str, fewer: str, *controls: Control, names: tuple[str, ...] = CONCERNED
     ) -> Claim:
-        measured, tried = f"error of {more} over that of {fewer}", told.about(*names)
+        measured, part = f"error of {more} over that of {fewer}", tried.restricted(*names)
         bound, figure = Bound("≤", WORTH), f"{more} over {fewer}"
-        return paper(f"E4.{number}", text, measured, "1", bound, figure, figures, tried.keys, tried.swept, controls)
+        return paper(f"E4.{number}", text, measured, "1", bound, figure, figures, part.keys, part.swept, controls)
 
     def over(more: str, fewer: str) -> list[float]:
         return [a / b for a, b in zip(column(trials, more), column(trials, fewer), strict=True)]
 
-    said = "ours knows from a log of touches where each cell is seen beside the effector"
+    explanation = "ours knows from a log of touches where each cell is seen beside the effector"
     return (
         claim(1, "vision adds accuracy to encoders, the prior being wrong", "p+v", "p", names=CONCERNED[:5]),
         claim(2, "touch adds accuracy to encoders, the prior being wrong", "p+t", "p"),
@@ -125,9 +125,9 @@ def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
         own("E4.4", "vision adds accuracy to encoders", "error of p+v over that of p", "1", Bound("≤", WORTH),
             over("ours p+v", "ours p")),
         own("E4.5", "touch adds accuracy to encoders with 0.1 rad more noise", "error of p+t over that of p", "1",
-            Bound("≤", WORTH), over("ours p+t 0.1", "ours p 0.1"), said),
+            Bound("≤", WORTH), over("ours p+t 0.1", "ours p 0.1"), explanation),
         own("E4.6", "touch adds accuracy to encoders with 0.3 rad more noise", "error of p+t over that of p", "1",
-            Bound("≤", WORTH), over("ours p+t 0.3", "ours p 0.3"), said),
+            Bound("≤", WORTH), over("ours p+t 0.3", "ours p 0.3"), explanation),
     )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """E5, the rubber hand: the arm is hidden and stroked, the image shows a hand that strokes another place."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ from .cases import Explored, beside, case, explored, study
 from .drawn import SIZE
 from .e4_refinement import Noises
 from .judging import Bound, Claim, Control, own, paper
-from .lab import NAMES, Heard, Lab
+from .lab import NAMES, Lab, ObservedLog
 from .printed import Case, Signals
 from .readings import Reading
 from .records import Experiment, Readings, Table, Trial, by_reading, column, named, panel, shown
@@ -28,31 +28,31 @@ NOTICED = 0.01
 CONCERNED = ("sigma_n", "integration", "noise", "b_1", "o_v", "s_t", "sigma_t", "a_2", "b_2")
 
 
-def heard(lab: Lab, seed: int, rhythm: str, side: str) -> Heard:
+def stroked(lab: Lab, seed: int, rhythm: str, side: str) -> ObservedLog:
     """The log of one seed, rhythm and side."""
-    return lab.heard("rubber-hand", seed, duration=DURATION, variant=rhythm, place=side)
+    return lab.observed("rubber-hand", seed, duration=DURATION, variant=rhythm, place=side)
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     known, body = explored(lab.body("paper", seed)), lab.body("default", seed, touched=True)
     figures: dict[str, float] = {}
     courses: dict[str, tuple[Array, Array, Array]] = {}
     for rhythm in RHYTHMS:
         for side, sign in SIDES.items():
-            log = heard(lab, seed, rhythm, side)
+            log = stroked(lab, seed, rhythm, side)
             figures[f"{rhythm} {side} weight"] = float(np.mean([pair.weight for pair in log.features.synchrony]))
             logs = Noises(log, OWN_NOISE, beside(body), seed)
-            found = study(told.all, logs.signals, lambda r, s: _cases(known, r, s))
-            for reading in told.all:
+            found = study(tried.all, logs.signals, lambda r, s: _cases(known, r, s))
+            for reading in tried.all:
                 key = readings.key(reading)
                 made = found[key].x["p+t"], found[key].x["p"]
                 moved = known.map(reading).at(made[0])[:, 0] - known.map(reading).at(made[1])[:, 0]
                 t = found[key].signals.t
                 figures[named(key, f"{rhythm} {side}")] = sign * final(t, moved) / DISPLACEMENT
                 figures[named(key, f"{rhythm} {side} rad")] = _largest(t, made[0] - made[1])
-                if key == told.keys[0]:
+                if key == tried.keys[0]:
                     courses[f"{rhythm} {side}"] = t, made[0] - made[1], moved
-    return {"figures": figures | _together(figures, told), "panels": _panels(courses)}
+    return {"figures": figures | _together(figures, tried), "panels": _panels(courses)}
 
 
 def _cases(known: Explored, reading: Reading, log: Signals) -> dict[str, Case]:
@@ -70,10 +70,10 @@ def _largest(t: Array, apart: Array) -> float:
     return float(np.abs(apart[t >= CALM]).max())
 
 
-def _together(figures: Mapping[str, float], told: Readings) -> dict[str, float]:
+def _together(figures: Mapping[str, float], tried: Readings) -> dict[str, float]:
     """Of each reading: the lesser drift toward the hand of both sides, and the greater one when asynchronous."""
     found = {}
-    for key in (readings.key(reading) for reading in told.all):
+    for key in (readings.key(reading) for reading in tried.all):
         both = {r: [figures[named(key, f"{r} {side}")] for side in SIDES] for r in RHYTHMS}
         found[named(key, "lesser")] = float(np.min(both["synchronous"]))
         found[named(key, "asynchronous")] = float(np.max(np.abs(both["asynchronous"])))
@@ -90,54 +90,32 @@ def _panels(courses: Mapping[str, tuple[Array, Array, Array]]) -> list[dict[str,
     return panels
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
-    figures = by_reading(trials)
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     drifts = Control("lesser drift of both sides, synchronous", "of the displacement", Bound("≥", NOTICED), "lesser")
-    weights = {
-        r: [float(np.mean(row)) for row in zip(*(column(trials, f"{r} {s} weight") for s in SIDES), strict=True)]
-        for r in RHYTHMS
-    }
-    return (
-        paper(
-            "E5.1",
-            "with synchronous strokes the belief drifts toward the seen hand, whichever its side",
-            "lesser drift toward the hand of left and right, over the displacement",
-            "1",
-            Bound("≥", NOTICED),
-            "lesser",
-            figures,
-            told.keys,
-            told.swept,
-        ),
-        paper(
-            "E5.2",
-            "with asynchronous strokes it hardly does",
-            "greater drift of both sides, over the displacement",
-            "1",
-            Bound("≤", NOTICED),
-            "asynchronous",
-            figures,
-            told.keys,
-            told.swept,
-            (drifts,),
-        ),
-        own(
-            "E5.3",
-            "perception takes strokes seen in time with the skin for the same event",
-            "mean synchrony weight",
-            "1",
-            Bound("≥", 0.7),
-            weights["synchronous"],
-        ),
-        own(
-            "E5.4",
-            "and strokes seen 0.4 to 1 s late not",
-            "mean synchrony weight",
-            "1",
-            Bound("≤", 0.1),
-            weights["asynchronous"],
-        ),
+    rows: tuple[tuple[str, str, Bound, str, tuple[Control, ...]], ...] = (
+        ("with synchronous strokes the belief drifts toward the seen hand, whichever its side",
+         "lesser drift toward the hand of left and right, over the displacement", Bound("≥", NOTICED), "lesser", ()),
+        ("with asynchronous strokes it hardly does",
+         "greater drift of both sides, over the displacement", Bound("≤", NOTICED), "asynchronous", (drifts,)),
+    )  # fmt: skip
+    figures = by_reading(trials)
+    papers = (
+        paper(f"E5.{k}", text, measured, "1", bound, figure, figures, tried.keys, tried.swept, controls)
+        for k, (text, measured, bound, figure, controls) in enumerate(rows, 1)
     )
+    return (*papers, *_own_claims(trials))
+
+
+def _own_claims(trials: Sequence[Trial]) -> Iterator[Claim]:
+    """Perception's synchrony weight, by rhythm of the strokes."""
+    rows = (
+        ("synchronous", "perception takes strokes seen in time with the skin for the same event", Bound("≥", 0.7)),
+        ("asynchronous", "and strokes seen 0.4 to 1 s late not", Bound("≤", 0.1)),
+    )
+    for k, (rhythm, text, bound) in enumerate(rows, 3):
+        sides = (column(trials, f"{rhythm} {side} weight") for side in SIDES)
+        weights = [float(np.mean(row)) for row in zip(*sides, strict=True)]
+        yield own(f"E5.{k}", text, "mean synchrony weight", "1", bound, weights)
 
 
 def _tables(trials: Sequence[Trial]) -> tuple[Table, ...]:

@@ -21,7 +21,7 @@ SIZES = (512, 1024, 2048)
 REPEATS = 9
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     rng = np.random.default_rng([seed, 6])
     costs: dict[str, dict[int, float]] = {
         "learn": {n: spent(_learning(n, rng)) for n in SAMPLES},
@@ -39,10 +39,10 @@ def spent(work: Callable[[], object], times: int = 1) -> float:
     work()
     found = []
     for _ in range(REPEATS):
-        begun = perf_counter()
+        started = perf_counter()
         for _ in range(times):
             work()
-        found.append((perf_counter() - begun) / times)
+        found.append((perf_counter() - started) / times)
     return min(found)
 
 
@@ -102,7 +102,7 @@ def counted(senses: int, joints: int, each: int) -> int:
     return count
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     def claim(number: int, text: str, name: str, limit: float) -> Claim:
         found = {"timed": _typical(trials, name)}
         return variants(f"E6.{number}", text, "exponent of the measured cost", "1", Bound("≤", limit), found, "")
@@ -115,7 +115,7 @@ def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
         "dense slopes, timed": _typical(trials, "step"),
         "one joint per sense, timed": _typical(trials, "sparse step"),
     }
-    said = "Σ_i e_i g_i′ has N·M products where every sense depends on every joint"
+    explanation = "Σ_i e_i g_i′ has N·M products where every sense depends on every joint"
     return (
         claim(1, "learning costs at most O(n³) in n samples", "learn", 3.3),
         claim(2, "prediction of the means costs at most O(N · n)", "predict", 1.3),
@@ -127,7 +127,7 @@ def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
             Bound("≤", 1.25),
             {**timed, **counts},
             "how many joints a sense depends on",
-            said,
+            explanation,
         ),
     )
 

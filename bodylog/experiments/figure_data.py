@@ -63,9 +63,9 @@ def outcomes(claims: Sequence[Claim]) -> Columns:
     """Every claim's outcome in every reading and at every number swept, with the bound and the interval."""
     rows = []
     for claim in claims:
-        told = [(key, "", np.nan, one) for key, one in claim.outcomes.items()]
-        told += [("", name, number, one) for name, swept in claim.sweeps.items() for number, one in swept]
-        for reading, constant, number, one in told:
+        found = [(key, "", np.nan, one) for key, one in claim.outcomes.items()]
+        found += [("", name, number, one) for name, swept in claim.sweeps.items() for number, one in swept]
+        for reading, constant, number, one in found:
             kept = "yes" if one.keeps else "no"
             rows.append(
                 (

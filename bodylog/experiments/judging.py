@@ -82,8 +82,8 @@ class Claim:
     sweeps: Mapping[str, tuple[tuple[float, Outcome], ...]] = field(default_factory=dict)
     turns: str = ""
     explanation: str = ""
-    alike: str = ""
-    unlike: str = ""
+    shared: str = ""
+    differences: str = ""
 
 
 Swept = tuple[str, float, str]
@@ -102,10 +102,10 @@ def paper(
     swings = _swings(swept, lambda key: outcome(bound, figure, figures, key, controls))
     verdict, guilty = verdict_of(outcomes)
     swings = {name: found for name, found in swings.items() if name in guilty}
-    told = tuple(f"{c.measured}: {c.bound}{_unit(c.unit)}" for c in controls)
+    texts = tuple(f"{c.measured}: {c.bound}{_unit(c.unit)}" for c in controls)
     text_of_turns = turns(outcomes, swings, guilty)
     return Claim(
-        name, "paper", text, measured, unit, str(bound), verdict, outcomes, told, swings, text_of_turns, explanation
+        name, "paper", text, measured, unit, str(bound), verdict, outcomes, texts, swings, text_of_turns, explanation
     )
 
 
@@ -120,12 +120,14 @@ def own(
 
 def comparison(
     name: str, text: str, measured: str, unit: str, bound: Bound, figures: Mapping[str, Sequence[float]],
-    alike: str, unlike: str,
+    shared: str, differences: str,
 ) -> Claim:  # fmt: skip
     """A comparison with others' figures: what is alike and what is not stands beside; the last decides."""
     found = {who: _outcome(bound, values, [True] * len(values)) for who, values in figures.items()}
     verdict = OWN_HOLDS if list(found.values())[-1].keeps else OWN_FAILS
-    return Claim(name, "comparison", text, measured, unit, str(bound), verdict, found, alike=alike, unlike=unlike)
+    return Claim(
+        name, "comparison", text, measured, unit, str(bound), verdict, found, shared=shared, differences=differences
+    )
 
 
 def erratum(
@@ -144,8 +146,8 @@ def variants(
     """A claim of the paper about no constant, judged in variants of what it says; `apart` is what they differ in."""
     found = {who: _outcome(bound, values, [True] * len(values)) for who, values in figures.items()}
     verdict = _varied([one.keeps for one in found.values()], apart)
-    told = "; ".join(f"{'kept' if one.keeps else 'not kept'}: {who}" for who, one in found.items())
-    turns = told if DEPENDS in verdict else ""
+    texts = "; ".join(f"{'kept' if one.keeps else 'not kept'}: {who}" for who, one in found.items())
+    turns = texts if DEPENDS in verdict else ""
     return Claim(name, "paper", text, measured, unit, str(bound), verdict, found, turns=turns, explanation=explanation)
 
 
@@ -223,12 +225,12 @@ def turns(
 
 def _valued(outcomes: Mapping[str, Outcome], name: str) -> str:
     """Which values keep the claim, in the readings of this constant with the fewest others."""
-    told = []
+    texts = []
     for key, found in outcomes.items():
         reading = readings.parsed(key)
         if name in reading or key == CENTRE:
-            told.append(f"{'kept' if found.keeps else 'not kept'} at {key}")
-    return ", ".join(told)
+            texts.append(f"{'kept' if found.keeps else 'not kept'} at {key}")
+    return ", ".join(texts)
 
 
 def _swings(swept: Sequence[Swept], found: Callable[[str], Outcome]) -> dict[str, tuple[tuple[float, Outcome], ...]]:

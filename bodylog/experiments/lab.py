@@ -27,7 +27,7 @@ ELSEWHERE = 1000
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
+class ObservedLog:
     """A log as found by perception, and the truth beside it."""
 
     features: Features
@@ -49,12 +49,12 @@ class Lab:
     exploration: float = EXPLORATION_S
     markers: Mapping[str, str] = field(default_factory=dict)
 
-    def heard(self, scenario: str, seed: int, **options: Any) -> Heard:
+    def observed(self, scenario: str, seed: int, **options: Any) -> ObservedLog:
         """What perception finds in a recording of `scenario` (options as `sim.record`), made when it is not there."""
         settings = self._settings()
         read, features = pipeline.observe(self.log(scenario, seed, **options), settings)
         assert read.truth is not None  # every simulated log carries it
-        return Heard(features, read.truth)
+        return ObservedLog(features, read.truth)
 
     def log(self, scenario: str, seed: int, **options: Any) -> Path:
         """The recording's signals and tracks, without its pictures."""
@@ -81,9 +81,9 @@ class Lab:
 
     def key(self, options: Mapping[str, Any]) -> str:
         """What a kept file depends on beside its name, as 12 hex digits."""
-        told = {**options, "size": self.size, "exploration": self.exploration, "version": __version__}
-        told["markers"] = dict(self.markers)
-        return sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:12]
+        inputs = {**options, "size": self.size, "exploration": self.exploration, "version": __version__}
+        inputs["markers"] = dict(self.markers)
+        return sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]
 
     def _path(self, name: str, suffix: str, options: Mapping[str, Any]) -> Path:
         self.folder.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,7 @@ STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class OracleInputs:
     """What is sensed at times t (E,) s: encoders (E,M) rad, place (E,2) px, NaN where silent; and their variances."""
 
     t: Array
@@ -40,18 +40,18 @@ class Known:
     order: int
 
 
-def known(told: Told) -> Known:
+def known(inputs: OracleInputs) -> Known:
     """The beliefs by the order and density of greatest evidence."""
-    runs = {order: _forth(told, order, DENSITIES[order], None) for order in DENSITIES}
+    runs = {order: _filtered(inputs, order, DENSITIES[order], None) for order in DENSITIES}
     order = max(runs, key=lambda o: float(runs[o].nats.max()))
     best = DENSITIES[order][[int(runs[order].nats.argmax())]]
-    joints = told.encoders.shape[1]
-    run = _forth(told, order, best, None)
+    joints = inputs.encoders.shape[1]
+    run = _filtered(inputs, order, best, None)
     filtered, path = run.mean[:, 0, :joints], None
     for _ in range(PASSES):
-        path = _back(run)[..., :joints]
-        run = _forth(told, order, best, path)
-    return Known(filtered, _back(run)[:, 0, :joints], order)
+        path = _smoothed(run)[..., :joints]
+        run = _filtered(inputs, order, best, path)
+    return Known(filtered, _smoothed(run)[:, 0, :joints], order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,18 +74,18 @@ def motion(order: int, dt: float, joints: int) -> tuple[Array, Array]:
     return np.kron(move, np.eye(joints)), np.kron(np.array(noise), np.eye(joints))
 
 
-def _forth(told: Told, order: int, densities: Array, path: Array | None) -> _Run:
-    joints, count = told.encoders.shape[1], len(densities)
-    first = np.array([column[np.isfinite(column)][0] for column in told.encoders.T])
+def _filtered(inputs: OracleInputs, order: int, densities: Array, path: Array | None) -> _Run:
+    joints, count = inputs.encoders.shape[1], len(densities)
+    first = np.array([column[np.isfinite(column)][0] for column in inputs.encoders.T])
     z = np.tile(np.concatenate([first, np.zeros((order - 1) * joints)]), (count, 1))
     p, nats = np.tile(np.eye(order * joints), (count, 1, 1)), np.zeros(count)
     rows: tuple[list[Array], ...] = ([], [], [], [], [])
-    for k, dt in enumerate(np.diff(told.t, prepend=told.t[0])):
+    for k, dt in enumerate(np.diff(inputs.t, prepend=inputs.t[0])):
         move, noise = motion(order, float(dt), joints)
         z, p = z @ move.T, move @ p @ move.T + densities[:, None, None] * noise
         prior, prior_cov = z, p
         at = z[:, :joints] if path is None else path[k]
-        z, p, more = _heard(told, k, z, p, at)
+        z, p, more = _updated(inputs, k, z, p, at)
         nats = nats + more
         for row, value in zip(rows, (move, prior, prior_cov, z, p), strict=True):
             row.append(value)
@@ -93,20 +93,20 @@ def _forth(told: Told, order: int, densities: Array, path: Array | None) -> _Run
     return _Run(moves, priors, prior_covs, means, covs, nats)
 
 
-def _heard(told: Told, k: int, z: Array, p: Array, at: Array) -> tuple[Array, Array, Array]:
+def _updated(inputs: OracleInputs, k: int, z: Array, p: Array, at: Array) -> tuple[Array, Array, Array]:
     """One update with all that is sensed at an instant, the camera linearised at (Q,M) rad; its evidence (Q,) nats."""
-    joints, (count, size) = told.encoders.shape[1], z.shape
-    use = np.flatnonzero(np.isfinite(told.encoders[k]))
-    h, y = [np.tile(np.eye(size)[use], (count, 1, 1))], [np.tile(told.encoders[k, use], (count, 1))]
-    r = [np.full(len(use), told.encoder_var)]
-    if np.isfinite(told.place[k]).all():
+    joints, (count, size) = inputs.encoders.shape[1], z.shape
+    use = np.flatnonzero(np.isfinite(inputs.encoders[k]))
+    h, y = [np.tile(np.eye(size)[use], (count, 1, 1))], [np.tile(inputs.encoders[k, use], (count, 1))]
+    r = [np.full(len(use), inputs.encoder_var)]
+    if np.isfinite(inputs.place[k]).all():
         steps = STEP * np.eye(joints)
         near = at[:, None] + np.concatenate([np.zeros((1, joints)), steps, -steps])
         seen = place(near.reshape(-1, joints)).reshape(count, -1, 2)
         slope = np.swapaxes(seen[:, 1 : joints + 1] - seen[:, joints + 1 :], 1, 2) / (2.0 * STEP)
         h.append(np.concatenate([slope, np.zeros((count, 2, size - joints))], axis=2))
-        y.append(told.place[k] - seen[:, 0] + np.einsum("qdm,qm->qd", slope, at))
-        r.append(told.pixel_var)
+        y.append(inputs.place[k] - seen[:, 0] + np.einsum("qdm,qm->qd", slope, at))
+        r.append(inputs.pixel_var)
     design, noise = np.concatenate(h, axis=1), np.diag(np.concatenate(r))
     if not len(noise):
         return z, p, np.zeros(count)
@@ -120,7 +120,7 @@ def _heard(told: Told, k: int, z: Array, p: Array, at: Array) -> tuple[Array, Ar
     return z + np.einsum("qkd,qd->qk", gain, off), cov, nats
 
 
-def _back(run: _Run) -> Array:
+def _smoothed(run: _Run) -> Array:
     """The smoothed means (E,Q,D)."""
     smooth = [run.mean[-1]]
     for k in range(len(run.mean) - 2, -1, -1):

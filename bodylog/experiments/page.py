@@ -31,10 +31,10 @@ MOST = 8
 
 
 def write(
-    out: Path, trials: Mapping[str, Sequence[Trial]], told: Mapping[str, Readings], seeds: int, size: str
+    out: Path, trials: Mapping[str, Sequence[Trial]], tried: Mapping[str, Readings], seeds: int, size: str
 ) -> tuple[Claim, ...]:
     """Write index.html, claims.json, data and figures, the same bytes for the same figures; times go to cost.json."""
-    claims = {name: EXPERIMENTS[name].claims(found, told[name]) for name, found in trials.items()}
+    claims = {name: EXPERIMENTS[name].claims(found, tried[name]) for name, found in trials.items()}
     shown = {name: tuple(map(withheld, found)) if name in TIMED else found for name, found in claims.items()}
     every = [claim for found in shown.values() for claim in found]
     _save(out / "claims.json", _json([asdict(claim) for claim in every]))
@@ -67,7 +67,7 @@ def html(
         "leaves open keeps it where nine of ten seeds do. A claim of the paper <b>holds in every reading</b>, "
         "<b>depends on</b> some constants, <b>fails in every reading tried</b>, or is <b>not testable here</b>.</p>",
         f'<p class="soft">{escape(command)} · bodylog {escape(__version__)} · images {escape(size)}</p>',
-        f"<p>{len(every)} claims; of the paper's: {_told(every)}.</p>",
+        f"<p>{len(every)} claims; of the paper's: {_counts(every)}.</p>",
         claim_tables(every),
         readings_table(),
     ]
@@ -76,7 +76,7 @@ def html(
     return document(TITLE, "\n".join(parts), groups)
 
 
-def _told(claims: Sequence[Claim]) -> str:
+def _counts(claims: Sequence[Claim]) -> str:
     return ", ".join(f"{count} {verdict}" for verdict, count in counts(claims).items()) or "none"
 
 
@@ -135,8 +135,8 @@ def _over_seeds(name: str, claims: Sequence[Claim], out: Path) -> list[str]:
 
 def _details(claim: Claim) -> str:
     opened = " open" if claim.verdict.startswith(DEPENDS) else ""
-    told = f"<summary>{escape(claim.id)} by reading: {escape(claim.verdict)}</summary>"
-    return f"<details{opened}>{told}{outcomes_table(claim)}</details>"
+    tried = f"<summary>{escape(claim.id)} by reading: {escape(claim.verdict)}</summary>"
+    return f"<details{opened}>{tried}{outcomes_table(claim)}</details>"
 
 
 def _drawn(path: Path, title: str) -> str:

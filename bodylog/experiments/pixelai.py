@@ -48,19 +48,19 @@ def _elsewhere(rng: np.random.Generator) -> Array:
 LEVELS: dict[str, Callable[[np.random.Generator], Array]] = {"one": _one, "all": _all, "elsewhere": _elsewhere}
 
 
-def _run(lab: Lab, seed: int, told: Readings) -> Trial:
+def _run(lab: Lab, seed: int, tried: Readings) -> Trial:
     # vision is all there is: at half the size what is left of a still disc's centre would be the joints' error
     lab = replace(lab, markers={"marker": "blue"}, size=(640, 480))
-    heard = lab.heard("wrong-start", seed, duration=2.0, variant="all", marker=True)
+    observed = lab.observed("wrong-start", seed, duration=2.0, variant="all", marker=True)
     options: dict[str, Any] = {"variant": "four", "marker": True, "duration": LONGER * lab.exploration, "joints": FOUR}
     known, body = explored(lab.body("paper", seed, **options)), lab.body("default", seed, **options)
-    truth, rng = heard.true(FOUR, heard.truth.t[:1])[0], np.random.default_rng([seed, 77])
+    truth, rng = observed.true(FOUR, observed.truth.t[:1])[0], np.random.default_rng([seed, 77])
     starts = {(level, k): truth + off(rng) for level, off in LEVELS.items() for k in range(STARTS)}
-    log = signals(heard, FOUR)
+    log = signals(observed, FOUR)
     made = believed(log, [case(known, IN_USE, "v", start) for start in starts.values()]).x
     late = log.t >= SETTLED
     errors = {("printed", *at): _degrees((x - log.true)[late]) for at, x in zip(starts, made, strict=True)}
-    errors |= {("ours", *at): _off(ours(heard, body, ("vision",), start=tuple(start.tolist()), rate=20.0))
+    errors |= {("ours", *at): _off(ours(observed, body, ("vision",), start=tuple(start.tolist()), rate=20.0))
                for at, start in starts.items()}  # fmt: skip
     return {"figures": _figures(errors), "panels": []}
 
@@ -96,17 +96,17 @@ UNLIKE = (
 )
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
-    def claim(number: int, level: str, said: str, which: int) -> Claim:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
+    def claim(number: int, level: str, what: str, which: int) -> Claim:
         limit = PUBLISHED[level][which]
-        text = f"{said}: every joint's mean error is below {limit:g}°, the {('best', 'worst')[which]} joint published"
+        text = f"{what}: every joint's mean error is below {limit:g}°, the {('best', 'worst')[which]} joint published"
         figures = {f"{side}, by joint": means(trials, side, level) for side in SIDES}
         return comparison(
             f"PixelAI.{number}", text, "mean absolute error by joint", "°", Bound("≤", limit), figures, ALIKE, UNLIKE
         )
 
     levels = {"one": "one joint 5 to 10° off", "all": "all four 5 to 10° off", "elsewhere": "another random pose"}
-    rows = [(level, said, which) for level, said in levels.items() for which in (1, 0)]
+    rows = [(level, what, which) for level, what in levels.items() for which in (1, 0)]
     return tuple(claim(number, *row) for number, row in enumerate(rows, 1))
 
 

@@ -73,7 +73,7 @@ class Case:
     """
 
     model: Map
-    heard: tuple[bool, ...]
+    encoders: tuple[bool, ...]
     vision: bool
     unit: float
     integration: str
@@ -112,7 +112,7 @@ class _State:
         self.x, self.mu = (np.array([getattr(c, name) for c in cases], float) for name in ("start", "prior"))
         self.ex, self.ep = np.zeros_like(self.x), np.zeros_like(self.x)
         self.ev, self.et = np.zeros((len(cases), 2)), np.zeros(len(cases))
-        self.heard = np.array([c.heard for c in cases], bool)
+        self.encoders = np.array([c.encoders for c in cases], bool)
         self.seen, self.square = (np.array([getattr(c, n) for c in cases], bool)[:, None] for n in ("vision", "square"))
         self.unit, self.sigma_v = (
             np.array([getattr(c, n) for c in cases], float)[:, None] for n in ("unit", "sigma_v")
@@ -167,7 +167,7 @@ class _State:
         """s_p − g_p (B,M), 0 where not heard, and ∂g_p/∂x (B,M), which is diagonal."""
         read = self.signals.encoders[k]
         off = read - np.where(self.square, self.x**2, self.x)
-        return np.where(self.heard & np.isfinite(read), off, 0.0), np.where(self.square, 2.0 * self.x, 1.0)
+        return np.where(self.encoders & np.isfinite(read), off, 0.0), np.where(self.square, 2.0 * self.x, 1.0)
 
     def _touch(self, k: int, g: Array, slope: Array) -> tuple[Array, Array, Array]:
         """s_t − g_t (B,), ∂g_t/∂x (B,M) and whether it is felt (B,)."""
@@ -176,9 +176,9 @@ class _State:
         apart = np.where(felt[:, None], g - hand, 0.0)
         best = self.a * np.exp(-self.b2 * (delay if np.isfinite(delay) else 0.0) ** 2)
         g_t = best * np.exp(-self.b1 * (apart**2).sum(axis=1))
-        told = np.select([self.value == "best", self.value == "peak"], [best, self.a], 1.0)
+        reading = np.select([self.value == "best", self.value == "peak"], [best, self.a], 1.0)
         pull = -2.0 * (self.b1 * g_t)[:, None] * np.einsum("bd,bdm->bm", apart, slope)
-        return felt * (told - g_t), felt[:, None] * pull, felt
+        return felt * (reading - g_t), felt[:, None] * pull, felt
 
     def _implicit(self, force: Array, lean: Array, slope: Array, pull: Array) -> Array:
         """(I + Δt H)⁻¹ Δt ∂F/∂x, H the Gauss–Newton Hessian (B,M,M)."""

@@ -152,10 +152,10 @@ TOGETHER: tuple[Reading, ...] = (
 
 def key(reading: Reading) -> str:
     """The reading as text, its constants in the table's order; CENTRE where all are at the centre."""
-    told = [
+    parts = [
         f"{name}={reading[name]}" for name in CONSTANTS if reading.get(name, CONSTANTS[name].centre) != _centre(name)
     ]
-    return ",".join(told) or CENTRE
+    return ",".join(parts) or CENTRE
 
 
 def parsed(text: str) -> Reading:
@@ -205,10 +205,10 @@ def number(reading: Reading, name: str) -> float | None:
     return CONSTANTS[name].at.get(text) if text in CONSTANTS[name].values else float(text)
 
 
-def about(told: Iterable[Reading], names: Iterable[str]) -> tuple[Reading, ...]:
+def restricted(tried: Iterable[Reading], names: Iterable[str]) -> tuple[Reading, ...]:
     """Of some readings those of these constants alone; all where none is, as for one reading that was asked for."""
     held = set(names)
-    found = list(told)
+    found = list(tried)
     return tuple(reading for reading in found if set(reading) <= held) or tuple(found)
 
 

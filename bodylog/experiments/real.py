@@ -37,8 +37,8 @@ class Robot:
     measured: str
     unit: str
     published: float
-    alike: str
-    unlike: str
+    shared: str
+    differences: str
 
 
 def nao(data: Path, work: Path) -> dict[str, float]:
@@ -146,27 +146,27 @@ def complete(data: Path, robot: Robot) -> bool:
     return all((data / name).is_file() for name in robot.files)
 
 
-def run(lab: Lab, seed: int, told: Readings, data: Path) -> Trial:
+def run(lab: Lab, seed: int, tried: Readings, data: Path) -> Trial:
     """Every robot whose part is in the folder; what cannot be judged says why."""
     figures: dict[str, float] = {}
-    said: dict[str, str] = {}
+    missing: dict[str, str] = {}
     for name, robot in ROBOTS.items():
         if not complete(data, robot):
-            said[name] = f"not in {data.name}"
+            missing[name] = f"not in {data.name}"
             continue
         with scratch() as work:
             try:
                 figures |= {f"{name} {key}": value for key, value in robot.run(data, work).items()}
             except BodylogError as error:
-                said[name] = str(error)
-    return {"figures": figures, "panels": [], "said": said}
+                missing[name] = str(error)
+    return {"figures": figures, "panels": [], "said": missing}
 
 
-def _unasked(lab: Lab, seed: int, told: Readings) -> Trial:
+def _unasked(lab: Lab, seed: int, tried: Readings) -> Trial:
     raise UsageError("reproduce real: the folder with the measurements is not given; type: --data DIR (docs/real.md)")
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
     return tuple(_claim(k, name, trials) for k, name in enumerate(ROBOTS, 1) if f"{name} ours" in trials[0]["figures"])
 
 
@@ -176,7 +176,7 @@ def _claim(number: int, name: str, trials: Sequence[Trial]) -> Claim:
     figures["ours"] = column(trials, f"{name} ours")
     bound = Bound("≤", robot.published)
     return comparison(
-        f"Real.{number}", robot.text, robot.measured, robot.unit, bound, figures, robot.alike, robot.unlike
+        f"Real.{number}", robot.text, robot.measured, robot.unit, bound, figures, robot.shared, robot.differences
     )
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .judging import Claim, Figures, Swept
-from .readings import CENTRE, Reading, about, key
+from .readings import CENTRE, Reading, key, restricted
 
 if TYPE_CHECKING:
     from .lab import Lab
@@ -29,9 +29,9 @@ class Readings:
         found = {key(reading): reading for reading in (*self.decide, *(r for _, _, r in self.sweep))}
         return tuple(found.values())
 
-    def about(self, *names: str) -> "Readings":
+    def restricted(self, *names: str) -> "Readings":
         """Those of these constants alone."""
-        return Readings(about(self.decide, names), tuple(row for row in self.sweep if row[0] in names))
+        return Readings(restricted(self.decide, names), tuple(row for row in self.sweep if row[0] in names))
 
     @property
     def keys(self) -> tuple[str, ...]:

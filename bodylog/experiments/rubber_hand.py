@@ -16,9 +16,9 @@ from ..perception.touch.matching import judge as synchrony
 from ..types import Array, Features
 from .beliefs import Belief, noisier, ours
 from .drawn import px_per_cm
-from .e5_rubber_hand import CALM, DISPLACEMENT, SIDES, final, heard
+from .e5_rubber_hand import CALM, DISPLACEMENT, SIDES, final, stroked
 from .judging import Bound, Claim, own
-from .lab import Heard, Lab
+from .lab import Lab, ObservedLog
 from .records import Experiment, Readings, Table, Trial, column, panel
 
 NOISE = 0.1
@@ -58,7 +58,7 @@ class Drift:
         return float(np.abs(self.rad[self.t >= CALM]).max())
 
 
-def displaced(log: Heard, delay: float, share: float, side: float) -> Heard:
+def displaced(log: ObservedLog, delay: float, share: float, side: float) -> ObservedLog:
     """The log with the image of the hand `delay` s later and `share` times as far aside; side −1 left, 1 right."""
     features = log.features
     hand = features.hand
@@ -76,7 +76,7 @@ def heeded(features: Features) -> bool:
     return any(pair.weight > LEAST for pair in features.synchrony)
 
 
-def drift(log: Heard, body: BodyModel, alone: Belief) -> Drift:
+def drift(log: ObservedLog, body: BodyModel, alone: Belief) -> Drift:
     """What touch moves the belief by, `alone` being the belief without it."""
     touched = ours(log, body, ("encoders", "touch")) if heeded(log.features) else alone
     model = body.senses["effector"]
@@ -85,13 +85,13 @@ def drift(log: Heard, body: BodyModel, alone: Belief) -> Drift:
     return Drift(touched.t, px, touched.x - before)
 
 
-def run(lab: Lab, seed: int, told: Readings, setting: Setting = SETTING) -> Trial:
+def run(lab: Lab, seed: int, tried: Readings, setting: Setting = SETTING) -> Trial:
     """One seed of the instrument."""
     body = lab.body("default", seed, touched=True)
     figures: dict[str, float] = {}
     courses: dict[str, Drift] = {}
     for side, sign in SIDES.items():
-        log = heard(lab, seed, "synchronous", side)
+        log = stroked(lab, seed, "synchronous", side)
         measured = _measuring(log, body, sign, seed)
         for delay in setting.asynchrony:
             courses[f"{side}, {delay:g} s late"] = measured(NOISE, delay, 1.0)
@@ -104,9 +104,9 @@ def run(lab: Lab, seed: int, told: Readings, setting: Setting = SETTING) -> Tria
     return {"figures": figures | _curve(figures, setting), "panels": _panels(courses)}
 
 
-def _measuring(log: Heard, body: BodyModel, sign: float, seed: int) -> Callable[[float, float, float], Drift]:
+def _measuring(log: ObservedLog, body: BodyModel, sign: float, seed: int) -> Callable[[float, float, float], Drift]:
     """drift(noise rad, delay s, share of the displacement); what is believed without touch is found once a noise."""
-    alone: dict[float, tuple[Heard, Belief]] = {}
+    alone: dict[float, tuple[ObservedLog, Belief]] = {}
 
     def measured(noise: float, delay: float, share: float) -> Drift:
         if noise not in alone:
@@ -152,13 +152,13 @@ def _panels(courses: dict[str, Drift]) -> list[dict[str, Any]]:
     ]
 
 
-def _claims(trials: Sequence[Trial], told: Readings) -> tuple[Claim, ...]:
-    said = f"documented setting: {NOISE:g} rad of noise on the encoders, hand {DISPLACEMENT / px_per_cm():.0f} cm aside"
+def _claims(trials: Sequence[Trial], tried: Readings) -> tuple[Claim, ...]:
+    why = f"documented: {NOISE:g} rad of noise on the encoders, hand {DISPLACEMENT / px_per_cm():.0f} cm aside"
     return (
         own("RH.1", "synchronous strokes drift the belief by at least 15 % of the displacement, toward either side",
-            "lesser drift of both sides over the displacement", "1", Bound("≥", 0.15), column(trials, "in time"), said),
+            "lesser drift of both sides over the displacement", "1", Bound("≥", 0.15), column(trials, "in time"), why),
         own("RH.2", "0.6 s late and later they drift it by at most 2 %", "greatest drift over the displacement", "1",
-            Bound("≤", 0.02), column(trials, "late"), said),
+            Bound("≤", 0.02), column(trials, "late"), why),
         own("RH.3", "the drift falls with asynchrony", "largest rise from one asynchrony to the next", "1",
             Bound("≤", 0.0), column(trials, "rise"), "means of both sides"),
         own("RH.4", "the drift's sign follows the side of the hand", "share of sides with that sign", "1",

@@ -25,7 +25,7 @@ from .table import ASKED, EXPERIMENTS, TIMED
 Task = tuple[str, int]
 """An experiment's name and a seed."""
 
-Tell = Callable[[str, int, int], None]
+Progress = Callable[[str, int, int], None]
 """Called with what is done, how many are done and how many there are."""
 
 
@@ -45,7 +45,7 @@ class Reproduction:
     setting: rubber_hand.Setting = rubber_hand.SETTING
     data: Path | None = None
 
-    def told(self, name: str) -> Readings:
+    def readings_of(self, name: str) -> Readings:
         """The readings that an experiment is run in."""
         concerned = EXPERIMENTS[name].concerned
         if self.reading is not None:
@@ -54,19 +54,19 @@ class Reproduction:
 
     def run(self, name: str, seed: int) -> Trial:
         """One seed of an experiment."""
-        told = self.told(name)
+        tried = self.readings_of(name)
         if name == "Rubber-hand":
-            return rubber_hand.run(self.lab, seed, told, self.setting)
+            return rubber_hand.run(self.lab, seed, tried, self.setting)
         if name == "Real" and self.data is not None:
-            return real.run(self.lab, seed, told, self.data)
-        return EXPERIMENTS[name].run(self.lab, seed, told)
+            return real.run(self.lab, seed, tried, self.data)
+        return EXPERIMENTS[name].run(self.lab, seed, tried)
 
     def key(self, name: str) -> str:
         """What a kept trial depends on beside its experiment and seed."""
-        told: dict[str, Any] = {"readings": [readings.key(reading) for reading in self.told(name).all]}
-        told |= {"setting": repr(self.setting)} if name == "Rubber-hand" else {}
-        told |= {"data": real.fingerprint(self.data)} if name == "Real" and self.data is not None else {}
-        return self.lab.key(told)
+        inputs: dict[str, Any] = {"readings": [readings.key(reading) for reading in self.readings_of(name).all]}
+        inputs |= {"setting": repr(self.setting)} if name == "Rubber-hand" else {}
+        inputs |= {"data": real.fingerprint(self.data)} if name == "Real" and self.data is not None else {}
+        return self.lab.key(inputs)
 
     def seeds_of(self, name: str) -> range:
         """The seeds of an experiment: measurements have none."""
@@ -78,18 +78,18 @@ class Reproduction:
         return Lab(self.out / "work", SIZE, self.exploration)
 
 
-def reproduce(wish: Reproduction, tell: Tell | None = None) -> tuple[Claim, ...]:
+def reproduce(wish: Reproduction, progress: Progress | None = None) -> tuple[Claim, ...]:
     """Run what is not done yet, write index.html, claims.json and cost.json to `out`, give the claims."""
     names = chosen(wish.names)
     _ready(names, wish.data)
     tasks = [(name, seed) for name in names for seed in wish.seeds_of(name)]
     ensure_dir(wish.lab.folder)
     for done, (name, seed) in enumerate(_finished(wish, tasks), 1):
-        if tell:
-            tell(f"{name} seed {seed}", done, len(tasks))
+        if progress:
+            progress(f"{name} seed {seed}", done, len(tasks))
     trials = {name: [trial(wish, name, seed) for seed in wish.seeds_of(name)] for name in names}
-    told = {name: wish.told(name) for name in names}
-    return page.write(wish.out, trials, told, wish.seeds, f"{SIZE[0]}×{SIZE[1]}")
+    tried = {name: wish.readings_of(name) for name in names}
+    return page.write(wish.out, trials, tried, wish.seeds, f"{SIZE[0]}×{SIZE[1]}")
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
@@ -146,8 +146,8 @@ def _worked(wish: Reproduction, name: str, seed: int) -> Trial:
     """A trial in a worker, which ends when told to: the pool would take that for an answer and ask for the next."""
     try:
         return trial(wish, name, seed)
-    except SystemExit as told:
-        os._exit(int(told.code or 0))
+    except SystemExit as ending:
+        os._exit(int(ending.code or 0))
 
 
 def _pooled(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:

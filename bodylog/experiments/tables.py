@@ -30,18 +30,18 @@ def claim_tables(claims: Sequence[Claim]) -> str:
 
 def _paper(title: str, claims: Sequence[Claim]) -> str:
     head = ("", "claim", "measured", "must be", "readings that keep it", "at the first reading", "verdict")
-    rows = [(*_said(claim), _kept(claim), _first(claim), _verdict(claim)) for claim in claims]
+    rows = [(*_claim_cells(claim), _kept(claim), _first(claim), _verdict(claim)) for claim in claims]
     return _html(title, head, rows)
 
 
 def _own(title: str, claims: Sequence[Claim]) -> str:
     head = ("", "claim", "measured", "must be", "ours", "verdict")
-    rows = [(*_said(claim), _first(claim), _verdict(claim)) for claim in claims]
+    rows = [(*_claim_cells(claim), _first(claim), _verdict(claim)) for claim in claims]
     return _html(title, head, rows)
 
 
 def _comparison(title: str, claims: Sequence[Claim]) -> str:
-    head = ("", "claim", "measured", "must be", "figures", "alike", "not alike", "verdict")
+    head = ("", "claim", "measured", "must be", "figures", "same", "different", "verdict")
     rows = [
         (
             escape(claim.id),
@@ -49,8 +49,8 @@ def _comparison(title: str, claims: Sequence[Claim]) -> str:
             _measured(claim),
             escape(claim.bound),
             _all(claim),
-            escape(claim.alike),
-            escape(claim.unlike),
+            escape(claim.shared),
+            escape(claim.differences),
             _verdict(claim),
         )
         for claim in claims
@@ -60,7 +60,7 @@ def _comparison(title: str, claims: Sequence[Claim]) -> str:
 
 def _erratum(title: str, claims: Sequence[Claim]) -> str:
     head = ("", "printed", "measured", "must be", "figures", "derivation")
-    rows = [(*_said(replace(claim, explanation="")), _all(claim), escape(claim.explanation)) for claim in claims]
+    rows = [(*_claim_cells(replace(claim, explanation="")), _all(claim), escape(claim.explanation)) for claim in claims]
     return _html(title, head, rows)
 
 
@@ -69,9 +69,9 @@ def readings_table() -> str:
     head = ("constant", "name", "printed", "where", "readings, the centre first", "why the centre")
     rows = []
     for name, constant in CONSTANTS.items():
-        told = "<br>".join(f"<b>{escape(v)}</b>: {escape(text)}" for v, text in constant.values.items())
+        meanings = "<br>".join(f"<b>{escape(v)}</b>: {escape(text)}" for v, text in constant.values.items())
         words = (constant.symbol, name, constant.printed, constant.place)
-        rows.append((*map(escape, words), told, escape(constant.why)))
+        rows.append((*map(escape, words), meanings, escape(constant.why)))
     return _html("What the paper leaves open", head, rows)
 
 
@@ -103,7 +103,7 @@ def _cells(one: Outcome) -> tuple[str, ...]:
     )
 
 
-def _said(claim: Claim) -> tuple[str, ...]:
+def _claim_cells(claim: Claim) -> tuple[str, ...]:
     return escape(claim.id), _text(claim), _measured(claim), escape(claim.bound)
 
 

@@ -5,13 +5,13 @@ import pytest
 
 from bodylog import pipeline
 from bodylog.experiments import drawn
-from bodylog.experiments.lab import JOINTS, Heard
+from bodylog.experiments.lab import JOINTS, ObservedLog
 from bodylog.settings import Settings
 
 
 def test_what_is_drawn_is_where_the_simulator_shows_it(robot):
     read, features = pipeline.observe(robot / "reach.mcap", Settings())
-    track, truth = features.effector, Heard(features, read.truth)
+    track, truth = features.effector, ObservedLog(features, read.truth)
     seen = np.isfinite(track.values).all(axis=1)
     apart = (drawn.place(truth.true(JOINTS, track.t), (160, 120)) - track.values)[seen]
     assert seen.sum() > 30 and np.abs(np.median(apart, axis=0)).max() < 0.1 and np.abs(apart).max() < 0.6

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bodylog.experiments.oracle import DENSITIES, Told, _forth, known, motion
+from bodylog.experiments.oracle import DENSITIES, OracleInputs, _filtered, known, motion
 from bodylog.sim.arms import ARMS
 from tests.estimation import textbook
 
@@ -38,7 +38,7 @@ def told(order, seed=0, count=300):
     true, t = np.array(x), dt * np.arange(count)
     seen = place(true) + 0.3 * draw.standard_normal((count, 2))
     seen[np.arange(count) % 2 == 1] = np.nan
-    return Told(t, true + 0.02 * draw.standard_normal(true.shape), seen, 0.02**2, np.full(2, 0.09)), true
+    return OracleInputs(t, true + 0.02 * draw.standard_normal(true.shape), seen, 0.02**2, np.full(2, 0.09)), true
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -55,5 +55,5 @@ def test_the_filter_is_the_textbooks_of_the_other_tests():
     eye = textbook.eyes(ARMS["ur5"], JOINTS, (320, 240))[0]
     frames = [(eye, sensed.place, sensed.pixel_var)]
     theirs = textbook.filtered(sensed.t, sensed.encoders, np.full(3, 0.02**2), frames, DENSITIES[2][:2])[0]
-    mine = _forth(sensed, 2, DENSITIES[2][:2], None).mean
+    mine = _filtered(sensed, 2, DENSITIES[2][:2], None).mean
     assert np.abs(mine - theirs)[10:, :, :3].max() < 5e-4  # theirs linearises each frame three times

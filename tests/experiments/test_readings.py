@@ -4,7 +4,18 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.experiments import EXPERIMENTS
-from bodylog.experiments.readings import CENTRE, CONSTANTS, TOGETHER, about, design, key, number, parsed, sweeps, value
+from bodylog.experiments.readings import (
+    CENTRE,
+    CONSTANTS,
+    TOGETHER,
+    design,
+    key,
+    number,
+    parsed,
+    restricted,
+    sweeps,
+    value,
+)
 
 
 def test_every_constant_says_where_it_is_printed_and_has_alternatives():
@@ -49,4 +60,4 @@ def test_a_design_has_the_centre_each_value_and_what_is_together():
     assert {"sigma_n=noise", "sigma_v=pixels", "sigma_n=noise,sigma_v=widths"} <= set(found)
     assert not any("integration" in one for one in found)
     assert [reading for _, _, reading in sweeps(["mu_x"])] == []
-    assert about(design(("sigma_n", "noise")), ["noise"]) == ({}, {"noise": "0.005"}, {"noise": "0.1"})
+    assert restricted(design(("sigma_n", "noise")), ["noise"]) == ({}, {"noise": "0.005"}, {"noise": "0.1"})

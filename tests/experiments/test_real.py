@@ -31,7 +31,7 @@ def test_what_is_missing_is_in_the_table_and_not_among_the_claims():
     trial = {"figures": {"NAO ours": 1.7, "NAO published": 2.13}, "panels": [], "said": {"Panda": "not in here"}}
     claims = EXPERIMENT.claims([trial], Readings(({},)))
     assert [claim.id for claim in claims] == ["Real.1"] and claims[0].verdict == OWN_HOLDS
-    assert list(claims[0].outcomes) == ["published", "ours"] and claims[0].alike and claims[0].unlike
+    assert list(claims[0].outcomes) == ["published", "ours"] and claims[0].shared and claims[0].differences
     assert ("Panda", "not judged: not in here") in EXPERIMENT.tables([trial])[0].rows
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from bodylog.experiments import Setting, rubber_hand
 from bodylog.experiments.judging import OWN_HOLDS
-from bodylog.experiments.lab import Heard, Lab
+from bodylog.experiments.lab import Lab, ObservedLog
 from bodylog.experiments.records import Readings
 from bodylog.types import Features, Series, Stroke, Touch
 
@@ -15,7 +15,7 @@ def test_the_image_of_the_hand_is_late_and_displaced_and_synchrony_is_judged_ane
     hand = Series(t, np.ones((len(t), 2)), ("u", "v"), "px", t)
     touches = tuple(Touch(s, s + 0.8, (3,), 0.9, 3, 0) for s in (2.0, 6.0))
     strokes = tuple(Stroke(s, s + 0.8, (0.0, 0.0), (1.0, 1.0)) for s in (2.0, 6.0))
-    log = Heard(Features(hand, {"hand": hand}, touches, strokes, (), {}), hand)
+    log = ObservedLog(Features(hand, {"hand": hand}, touches, strokes, (), {}), hand)
     found = rubber_hand.displaced(log, 0.12, 1.5, -1.0).features
     assert np.allclose(found.hand.t, t + 0.12) and np.allclose(
         found.hand.values[0], [1 - 0.5 * rubber_hand.DISPLACEMENT, 1]

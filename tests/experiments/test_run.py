@@ -74,9 +74,10 @@ def test_another_picture_size_reading_or_setting_is_another_trial(small):
 
 def test_without_a_reading_all_are_run_and_with_one_that_alone(small):
     wish, _, _ = small
-    assert len(wish.told("E2").decide) == 1 and not wish.told("E2").sweep
+    assert len(wish.readings_of("E2").decide) == 1 and not wish.readings_of("E2").sweep
     every = replace(wish, reading=None)
-    assert len(every.told("E1").decide) >= 15 and every.told("E1").sweep and len(every.told("PixelAI").decide) == 1
+    tried = every.readings_of("E1")
+    assert len(tried.decide) >= 15 and tried.sweep and len(every.readings_of("PixelAI").decide) == 1
 
 
 def test_kept_trials_hold_no_bare_nan(small):
