@@ -55,6 +55,7 @@ wheel: $(VENV)/installed
 # The pages that are generated from the code.
 docs: $(VENV)/installed
 	$(BIN)/python -m docs.generate_cli
+	$(BIN)/python -m docs.generate_settings
 
 # The pages as a site in build/site; a broken link or a page that the navigation does not list is an error.
 site: $(VENV)/installed

@@ -73,7 +73,7 @@ class Body:
     """[body]: the robot's joints."""
 
     joints: tuple[str, ...] | None = key(
-        None, "Joints in the order wanted.", noun="joint", distinct=True, unset="the joints that move"
+        None, "Joints, in the order of the estimate.", noun="joint", distinct=True, unset="the joints that move"
     )
     unit: str = key(
         "rad", "Unit of joint readings whose topic declares none.", accepts=_unit,

@@ -206,7 +206,7 @@ def _consistent(source: Source, key: str) -> Source:
 def _checked(name: str, value: Any, key: str) -> Any:
     if name == "colour":
         return check_colour(value, key)
-    convert, possible = _FIELDS[name]
+    convert, possible = KEYS[name]
     converted = convert(value)
     if converted is None:
         raise ConfigError(f"{key} is {value!r}; possible: {possible}")
@@ -268,20 +268,20 @@ def _board(value: Any) -> str | None:
     return "x".join(str(int(side)) for side in sides)
 
 
-_FIELDS: Mapping[str, tuple[Callable[[Any], Any], str]] = {
+KEYS: Mapping[str, tuple[Callable[[Any], Any], str]] = {
     "tag": (_whole, "a tag's number, from 0"),
     "dictionary": (_dictionary, ", ".join(DICTIONARIES)),
-    "size": (_length, "a length in m, above 0"),
-    "corners": (_flag, "true, false"),
+    "size": (_length, "a length in m, above 0: the tag's side"),
+    "corners": (_flag, "true (four corners), false (the centre)"),
     "charuco": (_board, 'columns and rows of squares, "10x14", each from 2 to 64'),
-    "square": (_length, "a length in m, above 0"),
-    "marker": (_length, "a length in m, above 0"),
-    "legacy": (_flag, "true, false, or left out"),
+    "square": (_length, "a length in m, above 0: a square's side"),
+    "marker": (_length, "a length in m, above 0: a marker's side"),
+    "legacy": (_flag, "true (pattern of OpenCV before 4.6), false, or left out (either)"),
     "topic": (_text, "a topic's name"),
-    "path": (_text, "a message path below the topic"),
+    "path": (_text, "a message path below the topic, or left out (by its type)"),
     "table": (_text, "a file's name"),
-    "columns": (_texts, "names of two or more columns: u, v"),
+    "columns": (_texts, "names of two or more columns: u, v; or left out (NAME_u, NAME_v)"),
     "point": (_pixel, "[u, v] in px"),
     "at": (_number, "seconds since the log's start"),
 }
-"""How each key's value is read (None: not possible), and what is possible."""
+"""How each key's value is read (None: not possible), and the values that are possible."""

@@ -9,6 +9,7 @@ from bodylog.config import load, toml
 from bodylog.errors import ConfigError
 from bodylog.io.toml_keys import declared
 from bodylog.settings import METHODS, Settings, plain
+from docs.generate_settings import PAGE, page
 
 
 def _file(tmp_path, text):
@@ -139,3 +140,8 @@ def test_printed_settings_name_every_key_below_its_meaning():
             one = declared(SECTIONS[section])[name]
             place = lines.index(f"# {one.key.meaning}", lines.index(f"[{section}]"))
             assert lines[place + 2].removeprefix("# ").startswith(f"{name} ="), name
+
+
+def test_page_of_settings_is_what_they_declare():
+    assert PAGE.read_text(encoding="utf-8") == page(), "type: make docs"
+    assert all(f"`{name}`" in page() for values in plain(Settings()).values() for name in values)

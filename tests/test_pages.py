@@ -7,13 +7,16 @@ import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from bodylog_cli.commands import bodylog as commands
 
 import bodylog
 import bodylog.logs as logs
+from bodylog.batch import manifest
 from bodylog.config import load
+from bodylog.settings import Settings
 
 ROOT = Path(__file__).parents[1]
 PAGES = {
@@ -75,7 +78,7 @@ def test_settings_on_a_page_are_accepted(page, tmp_path):
     for block in _blocks(page, "toml"):
         assert tomllib.loads(block)
         (tmp_path / "robot.toml").write_text(block)
-        load(tmp_path / "robot.toml")
+        manifest.load(tmp_path / "robot.toml", Settings()) if "[[group]]" in block else load(tmp_path / "robot.toml")
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -146,7 +149,8 @@ def _try(line: str, run_cli) -> None:
     elif program == "pip":
         _extras(line)
     elif any(re.search(pattern, line) for pattern in NOT_RUN):
-        commands.commands[words[0]].make_context(words[0], list(words[1:]))
+        above = click.Context(commands, **commands.context_settings)  # whose help option they keep
+        commands.commands[words[0]].make_context(words[0], list(words[1:]), parent=above)
     else:
         assert run_cli(*words) == (3 if "crashed" in line else 0), line
 

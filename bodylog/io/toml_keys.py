@@ -97,7 +97,7 @@ def possible(about: Declared) -> str:
 
 def default_text(about: Declared) -> str:
     """The default of a key, in words or as in TOML."""
-    return about.key.unset if about.default in (None, (), {}) and about.key.unset else toml_value(about.default)
+    return about.key.unset if about.default in (None, "", (), {}) and about.key.unset else toml_value(about.default)
 
 
 def toml_key(name: str) -> str:
