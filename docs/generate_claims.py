@@ -40,7 +40,7 @@ def claims(found: Sequence[Row]) -> str:
     kinds = {kind: [claim for claim in found if claim["kind"] == kind] for kind in ("paper", "own", "comparison")}
     head = ("", "claim", "must be", "at the centre", "kept by", "verdict", "turns")
     parts = ["**The paper's claims**\n\n" + table(head, [_paper(claim) for claim in kinds["paper"]])]
-    own = [(c["id"], _said(c), c["bound"], _first(c), f"**{c['verdict']}**") for c in kinds["own"]]
+    own = [(c["id"], _wording(c), c["bound"], _first(c), f"**{c['verdict']}**") for c in kinds["own"]]
     parts.append("**Our own claims**, of our default\n\n" + table(("", "claim", "must be", "found", "verdict"), own))
     head = ("", "claim", "must be", "figures", "same", "different", "verdict")
     others = [_comparison(claim) for claim in kinds["comparison"]]
@@ -58,9 +58,10 @@ def seeds(found: Sequence[Row], starts: int) -> str:
     for name, count in counts.items():
         if name not in ("E6", "PixelAI"):
             by.setdefault(count, []).append(name)
-    told = "; ".join(f"{count} ({', '.join(names)})" for count, names in sorted(by.items(), reverse=True))
+    listed = "; ".join(f"{count} ({', '.join(names)})" for count, names in sorted(by.items(), reverse=True))
     return (
-        f"Seeds by experiment: {told}; PixelAI's figures are one per joint, means over {starts} seeds and all starts.\n"
+        f"Seeds by experiment: {listed}; "
+        f"PixelAI's figures are one per joint, means over {starts} seeds and all starts.\n"
     )
 
 
@@ -82,15 +83,15 @@ def _paper(claim: Row) -> tuple[str, ...]:
     outcomes = list(claim["outcomes"].values())
     kept = f"{sum(one['keeps'] for one in outcomes)} of {len(outcomes)}" if outcomes else ""
     control = f" (control: {'; '.join(claim['controls'])})" if claim["controls"] else ""
-    said = claim["text"] + (f": {claim['explanation']}" if not outcomes else f": {_measured(claim)}{control}")
-    return claim["id"], said, claim["bound"], _first(claim), kept, f"**{claim['verdict']}**", claim["turns"]
+    text = claim["text"] + (f": {claim['explanation']}" if not outcomes else f": {_measured(claim)}{control}")
+    return claim["id"], text, claim["bound"], _first(claim), kept, f"**{claim['verdict']}**", claim["turns"]
 
 
 def _comparison(claim: Row) -> tuple[str, ...]:
     figures = "; ".join(f"{who}: {_figure(one)}" for who, one in claim["outcomes"].items())
     return (
         claim["id"],
-        _said(claim),
+        _wording(claim),
         claim["bound"],
         figures,
         claim["shared"],
@@ -99,7 +100,7 @@ def _comparison(claim: Row) -> tuple[str, ...]:
     )
 
 
-def _said(claim: Row) -> str:
+def _wording(claim: Row) -> str:
     return f"{claim['text']}: {_measured(claim)}"
 
 
@@ -176,12 +177,12 @@ def between(text: str, marks: tuple[str, str], part: str) -> str:
 
 if __name__ == "__main__":
     out = Path(sys.argv[1])
-    told = json.loads((out / "claims.json").read_text(encoding="utf-8"))
+    judged = json.loads((out / "claims.json").read_text(encoding="utf-8"))
     parts = {
         PAGE: {
             READINGS: readings(),
-            CLAIMS: claims(told) + "\n" + seeds(told, len(next(iter(figures(out, "PixelAI").values())))),
-            ERRATA: errata(told),
+            CLAIMS: claims(judged) + "\n" + seeds(judged, len(next(iter(figures(out, "PixelAI").values())))),
+            ERRATA: errata(judged),
         },
         DOCS / "rubber-hand.md": {DRIFT: drift(figures(out, "Rubber-hand"))},
         DOCS.parent / "README.md": {BASELINES: baselines(figures(out, "Baselines"))},

@@ -8,11 +8,11 @@ from bodylog_cli.commands import bodylog
 PAGE = Path(__file__).with_name("cli.md")
 BEGIN = """# Command line
 
-The file after `-o` is whole or absent: written beside its place, then put there; of a link, what the link leads to is
-written and the link stays. No output may be an input, lie in one or, as a folder, hold one, by whatever name: that is
-refused before anything is read. `--config` and `--baseline` may be pipes: `--config <(sed s/left/right/ robot.toml)`.
+An output file is complete or absent: it is written under another name and then renamed. A symlink's target is replaced.
+No output may be an input, lie inside one or, as a folder, contain one; such commands are rejected before anything is
+read. `--config` and `--baseline` may be pipes: `--config <(sed s/left/right/ robot.toml)`.
 
-Every `--help`, word for word.
+This page is the output of every `--help`.
 """
 
 
