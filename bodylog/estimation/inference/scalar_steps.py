@@ -18,9 +18,11 @@ def moved(
 ) -> tuple[list[float], Rows]:  # fmt: skip
     """z (K) and p (K,K) a time dt (s) later, under white acceleration process (M) and drift (M or none) of offsets."""
     m = len(process)
-    z = [a + dt * b for a, b in zip(z[:m], z[m:], strict=False)] + list(z[m:])
-    rows = [[a + dt * b for a, b in zip(p[i], p[m + i], strict=True)] for i in range(m)] + p[m:]
-    rows = [[a + dt * b for a, b in zip(row[:m], row[m:], strict=False)] + row[m:] for row in rows]
+    z = [a + dt * b for a, b in zip(z[:m], z[m:])] + list(z[m:])  # noqa: B905
+    angles = [[a + dt * b for a, b in zip(*pair)] for pair in zip(p, p[m : 2 * m])]  # noqa: B905
+    mirrored = zip(*[row[m:] for row in angles], strict=True)
+    rest = [[*left, *row[m:]] for left, row in zip(mirrored, p[m:], strict=True)]
+    rows = [[a + dt * b for a, b in zip(row[:m], row[m:])] + row[m:] for row in angles] + rest  # noqa: B905
     for i, q in enumerate(process):
         spread = q * dt
         half = 0.5 * dt * spread
