@@ -50,11 +50,11 @@ def test_counts_are_the_recursion():
 @pytest.mark.parametrize("near", [0.0, alike.NEAR])
 @pytest.mark.parametrize("share", [alike.PAST, alike.WHOLE])
 def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near, share):
-    like, seen = alike.Likeness(PROCESS, alike.reach(Local()), near, share), passed(world, 1, speed)
+    like, seen = alike.ErrorCorrelation(PROCESS, alike.reach(Local()), near, share), passed(world, 1, speed)
     together = alike.variances(like, *seen)
-    memory, single, (t, places, points, _, pixel, _) = alike.Memory(), [], seen
+    memory, single, (t, places, points, _, pixel, _) = alike.LastFrame(), [], seen
     for k, now in enumerate(t):
-        sight = alike.Sight(Local(), float(now), places[k], pixel[k], like, memory)
+        sight = alike.PendingFrame(Local(), float(now), places[k], pixel[k], like, memory)
         _, _, _, var, memory = sight.at(points[k])
         single.append(var)
     np.testing.assert_allclose(together, single, rtol=1e-9)
@@ -63,15 +63,15 @@ def test_one_frame_after_the_other_is_the_same_as_all_at_once(world, speed, near
 def test_an_arm_under_way_tells_something_new_with_every_frame(world):
     seen = passed(world, 2, 1.5)
     for share in (alike.PAST, alike.WHOLE):
-        found = alike.variances(alike.Likeness(PROCESS, np.array(0.002), alike.NEAR, share), *seen)
-        assert np.all(alike.Likeness(PROCESS, np.array(0.1), 0.0, share).spots(np.zeros((3, 2))) == 0.0)
+        found = alike.variances(alike.ErrorCorrelation(PROCESS, np.array(0.002), alike.NEAR, share), *seen)
+        assert np.all(alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, share).spots(np.zeros((3, 2))) == 0.0)
         assert np.median(found / (seen[-2] + seen[-1])) == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_lasting_error_counts_as_often_as_two_frames_tell_it():
     x = np.linspace(0.0, 1.0, 100_001)
     for share, (last, before) in ((alike.PAST, (1 + x, -x)), (alike.WHOLE, (x, 1 - x))):
-        like = alike.Likeness(PROCESS, np.array(0.1), 0.0, share)
+        like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, share)
         for alike_by in (0.0, 0.4, 1.0):
             lasting = (last**2 + before**2 + 2.0 * alike_by * last * before).mean()
             assert like.times(1.0, alike_by) == pytest.approx(lasting / (last**2 + before**2).mean(), rel=1e-4)
@@ -81,7 +81,7 @@ def test_a_lasting_error_counts_as_often_as_two_frames_tell_it():
 @pytest.mark.parametrize("stated", [0.75, 1.0])
 def test_of_frames_that_never_change_what_they_have_in_common_is_stated(share, steady, stated):
     dt, error, jac, many = 1e-3, 0.002, np.eye(3)[:2], 10_000
-    like = alike.Likeness(np.full(3, 0.02), np.array(0.1), 0.0, share, stated)
+    like = alike.ErrorCorrelation(np.full(3, 0.02), np.array(0.1), 0.0, share, stated)
     t, still, models = dt * np.arange(many), np.zeros((many, 3)), np.full((many, 2), error)
     found = alike.variances(like, t, still[:, :2], still, np.tile(jac, (many, 1, 1)), 0.0 * models, models)
     assert stated * steady * (found[-1] * dt) ** 0.75 * 0.02**0.25 == pytest.approx(np.full(2, error), rel=0.01)
@@ -89,10 +89,10 @@ def test_of_frames_that_never_change_what_they_have_in_common_is_stated(share, s
 
 def test_what_errs_anew_makes_nothing_else_last(world):
     t, places, points, jac, pixel, model = passed(world, 3, 0.02)
-    like = alike.Likeness(PROCESS, np.array(0.1), 0.0, alike.WHOLE)
+    like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, alike.WHOLE)
     once, ten = (alike.variances(like, t, places, points, jac, noise, model) - noise for noise in (pixel, 10.0 * pixel))
     np.testing.assert_allclose(once, ten, rtol=1e-9)
-    far = alike.Likeness(PROCESS, np.array(0.1), alike.NEAR, alike.WHOLE)
+    far = alike.ErrorCorrelation(PROCESS, np.array(0.1), alike.NEAR, alike.WHOLE)
     apart = places + 100.0 * np.arange(len(t))[:, None]
     np.testing.assert_allclose(alike.variances(far, t, apart, points, jac, pixel, model) - pixel, once, rtol=1e-9)
 

@@ -8,7 +8,7 @@ import pytest
 from bodylog.estimation import estimate
 from bodylog.estimation.inference import knot_problem as briefs
 from bodylog.estimation.inference import pooling
-from bodylog.estimation.inference.filter_records import Dynamics, Leaps, Readings
+from bodylog.estimation.inference.filter_records import Dynamics, KnotReadings, Readings
 from bodylog.estimation.inference.folds import Fold
 from bodylog.estimation.inference.scan import scan
 from bodylog.settings import Estimation
@@ -53,7 +53,7 @@ def test_a_scan_of_blocks_is_the_scan_of_their_readings(heard):
     fold = Fold(len(events), len(events), 1)
     between = pooling.pooled(pooling.blocks(t, said, var, events, wanted), dynamics, fold)
     few = single(t[events], np.where(wanted[:, None], said, np.nan)[events], var[events], [p[events] for p in lines])
-    told = Leaps(few.dt, few.encoders, few.encoder_var, few.y, few.jac, few.var, between)
+    told = KnotReadings(few.dt, few.encoders, few.encoder_var, few.y, few.jac, few.var, between)
     assert np.nanmax(np.abs(one_by_one.encoder_d)) < 5.0  # else the gate would close
     together = scan(told, dynamics, z, p)
     np.testing.assert_allclose(together.z[..., 0], one_by_one.z[events, :, 0], atol=1e-10, rtol=0)
@@ -77,7 +77,9 @@ def test_blocks_move_as_many_times_as_much_as_their_instants(heard):
     fold = Fold(len(events), len(events), 1)
     between = pooling.pooled(pooling.blocks(t, said, var, events, wanted), dynamics, fold, more[events])
     few = single(t[events], np.where(wanted[:, None], said, np.nan)[events], var[events], [p[events] for p in lines])
-    together = scan(Leaps(few.dt, few.encoders, few.encoder_var, few.y, few.jac, few.var, between), dynamics, z, p)
+    together = scan(
+        KnotReadings(few.dt, few.encoders, few.encoder_var, few.y, few.jac, few.var, between), dynamics, z, p
+    )
     np.testing.assert_allclose(together.z[..., 0], one_by_one.z[events, :, 0], atol=1e-10, rtol=0)
     np.testing.assert_allclose(together.p[..., 0], one_by_one.p[events, :, :, 0], atol=1e-10, rtol=0)
 

@@ -9,7 +9,7 @@ from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import Motion, hear
 from bodylog.estimation.measurements.tag_pose import PoseModel, TagPose, solved, unmistakable
-from bodylog.estimation.noise.correlated_noise import PAST, Likeness, Memory, Sight
+from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential
 from bodylog.types import Features, Series
@@ -77,7 +77,7 @@ def filtered(features, body, process, poses=None):
     """The belief at each encoder instant, with a tag's pose or without: (N,3), (N,3,3)."""
     joints, drift = features.joints, None
     move = Motion(Dynamics(np.full(3, process), drift))
-    like = Likeness(np.full(3, process), np.asarray(np.inf), 0.0, PAST)
+    like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0, PAST)
     z, p = np.concatenate([joints.values[0], np.zeros(3)]), np.eye(6)
     told = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
     if poses is not None:
@@ -87,7 +87,7 @@ def filtered(features, body, process, poses=None):
         z, p = move.move(z, p, t - last)
         last = t
         sights = () if row is None else (
-            Sight(poses.model, t, poses.values[row], poses.var[row], like, Memory(), poses.cov[row]),
+            PendingFrame(poses.model, t, poses.values[row], poses.var[row], like, LastFrame(), poses.cov[row]),
         )  # fmt: skip
         found = hear(move, z, p, y, np.array(body.noise.encoder), sights)
         z, p = found.z, found.p

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...types import Array
 from .conditioning import MANY
-from .filter_records import Leaps, Pooled, Readings
+from .filter_records import KnotReadings, Pooled, Readings
 from .scan import EVEN, Trace
 
 
@@ -30,7 +30,7 @@ def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array
                 adjoint[:m] -= jac[i, row - m] * pull
         if readings.anew is not None:
             adjoint *= _kept(readings.anew[i], len(adjoint))
-        if isinstance(readings, Leaps):
+        if isinstance(readings, KnotReadings):
             assert trace.left is not None
             _unleap(readings.pooled, i, adjoint, trace.left[i])
         else:

@@ -106,5 +106,3 @@ def outset(log: Log) -> Array:
         own = np.einsum("ddf->df", total)
         one.extra = raised(np.zeros_like(own), own, np.minimum(2.0 * weight, 1.0))
     return np.concatenate([nominal, np.zeros((log.errors, knots))])
-
-

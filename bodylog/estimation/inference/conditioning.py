@@ -19,19 +19,19 @@ GATE = 5.0
 """Standard deviations: a rarer innovation d has its noise raised until its pull falls as GATE²/d (redescending)."""
 
 
-class Back(NamedTuple):
+class AdjointRecord(NamedTuple):
     """What is kept of each row: gains (rows,K,C) if they are asked for, weights and innovations (rows,C)."""
 
     gains: Array | None
     weights: Array
     nus: Array
 
-    def at(self, which: int | slice) -> "Back":
+    def at(self, which: int | slice) -> "AdjointRecord":
         """Those of an instant, or of some rows of one."""
-        return Back(None if self.gains is None else self.gains[which], self.weights[which], self.nus[which])
+        return AdjointRecord(None if self.gains is None else self.gains[which], self.weights[which], self.nus[which])
 
 
-class Said(NamedTuple):
+class Rows(NamedTuple):
     """Rows' readings y, 0 where silent · variances · whether they are heard, 0 or 1: (…,C) each."""
 
     y: Array
@@ -39,19 +39,19 @@ class Said(NamedTuple):
     heard: Array
 
     @staticmethod
-    def of(y: Array, var: Array) -> "Said":
+    def of(y: Array, var: Array) -> "Rows":
         """Of readings that are NaN where silent."""
         heard = np.isfinite(y)
-        return Said(np.where(heard, y, 0.0), var, heard.astype(float))
+        return Rows(np.where(heard, y, 0.0), var, heard.astype(float))
 
-    def at(self, i: int, seen: Array | None = None) -> "Said":
+    def at(self, i: int, seen: Array | None = None) -> "Rows":
         """At one instant; in the stretches `seen` alone."""
-        return Said(*(part[i] if seen is None else part[i].take(seen, axis=-1) for part in self))
+        return Rows(*(part[i] if seen is None else part[i].take(seen, axis=-1) for part in self))
 
 
 def update(
-    readings: "Readings", said: tuple[Said, Said], i: int, seen: Array, recalled: Array | None, belief: Array,
-    encoder_d: Array, back: Back,
+    readings: "Readings", said: tuple[Rows, Rows], i: int, seen: Array, is_prior: Array | None, belief: Array,
+    encoder_d: Array, back: AdjointRecord,
 ) -> None:  # fmt: skip
     """Condition the belief in place on all that is heard at instant i, tracks in the stretches `seen` alone.
 
@@ -61,16 +61,16 @@ def update(
     m, told = encoders.y.shape[1], encoders.at(i)
     spoken = bool(told.heard.any())
     if spoken:
-        var, encoder_d[:] = _gated_encoders(readings.encoders[i], told.var, recalled, belief)
+        var, encoder_d[:] = _gated_encoders(readings.encoders[i], told.var, is_prior, belief)
     else:
         encoder_d[:] = np.nan
     if len(seen):
-        _look(tracks, readings.jac, i, seen, belief, back.at(slice(m, m + 2 * tracks.y.shape[1])))
+        _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, m + 2 * tracks.y.shape[1])))
     if spoken:
-        _listen(told._replace(var=var), belief, back.at(slice(m)))
+        _condition_encoders(told._replace(var=var), belief, back.at(slice(m)))
 
 
-def _listen(said: Said, belief: Array, back: Back) -> None:
+def _condition_encoders(said: Rows, belief: Array, back: AdjointRecord) -> None:
     """Condition the belief in place on the encoders' rows (M,C)."""
     m, offsets = len(said.y), len(belief) > 2 * len(said.y)
     told = np.empty((m, *belief.shape[1:]))
@@ -87,7 +87,7 @@ def _listen(said: Said, belief: Array, back: Back) -> None:
     np.negative(told[:, -1], out=back.nus)
 
 
-def leap(pooled: "Pooled", i: int, belief: Array, back: Back, left: Array | None) -> None:
+def condition_pooled(pooled: "Pooled", i: int, belief: Array, back: AdjointRecord, left: Array | None) -> None:
     """Condition the belief in place on what was pooled before instant i, ungated, and move it there.
 
     `left` (K,K+1,C) takes the belief before it moves.
@@ -119,7 +119,7 @@ def leap(pooled: "Pooled", i: int, belief: Array, back: Back, left: Array | None
     _move(pooled.move[i], pooled.shift[i], pooled.noise[i], belief)
 
 
-def _condition(belief: Array, ph: Array, back: Back, row: int) -> None:
+def _condition(belief: Array, ph: Array, back: AdjointRecord, row: int) -> None:
     """One scalar reading: ph (K+1,C) is P Hᵀ and, last, minus the innovation; its weight is in its row of `back`."""
     gain = np.multiply(ph[:-1], back.weights[row], out=None if back.gains is None else back.gains[row])
     belief -= gain[:, None] * ph
@@ -136,27 +136,29 @@ def _move(move: Array, shift: Array, noise: Array, belief: Array) -> None:
     np.add(half[:, :, -1], shift, out=belief[:, -1].reshape(states, m, c))
 
 
-def _look(said: Said, jac: Array, i: int, seen: Array, belief: Array, back: Back) -> None:
+def _condition_tracks(said: Rows, jac: Array, i: int, seen: Array, belief: Array, back: AdjointRecord) -> None:
     """Condition the belief in place on the tracks' rows at instant i, in the stretches `seen` alone where few."""
     if len(seen) > MANY * belief.shape[-1]:
-        _see(said.at(i), jac[i], belief, back)
+        _condition_track_rows(said.at(i), jac[i], belief, back)
         return
     some, rows = belief.take(seen, axis=-1), len(back.nus)
-    part = Back(None if back.gains is None else np.empty((rows, *some[:, -1].shape)), *np.empty((2, rows, len(seen))))
-    _see(said.at(i, seen), jac[i].take(seen, axis=-1), some, part)
+    part = AdjointRecord(
+        None if back.gains is None else np.empty((rows, *some[:, -1].shape)), *np.empty((2, rows, len(seen)))
+    )
+    _condition_track_rows(said.at(i, seen), jac[i].take(seen, axis=-1), some, part)
     belief[..., seen] = some
     for whole, found in zip(back, part, strict=True):
         if whole is not None:
             whole[..., seen] = found
 
 
-def _see(said: Said, jac: Array, belief: Array, back: Back) -> None:
+def _condition_track_rows(said: Rows, jac: Array, belief: Array, back: AdjointRecord) -> None:
     """Condition the belief in place on tracks' rows (T,2,C), jac (T,2,M,C), all gated by the prior."""
-    foretold = [_lean(h, belief) for h in jac]
+    foretold = [_project(h, belief) for h in jac]
     own = [_gated(*told, *rows) for told, *rows in zip(foretold, *said, strict=True)]
     for t, (h, y, heard, var) in enumerate(zip(jac, said.y, said.heard, own, strict=True)):
         # tracks heard before have moved the belief since
-        ph, s = foretold[0] if t == 0 else _lean(h, belief)
+        ph, s = foretold[0] if t == 0 else _project(h, belief)
         rows = back.at(slice(2 * t, 2 * t + 2))
         ph[:, -1] -= y
         ph[:, -1] *= heard
@@ -169,7 +171,7 @@ def _see(said: Said, jac: Array, belief: Array, back: Back) -> None:
         belief -= np.einsum("dkc,dlc->klc", gains, ph)
 
 
-def _lean(h: Array, belief: Array) -> tuple[Array, Array]:
+def _project(h: Array, belief: Array) -> tuple[Array, Array]:
     """H times the belief (2,K+1,C), and H P Hᵀ (2,2,C), of rows h (2,M,C)."""
     m = h.shape[1]
     told = np.einsum("dmc,mkc->dkc", h, belief[:m])
@@ -184,7 +186,7 @@ def _gated(told: Array, s: Array, y: Array, var: Array, heard: Array) -> Array:
     return raised(var, total, nu[0] * nu[0] / total[0] + rest * rest / (total[1] - share * s[0, 1]))
 
 
-def _gated_encoders(y: Array, var: Array, recalled: Array | None, belief: Array) -> tuple[Array, Array]:
+def _gated_encoders(y: Array, var: Array, is_prior: Array | None, belief: Array) -> tuple[Array, Array]:
     """Encoders' variances (M,C) after gating, and the innovations of y (M,C) in standard deviations, NaN if silent."""
     m, diagonal = len(y), np.einsum("iic->ic", belief[:, :-1])
     total, nu = diagonal[:m] + var, y - belief[:m, -1]
@@ -193,8 +195,8 @@ def _gated_encoders(y: Array, var: Array, recalled: Array | None, belief: Array)
         nu -= belief[2 * m :, -1]
     np.maximum(total, var, out=total)  # rounding takes a variance below 0 after a reading far surer than the belief
     d = nu / np.sqrt(total)
-    if recalled is not None:
-        d[recalled] = np.nan
+    if is_prior is not None:
+        d[is_prior] = np.nan
     return raised(var, total, d * d), d
 
 

@@ -14,7 +14,7 @@ class Dynamics:
 
     process: Array
     drift: Array | None = None
-    recalled: Array | None = None
+    is_prior: Array | None = None
 
     @property
     def size(self) -> int:
@@ -59,7 +59,7 @@ class Readings:
 
 
 @dataclass(frozen=True, eq=False)
-class Leaps(Readings):
+class KnotReadings(Readings):
     """Readings at few instants, with what was heard before each since the last, which stands in for dt."""
 
     pooled: Pooled

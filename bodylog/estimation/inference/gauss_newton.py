@@ -11,33 +11,28 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import PAST
+from .convergence import DidNotConverge, Progress
 from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import handed_over, outset, starts
-from .knot_problem import Brief, full, in_brief
+from .knot_problem import KnotProblem, full, knot_problem
 from .problem import Problem
 from .scan import rescan
 from .solution import Solution
 from .tangents import RESTING, Tangents
 
 SWEEPS = 40
-PATIENCE = 8
-"""Sweeps without a new least move after which rest is given up."""
-STUCK = 1e-3
-"""Standard deviations: smaller moves are left to die out."""
 SETTLED = 1e-8
 """Standard deviations: how little a stretch's start may still move."""
 
 
-def solve(
-    problem: Problem, warm: Solution | None = None, at: str = "posterior", rest: float = SETTLED
-) -> Solution:
+def solve(problem: Problem, warm: Solution | None = None, at: str = "posterior", rest: float = SETTLED) -> Solution:
     """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean.
 
     First in brief; then in full, which moves nothing but where the gate closes on readings that were pooled. `warm`
     is a solution of the same log to begin from; `rest` says how still starts (in std) must be to be done.
     """
-    brief, first = briefly(problem, warm, at, rest)
+    brief, first = solve_knots(problem, warm, at, rest)
     fold = fold_for(len(problem.timeline.t))
     z, p = starts(problem, fold, first, np.searchsorted(brief.events, fold.lasts()))
     # what rests in brief is not to move in full for the last of its moves
@@ -46,20 +41,20 @@ def solve(
     return replace(whole, brief=(brief, first))
 
 
-def briefly(problem: Problem, warm: Solution | None, at: str, rest: float) -> tuple[Brief, Solution]:
+def solve_knots(problem: Problem, warm: Solution | None, at: str, rest: float) -> tuple[KnotProblem, Solution]:
     """The log in brief and its solution: the whole log's, if the gate closes on no reading that is pooled."""
     brief, tangents, z, p = begun(problem, warm)
     tangents.resting, tangents.share = RESTING * rest / SETTLED, PAST
     return brief, swept(brief.problem, brief.fold, brief.readings, tangents, z, p, at, rest)
 
 
-def begun(problem: Problem, warm: Solution | None) -> tuple[Brief, Tangents, Array, Array]:
+def begun(problem: Problem, warm: Solution | None) -> tuple[KnotProblem, Tangents, Array, Array]:
     """The log in brief, tangents and starts to begin with: by the encoders alone, or where `warm` ended."""
     if warm is None:
-        brief = in_brief(problem)
+        brief = knot_problem(problem)
         return brief, *outset(brief.problem, brief.fold, brief.readings)
     short = warm.brief is not None and warm.brief[1].fold is warm.fold
-    brief = warm.brief[0].of(problem) if warm.brief and short else in_brief(problem, warm.gated())
+    brief = warm.brief[0].of(problem) if warm.brief and short else knot_problem(problem, warm.gated())
     known, lasts = warm, brief.events[brief.fold.lasts()]
     if warm.brief is not None:
         known, lasts = warm.brief[1], np.searchsorted(warm.brief[0].events, lasts, "right") - 1
@@ -84,26 +79,7 @@ def swept(
         moving, move = moves >= rest, float(moves.max())
         progress.note(move)
         z[:, moving], p[:, :, moving] = next_z[:, moving], next_p[:, :, moving]
-    raise Restless(f"laplace: no rest after {SWEEPS} sweeps, last move {move:.2g}")
-
-
-class Restless(Exception):
-    """Sweeps over the log did not come to rest: the caller goes through it one instant after the other."""
-
-
-class Progress:
-    """Whether sweeps still come closer to rest; Restless once they have not for PATIENCE sweeps."""
-
-    def __init__(self) -> None:
-        """Nothing moved yet."""
-        self._least, self._stuck = np.inf, 0
-
-    def note(self, move: float) -> None:
-        """One more sweep, and how far starts moved in it, in standard deviations."""
-        self._stuck = self._stuck + 1 if move > 0.9 * self._least and move > STUCK else 0
-        self._least = min(self._least, move)
-        if self._stuck > PATIENCE:
-            raise Restless(f"no rest: {PATIENCE} sweeps have not come closer than {self._least:.2g}")
+    raise DidNotConverge(f"laplace: no rest after {SWEEPS} sweeps, last move {move:.2g}")
 
 
 def far(z: Array, p: Array, next_z: Array, next_p: Array) -> Array:

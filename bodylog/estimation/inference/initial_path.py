@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
-from .filter_records import Dynamics, Leaps, Pooled
+from .filter_records import Dynamics, KnotReadings, Pooled
 from .folds import Fold
 from .reacquisition import START_STD
 from .scan import scan
@@ -51,7 +51,7 @@ def handed_over(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, 
     return z, p
 
 
-def outset(problem: "Problem", fold: Fold, readings: Leaps) -> tuple[Tangents, Array, Array]:
+def outset(problem: "Problem", fold: Fold, readings: KnotReadings) -> tuple[Tangents, Array, Array]:
     """Tangents at the path, or where encoders alone have the joints, and each stretch's start z (K,C), p (K,K,C)."""
     (z, p), t = priors(problem, fold), problem.timeline.t
     path, sightings = problem.path or _said(problem), problem.evidence.sightings
@@ -63,7 +63,7 @@ def outset(problem: "Problem", fold: Fold, readings: Leaps) -> tuple[Tangents, A
     return Tangents(sightings, points), z, p
 
 
-def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Array, Array, Array]:
+def _reckon(readings: KnotReadings, dynamics: Dynamics, z: Array, p: Array) -> tuple[Array, Array, Array]:
     """States (L,K,C) by the encoders alone from guesses z (K,C), p (K,K,C), and where these have stretches start.
 
     Without pictures joints know nothing of each other: each joint of a stretch is scanned as a stretch of its own.
@@ -77,7 +77,7 @@ def _reckon(readings: Leaps, dynamics: Dynamics, z: Array, p: Array) -> tuple[Ar
 
     told = readings.pooled
     unseen = np.empty((length, 0, 2, m * c)), np.empty((length, 0, 2, 1, m * c)), np.empty((length, 0, 2, m * c))
-    alone = Leaps(
+    alone = KnotReadings(
         np.tile(readings.dt, m), apart(readings.encoders), apart(readings.encoder_var), *unseen,
         Pooled(
             apart(told.y), apart(told.var), apart(told.lean), apart(told.move), apart(told.shift), apart(told.noise),

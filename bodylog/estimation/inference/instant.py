@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import Memory, Sight
+from ..noise.correlated_noise import LastFrame, PendingFrame
 from .conditioning import GATE
 from .filter_records import Dynamics
 
@@ -19,7 +19,7 @@ RESTING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Moment:
+class StepResult:
     """After an instant: state z (K,), p (K,K) · nats · point (M,) of linearisation · what each track remembers now.
 
     Errors in standard deviations: encoder_d (M,), NaN where silent, and `errors` (2,) of each track · lines: the tracks
@@ -32,7 +32,7 @@ class Moment:
     point: Array
     encoder_d: Array
     errors: tuple[Array, ...]
-    memories: tuple[Memory, ...]
+    memories: tuple[LastFrame, ...]
     lines: "Lines | None" = None
 
 
@@ -43,7 +43,7 @@ class Motion:
         """Of dynamics with process (M,)."""
         k, m = dynamics.size, len(dynamics.process)
         angles, rates = np.arange(m), np.arange(m, 2 * m)
-        self.joints, self.offsets, self.recalled = m, k > 2 * m, dynamics.recalled
+        self.joints, self.offsets, self.is_prior = m, k > 2 * m, dynamics.is_prior
         self._still, self._shift, self._spread = np.eye(k), np.zeros((k, k)), np.zeros((3, k, k))
         self._shift[angles, rates] = 1.0
         self._spread[0, rates, rates] = dynamics.process
@@ -65,7 +65,7 @@ class Motion:
     def recalling(self, joints: Array) -> "Motion":
         """The same where what is said of these joints, too, (M,) bool, is no encoder's."""
         other = copy.copy(self)
-        other.recalled = joints if self.recalled is None else self.recalled | joints
+        other.is_prior = joints if self.is_prior is None else self.is_prior | joints
         return other
 
 
@@ -78,7 +78,7 @@ class Line(NamedTuple):
     y: Array
     jac: Array
     var: Array
-    memory: Memory
+    memory: LastFrame
     nats: float = 0.0
 
 
@@ -91,9 +91,9 @@ class Lines:
 
 
 def hear(
-    motion: Motion, z: Array, p: Array, encoders: Array, encoder_var: Array, sights: Sequence[Sight],
+    motion: Motion, z: Array, p: Array, encoders: Array, encoder_var: Array, sights: Sequence[PendingFrame],
     resting: float = RESTING, adrift: bool = False,
-) -> Moment:  # fmt: skip
+) -> StepResult:  # fmt: skip
     """What comes of z (K,), p (K,K) once encoders (M,) rad, NaN where silent, and sights are heard.
 
     `resting` (rad) is how little the point of linearisation may still move · adrift: a tangent would not do.
@@ -101,8 +101,8 @@ def hear(
     encoder_var, encoder_d = _gated_encoders(motion, z, p, encoders, encoder_var)
     told = _encoders(motion, z, p, encoders, encoder_var)
     if not sights:
-        return Moment(*told, told[0][: motion.joints], encoder_d, (), ())
-    whole, errors = _secants(motion.joints, (z, p), told[:2], sights) if adrift else (None, ())
+        return StepResult(*told, told[0][: motion.joints], encoder_d, (), ())
+    whole, errors = _statistical_linearisation(motion.joints, (z, p), told[:2], sights) if adrift else (None, ())
     if whole is None:
         lines, errors = _rested(motion.joints, (z, p), told[:2], sights, resting)
     else:
@@ -111,7 +111,7 @@ def hear(
     z, p, seen = _seen(z, p, lines)
     z, p, nats = _encoders(motion, z, p, encoders, encoder_var)
     memories = tuple(line.memory for line in lines.tracks)
-    return Moment(z, p, seen + nats, lines.point, encoder_d, errors, memories, whole)
+    return StepResult(z, p, seen + nats, lines.point, encoder_d, errors, memories, whole)
 
 
 def _gated_encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tuple[Array, Array]:
@@ -121,7 +121,7 @@ def _gated_encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array)
     if motion.offsets:
         s, nu = s + diagonal[2 * m :] + 2.0 * np.diagonal(p[:m, 2 * m :]), nu - z[2 * m :]
     d = nu / np.sqrt(s)
-    gated, own = var + s * _excess(d * d), motion.recalled
+    gated, own = var + s * _excess(d * d), motion.is_prior
     return (gated, d) if own is None else (np.where(own, var, gated), np.where(own, np.nan, d))
 
 
@@ -144,13 +144,13 @@ def _encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tu
         gain = ph / s
         z += gain * nu
         p -= gain[:, None] * ph
-        if motion.recalled is None or not motion.recalled[j]:
+        if motion.is_prior is None or not motion.is_prior[j]:
             nats += 0.5 * (nu * nu / s + math.log(2.0 * math.pi * s))
     return z, p, nats
 
 
 def _rested(
-    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[Sight], resting: float
+    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[PendingFrame], resting: float
 ) -> tuple[Lines, tuple[Array, ...]]:
     """The sights' lines about where the belief rests, or moves least, that they make of what the encoders `told`.
 
@@ -177,8 +177,8 @@ def _rested(
     return best, errors
 
 
-def _secants(
-    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[Sight]
+def _statistical_linearisation(
+    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[PendingFrame]
 ) -> tuple[Lines, tuple[Array, ...]]:
     """The sights' lines through x ± √M σ along each axis of what the encoders `told`; errors by the prior's tangents.
 
@@ -199,7 +199,7 @@ def _secants(
     return Lines(x, tuple(tracks)), errors
 
 
-def _line(sight: Sight, x: Array) -> Line:
+def _line(sight: PendingFrame, x: Array) -> Line:
     """The track's line about x; rows that err together are turned and scaled to be independent."""
     mean, jac, _, var, memory = sight.at(x)
     y = sight.value - mean + jac @ x
@@ -210,7 +210,7 @@ def _line(sight: Sight, x: Array) -> Line:
     return Line(rows[:, 0], rows[:, 1:], np.ones(len(y)), memory, float(np.log(np.diagonal(root)).sum()))
 
 
-def _apart(sight: Sight, x: Array, cov: Array) -> tuple[Array, Array]:
+def _apart(sight: PendingFrame, x: Array, cov: Array) -> tuple[Array, Array]:
     """News (D,) beyond what x (M,) foretells, with covariance (M,M); the same in standard deviations, as perception and
     the model have these."""
     mean, jac, model = sight.foretold(x)

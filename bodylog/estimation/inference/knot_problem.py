@@ -7,7 +7,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.timeline import Timeline
-from .filter_records import Dynamics, Leaps, Pooled, Readings
+from .filter_records import Dynamics, KnotReadings, Pooled, Readings
 from .folds import Fold, fold_for
 from .pooling import Blocks, blocks, kept, loud, pooled
 
@@ -16,13 +16,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Brief:
+class KnotProblem:
     """The problem on few instants, which events (B,) of the log they are, what is said in between, and all of it."""
 
     problem: "Problem"
     events: Array
     blocks: Blocks
-    readings: Leaps
+    readings: KnotReadings
 
     @property
     def fold(self) -> Fold:
@@ -33,13 +33,13 @@ class Brief:
         """What is said in between, folded."""
         return pooled(self.blocks, dynamics, self.fold, self.problem.more)
 
-    def of(self, problem: "Problem") -> "Brief":
+    def of(self, problem: "Problem") -> "KnotProblem":
         """The same log with another process or other pixels, told as before."""
         few = replace(self, problem=replace(problem, timeline=self.problem.timeline))
         return replace(few, readings=replace(self.readings, pooled=few.pooled(problem.dynamics)))
 
 
-def tile(brief: Brief, var: Array, processes: Array) -> Leaps:
+def tile(brief: KnotProblem, var: Array, processes: Array) -> KnotReadings:
     """The log in brief for processes (M,G), side by side each stretch, whose frames have variances var (L,T,D,C,G)."""
     told, g = brief.readings, processes.shape[-1]
     dt, said, said_var, y, jac = (
@@ -47,15 +47,15 @@ def tile(brief: Brief, var: Array, processes: Array) -> Leaps:
     )
     between = brief.pooled(replace(brief.problem.dynamics, process=processes))
     anew = None if told.anew is None else np.repeat(told.anew, g, axis=-1)
-    return Leaps(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], dt.shape[-1]), between, anew=anew)
+    return KnotReadings(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], dt.shape[-1]), between, anew=anew)
 
 
-def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
+def knot_problem(problem: "Problem", gated: Array | None = None) -> KnotProblem:
     """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less."""
     line, (said, var) = problem.timeline, encoder_rows(problem)
     alone = loud(said) if gated is None else loud(said) | gated
     alone[np.concatenate([*line.sightings, np.empty(0, int)])] = True
-    alone[problem.anew_at(line.t)[0]] = True
+    alone[problem.resets_at(line.t)[0]] = True
     wanted = alone.copy()
     wanted[fold_for(len(line.t)).lasts()] = True
     events = kept(wanted)
@@ -64,8 +64,8 @@ def in_brief(problem: "Problem", gated: Array | None = None) -> Brief:
     between, fold = blocks(line.t, said, var, events, alone), fold_for(len(events))
     rest = heard(few, fold, np.where(alone[:, None], said, np.nan)[events], var[events])
     told = pooled(between, few.dynamics, fold, few.more)
-    leaps = Leaps(*rest, pooled=told, anew=forgotten(few, fold))
-    return Brief(few, events, between, leaps)
+    leaps = KnotReadings(*rest, pooled=told, anew=forgotten(few, fold))
+    return KnotProblem(few, events, between, leaps)
 
 
 def full(problem: "Problem", fold: Fold) -> Readings:
@@ -76,7 +76,7 @@ def full(problem: "Problem", fold: Fold) -> Readings:
 
 def forgotten(problem: "Problem", fold: Fold) -> Array | None:
     """Joints (L,M,C) bool of which nothing is known any more by then; None if that never happens."""
-    events, joints = problem.anew_at(problem.timeline.t)
+    events, joints = problem.resets_at(problem.timeline.t)
     if not len(events):
         return None
     anew = np.zeros((fold.length, len(problem.start), fold.count), bool)

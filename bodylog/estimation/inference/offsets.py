@@ -9,11 +9,12 @@ from ...types import Array
 from ..faults.threshold import NATS
 from .assemble import NEVER, before
 from .banded import factored
+from .convergence import DidNotConverge
 from .knots import BEFORE
 from .motion_model import MotionModel
 from .offset_evidence import OffsetScore, offset_score
 from .posed import Chain, energy, posed
-from .solver import DidNotConverge, Log, Solved, distance, solve
+from .solver import Log, Solved, distance, solve
 
 WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: how fast an offset may wander; the last is a joint homed differently, and stays."""

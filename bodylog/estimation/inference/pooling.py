@@ -80,7 +80,7 @@ def pooled(told: Blocks, dynamics: Dynamics, fold: Fold, more: Array | None = No
         _hear(move, shift, noise, word, nats, said.T[:, None], var.T[:, None])
     _carry(move, shift, noise, told.dt[-1], process, dynamics.drift)
     y, var, lean, left = _as_readings(word)
-    counted = 1.0 if dynamics.recalled is None else ~dynamics.recalled[:, None, None]
+    counted = 1.0 if dynamics.is_prior is None else ~dynamics.is_prior[:, None, None]
 
     def folded(a: Array, fill: float | Array = 0.0) -> Array:
         laid = fold.fold(np.moveaxis(a, -1, 0), fill)[..., np.arange(m)[:, None], which, :]

@@ -147,5 +147,3 @@ def _plus(whole: Array, at: Array, some: Array, once: bool) -> None:
         whole[at] += some
     else:
         np.add.at(whole, at, some)
-
-

@@ -8,8 +8,8 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline
-from ..noise.noise_model import Precision
-from ..noise.posture_prior import Habit
+from ..noise.noise_model import NoiseModel
+from ..noise.posture_prior import PosturePrior
 from ..noise.visibility import views
 from .filter_records import Dynamics
 
@@ -27,14 +27,14 @@ class Problem:
     evidence: Evidence
     timeline: Timeline
     start: Array
-    precision: Precision
+    precision: NoiseModel
     path: tuple[Array, Array] | None = None
-    habit: Habit | None = None
+    habit: PosturePrior | None = None
     anew: tuple[Array, Array] | None = None
     stepwise: bool = False
     rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
-    def anew_at(self, t: Array) -> tuple[Array, Array]:
+    def resets_at(self, t: Array) -> tuple[Array, Array]:
         """Which of instants t (E,) s begin anew, and what joints (R,M) bool of them."""
         if self.anew is None:
             return np.empty(0, int), np.empty((0, len(self.start)), bool)
@@ -45,8 +45,8 @@ class Problem:
     @property
     def dynamics(self) -> Dynamics:
         """How the state moves."""
-        recalled = None if self.habit is None else self.habit.joints
-        return Dynamics(self.precision.process, self.precision.drift, recalled)
+        is_prior = None if self.habit is None else self.habit.joints
+        return Dynamics(self.precision.process, self.precision.drift, is_prior)
 
     @property
     def more(self) -> Array | None:
@@ -56,5 +56,3 @@ class Problem:
             return None
         found, which = views(self.evidence.sightings, self.timeline.t)
         return np.stack([fewer.get(view, usual) / usual for view in found])[which]
-
-

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Finding
-from ..noise.correlated_noise import Memory, Sight
-from ..noise.posture_prior import Habit
+from ..noise.correlated_noise import LastFrame, PendingFrame
+from ..noise.posture_prior import PosturePrior
 
 START_STD = 1.0
 """rad and rad/s: how little is known of angles and rates before the first reading."""
@@ -29,20 +29,20 @@ APART = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class Watch:
+class AcquisitionState:
     """When each encoder bore out the belief last, (M,) s, −∞ for never, and what was last seen of each track.
 
     loose (M,) bool: joints that were adrift by the last picture, and have not been borne out since.
     """
 
     borne: Array
-    seen: Mapping[Any, Sight]
+    seen: Mapping[Any, PendingFrame]
     loose: Array
 
     @staticmethod
-    def begun(joints: int) -> "Watch":
+    def begun(joints: int) -> "AcquisitionState":
         """Before the first instant."""
-        return Watch(np.full(joints, -np.inf), {}, np.zeros(joints, bool))
+        return AcquisitionState(np.full(joints, -np.inf), {}, np.zeros(joints, bool))
 
     def mute(self, t: float) -> Array:
         """Joints (M,) bool whose encoders have long said nothing by t (s), or have been contradicting since then."""
@@ -54,22 +54,24 @@ class Watch:
         numbers = sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
         return np.asarray(silent & (0 < numbers <= silent.sum()))
 
-    def reminded(self, t: float, wont: Habit | None, said: Array, var: Array) -> tuple[Array, Array, Array]:
+    def reminded(self, t: float, wont: PosturePrior | None, said: Array, var: Array) -> tuple[Array, Array, Array]:
         """Readings said (M,) rad, NaN if silent, and variances with reminders of joints adrift by t (s); of which."""
         if wont is None:
             return said, var, np.zeros(len(said), bool)
         last = np.maximum(self.borne, max((sight.t for sight in self.seen.values()), default=-np.inf))
         return wont.remind(said, var, self.adrift(t), t - last)
 
-    def remembered(self, track: Any, sight: Sight) -> Sight:
+    def remembered(self, track: Any, sight: PendingFrame) -> PendingFrame:
         """A sight of a track with what is remembered of its last one."""
         return replace(sight, memory=self.seen[track].memory) if track in self.seen else sight
 
-    def after(self, t: float, borne: Array, here: Mapping[Any, Sight], memories: Iterable[Memory]) -> "Watch":
+    def after(
+        self, t: float, borne: Array, here: Mapping[Any, PendingFrame], memories: Iterable[LastFrame]
+    ) -> "AcquisitionState":
         """The same once encoders bore the belief out at t (s), (M,) bool, and sights were heard and left memories."""
         seen = {track: replace(sight, memory=left) for (track, sight), left in zip(here.items(), memories, strict=True)}
         loose = (self.adrift(t) if seen else self.loose) & ~borne
-        return Watch(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen, loose)
+        return AcquisitionState(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen, loose)
 
     def judge(
         self, t: float, z: Array, p: Array, said: Array, var: Array, seen: bool
@@ -133,7 +135,7 @@ def _nats(nu: Array, s: Array) -> float:
     return float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(s)[1])
 
 
-def _agree(z: Array, p: Array, m: int, age: float, sight: Sight) -> bool:
+def _agree(z: Array, p: Array, m: int, age: float, sight: PendingFrame) -> bool:
     """Whether a belief agrees with what was seen `age` s before."""
     back = np.concatenate([np.eye(m), -age * np.eye(m)], axis=1)
     x, cov = back @ z[: 2 * m], back @ p[: 2 * m, : 2 * m] @ back.T

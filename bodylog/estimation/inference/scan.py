@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...types import Array
-from .conditioning import MANY, Back, Said, leap, update
-from .filter_records import Dynamics, Leaps, Pooled, Readings
+from .conditioning import MANY, AdjointRecord, Rows, condition_pooled, update
+from .filter_records import Dynamics, KnotReadings, Pooled, Readings
 from .reacquisition import forget
 
 R = TypeVar("R", "Readings", "Trace", "Pooled")
@@ -52,15 +52,15 @@ def scan(
     length, m, c = readings.encoders.shape
     trace, kept, errors = into or _empty(readings, len(z), remember, every), slice(None, None, every), np.empty((m, c))
     propagate = propagator(belief, dynamics)
-    said = Said.of(readings.encoders, readings.encoder_var), Said.of(readings.y, readings.var)
+    said = Rows.of(readings.encoders, readings.encoder_var), Rows.of(readings.y, readings.var)
     visible: Array = np.any(said[1].heard, axis=(1, 2))
     seen = [np.flatnonzero(row) for row in visible]
-    back = Back(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
+    back = AdjointRecord(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
     anew = {} if readings.anew is None else {i: joints for i, joints in enumerate(readings.anew) if joints.any()}
-    leaps = Back(None, *np.empty((2, length, 2 * m if isinstance(readings, Leaps) else 0, c)))
+    leaps = AdjointRecord(None, *np.empty((2, length, 2 * m if isinstance(readings, KnotReadings) else 0, c)))
     for i in range(length):
-        if isinstance(readings, Leaps):
-            leap(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
+        if isinstance(readings, KnotReadings):
+            condition_pooled(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
         else:
             propagate(readings.dt[i], None if readings.more is None else readings.more[i])
         if i in anew:
@@ -68,16 +68,16 @@ def scan(
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
-        update(readings, said, i, seen[i], dynamics.recalled, belief, errors, back.at(i))
+        update(readings, said, i, seen[i], dynamics.is_prior, belief, errors, back.at(i))
         trace.z[i], trace.p[i], trace.encoder_d[i] = z[:, kept], p[..., kept], errors[:, kept]
-    own = np.ones(m, bool) if dynamics.recalled is None else ~dynamics.recalled
+    own = np.ones(m, bool) if dynamics.is_prior is None else ~dynamics.is_prior
     trace.nats[:] = _nats(back, own)
-    if isinstance(readings, Leaps):
+    if isinstance(readings, KnotReadings):
         trace.nats[:] += _nats(leaps, np.tile(own, 2)) + readings.pooled.nats
     return trace
 
 
-def _nats(back: Back, own: Array) -> Array:
+def _nats(back: AdjointRecord, own: Array) -> Array:
     """Free energy (L,C) of innovations, 0 where nothing was heard; the first rows count where they are `own` word."""
     weights, nus = back.weights, back.nus
     if not own.all():
@@ -127,7 +127,7 @@ def _empty(readings: Readings, k: int, remember: bool, every: int) -> Trace:
     length, m, c = readings.encoders.shape
     rows, nats, c = _rows(readings), np.empty((length, c)), len(range(0, c, every))
     back = (np.zeros((length, rows, k, c)), np.zeros((length, rows, c)), np.zeros((length, rows, c)))
-    left = np.empty((length, k, k + 1, c)) if remember and isinstance(readings, Leaps) else None
+    left = np.empty((length, k, k + 1, c)) if remember and isinstance(readings, KnotReadings) else None
     return Trace(
         np.empty((length, m, c)), np.empty((length, m, m, c)), np.empty((length, k, c)), np.empty((length, k, k, c)),
         nats, np.empty((length, m, c)), back if remember else None, left,

@@ -8,7 +8,7 @@ from ...types import Array
 from .conditioning import GATE
 from .filter_records import Readings
 from .folds import Fold
-from .knot_problem import Brief
+from .knot_problem import KnotProblem
 from .scan import Trace
 from .tangents import Tangents
 
@@ -21,7 +21,7 @@ class Solution:
     readings: Readings
     tangents: Tangents
     trace: Trace
-    brief: "tuple[Brief, Solution] | None" = field(default=None, kw_only=True)
+    brief: "tuple[KnotProblem, Solution] | None" = field(default=None, kw_only=True)
 
     def gated(self) -> Array:
         """Instants (E,) with an encoder reading beyond the gate."""

@@ -8,6 +8,7 @@ import numpy as np
 from ...types import Array
 from .banded import Factor, factored
 from .bridge import Bridge
+from .convergence import DidNotConverge
 from .images import RESTING, Images
 from .interior import Forward, foretold, forward, seen
 from .mixture import inlier, raised
@@ -23,10 +24,6 @@ ROW = 2
 """Readings in a row of one encoder that may be outliers on the same side."""
 SAME = 1e-2
 """How little outliers' weights may still change."""
-
-
-class DidNotConverge(Exception):
-    """Points of linearisation, or outliers' weights, did not come to rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +54,7 @@ class Log:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class TrackInnovations:
     """One track's innovations (D,F) by the belief before each image, their covariance (D,D,F), nats (F,)."""
 
     innovation: Array
@@ -78,7 +75,7 @@ class Solved:
     bridge: Bridge
     past: tuple[Array, Array]
     forth: Forward
-    sights: tuple[Sight, ...]
+    sights: tuple[TrackInnovations, ...]
 
 
 def solve(log: Log, nominal: Array, smooth: bool) -> Solved:
@@ -142,7 +139,7 @@ def filtered(log: Log, factor: Factor, about: Array) -> tuple[Array, Array]:
     return mean, cov
 
 
-def judged(log: Log, past: tuple[Array, Array]) -> tuple[Forward, tuple[Sight, ...]]:
+def judged(log: Log, past: tuple[Array, Array]) -> tuple[Forward, tuple[TrackInnovations, ...]]:
     """What was foretold of every measurement, from the knots given the past."""
     motion, rows, units = log.chain.motion, log.rows(), log.errors
     kappa = fade(rows, units, past[0].shape[1])
@@ -158,7 +155,7 @@ def judged(log: Log, past: tuple[Array, Array]) -> tuple[Forward, tuple[Sight, .
             np.einsum("ddf->df", spread)[:] -= one.extra
         else:
             left, spread = innovation, total
-        sights.append(Sight(innovation, total, inlier(*distance(left, spread), len(total), density)[1]))
+        sights.append(TrackInnovations(innovation, total, inlier(*distance(left, spread), len(total), density)[1]))
     return mixed(log, forth), tuple(sights)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Sighting
-from ..noise.correlated_noise import PAST, WHOLE, Likeness, directions, reach, repeated, variances
-from ..noise.noise_model import Precision
+from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, directions, reach, repeated, variances
+from ..noise.noise_model import NoiseModel
 from .filter_records import Readings
 from .folds import Fold
 
@@ -29,7 +29,7 @@ class Tangents:
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
         seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
         self._seen = tuple(_rows(some) for some in seen)
-        self._weighed: Precision | None = None
+        self._weighed: NoiseModel | None = None
         self._y = tuple(np.full((len(x), 2), np.nan) for x in points)
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
@@ -81,13 +81,13 @@ class Tangents:
         self._y[index][stale] = sighting.values[stale] - mean + np.einsum("fdm,fm->fd", jac, x)
         self._jac[index][stale] = jac
 
-    def _variances(self, index: int, sighting: Sighting, precision: Precision, share: float) -> Array:
+    def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, share: float) -> Array:
         """Variances (F,D), of alike frames such that together they say no more than they know."""
         var, seen = precision.scale.get(sighting.name, 1.0) * sighting.var, self._seen[index]
         # a belief by the past alone errs by far more than models do, and pays for what is no noise in its rates
         often, stated = (self._repeated[index], precision.stated) if share == WHOLE else (1.0, 1.0)
         near = precision.near.get(sighting.name, 0.0)
-        like = Likeness(precision.process, reach(sighting.model), near, share, stated)
+        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, stated)
         var[seen] = variances(
             like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
             self._model_var[index][seen], often,

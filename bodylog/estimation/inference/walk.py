@@ -7,15 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import PAST, WHOLE, Likeness, Memory, Sight, reach
+from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.posture_prior import LASTING, wont
 from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import prior, priors
-from .instant import RESTING, Moment, Motion, hear
+from .instant import RESTING, Motion, StepResult, hear
 from .knot_problem import encoder_rows, full
 from .problem import Problem
-from .reacquisition import SILENCE, Watch, forget
+from .reacquisition import SILENCE, AcquisitionState, forget
 from .scan import scan
 from .solution import Solution
 from .tangents import Tangents
@@ -36,7 +36,7 @@ class Adrift:
     said: Array
     var: Array
     tracks: tuple[int, ...]
-    told: Moment
+    told: StepResult
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Walked:
     z: Array
     p: Array
     anew: tuple[Array, Array] | None
-    watch: Watch
+    watch: AcquisitionState
     more: Array
     adrift: tuple[Adrift, ...]
 
@@ -130,8 +130,8 @@ def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walk
     """The filter up to the fold's last instant, each linearised anew until that moves less than `resting` rad."""
     line, motion, m = problem.timeline.t[: fold.events], Motion(problem.dynamics), len(problem.start)
     encoders, var = encoder_rows(problem, len(line))
-    own = encoders if motion.recalled is None else np.where(motion.recalled, np.nan, encoders)
-    points, lost, watch = np.empty((len(line), m)), dict[float, Array](), Watch.begun(m)
+    own = encoders if motion.is_prior is None else np.where(motion.is_prior, np.nan, encoders)
+    points, lost, watch = np.empty((len(line), m)), dict[float, Array](), AcquisitionState.begun(m)
     sights, adrift, more = _sights(problem, share, len(line)), list[Adrift](), np.ones((len(line), m))
     more[:] = 1.0 if problem.more is None else problem.more[: len(line)]
     usual = wont({s.name: s.model for s in problem.evidence.sightings}, problem.precision.process, problem.start)
@@ -169,15 +169,15 @@ def _at(t: float) -> Iterator[None]:
         raise np.linalg.LinAlgError(f"at {t:.3f} s {problem}") from None
 
 
-def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple[int, Sight]]]:
+def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple[int, PendingFrame]]]:
     """What is seen of which track, by instant, `before` some one."""
-    found: dict[int, list[tuple[int, Sight]]] = {}
+    found: dict[int, list[tuple[int, PendingFrame]]] = {}
     precision, line = problem.precision, problem.timeline
     for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
         scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
-        like = Likeness(precision.process, reach(sighting.model), near, share)
+        like = ErrorCorrelation(precision.process, reach(sighting.model), near, share)
         for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
             value, var, k = sighting.values[row], scale * sighting.var[row], int(events[row])
-            sight = Sight(sighting.model, float(sighting.t[row]), value, var, like, Memory())
+            sight = PendingFrame(sighting.model, float(sighting.t[row]), value, var, like, LastFrame())
             found.setdefault(k, []).append((track, sight))
     return found

@@ -15,13 +15,13 @@ from ..inference.filter_records import Dynamics
 from ..inference.initial_path import OFFSET_STD
 from ..inference.instant import Motion, hear
 from ..inference.offsets import WALKS
-from ..inference.reacquisition import SILENCE, START_STD, VAGUE, Watch, forget
+from ..inference.reacquisition import SILENCE, START_STD, VAGUE, AcquisitionState, forget
 from ..inference.scan import EVEN
 from ..methods.table import METHODS
 from ..noise import typed
-from ..noise.correlated_noise import PAST, Likeness, Memory, Sight, reach
+from ..noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.noise_model import carried
-from ..noise.posture_prior import LASTING, Habit, usual, wont
+from ..noise.posture_prior import LASTING, PosturePrior, usual, wont
 from .inputs import Angles, Incoming, Place, Tell, Told, finite
 from .replay_buffer import Instant, Recent, State
 
@@ -132,7 +132,9 @@ class Estimator:
         habit = usual(self._incoming.silent, self._incoming.wanted, precision.process, x)
         dynamics = Dynamics(precision.process, drift, None if habit is None else habit.joints)
         models, near = self._incoming.models, precision.near
-        like = {n: Likeness(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
+        like = {
+            n: ErrorCorrelation(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()
+        }
         adrift = wont(self._incoming.wanted, precision.process, x)
         steady = Steady(
             precision.process.tolist(), [] if drift is None else drift.tolist(), precision.encoder.tolist()
@@ -140,7 +142,7 @@ class Estimator:
         one = _Filter(Motion(dynamics), steady, habit, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
-        watch = Watch.begun(len(x))
+        watch = AcquisitionState.begun(len(x))
         first = State(-np.inf, z.tolist(), np.diag(std**2).tolist(), watch, watch.borne.tolist())
         return Recent(first, self._lag, one.hear)
 
@@ -159,11 +161,11 @@ class _Filter:
 
     motion: Motion
     steady: Steady
-    habit: Habit | None
-    wont: Habit | None
+    habit: PosturePrior | None
+    wont: PosturePrior | None
     encoder_var: Array
     scale: Mapping[str, float]
-    like: Mapping[str, Likeness]
+    like: Mapping[str, ErrorCorrelation]
     models: Mapping[str, ForwardModel]
 
     def hear(self, before: State, at: Instant) -> State:
@@ -204,8 +206,7 @@ class _Filter:
         if lost is not None:
             forget(z, p, lost, said, dt)
         here = {
-            name: before.watch.remembered(name, self._sight(name, at.t, *place))
-            for name, place in at.places.items()
+            name: before.watch.remembered(name, self._sight(name, at.t, *place)) for name, place in at.places.items()
         }
         angles, var, motion = *self._encoders(said, dt), self.motion
         if adrift := bool(here and before.watch.adrift(at.t).any()):
@@ -218,8 +219,8 @@ class _Filter:
         z, p, borne = found.z.tolist(), found.p.tolist(), watch.borne.tolist()
         return State(at.t, z, p, watch, borne, oldest, 0, found.nats, errors, lost)
 
-    def _sight(self, name: str, t: float, place: Array, var: Array) -> Sight:
-        return Sight(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], Memory())
+    def _sight(self, name: str, t: float, place: Array, var: Array) -> PendingFrame:
+        return PendingFrame(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], LastFrame())
 
     def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
         """Angles and variances (M,) rad², with a reminder of where joints without an encoder are wont to be."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...types import Array
-from ..inference.reacquisition import Watch
+from ..inference.reacquisition import AcquisitionState
 from ..inference.scalar_steps import Rows
 from .inputs import Told
 
@@ -23,7 +23,7 @@ class State:
     t: float
     z: list[float]
     p: Rows
-    watch: Watch
+    watch: AcquisitionState
     borne: list[float] = field(default_factory=list)
     oldest: float = -np.inf
     uneven: int = 0

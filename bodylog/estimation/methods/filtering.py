@@ -13,11 +13,11 @@ from ...settings import Estimation
 from ...types import Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.screening import screened
-from ..inference.gauss_newton import Restless, solve
+from ..inference.convergence import DidNotConverge
+from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import named
 from ..inference.solution import Solution
-from ..inference.solver import DidNotConverge
 from ..inference.walk import led, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
@@ -95,7 +95,7 @@ def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | N
         return problem, None
     try:
         found, warm = tune(problem, whole=settings.method == "smoother")
-    except Restless:
+    except DidNotConverge:
         return problem, None
     # what is typed is not looked for, though what else is found was found beside other values of it
     return replace(problem, precision=typed.precision(found, settings, problem.evidence.joints)), warm
@@ -113,7 +113,7 @@ def settled(
     def sure(posed: Problem, begin: Solution | None) -> S:
         try:
             return solver(posed, begin)
-        except Restless:
+        except DidNotConverge:
             return patient(posed)
 
     solved = sure(problem, warm)
@@ -136,7 +136,7 @@ def offset(problem: Problem, solved: Solution) -> Problem | None:
         problem = replace(problem, precision=replace(problem.precision, process=likeliest, fewer={}))
         try:
             solved = walk(problem) if problem.stepwise else solve(problem, solved, rest=ROUGHLY)
-        except Restless:
+        except DidNotConverge:
             solved = walk(problem)
         suspected = encoder_offset.suspects(problem, solved)
     if not suspected.any():
@@ -162,7 +162,7 @@ def cost(problem: Problem, warm: Solution | None = None) -> float:
     """Free energy (nats) of the whole log, filtered from where `warm` ended; infinite where sweeps do not rest."""
     try:
         return encoder_offset.nats(solve(problem, warm, rest=ROUGHLY))
-    except Restless:
+    except DidNotConverge:
         return np.inf
 
 
@@ -172,9 +172,7 @@ def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator
     return iter(()) if anew is None else named(names, problem.timeline.t, solved.fold.unfold(anew))
 
 
-def drifts(
-    problem: Problem, names: tuple[str, ...], solved: Solution, known: tuple[Fault, ...]
-) -> tuple[Fault, ...]:
+def drifts(problem: Problem, names: tuple[str, ...], solved: Solution, known: tuple[Fault, ...]) -> tuple[Fault, ...]:
     """Encoders that drift, by the filtered offsets, apart from those known to lie otherwise."""
     if problem.precision.drift is None:
         return ()

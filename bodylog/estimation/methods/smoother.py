@@ -13,15 +13,15 @@ from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import Array, Capabilities, Estimate, Features
 from ..inference import adjoint
+from ..inference.convergence import DidNotConverge, Progress
 from ..inference.filter_records import Readings
 from ..inference.folds import Fold, fold_for
-from ..inference.gauss_newton import SWEEPS, Progress, Restless, begun, far
+from ..inference.gauss_newton import SWEEPS, begun, far
 from ..inference.initial_path import handed_over, starts
 from ..inference.knot_problem import full
 from ..inference.problem import Problem
 from ..inference.scan import Trace, rescan
 from ..inference.solution import Solution
-from ..inference.solver import DidNotConverge
 from ..inference.tangents import Tangents
 from ..inference.walk import walk
 from ..noise.correlated_noise import WHOLE
@@ -80,7 +80,7 @@ METHOD = Method(estimate, Capabilities(causal=False))
 
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
-    """The maximum a posteriori path, first in brief, then in full; Restless when the rounds do not settle."""
+    """The maximum a posteriori path, first in brief, then in full; DidNotConverge when the rounds do not settle."""
     brief, tangents, z, p = begun(problem, warm)
     tangents.resting, tangents.share = STILL, WHOLE
     forth = FORTH if warm is None else 0
@@ -119,7 +119,7 @@ def _rounds(
             back, ends, pulled = _back(readings, trace, ends, p, rest)
             rest = max(rest, pulled)
         tangents.follow(problem, fold, trace.z if back is None else back[0])
-    raise Restless(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
+    raise DidNotConverge(f"smoother: no rest after {SWEEPS} sweeps, last move {rest:.2g}")
 
 
 def _back(

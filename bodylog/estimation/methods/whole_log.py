@@ -17,7 +17,7 @@ from ..inference.offsets import Offsets, evidence, offsets
 from ..inference.problem import Problem
 from ..inference.solver import Solved, solve
 from ..noise.encoder_noise import Learned
-from ..noise.noise_model import Precision
+from ..noise.noise_model import NoiseModel
 from ..noise.own_noise import OwnNoise, own_noise
 from . import results
 from .results import Beliefs
@@ -95,9 +95,7 @@ def _ordered(
     return solution, first, orders
 
 
-def _solution(
-    problem: Problem, noise: OwnNoise, motion: Learned, explored: Array, walk: Array, smooth: bool
-) -> Solved:
+def _solution(problem: Problem, noise: OwnNoise, motion: Learned, explored: Array, walk: Array, smooth: bool) -> Solved:
     log = assemble(problem.evidence, problem.timeline, problem.start, _assumed(noise, motion, explored, walk))
     return solve(log, outset(log), smooth)
 
@@ -117,7 +115,7 @@ def _named(rivals: Mapping[int, tuple[int, ...]]) -> dict[int, tuple[int, ...]]:
     return {joint: others for joint, others in rivals.items() if others}
 
 
-def _plain(answer: Answer, body: BodyModel, white: Precision) -> dict[str, Any]:
+def _plain(answer: Answer, body: BodyModel, white: NoiseModel) -> dict[str, Any]:
     """As plain numbers, to be written beside the estimate: nats are for a hypothesis, live is for a live filter."""
     drift = answer.found.walk.tolist() if answer.found.walk.any() else None
     won = {f"offset/{name}": float(gain) for name, gain in zip(body.joints, answer.found.won, strict=True)}
@@ -129,4 +127,3 @@ def _plain(answer: Answer, body: BodyModel, white: Precision) -> dict[str, Any]:
         "nats": {name: gain for name, gain in won.items() if np.isfinite(gain) and gain != 0.0},
         "live": white.plain(),
     }  # fmt: skip
-

@@ -30,7 +30,7 @@ interpolated, (1 − x) e₀ + x e₁, to 2/3.
 
 
 @dataclass(frozen=True, eq=False)
-class Likeness:
+class ErrorCorrelation:
     """When frames of a track err alike: postures within reach (M,) rad, places within `near` px, 0 where never.
 
     process (M,) rad²/s³: the joints' white acceleration · share: PAST or WHOLE · stated () or (M,): what share of the
@@ -77,7 +77,8 @@ def reach(model: ForwardModel) -> Array:
 
 
 def variances(
-    like: Likeness, t: Array, places: Array, points: Array, jac: Array, pixel: Array, model: Array, often: float = 1.0
+    like: ErrorCorrelation, t: Array, places: Array, points: Array, jac: Array, pixel: Array, model: Array,
+    often: float = 1.0,
 ) -> Array:  # fmt: skip
     """Variances (F,D) px² of frames seen at t (F,) s, such that alike ones together say no more than they know.
 
@@ -127,7 +128,7 @@ def counts(kept: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Memory:
+class LastFrame:
     """When (s), where (D,) px and from which angles (M,) a track was last seen; how many of these count (2,)."""
 
     t: float = -np.inf
@@ -137,7 +138,7 @@ class Memory:
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class PendingFrame:
     """One track seen at an instant t (s): model, value (D,), its variance (D,), what errs alike, memory.
 
     cov (D,D): where the rows err together, with `var` its diagonal; None where each errs by itself.
@@ -147,8 +148,8 @@ class Sight:
     t: float
     value: Array
     var: Array
-    like: Likeness
-    memory: Memory
+    like: ErrorCorrelation
+    memory: LastFrame
     cov: Array | None = None
 
     def foretold(self, x: Array) -> tuple[Array, Array, Array]:
@@ -159,7 +160,7 @@ class Sight:
         mean, jac, model = self.model.predict(x[None])
         return mean[0], jac[0], model[0]
 
-    def at(self, x: Array) -> tuple[Array, Array, Array, Array, Memory]:
+    def at(self, x: Array) -> tuple[Array, Array, Array, Array, LastFrame]:
         """At angles x (M,): mean (D,), Jacobian (D,M), model variance (D,), the whole as `variances` has it, memory.
 
         The whole is a covariance (D,D) where rows err together.
@@ -171,11 +172,11 @@ class Sight:
             var = self.cov * spots + np.diag(model * postures)
         return mean, jac, model, var, memory
 
-    def _alike(self, x: Array, jac: Array, model: Array) -> tuple[float, float, Memory]:
+    def _alike(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
         """How many times perception's and the model's variance count, and what is remembered then."""
         last, like, share = self.memory, self.like, LASTING[self.like.share]
         if last.place is None or last.point is None:
-            return 1.0, 1.0, Memory(self.t, self.value, x, np.ones(2))
+            return 1.0, 1.0, LastFrame(self.t, self.value, x, np.ones(2))
         step, away = (self.value - last.place).tolist(), ((x - last.point) / like.reach).tolist()
         spot = math.exp(-math.hypot(*step) / like.near) if like.near > 0 else 0.0
         posture = math.exp(-0.5 * math.hypot(*away) ** 2)
@@ -188,4 +189,4 @@ class Sight:
         spots, postures = (
             2.0 * count - 1.0 + share * alike / count for count, alike in zip(counts, (spot, posture), strict=True)
         )
-        return spots, postures, Memory(self.t, self.value, x, np.array(counts))
+        return spots, postures, LastFrame(self.t, self.value, x, np.array(counts))

@@ -5,16 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from ...types import Array
-from ..inference.gauss_newton import briefly
+from ..inference.gauss_newton import solve_knots
 from ..inference.initial_path import handed_over, priors
-from ..inference.knot_problem import Brief, tile
+from ..inference.knot_problem import KnotProblem, tile
 from ..inference.problem import Problem
 from ..inference.scan import scan
 from ..inference.solution import Solution
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.timeline import timeline
 from .encoder_noise import floor, followable
-from .noise_model import Precision
+from .noise_model import NoiseModel
 from .smoother_process import least
 from .visibility import View, views, visual
 
@@ -34,7 +34,7 @@ ROUNDS = (1.2, 0.7, 0.35)
 """Half-widths, in natural logarithms, of the parabola each round fits to the evidence along every variance."""
 
 
-def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
+def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     """Process variances and pixel factors by (the middle of) the log, for a belief by the whole of it or by the past.
 
     With the last solution to begin from, if it was of the whole log.
@@ -43,7 +43,7 @@ def tune(problem: Problem, whole: bool) -> tuple[Precision, Solution | None]:
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
         return problem.precision, None
-    m, told = len(part.start), briefly(part, None, "posterior", NEARLY)
+    m, told = len(part.start), solve_knots(part, None, "posterior", NEARLY)
     for half in ROUNDS:
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
@@ -62,7 +62,7 @@ def _less(problem: Problem) -> list[View]:
     return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
-def _moving(problem: Problem, part: Problem, told: tuple[Brief, Solution], whole: bool) -> Precision:
+def _moving(problem: Problem, part: Problem, told: tuple[KnotProblem, Solution], whole: bool) -> NoiseModel:
     """The part's precisions for a belief by the whole log or by the past, with what of its covariance to state."""
     encoders, floor = problem.evidence.encoders, _floor(part)
     if whole:
@@ -81,12 +81,12 @@ def _led(part: Problem, process: Array) -> Array:
     return process if encoders is None else followable(encoders, part.precision.encoder, process)
 
 
-def _told(part: Problem, view: View) -> tuple[Problem, tuple[Brief, Solution]]:
+def _told(part: Problem, view: View) -> tuple[Problem, tuple[KnotProblem, Solution]]:
     """The part as if only these of its tracks had been in view, and as it is told then."""
     sightings = tuple(s for s in part.evidence.sightings if s.name in view)
     evidence = replace(part.evidence, sightings=sightings)
     less = replace(part, evidence=evidence, timeline=timeline(evidence, None))
-    return less, briefly(less, None, "posterior", NEARLY)
+    return less, solve_knots(less, None, "posterior", NEARLY)
 
 
 def _own(problem: Problem, part: Problem, first: Solution) -> tuple[Array, Array]:
@@ -123,7 +123,7 @@ def _seen(sighting: Sighting) -> int:
     return int(np.isfinite(sighting.values).all(axis=1).sum())
 
 
-def _with(part: Problem, values: Array, names: list[str]) -> Precision:
+def _with(part: Problem, values: Array, names: list[str]) -> NoiseModel:
     m, precision = len(part.start), part.precision
     # frames that err alike foretell each other well: that is no reason to think perception better than it says
     found = {name: max(float(v), 1.0) for name, v in zip(names, values[m:], strict=True)}
@@ -149,8 +149,8 @@ def _step(nats: Array, half: float) -> Array:
 
 
 def costs(
-    part: Problem, told: tuple[Brief, Solution], candidates: Array, names: list[str]
-) -> tuple[Array, tuple[Brief, Solution]]:
+    part: Problem, told: tuple[KnotProblem, Solution], candidates: Array, names: list[str]
+) -> tuple[Array, tuple[KnotProblem, Solution]]:
     """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
 
     Filtered from where stretches ended as `told`; and the log as told by the first candidate, which the problem has.

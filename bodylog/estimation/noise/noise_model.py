@@ -18,7 +18,7 @@ from .quantisation import relative
 
 
 @dataclass(frozen=True, eq=False)
-class Precision:
+class NoiseModel:
     """encoder (M,) rad² · process (M,) rad²/s³ · drift (M,) rad²/s or None · scale {sighting: variance factor}.
 
     near {sighting: px} within which its errors are alike; other sightings' errors are white · stated: what share of
@@ -48,7 +48,7 @@ class Precision:
         likeliest = {} if self.likeliest is None else {"likeliest": self.likeliest.tolist()}
         return {**plain, **likeliest, **({"process_in_view": fewer} if fewer else {})}
 
-    def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "Precision":
+    def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "NoiseModel":
         """With processes (M,) by evidence alone, but no joint trusted to hold still for longer than MEMORY.
 
         Under white acceleration a quarter of a steady variance is motion: it is stated as far as there is any. `white`:
@@ -70,23 +70,23 @@ PAPER = (1.0, 5.0)
 """The paper's variances of encoders (rad²) and pixels (px²)."""
 
 
-def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> Precision:
+def resolve(evidence: Evidence, body: BodyModel, settings: Estimation) -> NoiseModel:
     """By `settings.precision`: `auto` from this log, `model` from the body, `fixed` from the paper."""
     encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
     if settings.precision == "fixed":
-        return Precision(np.full(len(encoder), PAPER[0]), process, None, _fixed(evidence))
+        return NoiseModel(np.full(len(encoder), PAPER[0]), process, None, _fixed(evidence))
     if settings.precision != "auto":
-        return Precision(encoder, process, None, scale)
+        return NoiseModel(encoder, process, None, scale)
     near = {name: NEAR for name in scale if name != "touch"}
     if evidence.encoders is None:
-        return Precision(encoder, process, None, scale, near)
+        return NoiseModel(encoder, process, None, scale, near)
     found = encoder_noise.learn(evidence.encoders, encoder, process)
-    held = Precision(found.encoder, process, None, scale, near).held(found.process, evidence.encoders)
+    held = NoiseModel(found.encoder, process, None, scale, near).held(found.process, evidence.encoders)
     return replace(held, white=found)
 
 
-def weighed(evidence: Evidence, precision: Precision, settings: Estimation) -> Evidence:
+def weighed(evidence: Evidence, precision: NoiseModel, settings: Estimation) -> Evidence:
     """The evidence with readings that repeat, as an arm at rest has them, worth less each; if noise is from the log."""
     encoders = evidence.encoders
     if settings.precision != "auto" or encoders is None or not (np.diff(encoders.values, axis=0) == 0.0).any():
@@ -99,18 +99,18 @@ def weighed(evidence: Evidence, precision: Precision, settings: Estimation) -> E
     return replace(evidence, encoders=replace(encoders, relative=found))
 
 
-def carried(body: BodyModel, found: Mapping[str, Any] | None) -> Precision:
+def carried(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
     """A filter's, as the body has them, or as an estimate's settings do (`Precision.plain`).
 
     UsageError where these are not of this body.
     """
     if found is None:
-        return Precision(np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {})
+        return NoiseModel(np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {})
     found = found.get("live", found)
     if "likeliest" in found:  # a smoother's process variances are not a filter's
         found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
     encoder, process, stated = (_positive(found, name, len(body.joints)) for name in ("encoder", "process", "stated"))
-    return Precision(encoder, process, None, dict(found.get("scale", {})), dict(found.get("near", {})), stated)
+    return NoiseModel(encoder, process, None, dict(found.get("scale", {})), dict(found.get("near", {})), stated)
 
 
 def _positive(found: Mapping[str, Any], name: str, count: int) -> Array:

@@ -17,7 +17,7 @@ WIDER = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Habit:
+class PosturePrior:
     """joints (M,) bool without an encoder · their mean (M,) rad · variance density (M,) rad²·s of a steady reminder."""
 
     joints: Array
@@ -41,7 +41,7 @@ class Habit:
         return np.where(own, self.mean, said), np.where(own, self.density / since, var), own
 
 
-def habit(evidence: Evidence, process: Array, start: Array) -> Habit | None:
+def habit(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
     """The habit of joints that no encoder of a log speaks of, by what its tracks' models were learned from."""
     silent: Array = np.ones(len(process), bool)
     if evidence.encoders is not None:
@@ -49,12 +49,12 @@ def habit(evidence: Evidence, process: Array, start: Array) -> Habit | None:
     return usual(silent, {s.name: s.model for s in evidence.sightings}, process, start)
 
 
-def wont(models: Mapping[str, ForwardModel], process: Array, start: Array) -> Habit | None:
+def wont(models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
     """The habit of joints adrift, all that may be; process (M,) rad²/s³ as it is where encoders speak."""
     return usual(np.ones(len(process), bool), models, LASTING * process, start)
 
 
-def usual(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> Habit | None:
+def usual(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
     """The habit of the `silent` joints (M,) bool; None when all encoders speak or no track's model tells.
 
     A reminder of density R under white acceleration q alone holds a joint to the variance √2 q^¼ R^¾: R is such that
@@ -69,4 +69,4 @@ def usual(silent: Array, models: Mapping[str, ForwardModel], process: Array, sta
     var = np.square(WIDER * explored.std(axis=0))
     density = (var / (np.sqrt(2.0) * process**0.25)) ** (4.0 / 3.0)
     silent = silent & (density > 0)
-    return Habit(silent, explored.mean(axis=0) if seen else start, density) if silent.any() else None
+    return PosturePrior(silent, explored.mean(axis=0) if seen else start, density) if silent.any() else None

@@ -16,7 +16,7 @@ import numpy as np
 from ...types import Array
 from ..inference import adjoint
 from ..inference.initial_path import handed_over, priors
-from ..inference.knot_problem import Brief, tile
+from ..inference.knot_problem import KnotProblem, tile
 from ..inference.problem import Problem
 from ..inference.scan import scan
 from ..inference.solution import Solution
@@ -44,7 +44,7 @@ TURNS = 2
 """Times stretches hand over their ends."""
 
 
-def least(part: Problem, told: tuple[Brief, Solution]) -> tuple[Array, float]:
+def least(part: Problem, told: tuple[KnotProblem, Solution]) -> tuple[Array, float]:
     """Process variances (M,) of least error, the problem's times one factor, and the share of V that this error is.
 
     `told` is the solution of its filter.
@@ -72,7 +72,7 @@ def _heard(part: Problem, t: Array) -> Array:
     return quick[np.searchsorted(known, t)]
 
 
-def _stated(part: Problem, told: tuple[Brief, Solution], factor: float, power: float) -> float:
+def _stated(part: Problem, told: tuple[KnotProblem, Solution], factor: float, power: float) -> float:
     """The share of V that the error is at a factor: noise's, and motion's by how far the path moves there."""
     paths, var = _paths(part, told, factor * STEP ** np.array([-0.5, 0.5]))
     heard = _heard(part, told[0].problem.timeline.t)
@@ -89,7 +89,7 @@ def _power(ratios: Array) -> float:
     return float(np.clip(4.0 * np.log(before / after) / np.log(STEP), POWERS[0], POWERS[-1]))
 
 
-def _paths(part: Problem, told: tuple[Brief, Solution], factors: Array) -> tuple[Array, Array]:
+def _paths(part: Problem, told: tuple[KnotProblem, Solution], factors: Array) -> tuple[Array, Array]:
     """Smoothed angles (G,E,M) of the log in brief for each of the factors, along the tangents of `told`; and V there.
 
     A steady smoother has a quarter of its filter's variance.

@@ -9,7 +9,7 @@ from ...errors import UsageError
 from ...settings import Estimation
 from ...types import Array, Finding
 from ..measurements.records import Sighting
-from .noise_model import Precision
+from .noise_model import NoiseModel
 
 TOUCH = "touch"
 """Name of touch among the sightings."""
@@ -49,7 +49,7 @@ def _as_given(sighting: Sighting, variance: float | None) -> Sighting:
     return sighting if variance is None else replace(sighting, var=np.full_like(sighting.var, variance), cov=None)
 
 
-def precision(found: Precision, settings: Estimation, joints: Sequence[str]) -> Precision:
+def precision(found: NoiseModel, settings: Estimation, joints: Sequence[str]) -> NoiseModel:
     """The precisions with what is given in place of what was found; a given motion's covariance is stated in full."""
     scale = {name: factor if of_track(settings, name) is None else 1.0 for name, factor in found.scale.items()}
     encoder = of_joints(settings.sigma_encoders, joints, found.encoder)
@@ -67,7 +67,7 @@ def precision(found: Precision, settings: Estimation, joints: Sequence[str]) -> 
     )
 
 
-def remark(settings: Estimation, found: Precision, sightings: Sequence[Sighting]) -> tuple[Finding, ...]:
+def remark(settings: Estimation, found: NoiseModel, sightings: Sequence[Sighting]) -> tuple[Finding, ...]:
     """What `--precision fixed` used, and which variances were typed."""
     if settings.precision != "fixed" and not settings.typed:
         return ()
