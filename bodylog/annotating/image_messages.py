@@ -58,10 +58,10 @@ def pictures(path: Path, recording: Recording, unread: dict[str, list[str]]) -> 
     for name, frames in (films | dict(recording.views)).items():
         under = f"/{escape(name)}" if name else "/camera"
         if name and under == "/camera":
-            said = recording.roles["camera/camera"]
-            raise LogError(f"{path}: two cameras would be written as {RAW}; name {said} first in [topics] camera")
-        said = recording.roles.get(f"camera/{name}".strip("/"), "")
-        topics = {t.id: t for t in recording.topics if said == t.name or said.startswith(f"{t.name}.")}
+            source = recording.roles["camera/camera"]
+            raise LogError(f"{path}: two cameras would be written as {RAW}; name {source} first in [topics] camera")
+        source = recording.roles.get(f"camera/{name}".strip("/"), "")
+        topics = {t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")}
         found = _passed(path, recording, frames, topics, unread) if topics else _encoded(recording, frames)
         yield from (picture._replace(kind=picture.kind.below(under)) for picture in found)
 

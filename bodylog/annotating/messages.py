@@ -159,13 +159,13 @@ def _strokes(features: Features, hand: Series, start_ns: int) -> Outgoing:
     """Strokes with the delay of the touch they are paired with, each logged with the picture in which it began."""
     delays = {pair.stroke: pair.delay for pair in features.synchrony}
     start, end = (np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end"))
-    begun = stamps(start, start_ns)
+    start_stamps = stamps(start, start_ns)
     places = [(*s.start_px, 0.0, *s.end_px, 0.0) for s in features.strokes]
     fields: list[CdrField] = [
-        *cdr.header(begun, _frame("hand", features)),
-        *cdr.time(stamps(end, start_ns) - begun),
+        *cdr.header(start_stamps, _frame("hand", features)),
+        *cdr.time(stamps(end, start_ns) - start_stamps),
         ("float64*", np.array(places).reshape(-1, 6)),
-        ("float64", np.array([delays.get(number, np.nan) for number in range(len(begun))])),
+        ("float64", np.array([delays.get(number, np.nan) for number in range(len(start_stamps))])),
     ]
     pictures = np.maximum(np.searchsorted(hand.t, start, "right") - 1, 0)
     return _plain(PREFIX + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)

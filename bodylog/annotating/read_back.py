@@ -71,28 +71,28 @@ def read_metadata(path: Path) -> dict[str, str]:
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
     """The estimate an annotated MCAP carries, t in s since `start_ns` (None: the log's own); LogError without one."""
     with open_log(path) as log:
-        said = declared(path, read_metadata(path))
+        stored = declared(path, read_metadata(path))
         table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
     joints, rate = table.joints()
     size = len(joints.names)
     predicted, predicted_cov = table.predicted()
     return Estimate(
-        method=said.method,
+        method=stored.method,
         joints=joints,
         rate=rate,
         cov=table.aligned("joint_covariance", joints, size**2).reshape(-1, size, size),
         errors=table.under(ERROR, "std"),
         free_energy=table.aligned("free_energy", joints, 1).reshape(-1),
-        used=said.used,
+        used=stored.used,
         predicted=predicted,
         predicted_cov=predicted_cov,
-        settings=said.settings,
+        settings=stored.settings,
         bias=table.series(PREFIX + "encoder_bias", "rad"),
         faults=table.faults(),
-        findings=said.findings,
+        findings=stored.findings,
         effector=table.effector(),
         kinematic=table.under(KINEMATIC, "px"),
-        can=said.can,
+        can=stored.can,
     )
 
 

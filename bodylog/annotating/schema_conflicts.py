@@ -18,20 +18,22 @@ def rename_conflicting(
 ) -> tuple[list[Outgoing], tuple[Finding, ...]]:
     """The messages, those of a type the file's Schema records define otherwise under a name of ours; what was done."""
     theirs = _defined(schemas)
-    rivals = {o.topic for o in outgoing if o.type.startswith(_BORROWED) and _differs(o, theirs)}
-    found = [_renamed(o) if o.topic in rivals else o for o in outgoing]
+    conflicting = {o.topic for o in outgoing if o.type.startswith(_BORROWED) and _differs(o, theirs)}
+    found = [_renamed(o) if o.topic in conflicting else o for o in outgoing]
     text = "{}: the log has another {}; written as {}, which every reader reads but viewers do not draw"
-    said = [text.format(o.topic, o.type, f.type) for o, f in zip(outgoing, found, strict=True) if o.topic in rivals]
-    return found, tuple(Finding("warning", line) for line in said)
+    lines = [
+        text.format(o.topic, o.type, f.type) for o, f in zip(outgoing, found, strict=True) if o.topic in conflicting
+    ]
+    return found, tuple(Finding("warning", line) for line in lines)
 
 
 def _defined(schemas: Iterable[bytes]) -> dict[str, object]:
     types: dict[str, object] = {}
     for raw in schemas:
-        said = parse_record(SCHEMA, memoryview(raw)[HEAD.size :]).fields
-        if said["encoding"] in _READ and _BORROWED.encode() in raw:
+        fields = parse_record(SCHEMA, memoryview(raw)[HEAD.size :]).fields
+        if fields["encoding"] in _READ and _BORROWED.encode() in raw:
             try:
-                types |= parse(said["data"], said["name"], said["encoding"]).types
+                types |= parse(fields["data"], fields["name"], fields["encoding"]).types
             except FormatError:
                 continue  # no reader gets a type out of it
     return types

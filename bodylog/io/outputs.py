@@ -63,8 +63,8 @@ class _Place:
         found = key(part)
         real = _behind(part) if found is None or part is given or part.is_symlink() else None
         if real == self._real or (found is not None and found == self._key):
-            said = "is also an input" if part is given else f"is {part.name} of an input"
-            raise UsageError(f"{self._output} {said} ({given}); choose another name")
+            relation = "is also an input" if part is given else f"is {part.name} of an input"
+            raise UsageError(f"{self._output} {relation} ({given}); choose another name")
         if found is None:
             return
         if found in self._above:

@@ -66,11 +66,11 @@ def identity(url: str) -> str:
     """A digest of what the store says of a file (size and tag or date): another once the file is another."""
     with _store_errors(url):
         store, path = _store(url)
-        said = store.info(path)
+        details = store.info(path)
     telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
     from hashlib import sha256
 
-    return sha256(repr([url, *((key, str(said.get(key))) for key in telling)]).encode()).hexdigest()
+    return sha256(repr([url, *((key, str(details.get(key))) for key in telling)]).encode()).hexdigest()
 
 
 def read_range(url: str, start: int, end: int) -> bytes:

@@ -72,5 +72,5 @@ def _check(value: Any, where: str, depth: int) -> None:
 
 def shown(value: Any) -> str:
     """A value as a message shows it, cut where it is long."""
-    said = repr(value)
-    return said if len(said) <= 200 else f"{said[:200]}…"
+    text = repr(value)
+    return text if len(text) <= 200 else f"{text[:200]}…"

@@ -1,4 +1,4 @@
-"""Recorded robot logs as arrays: MCAP, ROS 1 bags and rosbag2 folders; packed, split, damaged, or behind a URL.
+"""Recorded robot logs as arrays: MCAP, ROS 1 bags and rosbag2 folders; compressed, split, damaged, or behind a URL.
 
     import bodylog.logs as logs
 
@@ -6,7 +6,8 @@
         joints = log["/joint_states"]
         joints.position, joints.header.stamp, joints.log_ns     # (N,K) · (N,) int64 ns · (N,) int64 ns
 
-This room knows bytes, containers and messages. Everything here raises `bodylog.errors.BodylogError` with one line.
+This package knows bytes, containers and messages, nothing of robots. Unusable input raises a one-line
+`bodylog.errors.BodylogError`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,7 +24,7 @@ __all__ = ["Writer", "convert", "examine", "open", "read", "repair"]
 
 
 def open(path: str | Path, strict: bool = False, episode: int | None = None) -> "OpenLog":
-    """A log of any container, path or URL; LogError when it is none, or when `strict` and part of it is lost.
+    """Open a log of any container, path or URL; LogError when it is not a log, or when `strict` and part of it is lost.
 
     episode: the number of an episode of a dataset; the path DATASET#N means the same.
     """
@@ -33,13 +34,13 @@ def open(path: str | Path, strict: bool = False, episode: int | None = None) -> 
 
 
 def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Table]":
-    """Fields of several topics, {topic: [message path, …]}, in one pass over the file; ConfigError for unknown ones."""
+    """Read fields of several topics, {topic: [message path, …]}, in one pass; ConfigError for unknown ones."""
     with open(path) as log:
         return log.read(fields)
 
 
 def examine(path: str | Path) -> "tuple[Finding, ...]":
-    """Everything wrong with a log, read from end to end."""
+    """Read a log from end to end and return everything that is wrong with it."""
     from .conversion.examination import examine
     from .library import located
 
@@ -48,7 +49,7 @@ def examine(path: str | Path) -> "tuple[Finding, ...]":
 
 
 def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
-    """Write the sound messages of a log to the MCAP `out`; what was wrong is returned."""
+    """Write the sound messages of a log to the MCAP `out`; return what is wrong with the log."""
     from .conversion.rewrite import repair
     from .library import located
 
@@ -62,7 +63,7 @@ def convert(
 ) -> "tuple[Finding, ...]":  # fmt: skip
     """Write a log as a chunked, indexed MCAP; ROS 1 messages become CDR.
 
-    topics: only these · start, end: only what was logged between them, s since the log's start. `bodylog.convert`
+    topics: only these · start, end: only messages logged between them, s since the log's start. `bodylog.convert`
     writes datasets.
     """
     from .conversion.extract import convert
@@ -73,7 +74,7 @@ def convert(
 
 
 def __getattr__(name: str) -> Any:
-    """`Writer`, imported when it is asked for."""
+    """Import `Writer` on first use."""
     if name == "Writer":
         from .writer import Writer
 

@@ -1,4 +1,4 @@
-"""The files that a log is read from: itself, or those of one episode of a dataset."""
+"""The files of a log: its own, or those of one episode of a dataset."""
 
 import hashlib
 from pathlib import Path
@@ -9,9 +9,9 @@ from ..io.atomic_files import iter_mapped, sha256
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
-    """A log's file or folder; of an episode, or of a dataset whose first episode is meant, the files it is read from.
+    """The file or folder of a log; for an episode, or a dataset (its first episode), the files it is read from.
 
-    A dataset that cannot be read is itself.
+    A dataset that cannot be read gives its own path.
     """
     base, number = episodes.split(path)
     if not base.is_dir():
@@ -25,7 +25,7 @@ def files_of(path: Path) -> tuple[Path, ...]:
 
 
 def digest(path: Path) -> str:
-    """Hex SHA-256 of a log; of an episode that of its files in order."""
+    """Hex SHA-256 of a log; for an episode, of its files in order."""
     parts = files_of(path)
     if parts == (path,):
         return sha256(path)

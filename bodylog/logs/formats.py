@@ -1,4 +1,4 @@
-"""Open any log: the file's first bytes say what it is, FORMATS who reads it."""
+"""Open any log: the first bytes of a file select its reader in FORMATS."""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ _LFS = b"version https://git-lfs"
 
 
 def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
-    """The log in a file or folder; LogError when it is none, or when `strict` and something in it is lost.
+    """Open the log in a file or folder; LogError when it is not a log, or when `strict` and part of it is lost.
 
-    `limits`: how much what is packed may unpack to.
+    `limits`: how much compressed data may expand to.
     """
     place = episodes.base(path)
     if not place.exists():
@@ -55,7 +55,7 @@ def _opened(path: Path, strict: bool, source: Path, limits: Input) -> Log:
 
 
 def _opener(path: Path, first: bytes) -> "Opener":
-    """Who opens a log that begins so; LogError when it is none."""
+    """The reader for a log that begins with these bytes; LogError when there is none."""
     for magic, opener in FORMATS.items():
         if first.startswith(magic):
             return opener
@@ -66,24 +66,24 @@ def _opener(path: Path, first: bytes) -> "Opener":
 
 
 def without_images(log: Log) -> "Source":
-    """The log, for who reads no images: where these would have to be decoded from a video, they are left out."""
+    """The log without images that would have to be decoded from a video."""
     heads: Batches | None = getattr(log, "heads", None)
     return log if heads is None else _Heads(heads)
 
 
 @dataclass(frozen=True)
 class _Heads:
-    """An episode of a dataset, its images left out."""
+    """An episode of a dataset without its images."""
 
     heads: "Batches"
 
     def batches(self, ids: Collection[int]) -> Iterator[Batch]:
-        """Messages of the topics, of cameras without their images."""
+        """Messages of the topics; those of cameras carry no image."""
         return self.heads(ids)
 
 
 def payloads(batch: Batch) -> Iterator[memoryview]:
-    """Each message of a batch as a view of its bytes, valid as long as the batch is."""
+    """The payload of each message of a batch as a view, valid as long as the batch."""
     return map(batch.data.data.__getitem__, map(slice, batch.offset.tolist(), (batch.offset + batch.length).tolist()))
 
 
@@ -125,7 +125,7 @@ def _poses(path: Path, strict: bool, source: Path, limits: Input) -> Log:
 
 
 def _episode(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
-    """A file that holds episodes, or a video."""
+    """Open a file of episodes, or a video."""
     from .datasets import kinds
 
     opener = kinds.of_file(first)
@@ -136,7 +136,7 @@ def _episode(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
 
 
 def _folder(path: Path, strict: bool, limits: Input) -> Log:
-    """A dataset's folder, or else a rosbag2 folder."""
+    """Open a dataset's folder, else a rosbag2 folder."""
     from .datasets import kinds
 
     opener = kinds.of_folder(episodes.base(path))
@@ -159,4 +159,4 @@ FORMATS: Mapping[bytes, Opener] = {
     b"SQLite format 3\x00": _db3,
     b"PAR1": _poses,
 }
-"""First bytes of a file -> who opens it."""
+"""First bytes of a file -> function that opens it."""

@@ -1,4 +1,4 @@
-"""The unit of a topic's joints: as the topic's metadata declare it, else as [body] unit says."""
+"""The unit of a topic's joints: from the topic's metadata, else from [body] unit."""
 
 import math
 import re
@@ -6,16 +6,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 UNIT, TURN = "bodylog.unit", "bodylog.turn"
-"""Metadata of a topic of joints: rad, deg, counts or unknown; how many of these make one whole turn."""
+"""Metadata of a joint topic: unit (rad, deg, counts or unknown), and the number of counts in one turn."""
 SOURCE_UNIT = "bodylog.source_unit"
-"""Metadata: the unit of the dataset that joints in rad came from."""
+"""Metadata: unit that the joints had in their dataset before conversion to rad."""
 _RAD = {"rad": 1.0, "deg": math.pi / 180.0}
 
 _COUNTS = re.compile(r"([0-9]{1,9}(?:\.[0-9]{1,9})?) counts(?: from (-?[0-9]{1,12}(?:\.[0-9]{1,9})?))?")
 
 
 def counts(unit: str) -> tuple[float, float] | None:
-    """Counts of one turn and the count at 0 rad of a [body] unit; None where it is no such unit."""
+    """Counts per turn and the count at 0 rad of a [body] unit; None for any other unit."""
     found = _COUNTS.fullmatch(unit)
     turn, zero = (0.0, 0.0) if found is None else (float(found[1]), float(found[2] or 0.0))
     return (turn, zero) if turn > 0.0 else None
@@ -23,10 +23,10 @@ def counts(unit: str) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class JointUnit:
-    """What readings are in · by how much they are multiplied · in what they then are · one whole turn of it, or None.
+    """Unit of the readings · factor to convert them · unit after conversion · one turn in that unit, or None.
 
-    `zero`: the reading at 0 rad. Encoder counts and readings of unknown unit stay as they are, unless [body] unit says
-    what a turn is.
+    `zero`: the reading at 0 rad. Encoder counts and unknown units are not converted unless [body] unit gives the counts
+    per turn.
     """
 
     read: str
@@ -37,7 +37,7 @@ class JointUnit:
 
 
 def joint_unit(about: Mapping[str, str], settings_unit: str) -> JointUnit:
-    """The unit of joints by their topic's metadata; `settings_unit` where these name none, or an unknown one is deg."""
+    """The joints' unit from their topic's metadata; `settings_unit` if these name none, or deg for an unknown one."""
     read, given = about.get(UNIT, settings_unit), counts(settings_unit)
     if given is not None and read not in _RAD:
         return JointUnit("counts", 2.0 * math.pi / given[0], "rad", 2.0 * math.pi, given[1])

@@ -1,4 +1,4 @@
-"""A recorded log for who reads it from Python: topics as tables, batches, messages or pictures."""
+"""The Python interface to a recorded log: topics as tables, batches, messages or images."""
 
 import difflib
 from collections import Counter
@@ -26,7 +26,7 @@ _HEADS = ("header", "encoding", "format", "name", "names", "position")
 
 
 class Message(NamedTuple):
-    """One decoded message: topic · log time int64 ns · a rosbags message, or a dict of a JSON or protobuf one."""
+    """One decoded message: topic · log time int64 ns · a rosbags message, or a dict for JSON and protobuf."""
 
     topic: str
     log_ns: int
@@ -40,7 +40,7 @@ class OpenLog:
     """
 
     def __init__(self, path: str | Path, strict: bool = False, episode: int | None = None) -> None:
-        """Open; LogError when it is no log, or when `strict` and part of it is lost. `episode`: of a dataset."""
+        """Open a log, or `episode` of a dataset; LogError when it is not a log, or when `strict` and part is lost."""
         path = path if episode is None else f"{path}#{episode}"
         self.path = str(path)
         self.rejected: Counter[str] = Counter()
@@ -58,16 +58,16 @@ class OpenLog:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found wrong with the log so far."""
+        """Problems found so far."""
         return self._log.findings
 
     def __getitem__(self, topic: str) -> Table:
-        """The messages of a topic, decoded field by field when asked for; ConfigError names the topics there are."""
+        """The messages of a topic; fields are decoded on first use. ConfigError names the existing topics."""
         topics = self._topics(topic)
         return Table(topic, self._fields(topics), self.read)
 
     def read(self, fields: Mapping[str, Sequence[str]]) -> dict[str, Table]:
-        """Fields of several topics, {topic: [message path, …]}, in one pass over the file."""
+        """Read fields of several topics, {topic: [message path, …]}, in one pass over the file."""
         topics = {name: self._topics(name) for name in fields}
         wants = {one.id: (one, tuple(fields[name])) for name, some in topics.items() for one in some}
         light = all(path.split(".")[0] in _HEADS for some in fields.values() for path in some)
@@ -80,11 +80,11 @@ class OpenLog:
         return tables
 
     def batches(self, topics: Sequence[str] | None = None) -> Iterator[Batch]:
-        """Undecoded messages in file order, in batches of one topic each; a batch is valid until the next."""
+        """Undecoded messages in file order, in batches of one topic; each batch is valid until the next."""
         return self._log.batches(None if topics is None else self._ids(topics))
 
     def messages(self, topics: Sequence[str] | None = None) -> Iterator[Message]:
-        """Decoded messages one by one, in file order; those that do not decode are counted in `rejected` by topic."""
+        """Decoded messages in file order; `rejected` counts by topic those that cannot be decoded."""
         wanted = self.topics if topics is None else [one for name in topics for one in self._topics(name)]
         decoders = {one.id: (one.name, _decoder(one)) for one in wanted}
         for batch in self._log.batches(tuple(decoders)):
@@ -96,7 +96,7 @@ class OpenLog:
                     self.rejected[name] += 1
 
     def frames(self, topic: str) -> Iterator[Frame]:
-        """The pictures of a topic in file order: `image` (H,W,3) uint8 BGR, t s since start_ns by log time."""
+        """The images of a topic in file order: `image` (H,W,3) uint8 BGR, t in s since start_ns by log time."""
         from .images import messages as images
 
         decoders = {one.id: images.decoder(one) for one in self._topics(topic)}
@@ -106,17 +106,17 @@ class OpenLog:
                 yield Frame((log_ns - self.start_ns) / 1e9, log_ns, decode)
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._open.close()
 
     def __enter__(self) -> Self:
-        """The log itself."""
+        """Return the log."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
+        """Close the file."""
         self.close()
 
     def __repr__(self) -> str:
@@ -149,7 +149,7 @@ class OpenLog:
 
 @contextmanager
 def located(path: str | Path) -> Iterator[Path]:
-    """A log as a path: itself; of an MCAP behind a URL a map that fetches what is touched, of others a copy."""
+    """A local path for a log: its own; for an MCAP behind a URL, a map that fetches on access; for others, a copy."""
     if not remote.is_url(str(path)):
         yield Path(path)
         return
@@ -168,7 +168,7 @@ def located(path: str | Path) -> Iterator[Path]:
 
 
 def _decoder(topic: Topic) -> Callable[[bytes], Any]:
-    """One payload to a message; FormatError when it contradicts its definition."""
+    """A function from payload to message; it raises FormatError when they contradict the definition."""
     if topic.encoding in _OBJECTS:
         from .decode.dynamic import reader
 

@@ -1,4 +1,4 @@
-"""What every log can do, whatever its container, and who opens one."""
+"""The interface of every log, whatever its container, and of the functions that open one."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
@@ -10,7 +10,7 @@ from .records import Batch, Finding, Topic
 
 
 class Log(Protocol):
-    """One recorded log: its topics, when it was, and its messages, undecoded."""
+    """One recorded log: topics, time span and undecoded messages."""
 
     path: Path
     topics: tuple[Topic, ...]
@@ -23,24 +23,24 @@ class Log(Protocol):
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found wrong so far; reading on may add to it."""
+        """Problems found so far; further reading may add to them."""
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
 
     def spans(self) -> Mapping[int, tuple[int, int]]:
-        """First and last log time (ns) by topic id, of the topics for which the file says so without being read."""
+        """First and last log time (ns) by topic id, where the file gives them without being read."""
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
 
     def __enter__(self) -> Self:
-        """The log itself."""
+        """Return the log."""
 
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close."""
+        """Close the file."""
 
 
 Batches = Callable[[Collection[int]], Iterator[Batch]]

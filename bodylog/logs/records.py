@@ -1,4 +1,4 @@
-"""What logs hold: topics, batches of messages, frames, findings."""
+"""The records of the log layer: topics, batches of messages, frames, findings."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Finding:
-    """One remark on a log: severity `info`, `warning` or `lost` (input was lost: exit 3), and one line of text."""
+    """One finding about a log: severity `info`, `warning` or `lost` (data was lost: exit 3), and one line of text."""
 
     severity: str
     text: str
@@ -36,8 +36,8 @@ class Topic:
 class Batch:
     """Messages of one topic id, undecoded: payload i is data[offset[i] : offset[i] + length[i]].
 
-    log_ns (n,) int64 · data (bytes,) uint8 · offset, length (n,) int64. `data` may be a reused buffer:
-    it is valid only until the next batch is asked for.
+    log_ns (n,) int64 · data (bytes,) uint8 · offset, length (n,) int64. `data` may be a reused buffer: it is valid only
+    until the next batch is requested.
     """
 
     topic_id: int
@@ -49,7 +49,7 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class Outgoing:
-    """Messages of one topic ready to be written: payloads as in Batch, log_ns (n,) int64 ascending."""
+    """Messages of one topic to write: payloads as in Batch, log_ns (n,) int64 ascending."""
 
     topic: str
     type: str
@@ -64,11 +64,11 @@ class Outgoing:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One picture, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
+    """One image, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
 
-    What it gives may be the log's own bytes: in any order of memory, and not to be written to.
+    The result may be a read-only view of the log's own bytes, in any memory order.
 
-    `shrinks`: decode(2) may cost less than decode(1), and gives their means, 2 by 2.
+    `shrinks`: decode(2) may be cheaper than decode(1), and gives the means of 2 by 2 pixels.
     """
 
     t: float
@@ -78,5 +78,5 @@ class Frame:
 
     @property
     def image(self) -> Array:
-        """The whole picture (H,W,3) uint8 BGR, to be drawn upon."""
+        """The full image (H,W,3) uint8 BGR, writable."""
         return np.require(self.decode(1), requirements=("C", "W"))

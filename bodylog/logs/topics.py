@@ -14,12 +14,12 @@ INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
 
 
 def independent(topics: Collection[Topic]) -> bool:
-    """Whether a topic of joints holds still poses, each by itself."""
+    """Whether a joint topic holds independent poses."""
     return any(topic.metadata.get(key) == value for topic in topics for key, value in INDEPENDENT.items())
 
 
 class Topics:
-    """The topics of one log, numbered from 0 in the order met."""
+    """The topics of one log, numbered from 0 in order of appearance."""
 
     def __init__(self) -> None:
         """Start empty."""
@@ -35,7 +35,7 @@ class Topics:
         messages: int,
         metadata: Mapping[str, str],
     ) -> int:
-        """The id of the topic with these properties; its messages are added to."""
+        """The id of the topic with these properties; adds to its number of messages."""
         key = (text(name), normalised(text(type_name)), text(encoding), definition, text(definition_encoding))
         known = self._topics.get(key) or Topic(len(self._topics), *key, 0, {k: text(v) for k, v in metadata.items()})
         self._topics[key] = replace(known, messages=known.messages + messages)
@@ -47,23 +47,23 @@ class Topics:
 
 
 def normalised(type_name: str) -> str:
-    """package/Name as package/msg/Name; other names as they are."""
+    """package/Name as package/msg/Name; other names unchanged."""
     package, slash, name = type_name.partition("/")
     return f"{package}/msg/{name}" if slash and "/" not in name else type_name
 
 
 def span(found: Collection[int], diagnostics: Diagnostics) -> tuple[int, int]:
-    """First and last of a log's times (ns), 0 where it has none; those that no clock shows are remarked on."""
+    """First and last time of a log (ns), 0 if it has none; warns about times outside a clock's range."""
     sound = [ns for ns in found if is_time(ns)]
     if len(sound) < len(found):
         odd = next(ns for ns in found if not is_time(ns))
-        said = f"log times such as {odd} ns are none: those below 0 or beyond {LATEST_NS} ns are read as 0"
-        diagnostics.warn(f"{said}, and what they date is not used")
+        text = f"log times such as {odd} ns are none: those below 0 or beyond {LATEST_NS} ns are read as 0"
+        diagnostics.warn(f"{text}, and what they date is not used")
     return min(sound, default=0), max(sound, default=0)
 
 
 def split(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array) -> Iterator[Batch]:
-    """One Batch per topic id in topic (n,), in the order first met inside each; ids below 0 are left out."""
+    """One Batch per id in topic (n,), in order of appearance; ids below 0 are left out."""
     if not len(topic):
         return
     if topic[0] == topic[-1] and (topic == topic[0]).all():

@@ -1,4 +1,4 @@
-"""Arrays to an MCAP: columns of fields in, chunks of CDR messages out."""
+"""Write arrays as an MCAP: columns of fields in, chunks of CDR messages out."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -25,20 +25,20 @@ _CDR_NAMES = {"byte": "uint8", "char": "uint8", "octet": "uint8"}
 
 
 class Writer:
-    """An MCAP being written, ROS 2 profile; a context manager: whole at its end, absent when an error left it.
+    """Writes an MCAP, ROS 2 profile; a context manager. An exception leaves no file.
 
     `write` takes all or part of a topic's messages as arrays.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """The file to write; it takes its place when the `with` ends."""
+        """The output file; it appears when the `with` block ends."""
         self._path, self._open = Path(path), ExitStack()
         self._chunks: Chunks | None = None
         self._channels: dict[tuple[str, str, bytes], int] = {}
         self._counts: dict[int, int] = {}
 
     def __enter__(self) -> Self:
-        """Itself, with the file begun beside its place."""
+        """Open a temporary file beside the output."""
         with ExitStack() as opening:
             stream = opening.enter_context(opening.enter_context(replacing(self._path)).open("wb"))
             self._chunks = Chunks(stream, Contents())
@@ -49,7 +49,7 @@ class Writer:
     def __exit__(
         self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
     ) -> bool | None:
-        """The summary, and the file into its place; nothing is left where something went wrong."""
+        """Write the summary and move the file into place; after an exception, remove it."""
         if kind is None and self._chunks is not None:
             self._chunks.finish()
         self._chunks = None
@@ -58,11 +58,11 @@ class Writer:
     def write(
         self, topic: str, type: str, log_ns: Array, fields: Mapping[str, Any], definition: str | None = None
     ) -> None:
-        """Messages of one topic from their fields; ConfigError for a field or type that does not fit.
+        """Write messages of one topic from their fields; ConfigError for a field or type that does not fit.
 
-        log_ns (n,) int64 · fields {message path: values}: a number or text for all, an array (n,), for arrays in a
-        message (n,K) or a list of n arrays or bytes; times int64 ns; what is left out is 0 or empty. definition: the
-        type's ros2msg text, needed for types that ROS 2 does not have.
+        log_ns (n,) int64 · fields {message path: values}: a number or text for all messages, an array (n,), for array
+        fields (n,K) or a list of n arrays or bytes; times int64 ns; missing fields are 0 or empty. definition: the
+        type's ros2msg text, needed for types outside ROS 2.
         """
         times = np.asarray(log_ns, np.int64).reshape(-1)
         text = self._definition(type, definition)
@@ -77,7 +77,7 @@ class Writer:
         self._put(key, times, _serialised(parsed, values, len(times)))
 
     def write_batch(self, topic: Topic, batch: Batch) -> None:
-        """Undecoded messages of another log as they are: a topic of it, and a batch of that topic."""
+        """Write undecoded messages of another log unchanged: one of its topics, and a batch of that topic."""
         key = topic.name, topic.type, topic.definition
         if key not in self._channels:
             about = (topic.encoding, topic.definition, topic.definition_encoding, topic.metadata)
@@ -109,7 +109,7 @@ class Writer:
 
 
 def _paths(definition: Definition, type_: str, prefix: str = "") -> Iterator[tuple[str, Field]]:
-    """The fields that can be written, by message path; arrays of messages cannot, and stay empty."""
+    """The writable fields by message path; arrays of messages are not writable and stay empty."""
     for field in definition.types[type_]:
         if field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES:
             yield prefix + field.name, field
@@ -119,7 +119,7 @@ def _paths(definition: Definition, type_: str, prefix: str = "") -> Iterator[tup
 
 @dataclass(frozen=True, eq=False)
 class _Texts:
-    """Texts, or tuples of them, that occur, and which of them each message (n,) has."""
+    """Distinct texts, or tuples of texts, and the index of each message's text (n,)."""
 
     known: Sequence[Any]
     index: Array
@@ -156,7 +156,7 @@ def _is_constant(field: Field, value: Any) -> bool:
 
 
 def _unpacked(value: Any) -> Any:
-    """Bytes among the values as numbers."""
+    """Bytes among the values as arrays of numbers."""
     packed = isinstance(value, list | tuple) and len(value) and isinstance(value[0], bytes)
     return [np.frombuffer(one, np.uint8) for one in value] if packed else value
 
@@ -169,7 +169,7 @@ def _texts(field: Field, values: Sequence[Any], count: int) -> _Texts:
 
 
 def _serialised(definition: Definition, values: Mapping[str, Any], count: int) -> Payloads:
-    """All messages, those of one layout at once."""
+    """All messages, grouped by layout."""
     keys = np.zeros(count, np.int64)
     for value in values.values():
         if isinstance(value, _Texts | list):
@@ -184,7 +184,7 @@ def _serialised(definition: Definition, values: Mapping[str, Any], count: int) -
 def _fields(
     definition: Definition, type_: str, values: Mapping[str, Any], rows: Array, prefix: str = ""
 ) -> Iterator[cdr.CdrField]:
-    """The fields of some messages of one layout, in order."""
+    """The fields of messages with the same layout, in order."""
     for field in definition.types[type_]:
         path = prefix + field.name
         if field.type in TEXTS:

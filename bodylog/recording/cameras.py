@@ -13,22 +13,22 @@ _PICTURE = re.compile(r"(/(image\w*|compressed|raw))+$", re.IGNORECASE)
 def cameras(settings: Topics) -> dict[str, str]:
     """What robot.toml names as cameras: the first by "camera", others by "camera/NAME"; ConfigError for equal names."""
     found: dict[str, str] = {}
-    for said in settings.cameras:
-        name = camera_name(said)
+    for source in settings.cameras:
+        name = camera_name(source)
         if name in found:
-            both = f"{found[name]!r} and {said!r}"
+            both = f"{found[name]!r} and {source!r}"
             raise ConfigError(f"[topics] camera: {both} would both be called {name!r}; leave one out")
-        found[name] = said
-    return {f"camera/{name}" if rank else "camera": said for rank, (name, said) in enumerate(found.items())}
+        found[name] = source
+    return {f"camera/{name}" if rank else "camera": source for rank, (name, source) in enumerate(found.items())}
 
 
-def camera_name(said: str) -> str:
+def camera_name(source: str) -> str:
     """A camera's name: its topic without what only says that it is a picture, or its video's without the suffix."""
-    if is_video("camera", said):
-        return PurePath(said).stem
-    return _PICTURE.sub("", said).strip("/") or said.strip("/")
+    if is_video("camera", source):
+        return PurePath(source).stem
+    return _PICTURE.sub("", source).strip("/") or source.strip("/")
 
 
-def is_video(role: str, said: str) -> bool:
+def is_video(role: str, source: str) -> bool:
     """Whether a camera setting names a video file."""
-    return role == "camera" and said.lower().endswith(VIDEOS)
+    return role == "camera" and source.lower().endswith(VIDEOS)

@@ -240,8 +240,8 @@ def _apart(path: Path, streams: Mapping[str, Feature | View], ns: Array) -> Iter
     far = {name: float(np.abs(one.ns - ns).max()) / 1e9 for name, one in streams.items()}
     off = [f"{name} up to {distance:.3g} s" for name, distance in far.items() if distance > 0]
     if off:
-        said = "rows are the first camera's images, or else the joints; the nearest reading of others is taken"
-        yield Finding("info", f"{path}: {said}: {', '.join(off)} apart; their own times are kept in NAME.stamp_ns")
+        text = "rows are the first camera's images, or else the joints; the nearest reading of others is taken"
+        yield Finding("info", f"{path}: {text}: {', '.join(off)} apart; their own times are kept in NAME.stamp_ns")
 
 
 def _rate(about: Mapping[str, str], ns: Array) -> float:

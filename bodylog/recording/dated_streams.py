@@ -47,7 +47,7 @@ class Stream:
     unit: str = "rad"
 
 
-def streams(
+def read_streams(
     log: Source, found: Mapping[str, Role], settings: Settings, name: str
 ) -> tuple[dict[str, Stream], tuple[Finding, ...]]:
     """The roles of a log that hold usable messages, and remarks on guesses that do not.
@@ -71,8 +71,8 @@ def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
         except BodylogError:
             return ()
         nameless = max((np.shape(part.values[1])[-1] for part in found.parts), default=0)
-        said = [name for part in found.parts if isinstance(part.values[0], tuple) for name in part.values[0]]
-        return tuple(dict.fromkeys(said)) or ("",) * nameless
+        named = [name for part in found.parts if isinstance(part.values[0], tuple) for name in part.values[0]]
+        return tuple(dict.fromkeys(named)) or ("",) * nameless
 
     return names
 
@@ -123,11 +123,11 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
     values, idle, beyond, wraps = signal.values[dated.rows], 0, 0, dict[str, int]()
     # what is true is told in rad or degrees, never in an encoder's counts
-    said = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
-    unit = joint_unit(role.topics[0].metadata, said)
+    unit_text = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
+    unit = joint_unit(role.topics[0].metadata, unit_text)
     if by_name:
-        told = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
-        keep, values, idle = role_values.merged(dated.t_ns, told)
+        converted = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
+        keep, values, idle = role_values.merged(dated.t_ns, converted)
         dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
         values, beyond, turns = role_values.angles(values[keep], None if independent(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
@@ -209,7 +209,7 @@ def health(stream: Stream) -> Health:
     return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.dated.t_ns))
 
 
-def remarks(stream: Stream) -> Iterator[Finding]:
+def stream_findings(stream: Stream) -> Iterator[Finding]:
     """What there is to say about a stream: its clocks, and what was sorted, slow or rejected."""
     dated, name = stream.dated, f"{stream.role.role} {stream.role.topic}"
     if dated.offset_ns is not None:
@@ -272,11 +272,11 @@ def _backwards(stream: Stream) -> str:
     dated = stream.dated
     first = min(int(stream.log_ns.min()), int(dated.backwards[0]))
     begin, end = ((int(ns) - first) / 1e9 for ns in (dated.backwards[0], dated.backwards[-1]))
-    said = f"times run backwards: {len(dated.backwards)} of {sum(stream.counts)} messages, {begin:.3f} to {end:.3f} s"
+    text = f"times run backwards: {len(dated.backwards)} of {sum(stream.counts)} messages, {begin:.3f} to {end:.3f} s"
     if "time runs backwards" in dated.rejected:
-        return f"{said} after its first, are dated apart from the rest and left out"
+        return f"{text} after its first, are dated apart from the rest and left out"
     insist = f'type [time] {stream.role.role} = "header" in robot.toml to insist on header time'
-    return f"{said} after its first, are dated apart from the rest by the header; log time is used instead, {insist}"
+    return f"{text} after its first, are dated apart from the rest by the header; log time is used instead, {insist}"
 
 
 def _reasons(stream: Stream) -> str:

@@ -14,10 +14,10 @@ def topic_name(topic: str) -> str:
     return _STATES.sub("", topic).strip("/") or topic.strip("/")
 
 
-def named(said: str | tuple[str, ...] | None) -> dict[str, str]:
+def named(declared: str | tuple[str, ...] | None) -> dict[str, str]:
     """Roles of the topics robot.toml names for joints: joints, and joints/NAME for those beside the first."""
     found: dict[str, str] = {}
-    for topic in (said,) if isinstance(said, str) else said or ():
+    for topic in (declared,) if isinstance(declared, str) else declared or ():
         name = topic_name(topic)
         if any(topic_name(other) == name for other in found.values()):
             raise ConfigError(f"[topics] joints: two topics would both be called {name!r}; leave one out")

@@ -13,20 +13,20 @@ from .dated_streams import Stream
 from .joint_names import JOINTS, topic_name
 
 
-def streams_of(heard: Mapping[str, Stream]) -> list[Stream]:
+def streams_of(streams: Mapping[str, Stream]) -> list[Stream]:
     """The streams of joints, the first one first."""
-    return [stream for stream in heard.values() if stream.role.role == "joints"]
+    return [stream for stream in streams.values() if stream.role.role == "joints"]
 
 
-def beside(heard: Mapping[str, Stream], settings: Settings) -> tuple[str, ...]:
+def beside(streams: Mapping[str, Stream], settings: Settings) -> tuple[str, ...]:
     """Joints of topics that nobody named, found beside the first."""
-    found, guessed = streams_of(heard), settings.topics.joints is None
+    found, guessed = streams_of(streams), settings.topics.joints is None
     return tuple(name for names in _names(found)[1:] for name in names) if guessed else ()
 
 
-def names(heard: Mapping[str, Stream]) -> tuple[str, ...]:
+def names(streams: Mapping[str, Stream]) -> tuple[str, ...]:
     """All joints, by the names they have in the one signal."""
-    return tuple(name for some in _names(streams_of(heard)) for name in some)
+    return tuple(name for some in _names(streams_of(streams)) for name in some)
 
 
 def _names(found: Sequence[Stream]) -> list[tuple[str, ...]]:
@@ -38,12 +38,12 @@ def _names(found: Sequence[Stream]) -> list[tuple[str, ...]]:
     return [tuple(f"{topic_name(s.role.topic)}/{n}" if counts[n] > 1 else n for n in s.names) for s in found]
 
 
-def series(heard: Mapping[str, Stream], settings: Settings, start_ns: int, what: str) -> Series | None:
+def series(streams: Mapping[str, Stream], settings: Settings, start_ns: int, what: str) -> Series | None:
     """The joints (N,M) rad of all topics at all of their times, NaN where a topic has no reading; None without any.
 
     LogError when [body] joints names one that no topic has.
     """
-    found = streams_of(heard)
+    found = streams_of(streams)
     _check(found, settings, what)
     if len(found) < 2:
         return None if not found else _one(found[0], settings, start_ns)
@@ -68,9 +68,9 @@ def _one(stream: Stream, settings: Settings, start_ns: int) -> Series:
     return Series(seconds(t_ns, start_ns), stream.values, stream.names, stream.unit, stream.log_ns)
 
 
-def unit(heard: Mapping[str, Stream]) -> str | None:
+def unit(streams: Mapping[str, Stream]) -> str | None:
     """The unit of the joints as they are read: rad, counts or unknown; None without joints."""
-    found = streams_of(heard)
+    found = streams_of(streams)
     return _unit(found) if found else None
 
 

@@ -180,11 +180,11 @@ def _video(
         row |= {f"videos/{name}/{key}": keys[key] for key in ("chunk_index", "file_index")}
         row |= {f"videos/{name}/from_timestamp": 0.0, f"videos/{name}/to_timestamp": float(t[-1]) + 1.0 / done.fps}
     exact = "every image as in the log" if error == 0 else f"images differ by {error:.3g} grey levels (RMS)"
-    said = [Finding("info", f"{log}: {name}: {done.codec.encoder}, {exact}")]
+    findings = [Finding("info", f"{log}: {name}: {done.codec.encoder}, {exact}")]
     if view.unread:
         text = f"{log}: {name}: {len(view.unread)} of {len(t)} images cannot be read and show the one before"
-        said.append(Finding("lost", text))
-    return said
+        findings.append(Finding("lost", text))
+    return findings
 
 
 def _table(path: Path, columns: Mapping[str, Array]) -> None:

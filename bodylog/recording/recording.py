@@ -17,7 +17,7 @@ from ..sources import TableSource, TopicSource
 from ..types import ConsumedFrames, Features, Finding, Frame, FrameConsumer, Health, Recording, Series, Topic
 from . import cameras, joint_topics, role_hints, roles
 from . import frames as camera
-from .dated_streams import Stream, health, joints_of, remarks, series, streams
+from .dated_streams import Stream, health, joints_of, read_streams, series, stream_findings
 
 _VIEW = "camera/"
 
@@ -30,39 +30,39 @@ def read(
     Who is `consumer` is told of the first camera's pictures on the way, unless the log may tell what they show.
     """
     with open_log(path, strict, settings.input) as log:
-        settings = _remembered(log, settings)
+        settings = _restored(log, settings)
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
         to_be_seen = "camera" in found and not _is_ours(log)
         with consumer() if consumer and to_be_seen else nullcontext() as watch:
-            told = camera.FrameTap(log, found["camera"].topics, watch, settings.input) if watch else None
-            heard, silent = streams(told or without_images(log), found, settings, str(path))
-        start_ns = _start_ns(heard, log)
+            tap = camera.FrameTap(log, found["camera"].topics, watch, settings.input) if watch else None
+            streams, silent = read_streams(tap or without_images(log), found, settings, str(path))
+        start_ns = _start_ns(streams, log)
         features = _features(log, start_ns)
-        named = _named(log, path, settings, heard, start_ns, features)
-        findings = (*log.findings, *silent, *_findings(log, heard, settings))
+        named = _named(log, path, settings, streams, start_ns, features)
+        findings = (*log.findings, *silent, *_findings(log, streams, settings))
     sidecars = _sidecars(path, settings)
-    videos = {key: said for key, said in cameras.cameras(settings.topics).items() if key in sidecars}
-    films = _films(path, strict, heard, sidecars, settings, start_ns)
+    videos = {key: source for key, source in cameras.cameras(settings.topics).items() if key in sidecars}
+    films = _films(path, strict, streams, sidecars, settings, start_ns)
     return Recording(
         name=path.name,
         format=log.format,
         start_ns=start_ns,
-        duration_s=_duration(heard, log),
+        duration_s=_duration(streams, log),
         topics=log.topics,
-        roles={role: stream.role.path for role, stream in heard.items()} | videos,
-        joints=joint_topics.series(heard, settings, start_ns, str(path)),
-        skin=series(heard.get("skin"), start_ns, "0..1"),
-        truth=series(heard.get("truth"), start_ns, "rad"),
-        reference=series(heard.get("reference"), start_ns, "rad"),
+        roles={role: stream.role.path for role, stream in streams.items()} | videos,
+        joints=joint_topics.series(streams, settings, start_ns, str(path)),
+        skin=series(streams.get("skin"), start_ns, "0..1"),
+        truth=series(streams.get("truth"), start_ns, "rad"),
+        reference=series(streams.get("reference"), start_ns, "rad"),
         frames=films.get("camera"),
         features=features,
-        health={stream.role.topic: health(stream) for stream in heard.values()} | _seen(sidecars),
+        health={stream.role.topic: health(stream) for stream in streams.values()} | _seen(sidecars),
         findings=findings,
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
         settings=settings,
-        watched=_watched(told, heard.get("camera"), start_ns),
-        poses=any(independent(stream.role.topics) for stream in joint_topics.streams_of(heard)),
-        beside=joint_topics.beside(heard, settings),
+        watched=_watched(tap, streams.get("camera"), start_ns),
+        poses=any(independent(stream.role.topics) for stream in joint_topics.streams_of(streams)),
+        beside=joint_topics.beside(streams, settings),
         tracks={name: track for name, (track, _) in named.items()},
         track_health={name: health for name, (_, health) in named.items()},
     )
@@ -71,17 +71,17 @@ def read(
 def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
     """What is in a log, as plain values: topics, rates, roles, joint names, clocks, findings."""
     with open_log(path, strict, settings.input) as log:
-        settings = _remembered(log, settings)
-        heard: dict[str, Stream] = {}
+        settings = _restored(log, settings)
+        streams: dict[str, Stream] = {}
         found: dict[str, roles.Role] = {}
         try:
             found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
-            heard, silent = streams(without_images(log), found, settings, str(path))
-            found = {role: stream.role for role, stream in heard.items()}
-            remarked = (*silent, *_findings(log, heard, settings))
+            streams, silent = read_streams(without_images(log), found, settings, str(path))
+            found = {role: stream.role for role, stream in streams.items()}
+            remarked = (*silent, *_findings(log, streams, settings))
         except BodylogError as error:
             remarked = (Finding("warning", str(error).removeprefix(f"{path}: ")),)
-        spans = _spans(log, heard)
+        spans = _spans(log, streams)
         return {
             "path": str(path),
             "format": log.format,
@@ -89,17 +89,17 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
             "duration_s": (log.end_ns - log.start_ns) / 1e9,
             "topics": [_topic(topic, spans) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
             "roles": {role: source.path for role, source in found.items()},
-            "joints": list(joint_topics.names(heard)),
-            "unit": joint_topics.unit(heard),
-            "clock": {role: _clock(stream) for role, stream in heard.items()},
+            "joints": list(joint_topics.names(streams)),
+            "unit": joint_topics.unit(streams),
+            "clock": {role: _clock(stream) for role, stream in streams.items()},
             "findings": [{"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)],
         }
 
 
-def _spans(log: Log, heard: Mapping[str, Stream]) -> dict[int, tuple[int, int]]:
+def _spans(log: Log, streams: Mapping[str, Stream]) -> dict[int, tuple[int, int]]:
     """First and last log time (ns) by topic id: its own where that is known, else the log's."""
     whole = dict.fromkeys((topic.id for topic in log.topics), (log.start_ns, log.end_ns))
-    alone = {stream.role.topics[0].id: stream.log_ns for stream in heard.values() if len(stream.role.topics) == 1}
+    alone = {stream.role.topics[0].id: stream.log_ns for stream in streams.values() if len(stream.role.topics) == 1}
     return whole | {id_: (int(ns.min()), int(ns.max())) for id_, ns in alone.items()} | dict(log.spans())
 
 
@@ -115,23 +115,25 @@ def _clock(stream: Stream) -> dict[str, Any]:
     return {"clock": dated.clock, "offset_s": offset_s, "spread_s": dated.spread_s}
 
 
-def _start_ns(heard: Mapping[str, Stream], log: Log) -> int:
-    for stream in joint_topics.streams_of(heard)[:1]:
+def _start_ns(streams: Mapping[str, Stream], log: Log) -> int:
+    for stream in joint_topics.streams_of(streams)[:1]:
         return int(stream.dated.t_ns[0])
-    return min((int(stream.dated.t_ns[0]) for stream in heard.values()), default=log.start_ns)
+    return min((int(stream.dated.t_ns[0]) for stream in streams.values()), default=log.start_ns)
 
 
-def _duration(heard: Mapping[str, Stream], log: Log) -> float:
-    if not heard:
+def _duration(streams: Mapping[str, Stream], log: Log) -> float:
+    if not streams:
         return (log.end_ns - log.start_ns) / 1e9
-    first = min(int(stream.dated.t_ns[0]) for stream in heard.values())
-    return (max(int(stream.dated.t_ns[-1]) for stream in heard.values()) - first) / 1e9
+    first = min(int(stream.dated.t_ns[0]) for stream in streams.values())
+    return (max(int(stream.dated.t_ns[-1]) for stream in streams.values()) - first) / 1e9
 
 
 def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
-    said = cameras.cameras(settings.topics).items()
+    declared = cameras.cameras(settings.topics).items()
     return {
-        key: video_file.find(name, path, settings.topics.rate) for key, name in said if cameras.is_video("camera", name)
+        key: video_file.find(name, path, settings.topics.rate)
+        for key, name in declared
+        if cameras.is_video("camera", name)
     }
 
 
@@ -142,7 +144,7 @@ def _seen(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:
 def _films(
     path: Path,
     strict: bool,
-    heard: Mapping[str, Stream],
+    streams: Mapping[str, Stream],
     sidecars: Mapping[str, video_file.Sidecar],
     settings: Settings,
     start_ns: int,
@@ -154,12 +156,12 @@ def _films(
     beside = {key: video_file.frames(sidecar, first_s, start_ns) for key, sidecar in sidecars.items()}
     return beside | {
         key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.dated.t_ns, start_ns)
-        for key, s in heard.items()
+        for key, s in streams.items()
         if s.role.role == "camera"
     }
 
 
-def _remembered(log: Log, settings: Settings) -> Settings:
+def _restored(log: Log, settings: Settings) -> Settings:
     """The settings, and where they leave something to be guessed, what the run of ours was told that wrote the log."""
     if not _is_ours(log):
         return settings
@@ -176,14 +178,14 @@ def _features(log: Log, start_ns: int) -> Features | None:
     return read_features(log, start_ns)
 
 
-def _watched(told: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
-    if told is None or seen is None:
+def _watched(tap: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
+    if tap is None or seen is None:
         return None
-    return told.watched(seen.rows, seen.dated.t_ns, seen.log_ns, start_ns)
+    return tap.watched(seen.rows, seen.dated.t_ns, seen.log_ns, start_ns)
 
 
 def _named(
-    log: Log, path: Path, settings: Settings, heard: Mapping[str, Stream], start_ns: int, carried: Features | None
+    log: Log, path: Path, settings: Settings, streams: Mapping[str, Stream], start_ns: int, carried: Features | None
 ) -> dict[str, tuple[Series, Health]]:
     """Tracks of topics and tables that [features] names, but those the log carries of an earlier run."""
     known = () if carried is None else carried.tracks
@@ -193,21 +195,21 @@ def _named(
     from . import table_tracks, topic_tracks
 
     asked = replace(settings, features=rest)
-    dated = next((stream.dated for stream in joint_topics.streams_of(heard)), None)
+    dated = next((stream.dated for stream in joint_topics.streams_of(streams)), None)
     late_ns = (dated.offset_ns or 0) if dated is not None and dated.clock == "header" else 0
     found = dict(topic_tracks.tracks(log, asked, start_ns, late_ns))
-    return found | dict(table_tracks.tracks(path, asked, start_ns, _duration(heard, log)))
+    return found | dict(table_tracks.tracks(path, asked, start_ns, _duration(streams, log)))
 
 
 def _is_ours(log: Log) -> bool:
     return any(topic.name.startswith(PREFIX) for topic in log.topics)
 
 
-def _findings(log: Log, heard: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
-    found = {role: stream.role for role, stream in heard.items()}
+def _findings(log: Log, streams: Mapping[str, Stream], settings: Settings) -> tuple[Finding, ...]:
+    found = {role: stream.role for role, stream in streams.items()}
     advice = role_hints.advice(found)
     unused = (role_hints.unused_joints, role_hints.unused_cameras)
     more = [finding for tell in unused for finding in tell(log.topics, settings.topics, found)]
-    said = [Finding("info", f"roles, ready for robot.toml: {advice}")] if heard else []
+    advised = [Finding("info", f"roles, ready for robot.toml: {advice}")] if streams else []
     broken = [Finding("warning", f"{text}; not considered for any role") for text in role_hints.unreadable(log.topics)]
-    return (*said, *more, *broken, *(finding for stream in heard.values() for finding in remarks(stream)))
+    return (*advised, *more, *broken, *(finding for stream in streams.values() for finding in stream_findings(stream)))

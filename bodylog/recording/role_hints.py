@@ -13,7 +13,7 @@ from .roles import RANKS, ROLES, Role, camera_rank, is_raw, joints_rank, problem
 def advice(found: Mapping[str, Role]) -> str:
     """The roles as one line ready to paste into robot.toml."""
     paths = {role: [one.path for one in found.values() if one.role == role] for role in ROLES}
-    lines = (f"{role} = {json.dumps(said if len(said) > 1 else said[0])}" for role, said in paths.items() if said)
+    lines = (f"{role} = {json.dumps(text if len(text) > 1 else text[0])}" for role, text in paths.items() if text)
     return f"topics = {{ {', '.join(lines)} }}"
 
 
@@ -24,9 +24,9 @@ def unused_joints(topics: Sequence[Topic], settings: Topics, found: Mapping[str,
     others = [name for name in others if used and name not in used]
     if settings.joints is not None or not others:
         return ()
-    said = f"joints: {', '.join(used)} is used, {', '.join(others)} not"
+    text = f"joints: {', '.join(used)} is used, {', '.join(others)} not"
     typed = f"type: [topics] joints = {json.dumps(others[0])}; for both, joints = {json.dumps([*used, others[0]])}"
-    return (Finding("info", f"{said}; for another, {typed}"),)
+    return (Finding("info", f"{text}; for another, {typed}"),)
 
 
 def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
@@ -42,8 +42,8 @@ def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str
     if not others:
         return ()
     first = found["camera"].path
-    said = f"camera: {first} is used, {', '.join(others)} not; for more, type: [topics] camera = "
-    return (Finding("info", said + json.dumps([first, *others])),)
+    text = f"camera: {first} is used, {', '.join(others)} not; for more, type: [topics] camera = "
+    return (Finding("info", text + json.dumps([first, *others])),)
 
 
 def unreadable(topics: Sequence[Topic]) -> list[str]:

@@ -74,7 +74,7 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
         if len(names) != positions.shape[1] or not names:
             rejected[_unfit(len(names), positions.shape[1])] += len(rows)
             continue
-        names, positions = _told_once(names, positions)
+        names, positions = _without_duplicates(names, positions)
         if not names:
             rejected["every joint is named more than once"] += len(rows)
             continue
@@ -98,7 +98,7 @@ def _unfit(names: int, positions: int) -> str:
     return "no positions" if names else "no joints"
 
 
-def _told_once(names: tuple[str, ...], positions: Array) -> tuple[tuple[str, ...], Array]:
+def _without_duplicates(names: tuple[str, ...], positions: Array) -> tuple[tuple[str, ...], Array]:
     """Without joints that one message names more than once: which of their positions it is, nobody knows."""
     if len(set(names)) == len(names):
         return names, positions
@@ -110,8 +110,8 @@ def _nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[st
     if wanted is None:
         raise LogError(f"{what}: the {count} joints have no names; say in robot.toml: [body] joints = [{count} names]")
     if len(wanted) != count:
-        said = f"[body] joints names {len(wanted)}; name all {count}"
-        raise LogError(f"{what}: the {count} joints have no names, but {said}")
+        text = f"[body] joints names {len(wanted)}; name all {count}"
+        raise LogError(f"{what}: the {count} joints have no names, but {text}")
     return wanted
 
 

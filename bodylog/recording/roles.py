@@ -67,12 +67,12 @@ def roles(
     found: dict[str, Role] = {}
     names = [topic.name for topic in topics]
     for role in ROLES:
-        said = _said(role, settings)
-        known = {key: text for key, text in said.items() if text}
+        declared = _declared(role, settings)
+        known = {key: text for key, text in declared.items() if text}
         if role == "reference":
-            there = [s for s in said.values() if s and parse(s, names).topic in names]
+            there = [s for s in declared.values() if s and parse(s, names).topic in names]
             found.update((role, _named(role, s, topics, name)) for s in there)
-        elif not any(said.values()):
+        elif not any(declared.values()):
             guessed = _guess(role, _main_joints(topics, joints_of) if role == "joints" else topics)
             found.update({role: guessed} if guessed else {})
             if role == "joints" and guessed:
@@ -82,7 +82,7 @@ def roles(
     return found
 
 
-def _said(role: str, settings: Topics) -> Mapping[str, str | None]:
+def _declared(role: str, settings: Topics) -> Mapping[str, str | None]:
     """What robot.toml names for a role: of cameras and joints there may be several."""
     if role == "camera":
         return cameras(settings)
@@ -117,11 +117,13 @@ def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str
     """The topics, less those joint states that are about as frequent as the best but speak of fewer joints."""
     ranks = {topic.name: rank for topic in topics if is_raw(topic) and (rank := joints_rank(topic)) is not None}
     most = max(ranks.values(), default=(0, 0))
-    rivals = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
-    if len(rivals) < 2:
+    candidates = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
+    if len(candidates) < 2:
         return topics
-    joints = {name: max(len(joints_of(t)) for t in topics if t.name == name and t.type == _JOINTS) for name in rivals}
-    fewer = {name for name in rivals if joints[name] < max(joints.values())}
+    joints = {
+        name: max(len(joints_of(t)) for t in topics if t.name == name and t.type == _JOINTS) for name in candidates
+    }
+    fewer = {name for name in candidates if joints[name] < max(joints.values())}
     return [topic for topic in topics if topic.name not in fewer]
 
 
@@ -162,9 +164,9 @@ def _same(topics: Sequence[Topic], topic: Topic) -> tuple[Topic, ...]:
     return tuple(other for other in topics if other.name == topic.name and other.type == topic.type)
 
 
-def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
+def _named(role: str, declared: str, topics: Sequence[Topic], name: str) -> Role:
     try:
-        path = parse(said, [topic.name for topic in topics])
+        path = parse(declared, [topic.name for topic in topics])
     except ConfigError as problem:
         raise ConfigError(f"{name}: [topics] {role}: {problem}") from problem
     same = [topic for topic in topics if topic.name == path.topic]
@@ -173,15 +175,17 @@ def _named(role: str, said: str, topics: Sequence[Topic], name: str) -> Role:
     none = "none, the log has no other" if topics else "none, the log is empty"
     possible = f"possible: {', '.join(sorted(likely or others)[:10]) or none}"
     if not same:
-        raise LogError(f'{name}: [topics] {role} = "{said}", but there is no topic {path.topic!r}; {possible}')
+        raise LogError(f'{name}: [topics] {role} = "{declared}", but there is no topic {path.topic!r}; {possible}')
     best = max(same, key=lambda topic: topic.messages)
-    named = said[len(path.topic) :].removeprefix(".")
+    named = declared[len(path.topic) :].removeprefix(".")
     if not named and _mistaken(role, best):
         what = best.type + (f" ({messages.PACKETS})" if messages.is_packets(best) else "")
-        raise LogError(f'{name}: [topics] {role} = "{said}", but {path.topic} is {what}; {possible}')
+        raise LogError(f'{name}: [topics] {role} = "{declared}", but {path.topic} is {what}; {possible}')
     field = named or _field(role, best)
     if field is None:
-        raise LogError(f'{name}: {said} ({best.type}) has no array; say which: [topics] {role} = "{said}.field[:]"')
+        raise LogError(
+            f'{name}: {declared} ({best.type}) has no array; say which: [topics] {role} = "{declared}.field[:]"'
+        )
     return Role(role, path.topic, field, _same(topics, best))
 
 

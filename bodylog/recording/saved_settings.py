@@ -22,32 +22,32 @@ def restore_settings(log: Log, settings: Settings) -> Settings:
 
     So with [features] where there are none. Topics that the log does not have are left to be guessed.
     """
-    said: Any = {}
+    saved: Any = {}
     with suppress(LogError, ValueError, KeyError):
-        said = read_json(read_metadata(log.path)["settings"])
+        saved = read_json(read_metadata(log.path)["settings"])
     names = [topic.name for topic in log.topics]
-    topics = {role: text for role, text in _texts(said, "topics").items() if _there(text, names)}
+    topics = {role: text for role, text in _texts(saved, "topics").items() if _there(text, names)}
     return replace(
         settings,
         topics=_filled(settings.topics, topics),
-        body=_filled(settings.body, _texts(said, "body")),
-        time=_filled(settings.time, _texts(said, "time")),
-        features=settings.features or _features(said),
+        body=_filled(settings.body, _texts(saved, "body")),
+        time=_filled(settings.time, _texts(saved, "time")),
+        features=settings.features or _features(saved),
     )
 
 
-def _features(said: Any) -> dict[str, Source]:
+def _features(saved: Any) -> dict[str, Source]:
     """The sources of [features] as a metadata record has them; none where one is damaged."""
-    values = said.get("features") if isinstance(said, dict) else None
+    values = saved.get("features") if isinstance(saved, dict) else None
     with suppress(ConfigError):
         items = values.items() if isinstance(values, dict) else ()
         return {str(name): parse_source(str(name), value, "metadata") for name, value in items}
     return {}
 
 
-def _texts(said: Any, section: str) -> dict[str, Text]:
+def _texts(saved: Any, section: str) -> dict[str, Text]:
     """The texts, and lists of texts, of a section."""
-    values = said.get(section) if isinstance(said, dict) else None
+    values = saved.get(section) if isinstance(saved, dict) else None
     plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()} if isinstance(values, dict) else {}
     return {k: v for k, v in plain.items() if v and isinstance(v, str | tuple) and all(isinstance(t, str) for t in v)}
 
@@ -56,11 +56,11 @@ def _there(text: Text, names: list[str]) -> bool:
     return all(parse(path, names).topic in names for path in ((text,) if isinstance(text, str) else text))
 
 
-def _filled(section: Section, said: dict[str, Text]) -> Section:
+def _filled(section: Section, saved: dict[str, Text]) -> Section:
     """The section with what is at its default replaced by what was said of it, where that is of its type."""
     hints, default = get_type_hints(type(section)), type(section)()
-    at_default = [name for name in said if name in hints and getattr(section, name) == getattr(default, name)]
-    known: Any = {name: said[name] for name in at_default if _fits(said[name], hints[name])}
+    at_default = [name for name in saved if name in hints and getattr(section, name) == getattr(default, name)]
+    known: Any = {name: saved[name] for name in at_default if _fits(saved[name], hints[name])}
     return replace(section, **known)
 
 

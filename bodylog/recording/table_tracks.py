@@ -33,8 +33,8 @@ def _path(log: Path, name: str, source: TableSource) -> Path:
     for path in (Path(source.table), log.parent / source.table):
         if path.is_file():
             return path
-    said = f"[features] {name}: there is no table {source.table!r}, here or beside the log"
-    raise LogError(f"{log}: {said}")
+    text = f"[features] {name}: there is no table {source.table!r}, here or beside the log"
+    raise LogError(f"{log}: {text}")
 
 
 def _track(
@@ -45,8 +45,8 @@ def _track(
     column, t = time_column(table.numbers)
     if column is None:
         have = ", ".join(table.names[:12])
-        said = "has no column of times (t, time, stamp, unix_s, stamp_ns, ...)"
-        raise ConfigError(f"{path}: [features] {name}: the table {said}; its columns are {have}")
+        text = "has no column of times (t, time, stamp, unix_s, stamp_ns, ...)"
+        raise ConfigError(f"{path}: [features] {name}: the table {text}; its columns are {have}")
     absolute = np.nanmedian(t) > EPOCH if np.isfinite(t).any() else False
     # whole seconds apart before they are subtracted, or microseconds of 1970 would be lost
     t = t - start_ns // 10**9 - start_ns % 10**9 / 1e9 if absolute else t
@@ -59,8 +59,8 @@ def _track(
     within: Array = np.asarray(seen & (t >= -1.0) & (t <= end_s + 1.0))
     if not within.any():
         span = f"{t[0]:.3f} to {t[-1]:.3f} s" if len(t) else "no row has a time"
-        said = f"no place within the log, which is 0 to {end_s:.3f} s; the table is {span} since the log's start"
-        raise LogError(f"{path}: [features] {name}: {said}")
+        text = f"no place within the log, which is 0 to {end_s:.3f} s; the table is {span} since the log's start"
+        raise LogError(f"{path}: [features] {name}: {text}")
     if not seen.all():
         rejected["empty"] = int((~seen).sum())
     source_ns = start_ns + np.rint(t * 1e9).astype(np.int64)

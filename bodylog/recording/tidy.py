@@ -40,25 +40,25 @@ def ingest(
     guard([path], [Output(out)])
     settings, further = of_episode(path, settings)
     recording = read(path, settings, settings.input.strict)
-    begun = -recording.start_ns / 1e9
-    window = (begun if start is None else max(start, begun), np.inf if end is None else end)
-    heard = [*outgoing(recording, window), *_within_window(further, recording.start_ns, window)]
+    earliest = -recording.start_ns / 1e9
+    window = (earliest if start is None else max(start, earliest), np.inf if end is None else end)
+    messages = [*outgoing(recording, window), *_within_window(further, recording.start_ns, window)]
     with replacing(out) as beside:
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add(writer, heard, kept_metadata(recording) | {one.topic: about for one, about in further})
+            add(writer, messages, kept_metadata(recording) | {one.topic: about for one, about in further})
             unread: dict[str, list[str]] = {}
             found = pictures(path, recording, unread)
             seen, early = _pictures(found, recording.start_ns, window, writer, kept_metadata(recording))
-            count = sum(len(o.log_ns) for o in heard) + seen
+            count = sum(len(o.log_ns) for o in messages) + seen
             if not count:
                 lacking = f"no joints, skin, truth or pictures {_within(start, end)}"
                 raise LogError(f"{path}: {lacking}; type: bodylog info {path}")
             writer.about(NAME, {"source": path.name, "source_sha256": digest(path)})
             writer.finish()
         verify(beside, count, out)
-    early += sum(int((series.t < begun).sum()) for series in signals(recording).values())
+    early += sum(int((series.t < earliest).sum()) for series in signals(recording).values())
     return (*recording.findings, *_left_out(path, unread), *_unwritten(path, early if start is None else 0))
 
 
@@ -81,8 +81,8 @@ def _left_out(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Findi
 
 def _unwritten(path: Path, early: int) -> tuple[Finding, ...]:
     """What is said of messages dated before the clock's 0, which an MCAP cannot tell."""
-    said = "are dated before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
-    return (Finding("warning", f"{path}: {early} messages {said}"),) if early else ()
+    text = "are dated before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
+    return (Finding("warning", f"{path}: {early} messages {text}"),) if early else ()
 
 
 def outgoing(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:

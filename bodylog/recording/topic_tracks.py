@@ -82,8 +82,8 @@ def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple
     """The ends that lead to places and their columns; ConfigError with what to type where none does."""
     path = source.path or ""
     if not path and (several := BY_TYPE.get(topic.type)):
-        said = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"
-        raise ConfigError(f'{log.path}: {said}: {{ topic = "{topic.name}", path = {several!r} }}')
+        reason = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"
+        raise ConfigError(f'{log.path}: {reason}: {{ topic = "{topic.name}", path = {several!r} }}')
     stamp, problems = stamp_field(topic), list[str]()
     for ends in ENDS:
         fields = ((stamp,) if stamp else ()) + tuple((path + end).lstrip(".") for end in ends)
@@ -94,10 +94,10 @@ def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple
             continue
         if any(_is_numbers(part.values) for part in found.parts):
             return ends, found
-    said = f"[features] {name}: no place at {topic.name}{path} ({topic.type})"
+    reason = f"[features] {name}: no place at {topic.name}{path} ({topic.type})"
     why = next((text for text in problems if path and path.strip(".").split("[")[0].split(".")[0] in text), "")
     wanted = "it must lead to x and y, to a point, a box, four corners or an array"
-    raise ConfigError(f"{log.path}: {said}: {why or wanted}")
+    raise ConfigError(f"{log.path}: {reason}: {why or wanted}")
 
 
 def _is_numbers(values: tuple[Array | tuple[str, ...], ...]) -> bool:

@@ -46,11 +46,11 @@ def install_sigbus_handler() -> None:
     def fill(number: int, about: int, _context: int) -> None:
         page = (ctypes.c_void_p.from_address(about + _AT).value or 0) & -mmap.PAGESIZE
         code = ctypes.c_int.from_address(about + _CODE).value
-        told = None
+        mapped = None
         if code == _NO_SUCH_BYTE:
-            told = library.mmap(page, mmap.PAGESIZE, mmap.PROT_READ, _FLAGS, -1, 0)
+            mapped = library.mmap(page, mmap.PAGESIZE, mmap.PROT_READ, _FLAGS, -1, 0)
             _pages.append(page)
-        if told != page:  # another fault: as before, when it comes again at once
+        if mapped != page:  # another fault: as before, when it comes again at once
             library.sigaction(number, ctypes.byref(before), None)
 
     _kept.append(_HANDLER(fill))

@@ -85,7 +85,7 @@ def test_what_is_no_joint_is_left_out_by_its_name(tmp_path):
     path = _csv(tmp_path, header, "1;2;3;4;5;0;0;0;1;0.7;5;0.2;", "2;2;3;4;5;0;0;0;1;0.8;5;0.3;")
     found = poses(read(path, "csv"), str(path))
     assert list(found.joints) == ["left_U", "pan"] and not found.tracks
-    assert found.remarks[-1].startswith("columns not used: id, frame_index, arm_x")
+    assert found.notes[-1].startswith("columns not used: id, frame_index, arm_x")
 
 
 def test_degrees_are_asked_for_and_turned(tmp_path):

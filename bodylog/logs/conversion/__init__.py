@@ -1,1 +1,1 @@
-"""Any log as a new MCAP: whole, in part, examined, repaired."""
+"""Convert, cut, examine and repair any log; the result is a new MCAP."""

@@ -1,4 +1,4 @@
-"""What is wrong with a log, and a clean one made of what is sound in it."""
+"""Examine a log: everything that is wrong with it, and a clean copy of its sound messages."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ __all__ = ["examine", "repair"]
 
 @dataclass
 class _Seen:
-    """One topic as it was read: messages, how many came before their predecessor, and by how much at most (ns)."""
+    """One topic as read: messages, how many came before their predecessor, and by how much at most (ns)."""
 
     messages: int = 0
     late: int = 0
@@ -34,15 +34,15 @@ class _Seen:
     last_ns: int = -(1 << 63)
 
 
-class _Remarks:
-    """Findings of one kind are said once, with how many there are."""
+class _GroupedFindings:
+    """Findings of one kind as one line, with their number."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._texts: dict[str, list[str]] = {}
 
     def say(self, kind: str, text: str) -> None:
-        """Take in a remark."""
+        """Add a finding."""
         self._texts.setdefault(kind, []).append(text)
 
     def findings(self) -> Iterator[Finding]:
@@ -53,25 +53,25 @@ class _Remarks:
 
 
 def examine(path: Path, strict: bool = False, limits: Input = LIMITS) -> tuple[Finding, ...]:
-    """Everything wrong with a log, read from end to end; LogError when it is none, or when strict and part is lost."""
+    """Read a log to its end and return all its problems; LogError if it is no log, or strict and part is lost."""
     if several := _episodes(path):
         whole, *found = several
         return tuple(dict.fromkeys((*_dataset(whole), *(f for one in found for f in examine(one, strict, limits)))))
-    remarks = _Remarks(path)
+    groups = _GroupedFindings(path)
     with open_log(path, strict, limits) as log:
         seen = _read(log, checks := _checks(log, limits))
-        _compare(log, seen, remarks)
+        _compare(log, seen, groups)
         for number, text in enumerate(checks.texts() if checks else ()):
-            remarks.say(f"dataset {number}", text)
+            groups.say(f"dataset {number}", text)
         if log.format == "rosbag2":
-            _metadata(log, seen, remarks)
+            _metadata(log, seen, groups)
         own = log.findings
     inner = [found for file in _mcaps(path) for found in _check(file, limits)]
-    return tuple(dict.fromkeys((*own, *remarks.findings(), *inner)))
+    return tuple(dict.fromkeys((*own, *groups.findings(), *inner)))
 
 
 def _episodes(path: Path) -> list[Path]:
-    """A dataset, and the episodes that are there, where no single one is named; none for other logs."""
+    """The dataset and its episodes if the path names no single episode; else nothing."""
     from ..datasets import kinds
 
     if episodes.split(path)[1] is not None or not path.is_dir() or not kinds.is_dataset(path):
@@ -88,7 +88,7 @@ def _dataset(folder: Path) -> Iterator[Finding]:
 
 
 def _checks(log: Log, limits: Input) -> "Checks | None":
-    """What looks at the images and joints of an episode of a dataset."""
+    """The checks of a dataset episode's images and joints."""
     from ..datasets.checks import Checks
     from ..datasets.episode_log import EpisodeLog
 
@@ -110,49 +110,49 @@ def _read(log: Log, checks: "Checks | None") -> dict[int, _Seen]:
     return seen
 
 
-def _compare(log: Log, seen: dict[int, _Seen], remarks: _Remarks) -> None:
+def _compare(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None:
     for topic in log.topics:
         one = seen[topic.id]
         if one.messages != topic.messages:
-            remarks.say("count", f"{topic.name}: {topic.messages} messages are declared, {one.messages} can be read")
+            groups.say("count", f"{topic.name}: {topic.messages} messages are declared, {one.messages} can be read")
         if one.late:
             text = f"{topic.name}: {one.late} messages have a log time before their predecessor's, by up to"
-            remarks.say("order", f"{text} {one.worst_ns / 1e9:.6f} s")
+            groups.say("order", f"{text} {one.worst_ns / 1e9:.6f} s")
         if not topic.definition and not topic.type.endswith("/Empty"):
-            remarks.say("definition", f"{topic.name}: {topic.type or 'its type'} has no definition in the log")
+            groups.say("definition", f"{topic.name}: {topic.type or 'its type'} has no definition in the log")
 
 
-def _metadata(log: Log, seen: dict[int, _Seen], remarks: _Remarks) -> None:
-    """metadata.yaml against what the files hold."""
-    said = metadata_of(log.path, Diagnostics(log.path))
-    if not said:
+def _metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None:
+    """Compare metadata.yaml with the content of the files."""
+    fields = metadata_of(log.path, Diagnostics(log.path))
+    if not fields:
         return
     messages = sum(one.messages for one in seen.values())
     held = {"message_count": messages, "duration": log.end_ns - log.start_ns, "starting_time": log.start_ns}
     for name, value in held.items():
-        told = _number(said.get(name))
-        if told is not None and told != value and (messages or name == "message_count"):
-            remarks.say(name, f"{METADATA} says {name} {told}, the files hold {value}")
-    told_topics = {name: (kind, count) for name, kind, count in _topics(said)}
+        number = _number(fields.get(name))
+        if number is not None and number != value and (messages or name == "message_count"):
+            groups.say(name, f"{METADATA} says {name} {number}, the files hold {value}")
+    listed = {name: (kind, count) for name, kind, count in _topics(fields)}
     for topic in log.topics:
-        kind, count = told_topics.pop(topic.name, (None, 0))
+        kind, count = listed.pop(topic.name, (None, 0))
         if kind is None:
-            remarks.say("topic", f"{METADATA} does not name topic {topic.name}")
+            groups.say("topic", f"{METADATA} does not name topic {topic.name}")
         elif count != seen[topic.id].messages:
-            remarks.say("topic", f"{METADATA} says {count} messages on {topic.name}, it has {seen[topic.id].messages}")
-    for name in told_topics:
-        remarks.say("topic", f"{METADATA} names topic {name}, which no file holds")
+            groups.say("topic", f"{METADATA} says {count} messages on {topic.name}, it has {seen[topic.id].messages}")
+    for name in listed:
+        groups.say("topic", f"{METADATA} names topic {name}, which no file holds")
 
 
 def _number(value: Any) -> int | None:
-    """A number, bare or under the one key rosbag2 puts it."""
+    """A number, bare or under the single key that rosbag2 uses."""
     if isinstance(value, dict):
         value = next(iter(value.values()), None)
     return value if isinstance(value, int) else None
 
 
-def _topics(said: dict[str, Any]) -> Iterator[tuple[str, str, int]]:
-    for entry in said.get("topics_with_message_count") or ():
+def _topics(fields: dict[str, Any]) -> Iterator[tuple[str, str, int]]:
+    for entry in fields.get("topics_with_message_count") or ():
         about = entry.get("topic_metadata") if isinstance(entry, dict) else None
         if isinstance(about, dict):
             yield str(about.get("name")), str(about.get("type")), _number(entry.get("message_count")) or 0
@@ -170,12 +170,12 @@ def _check(file: Path, limits: Input) -> list[Finding]:
     from ..mcap.checks import check
 
     def checked(source: Path) -> list[Finding]:
-        remarks = _Remarks(file)
+        groups = _GroupedFindings(file)
         if is_mcap(source):
             data = mapped(source)
-            check(data, Diagnostics(file, limits=limits), remarks.say)
+            check(data, Diagnostics(file, limits=limits), groups.say)
             check_untruncated(data, file)
-        return list(remarks.findings())
+        return list(groups.findings())
 
     with file.open("rb") as stream:
         packed = stream.read(4) == ZSTD

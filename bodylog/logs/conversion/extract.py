@@ -1,4 +1,4 @@
-"""Any log, or part of it, as a chunked, indexed MCAP."""
+"""Convert any log, or part of it, to a chunked, indexed MCAP."""
 
 import math
 from collections.abc import Sequence
@@ -15,10 +15,10 @@ from .transcode import Span, carry
 def convert(
     path: Path, out: Path, topics: Sequence[str] | None = None, start: float | None = None, end: float | None = None
 ) -> tuple[Finding, ...]:
-    """`out` becomes an MCAP of a log's messages; ROS 1 payloads become CDR, all else stays as it is.
+    """Write a log's messages to the MCAP `out`; ROS 1 payloads become CDR, all else stays unchanged.
 
-    topics: only these · start, end: only what was logged between them, s since the log's first message. UsageError for
-    a topic the log lacks, an empty span, or an output that is the log.
+    topics: only these · start, end: only messages logged between them, s since the log's first message. UsageError for
+    an unknown topic, an empty time span, or an output that is also the input.
     """
     if out.exists() and path.exists() and out.samefile(path):
         raise UsageError(f"{out}: is also the input; choose another name for the output")

@@ -1,4 +1,4 @@
-"""Rewrite what is sound in a log as a clean, indexed MCAP."""
+"""Rewrite the sound part of a log as a clean, indexed MCAP."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ _PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 
 
 def repair(path: Path, out: Path, limits: Input = LIMITS) -> tuple[Finding, ...]:
-    """Write the sound messages of `path` to the MCAP `out`; what was wrong comes back. LogError when none is sound."""
+    """Write the sound messages of `path` to the MCAP `out` and return what is wrong; LogError when none is sound."""
     guard([path], [Output(out, "--repair")])
     with open_log(path, limits=limits) as log, replacing(out) as beside:
         written = _mcap(log, beside) if isinstance(log, McapLog) else _any(log, beside)
@@ -38,15 +38,17 @@ def _writer(beside: Path, profile: str) -> Any:
 
 
 def _mcap(log: McapLog, beside: Path) -> int:
-    """Keep channels, sequence numbers, publish times, attachments and metadata as they are; messages written."""
+    """Copy channels, sequence numbers, publish times, attachments and metadata unchanged; returns messages written."""
     header = next(log.records(HEADER), None)
     writer, survey, count = _writer(beside, header.fields["profile"] if header else ""), log.survey, 0
     schemas = {number: _schema(writer, record) for number, record in survey.schemas.items()}
     channels = {}
     for number, record in survey.channels.items():
-        said = record.fields
-        schema = schemas.get(said["schema_id"], 0)
-        channels[number] = writer.register_channel(said["topic"], said["message_encoding"], schema, said["metadata"])
+        fields = record.fields
+        schema = schemas.get(fields["schema_id"], 0)
+        channels[number] = writer.register_channel(
+            fields["topic"], fields["message_encoding"], schema, fields["metadata"]
+        )
     for content, found in log.messages():
         for start, head in zip(found.starts.tolist(), found.heads.tolist(), strict=True):
             _, size, channel, sequence, log_ns, publish_ns = head
@@ -55,9 +57,9 @@ def _mcap(log: McapLog, beside: Path) -> int:
                 writer.add_message(channels[channel], log_ns % _U64, bytes(payload), publish_ns % _U64, sequence)
                 count += 1
     for record in log.records(ATTACHMENT):
-        said = record.fields
+        fields = record.fields
         writer.add_attachment(
-            said["create_time"], said["log_time"], said["name"], said["media_type"], bytes(said["data"])
+            fields["create_time"], fields["log_time"], fields["name"], fields["media_type"], bytes(fields["data"])
         )
     for record in log.records(METADATA):
         writer.add_metadata(record.fields["name"], record.fields["metadata"])
@@ -66,12 +68,12 @@ def _mcap(log: McapLog, beside: Path) -> int:
 
 
 def _schema(writer: Any, record: Record) -> int:
-    said = record.fields
-    return int(writer.register_schema(said["name"], said["encoding"], said["data"]))
+    fields = record.fields
+    return int(writer.register_schema(fields["name"], fields["encoding"], fields["data"]))
 
 
 def _any(log: Log, beside: Path) -> int:
-    """One channel per topic; messages written."""
+    """Write one channel per topic; returns messages written."""
     profiles = {_PROFILES.get(topic.encoding, "") for topic in log.topics}
     writer, count = _writer(beside, profiles.pop() if len(profiles) == 1 else ""), 0
     channels = {topic.id: _channel(writer, topic) for topic in log.topics}

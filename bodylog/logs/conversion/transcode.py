@@ -1,4 +1,4 @@
-"""A log of any container as a new chunked MCAP, one batch of messages at a time."""
+"""Write a log of any container as a new chunked MCAP, one batch of messages at a time."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -31,7 +31,7 @@ _FEW, _SHORT = 16, 4096
 
 @dataclass
 class _Carrier:
-    """One topic on its way: its channel, what makes its payloads CDR, and the channel of those that resisted."""
+    """One topic in transit: its channel, its converter to CDR, and the channel of payloads that cannot be converted."""
 
     topic: Topic
     channel: int
@@ -42,7 +42,7 @@ class _Carrier:
 
 
 Span = tuple[int, int]
-"""First and last log time that is kept, int64 ns."""
+"""First and last log time to keep, int64 ns."""
 
 
 def carry(
@@ -53,12 +53,12 @@ def carry(
     span: Span | None = None,
     limits: Input = LIMITS,
 ) -> tuple[Writer, int, tuple[Finding, ...]]:
-    """Write the messages of a log (`only` these topics, within `span`) to an MCAP that is not finished yet.
+    """Write the messages of a log (`only` these topics, within `span`) to an unfinished MCAP.
 
-    Those of /bodylog/ only with `ours`.
+    Topics under `PREFIX` are included only with `ours`.
 
-    Returns its writer, how many messages were written, and what could not be carried over whole. ROS 1 payloads of
-    bags become CDR; those that cannot stay as they are. An MCAP's own payloads, attachments and metadata stay.
+    Returns the writer, the number of messages, and what could not be carried over whole. ROS 1 payloads of bags become
+    CDR where possible. Payloads, attachments and metadata of an MCAP stay unchanged.
     """
     with open_log(source, limits=limits) as log:
         writer = Writer(stream, Contents())
@@ -96,7 +96,7 @@ def _carrier(writer: Writer, topic: Topic, container: str, findings: list[Findin
 
 
 def _keep(writer: Writer, topic: Topic) -> int:
-    """A channel for payloads as they are; ROS 1 writes types without /msg/."""
+    """A channel for unchanged payloads; ROS 1 writes types without /msg/."""
     kind = topic.type.replace("/msg/", "/") if topic.encoding == "ros1" else topic.type
     form = topic.definition_encoding or "ros1msg"
     return writer.topic(topic.name, kind, topic.encoding, topic.definition, form, topic.metadata)
@@ -127,7 +127,7 @@ def _within(batches: Iterable[Batch], span: Span) -> Iterator[Batch]:
 
 
 def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
-    """The batches, cut where they hold more than a few MiB."""
+    """The batches, split where they hold more than a few MiB."""
     for batch in batches:
         full = np.cumsum(batch.length) // _PENDING
         cuts = [0, *(np.flatnonzero(np.diff(full)) + 1).tolist(), len(full)]
@@ -136,7 +136,7 @@ def _pieces(batches: Iterable[Batch]) -> Iterator[Batch]:
 
 
 def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> MessageTable:
-    """A batch as messages of the new file, in bytes of their own."""
+    """A batch as messages of the new file, with bytes of their own."""
     count = len(batch.log_ns)
     channel = np.full(count, carrier.channel)
     sequence, publish_ns = _heads(batch, carrier)
@@ -149,7 +149,7 @@ def _taken(batch: Batch, carrier: _Carrier, writer: Writer) -> MessageTable:
 
 
 def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
-    """Sequence numbers and publish times: in an MCAP's batch a payload follows its record's head; others have none."""
+    """Sequence numbers and publish times: from the record heads of an MCAP's batch; others have none."""
     start = batch.offset - MESSAGE_HEAD
     if len(start) and start.min() >= 0:
         heads = heads_at(batch.data, start)
@@ -159,7 +159,7 @@ def _heads(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
 
 
 def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) -> tuple[Array, Array, Array]:
-    """The payloads as CDR; one that is not what its definition says stays ROS 1, on a channel of its own."""
+    """The payloads as CDR; one that contradicts its definition stays ROS 1, on a channel of its own."""
     assert carrier.convert is not None
     left, parts = _convert_same_layout(batch, carrier.convert)
     single: list[bytes | memoryview] = []
@@ -179,7 +179,7 @@ def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) 
 
 
 def _convert_same_layout(batch: Batch, convert: Converter) -> tuple[Array, list[tuple[Array, Payloads]]]:
-    """Short messages of equal length and layout as CDR, group by group, and the rows that are left."""
+    """Short messages of equal length and layout as CDR, group by group, and the remaining rows."""
     left, parts = np.ones(len(batch.log_ns), bool), []
     sizes, counts = np.unique(batch.length, return_counts=True)
     for size in sizes[(counts >= _FEW) & (sizes <= _SHORT)].tolist():
@@ -218,7 +218,7 @@ def _sorted(parts: list[MessageTable]) -> MessageTable:
 
 
 def _profile(source: Path) -> str:
-    """An MCAP's own profile; none when its header is damaged."""
+    """The profile of an MCAP; empty when its header is damaged."""
     for file, head in sound_heads(source):
         with suppress(FormatError):
             return str(file.fields(head).fields["profile"]) if head.opcode == HEADER else ""
@@ -227,7 +227,7 @@ def _profile(source: Path) -> str:
 
 
 def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Finding]:
-    """Keep attachments and metadata of an MCAP, packed or in a folder, up to where it is damaged; what was lost."""
+    """Copy attachments and metadata of an MCAP, compressed or in a folder, up to its first damage; returns losses."""
     if source.is_dir():
         members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes)
         return [finding for member in members for finding in _extras(member, writer, ours, limits)]
@@ -244,7 +244,7 @@ def _extras(source: Path, writer: Writer, ours: bool, limits: Input) -> list[Fin
 
 
 def _keep_extra(record: Record, raw: bytes, writer: Writer, ours: bool) -> None:
-    """Attachment or metadata as it was; one with a text that is no UTF-8 is written with what can be read of it."""
+    """Copy an attachment or metadata record; text that is not UTF-8 is written as far as it can be decoded."""
     if record.opcode == ATTACHMENT:
         writer.keep_attachment(attachment(record.fields) if no_utf8(record) else raw, record.fields)
     elif ours or record.fields["name"] != NAME:

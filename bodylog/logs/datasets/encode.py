@@ -74,8 +74,8 @@ def _write(path: Path, how: Codec, images: Images, pts: Array, size: tuple[int, 
                 container.mux(stream.encode(frame))
             container.mux(stream.encode())
         except av.error.FFmpegError as problem:
-            said = f"{how.encoder} refuses images of {size[0]} x {size[1]} ({problem}); type: --codec lossless"
-            raise UsageError(f"{path.name}: {said}") from None
+            text = f"{how.encoder} refuses images of {size[0]} x {size[1]} ({problem}); type: --codec lossless"
+            raise UsageError(f"{path.name}: {text}") from None
 
 
 def _step(pts: Array) -> int:

@@ -70,7 +70,7 @@ class Episode:
 
     format: str
     streams: Sequence[Signal | Texts | Camera]
-    remarks: Sequence[Finding] = ()
+    findings: Sequence[Finding] = ()
     length: int | None = None
     videos: Mapping[str, Array] = field(default_factory=dict)
 
@@ -89,14 +89,14 @@ class EpisodeLog:
         self.topics: tuple[Topic, ...] = tuple(_topic(number, one) for number, one in self._streams.items())
         self.start_ns = min(int(one.ns.min()) for one in streams)
         self.end_ns = max(int(one.ns.max()) for one in streams)
-        for finding in episode.remarks:
+        for finding in episode.findings:
             self._refuse(finding)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
         """Remarks of the reader, and images that could not be read so far."""
         lost = (Finding("lost", f"{self.path}: {text}") for text in self._lost.values())
-        return (*(Finding(f.severity, f"{self.path}: {f.text}") for f in self.episode.remarks), *lost)
+        return (*(Finding(f.severity, f"{self.path}: {f.text}") for f in self.episode.findings), *lost)
 
     @property
     def cameras(self) -> dict[int, Camera]:
@@ -156,8 +156,8 @@ class EpisodeLog:
 
     def _refuse(self, finding: Finding) -> None:
         if finding.severity == "lost" and self._strict:
-            said = "type the command without --strict to use the rest"
-            raise LogError(f"{self.path}: {finding.text}; {said}")
+            text = "type the command without --strict to use the rest"
+            raise LogError(f"{self.path}: {finding.text}; {text}")
 
 
 def _topic(number: int, one: Signal | Texts | Camera) -> Topic:

@@ -47,33 +47,33 @@ _ACTION = re.compile(r"actions?")
 def open_hdf5(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """An episode of an HDF5 file: of FILE#N number N, of FILE the first."""
     file, number = episodes.split(path)
-    remarks: list[Finding] = []
+    findings: list[Finding] = []
     with opened(file) as one:
-        found = sets_of(one, file, number, remarks)
-        episode = _episode(file, found, remarks, limits)
+        found = sets_of(one, file, number, findings)
+        episode = _episode(file, found, findings, limits)
     return EpisodeLog(path, episode, strict)
 
 
-def _episode(path: Path, found: Sets, remarks: list[Finding], limits: Input) -> Episode:
+def _episode(path: Path, found: Sets, findings: list[Finding], limits: Input) -> Episode:
     rows = _rows(found.sets)
     if not rows:
         some = ", ".join(list(found.sets)[:8]) or "none"
-        said = "no qpos, joint_pos, action or images as ALOHA and robomimic keep them"
-        raise LogError(f"{path}: {said}; its datasets are {some}")
+        text = "no qpos, joint_pos, action or images as ALOHA and robomimic keep them"
+        raise LogError(f"{path}: {text}; its datasets are {some}")
     if rows > _MOST_ROWS:
         raise LogError(f"{path}: an episode of {rows} rows; at most {_MOST_ROWS} are read")
-    ns = _times(found, rows, remarks)
+    ns = _times(found, rows, findings)
     streams: list[Signal | Texts | Camera] = []
     joints = next((name for name in found.sets if _JOINTS.search(name) and _is_numbers(found.sets[name])), None)
     lengths = {name: one.shape[0] for name, one in found.sets.items() if _is_row(one)}
     for name in lengths:
         own = ns[: lengths[name]] if lengths[name] <= rows else None
         if lengths[name] != rows:
-            remarks.append(Finding("warning", f"{name}: {lengths[name]} rows, {joints or 'the others'} {rows}"))
+            findings.append(Finding("warning", f"{name}: {lengths[name]} rows, {joints or 'the others'} {rows}"))
         if own is None or not len(own) or (_TIMES.search(name) and found.sets[name].ndim == 1):
             continue
-        streams += _stream(path, found, name, own, joints, remarks, limits)
-    return Episode(found.format, streams, remarks)
+        streams += _stream(path, found, name, own, joints, findings, limits)
+    return Episode(found.format, streams, findings)
 
 
 def _is_row(one: Any) -> bool:
@@ -103,19 +103,19 @@ def _is_camera(name: str, one: Any) -> bool:
     )
 
 
-def _times(found: Sets, rows: int, remarks: list[Finding]) -> Array:
+def _times(found: Sets, rows: int, findings: list[Finding]) -> Array:
     """Times of the steps (N,) int64 ns: a dataset of times, else their numbers at the rate that is known."""
     for name, one in found.sets.items():
         if (match := _TIMES.search(name)) and one.shape == (rows,) and one.dtype.kind in "fiu":
             ns = _ns(one[()], match[4])
             if ns is not None and (np.diff(ns) > 0).all():
                 return ns
-            remarks.append(Finding("warning", f"{name} does not date every row later than the one before; not used"))
+            findings.append(Finding("warning", f"{name} does not date every row later than the one before; not used"))
     if found.rate is not None:
-        remarks.append(Finding("info", f"no times; rows are dated at the {found.rate:g} Hz that the file states"))
+        findings.append(Finding("info", f"no times; rows are dated at the {found.rate:g} Hz that the file states"))
     else:
-        said = f"no times and no rate in the file; rows are dated at ALOHA's {_ALOHA_HZ:g} Hz"
-        remarks.append(Finding("warning", said))
+        text = f"no times and no rate in the file; rows are dated at ALOHA's {_ALOHA_HZ:g} Hz"
+        findings.append(Finding("warning", text))
     return EPOCH_NS + np.rint(np.arange(rows) / (found.rate or _ALOHA_HZ) * 1e9).astype(np.int64)
 
 
@@ -133,17 +133,17 @@ def _ns(values: Array, ending: str | None) -> Array | None:
 
 
 def _stream(
-    path: Path, found: Sets, name: str, ns: Array, joints: str | None, remarks: list[Finding], limits: Input
+    path: Path, found: Sets, name: str, ns: Array, joints: str | None, findings: list[Finding], limits: Input
 ) -> Iterator[Signal | Camera]:
     one = found.sets[name]
     if _is_camera(name, one):
-        yield from _camera(path, found, name, ns, remarks, limits)
+        yield from _camera(path, found, name, ns, findings, limits)
         return
     if one.dtype.kind not in "fiub" or one.ndim > 3:
-        remarks.append(Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read"))
+        findings.append(Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read"))
         return
     if one.size > _MOST_VALUES or _chunk_bytes(one) > _MOST_CHUNK:
-        remarks.append(Finding("lost", f"{name}: {one.size} numbers of shape {one.shape}; too many to be read"))
+        findings.append(Finding("lost", f"{name}: {one.size} numbers of shape {one.shape}; too many to be read"))
         return
     values = np.asarray(one[()], float).reshape(len(ns), -1)
     short = re.sub(r"^(obs|observations)/", "", name)
@@ -154,7 +154,7 @@ def _stream(
         topic, kind = (JOINTS if name == joints else ACTION), JOINT_STATE
         of = unit({key: _text(attribute(one, key)) for key in ("unit", "units")}, names, values)
         metadata |= of.metadata
-        remarks += [Finding(*of.remark)] if name == joints else []
+        findings += [Finding(*of.remark)] if name == joints else []
     yield Signal(topic, kind, names, values, ns, metadata)
 
 
@@ -188,7 +188,7 @@ def _chunk_bytes(one: Any) -> int:
 
 
 def _camera(
-    path: Path, found: Sets, name: str, ns: Array, remarks: list[Finding], limits: Input
+    path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input
 ) -> Iterator[Camera]:
     one, short = found.sets[name], re.sub(r"^.*?(images?)/", "", name)
     topic = f"/{escape(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
@@ -197,13 +197,13 @@ def _camera(
     if one.ndim == 4:
         height, width = one.shape[1:3]
         if not 0 < height * width <= limits.max_image_mpx * 1e6 or _chunk_bytes(one) > _MOST_CHUNK:
-            said = f"{name}: images of {width} x {height} in chunks of {_chunk_bytes(one)} bytes"
-            remarks.append(Finding("lost", f"{said}; too large to be read"))
+            text = f"{name}: images of {width} x {height} in chunks of {_chunk_bytes(one)} bytes"
+            findings.append(Finding("lost", f"{text}; too large to be read"))
             return
         yield Camera(f"{topic}/image", ns, partial(_raw, path, place, len(ns)), (width, height), "", metadata)
         return
     if _chunk_bytes(one) > _MOST_CHUNK:
-        remarks.append(Finding("lost", f"{name}: chunks of {_chunk_bytes(one)} bytes; too large to be read"))
+        findings.append(Finding("lost", f"{name}: chunks of {_chunk_bytes(one)} bytes; too large to be read"))
         return
     yield Camera(f"{topic}/image/compressed", ns, partial(_packed, path, place, len(ns)), None, "jpeg", metadata)
 

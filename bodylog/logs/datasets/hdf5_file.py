@@ -42,8 +42,8 @@ def opened(path: Path) -> Iterator[Any]:
         with h5py.File(path, "r") as file:
             yield file
     except (OSError, RuntimeError, KeyError, ValueError) as problem:
-        said = " ".join(str(problem).split())[:160]
-        raise FormatError(f"{path}: the HDF5 file cannot be read: {said}") from None
+        text = " ".join(str(problem).split())[:160]
+        raise FormatError(f"{path}: the HDF5 file cannot be read: {text}") from None
 
 
 def _demos(file: Any) -> tuple[int, ...]:
@@ -52,7 +52,7 @@ def _demos(file: Any) -> tuple[int, ...]:
     return tuple(sorted(int(match[1]) for name in names if (match := _DEMO.fullmatch(name))))
 
 
-def sets_of(file: Any, path: Path, number: int | None, remarks: list[Finding]) -> Sets:
+def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding]) -> Sets:
     """The datasets of the episode; LogError where there is no such episode or none at all."""
     demos = _demos(file)
     if not demos:
@@ -66,7 +66,7 @@ def sets_of(file: Any, path: Path, number: int | None, remarks: list[Finding]) -
         raise LogError(f"{path}: no episode {number}; there are {some}{' …' if len(demos) > 12 else ''}")
     if asked is None and len(demos) > 1:
         some = f"episode {number}, the first of {len(demos)}; for another, type: --episode {demos[1]}"
-        remarks.append(Finding("info", some))
+        findings.append(Finding("info", some))
     group = f"data/demo_{number}"
     return Sets(group, _walk(file[group]), _control_rate(file["data"]), "robomimic")
 
@@ -121,9 +121,9 @@ def _rate(value: Any) -> float | None:
 
 def _control_rate(data: Any) -> float | None:
     """The control frequency of robomimic's env_args."""
-    said = attribute(data, "env_args")
+    stored = attribute(data, "env_args")
     try:
-        args = read_json(said) if isinstance(said, str | bytes) else {}
+        args = read_json(stored) if isinstance(stored, str | bytes) else {}
         return _rate(args["env_kwargs"]["control_freq"])
     except (ValueError, KeyError, TypeError):
         return None

@@ -44,7 +44,7 @@ _MOST_WIDE = 100_000
 def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """An episode of a LeRobot folder: of DATASET#N number N, of DATASET the first that is there."""
     folder, number = episodes.split(path)
-    known, remarks = layout(folder), list[Finding]()
+    known, findings = layout(folder), list[Finding]()
     if number is None:
         there = known.present()
         if not there:
@@ -52,10 +52,10 @@ def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> Ep
         number = there[0]
         if len(there) > 1:
             some = f"episode {number}, the first of {_ranges(there)}; for another, type: --episode {there[1]}"
-            remarks.append(Finding("info", some))
+            findings.append(Finding("info", some))
     if not known.holds(number):
         raise LogError(f"{folder}: no episode {number}; there are {_ranges(known.present()) or 'none'}")
-    return EpisodeLog(path, _episode(known, number, remarks, limits), strict)
+    return EpisodeLog(path, _episode(known, number, findings, limits), strict)
 
 
 def files(folder: Path, number: int | None) -> tuple[Path, ...]:
@@ -76,7 +76,7 @@ def _ranges(numbers: Sequence[int]) -> str:
     return ", ".join(map(str, numbers[:12])) + (f" and {len(numbers) - 12} more" if len(numbers) > 12 else "")
 
 
-def _episode(known: Layout, number: int, remarks: list[Finding], limits: Input) -> Episode:
+def _episode(known: Layout, number: int, findings: list[Finding], limits: Input) -> Episode:
     table = known.table(number)
     where = parquet.rows(table, "episode_index", number)
     if not where:
@@ -87,31 +87,31 @@ def _episode(known: Layout, number: int, remarks: list[Finding], limits: Input) 
     count = sum(end - first for first, end in where)
     named = [f"{name}{_STAMP}" for name in known.features if f"{name}{_STAMP}" in known.features]
     stamps = {name: parquet.integers(table, name, where) for name in named}
-    ns = _times(stamps, found.get("timestamp"), count, known.fps, remarks)
+    ns = _times(stamps, found.get("timestamp"), count, known.fps, findings)
     streams: list[Signal | Texts | Camera] = []
     for name in wanted:
-        streams += _signal(name, known, found.get(name), _stamps(stamps, name, ns), remarks)
+        streams += _signal(name, known, found.get(name), _stamps(stamps, name, ns), findings)
     streams += _tasks(known, found, ns)
     videos: dict[str, Array] = {}
     for name, about in known.features.items():
         if about.get("dtype") in ("video", "image"):
-            streams += _camera(name, known, number, _stamps(stamps, name, ns), where, videos, remarks, limits)
+            streams += _camera(name, known, number, _stamps(stamps, name, ns), where, videos, findings, limits)
     length = known.rows[number].get("length")
-    return Episode(f"lerobot {known.version}", streams, remarks, length if isinstance(length, int) else None, videos)
+    return Episode(f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None, videos)
 
 
 def _times(
-    stamps: Mapping[str, Array | None], t: Array | None, count: int, fps: float, remarks: list[Finding]
+    stamps: Mapping[str, Array | None], t: Array | None, count: int, fps: float, findings: list[Finding]
 ) -> Array:
     """Times of the rows (N,) int64 ns: the first stamps, else `timestamp` (s), else their numbers at the rate."""
     own = [ns for ns in stamps.values() if ns is not None]
     if own:
         return times(own[0])
     if t is None or t.shape[1] != 1 or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 9e9:
-        remarks.append(Finding("warning", f"no timestamp dates every row; rows are dated at {fps:g} Hz"))
+        findings.append(Finding("warning", f"no timestamp dates every row; rows are dated at {fps:g} Hz"))
         t = np.arange(count)[:, None] / fps
     if still := int((np.diff(t[:, 0]) <= 0).sum()):
-        remarks.append(Finding("warning", f"timestamp does not rise in {still} of {count} rows"))
+        findings.append(Finding("warning", f"timestamp does not rise in {still} of {count} rows"))
     return times(EPOCH_NS + np.rint(t[:, 0] * 1e9).astype(np.int64))
 
 
@@ -122,19 +122,19 @@ def _stamps(stamps: Mapping[str, Array | None], name: str, ns: Array) -> Array:
 
 
 def _signal(
-    name: str, known: Layout, values: Array | None, ns: Array, remarks: list[Finding]
+    name: str, known: Layout, values: Array | None, ns: Array, findings: list[Finding]
 ) -> Iterator[Signal]:
     about = known.features[name]
     if values is None or not values.shape[1]:
-        remarks.append(Finding("lost", f"{name}: info.json declares it, the table holds no such numbers"))
+        findings.append(Finding("lost", f"{name}: info.json declares it, the table holds no such numbers"))
         return
     if values.shape[1] > _MOST_WIDE:
-        remarks.append(Finding("lost", f"{name}: {values.shape[1]} numbers in a row; at most {_MOST_WIDE} are read"))
+        findings.append(Finding("lost", f"{name}: {values.shape[1]} numbers in a row; at most {_MOST_WIDE} are read"))
         return
     width = int(np.prod([side for side in about.get("shape") or [1] if isinstance(side, int)]))
     if width != values.shape[1]:
-        said = f"{name}: info.json declares {width} numbers, the table holds {values.shape[1]}"
-        remarks.append(Finding("warning", said))
+        text = f"{name}: info.json declares {width} numbers, the table holds {values.shape[1]}"
+        findings.append(Finding("warning", text))
     names = _names(about.get("names"), values.shape[1])
     metadata = {FEATURE: name, DTYPE: str(about["dtype"]), **_robot(known, name)}
     state = next((one for one in _STATE if known.features.get(one)), None)
@@ -143,7 +143,7 @@ def _signal(
         topic, kind = (JOINTS if name == state else ACTION), JOINT_STATE
         of = unit(about, names, values)
         metadata |= of.metadata
-        remarks += [Finding(*of.remark)] if name == state else []
+        findings += [Finding(*of.remark)] if name == state else []
     yield Signal(topic, kind, names, values, ns, metadata)
 
 
@@ -155,14 +155,14 @@ def _robot(known: Layout, name: str) -> dict[str, str]:
     return {"bodylog.fps": f"{known.fps:g}"} | ({"bodylog.robot": robot} if isinstance(robot, str) else {})
 
 
-def _names(said: Any, count: int) -> tuple[str, ...]:
+def _names(declared: Any, count: int) -> tuple[str, ...]:
     """The names of `count` numbers: a list, or what lies in a mapping ({"motors": [...]}); else their places."""
-    while isinstance(said, dict) and len(said) == 1:
-        said = next(iter(said.values()))
-    if isinstance(said, dict):
-        said = [text for part in said.values() for text in (part if isinstance(part, list) else [part])]
-    if isinstance(said, list) and len(said) == count and all(isinstance(text, str) for text in said):
-        names = tuple(text.encode(errors="replace").decode().replace("\0", "") for text in said)
+    while isinstance(declared, dict) and len(declared) == 1:
+        declared = next(iter(declared.values()))
+    if isinstance(declared, dict):
+        declared = [text for part in declared.values() for text in (part if isinstance(part, list) else [part])]
+    if isinstance(declared, list) and len(declared) == count and all(isinstance(text, str) for text in declared):
+        names = tuple(text.encode(errors="replace").decode().replace("\0", "") for text in declared)
         if len(set(names)) == count and all(names):
             return names
     return tuple(map(str, range(count)))
@@ -183,12 +183,12 @@ def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Itera
 
 def _camera(
     name: str, known: Layout, number: int, ns: Array, where: Sequence[tuple[int, int]], videos: dict[str, Array],
-    remarks: list[Finding], limits: Input,
+    findings: list[Finding], limits: Input,
 ) -> Iterator[Camera]:  # fmt: skip
     about = known.features[name]
     topic, metadata = f"/{escape(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
     if _is_depth(about):
-        remarks.append(Finding("info", f"{name}: depth, which is not read"))
+        findings.append(Finding("info", f"{name}: depth, which is not read"))
         return
     if about["dtype"] == "image":
         table = known.table(number)
@@ -201,13 +201,13 @@ def _camera(
             raise LogError(f"{part.path}: there is no such file; is the dataset downloaded completely?")
         film = video.survey(part.path, limits.max_image_mpx)
     except InputError as problem:
-        remarks.append(Finding("lost", f"{name}: {problem}"))
+        findings.append(Finding("lost", f"{name}: {problem}"))
         return
     first, last = _within(film, part.start, part.end, known.fps)
     t = film.t[first:last] - (film.t[first] if last > first else 0.0)
     videos[name] = t
     times, more = _dated(name, t, ns, known.fps)
-    remarks += more
+    findings += more
     reader: Callable[[], Iterator[Item]] = partial(_of_video, film, first, last)
     yield Camera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata)
 
@@ -232,14 +232,14 @@ def _dated(name: str, t: Array, ns: Array, fps: float) -> tuple[Array, list[Find
     """When the frames shown at t (K,) s were taken, ns: frame k belongs to row k where there are as many."""
     if len(t) != len(ns):
         less = "lost" if len(t) < len(ns) else "warning"
-        said = f"{name}: the video has {len(t)} frames, the table {len(ns)} rows; frames are dated by the video"
-        return (ns[0] if len(ns) else EPOCH_NS) + np.rint(t * 1e9).astype(np.int64), [Finding(less, said)]
+        text = f"{name}: the video has {len(t)} frames, the table {len(ns)} rows; frames are dated by the video"
+        return (ns[0] if len(ns) else EPOCH_NS) + np.rint(t * 1e9).astype(np.int64), [Finding(less, text)]
     apart = t - (ns - ns[0]) / 1e9 if len(ns) else t
     worst = float(np.abs(apart).max(initial=0.0))
     if worst <= 0.5 / fps:
         return ns, []
-    said = f"{name}: the video's times and the table's drift apart, by up to {worst:.3g} s; frame k is dated by row k"
-    return ns, [Finding("warning", said)]
+    text = f"{name}: the video's times and the table's drift apart, by up to {worst:.3g} s; frame k is dated by row k"
+    return ns, [Finding("warning", text)]
 
 
 def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]]) -> Iterator[Item]:

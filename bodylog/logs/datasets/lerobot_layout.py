@@ -127,7 +127,7 @@ def _layout(folder: Path, *_: tuple[int, int]) -> Layout:
     fps = _real(info.get("fps"))
     if fps is None or not 0 < fps <= 1e5:
         raise FormatError(f"{path}: fps is {info.get('fps')!r:.40}; frames per second are expected")
-    known = {str(name): said for name, said in features.items() if isinstance(said, dict)}
+    known = {str(name): declared for name, declared in features.items() if isinstance(declared, dict)}
     listed = _listed_v3(folder) if version.startswith("v3") else _listed_v2(folder)
     return Layout(folder, info, known, fps, listed)
 

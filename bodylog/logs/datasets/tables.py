@@ -51,20 +51,20 @@ def open_folder(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epi
     """The folder as a log; LogError when no table dates anything in it."""
     if episodes.split(path)[1] is not None:
         raise LogError(f"{path}: the folder holds no episodes; leave out the #")
-    remarks: list[Finding] = []
-    tables = [one for file in _files(path, tuple(SUFFIXES)) for one in _table(file, path, remarks)]
-    films = _films(list(_files(path, video.SUFFIXES)), limits, remarks)
-    return EpisodeLog(path, _episode(path, tables, films, remarks), strict)
+    findings: list[Finding] = []
+    tables = [one for file in _files(path, tuple(SUFFIXES)) for one in _table(file, path, findings)]
+    films = _films(list(_files(path, video.SUFFIXES)), limits, findings)
+    return EpisodeLog(path, _episode(path, tables, films, findings), strict)
 
 
 def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
     """A video as a log, dated by a table beside it, else by itself."""
     if episodes.split(path)[1] is not None:
         raise LogError(f"{path}: a video holds no episodes; leave out the #")
-    film, remarks = video.survey(path, limits.max_image_mpx), list[Finding]()
+    film, findings = video.survey(path, limits.max_image_mpx), list[Finding]()
     table = table_beside(path)
-    tables = [] if table is None else list(_table(table, path.parent, remarks))
-    return EpisodeLog(path, _episode(path, tables, [film], remarks, "video"), strict)
+    tables = [] if table is None else list(_table(table, path.parent, findings))
+    return EpisodeLog(path, _episode(path, tables, [film], findings, "video"), strict)
 
 
 def table_beside(film: Path) -> Path | None:
@@ -75,22 +75,22 @@ def table_beside(film: Path) -> Path | None:
 
 def times_beside(film: Path) -> Array | None:
     """The times (N,) s of the table beside a video; None without one, LogError where it dates nothing."""
-    table, remarks = table_beside(film), list[Finding]()
+    table, findings = table_beside(film), list[Finding]()
     if table is None:
         return None
-    found = next(iter(_table(table, film.parent, remarks)), None)
+    found = next(iter(_table(table, film.parent, findings)), None)
     if found is None:
-        raise LogError(f"{film.parent / remarks[-1].text}; rename it, or type: [topics] rate")
+        raise LogError(f"{film.parent / findings[-1].text}; rename it, or type: [topics] rate")
     return found.t
 
 
-def _films(files: Sequence[Path], limits: Input, remarks: list[Finding]) -> list[video.Video]:
+def _films(files: Sequence[Path], limits: Input, findings: list[Finding]) -> list[video.Video]:
     found = []
     for file in files:
         try:
             found.append(video.survey(file, limits.max_image_mpx))
         except LogError as problem:
-            remarks.append(Finding("lost", str(problem)))
+            findings.append(Finding("lost", str(problem)))
     return found
 
 
@@ -103,20 +103,22 @@ def _files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
         yield from (path for path in more if path.suffix.lower() in SUFFIXES and path.is_file())
 
 
-def _table(file: Path, folder: Path, remarks: list[Finding]) -> Iterator[_Dated]:
+def _table(file: Path, folder: Path, findings: list[Finding]) -> Iterator[_Dated]:
     """A table that dates its rows; one that does not, or is none, is remarked on."""
     where = file.relative_to(folder)
     try:
         table = read(file, SUFFIXES[file.suffix.lower()])
     except BodylogError as problem:
-        remarks.append(Finding("lost", str(problem)))
+        findings.append(Finding("lost", str(problem)))
         return
-    remarks += [Finding("lost", f"{where}: {text}") for text in table.lost]
+    findings += [Finding("lost", f"{where}: {text}") for text in table.lost]
     numbers = {_plain(name): values for name, values in table.numbers.items()}
     column, t = time_column(numbers)
     if column is None or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 4e9:
-        said = "no column of times dates every row" if column is None else f"column {column} does not date every row"
-        remarks.append(Finding("warning", f"{where}: {said}, so the table is not used; its columns are {_list(table)}"))
+        reason = "no column of times dates every row" if column is None else f"column {column} does not date every row"
+        findings.append(
+            Finding("warning", f"{where}: {reason}, so the table is not used; its columns are {_list(table)}")
+        )
         return
     images = {_plain(name): files for name, files in table.texts.items() if _are_images(files)}
     joints = {name: values for name, values in numbers.items() if _is_joint(name, values)}
@@ -143,7 +145,7 @@ def _are_images(files: Array) -> bool:
 
 
 def _episode(
-    path: Path, tables: Sequence[_Dated], films: Sequence[video.Video], remarks: list[Finding], form: str = "tables"
+    path: Path, tables: Sequence[_Dated], films: Sequence[video.Video], findings: list[Finding], form: str = "tables"
 ) -> Episode:
     first = min((float(one.t.min()) for one in tables), default=0.0)
     shift = 0.0 if first >= 1.0 else EPOCH_NS / 1e9 - first
@@ -152,32 +154,32 @@ def _episode(
     for film in films:
         own = next((one for one in tables if _dates(one, film)), None)
         beside |= {} if own is None else {own.path: own}
-        streams += _film(film, own, shift, remarks)
+        streams += _film(film, own, shift, findings)
     free = JOINTS
     for one in tables:
         for column, files in one.images.items():
             streams.append(_camera(one, column, files, shift))
         if one.numbers and one.path not in beside:
-            streams.append(_joints(one, free or f"/{escape(one.name)}", shift, remarks))
+            streams.append(_joints(one, free or f"/{escape(one.name)}", shift, findings))
             free = ""
     if not streams:
         raise LogError(f"{path}: no table with a column of times has images or joints, e.g. t,file or t,elbow")
-    return Episode(form, streams, remarks)
+    return Episode(form, streams, findings)
 
 
 def _dates(table: _Dated, film: video.Video) -> bool:
     return not table.images and table.path.stem in {f"{film.path.stem}{ending}" for ending in _ENDINGS}
 
 
-def _film(film: video.Video, table: _Dated | None, shift: float, remarks: list[Finding]) -> Iterator[Camera]:
+def _film(film: video.Video, table: _Dated | None, shift: float, findings: list[Finding]) -> Iterator[Camera]:
     """A video as a camera: frame k at row k of its table, or when the video shows it."""
     t = film.t - film.t[0] + EPOCH_NS / 1e9 if table is None and len(film.t) else film.t
     if table is not None:
         t = table.t + shift
     count = min(len(t), len(film.t))
     if len(t) != len(film.t):
-        said = f"{film.path.name}: the video has {len(film.t)} frames, its table {len(t)} rows"
-        remarks.append(Finding("lost", f"{said}; frame k is dated by row k"))
+        text = f"{film.path.name}: the video has {len(film.t)} frames, its table {len(t)} rows"
+        findings.append(Finding("lost", f"{text}; frame k is dated by row k"))
     reader = partial(_frames, film, count)
     yield Camera(f"/{escape(film.path.stem)}/image", _ns(t[:count]), reader, (film.width, film.height))
 
@@ -190,11 +192,11 @@ def _camera(table: _Dated, column: str, files: Array, shift: float) -> Camera:
     return Camera(topic, _ns(table.t[rows] + shift), partial(_files_of, table.path.parent, names), None, "jpeg")
 
 
-def _joints(table: _Dated, topic: str, shift: float, remarks: list[Finding]) -> Signal:
+def _joints(table: _Dated, topic: str, shift: float, findings: list[Finding]) -> Signal:
     names = tuple(table.numbers)
     values = np.column_stack(list(table.numbers.values()))
     of = unit({}, names, values)
-    remarks.append(Finding(of.remark[0], f"{table.path.name}: {of.remark[1]}"))
+    findings.append(Finding(of.remark[0], f"{table.path.name}: {of.remark[1]}"))
     return Signal(topic, JOINT_STATE, names, values, _ns(table.t + shift), of.metadata)
 
 

@@ -45,17 +45,17 @@ class Unit:
         if self.name == "deg" and self.declared:
             return "info", f"joints: degrees, {self.why}; they are read as rad"
         if self.name == "counts":
-            said = "they are kept as they are, so what is stated in rad is in counts"
-            return "warning", f"joints: encoder counts, {self.why}; {said}"
-        said = 'if they are degrees, type: [body] unit = "deg"'
-        return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {said}"
+            advice = "they are kept as they are, so what is stated in rad is in counts"
+            return "warning", f"joints: encoder counts, {self.why}; {advice}"
+        advice = 'if they are degrees, type: [body] unit = "deg"'
+        return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {advice}"
 
 
 def unit(feature: Mapping[str, Any], names: Sequence[str], values: Array) -> Unit:
     """The unit of joints from the declaration of their feature, their names, and their values (N,K)."""
     for key in ("unit", "units"):
-        if isinstance(said := feature.get(key), str) and (known := _WORDS.get(said.strip().lower())):
-            return Unit(known, True, _turn(known, values), f"as the dataset declares ({key}: {said})")
+        if isinstance(declared := feature.get(key), str) and (known := _WORDS.get(declared.strip().lower())):
+            return Unit(known, True, _turn(known, values), f"as the dataset declares ({key}: {declared})")
     endings = {_WORDS.get(match["unit"].lower()) if (match := _last(name)) else None for name in names}
     if len(endings) == 1 and (known := endings.pop()) is not None:
         return Unit(known, True, _turn(known, values), f"as the names of the joints declare ({names[0]})")

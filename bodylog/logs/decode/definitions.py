@@ -116,8 +116,8 @@ def _type(name: str, package: str, known: frozenset[str], ros1: bool) -> str:
     full = normal(name, package)
     if full in known or "/" in name:
         return full
-    alike = [other for other in known if other.rsplit("/", 1)[-1] == name]
-    return alike[0] if len(alike) == 1 else full
+    namesakes = [other for other in known if other.rsplit("/", 1)[-1] == name]
+    return namesakes[0] if len(namesakes) == 1 else full
 
 
 def _size(array: str | None, owner: str, line: str) -> int | None:

@@ -90,30 +90,30 @@ class JsonLayout:
 
     def _shadow(self) -> Any:
         """The message with places for its numbers and texts."""
-        said, out, last = [], [], 0
+        values, out, last = [], [], 0
         payload = self._payload.replace(_POWER, b"e")
         for match in _TOKEN.finditer(payload):
             if match[1] is None:
-                said.append((match.start(), match.end(), read_json(match[0])))
+                values.append((match.start(), match.end(), read_json(match[0])))
                 form = b'"%d"' if match[0][:1] == b'"' else b"%d"
-                out += [payload[last : match.start()], form % (len(said) - 1)]
+                out += [payload[last : match.start()], form % (len(values) - 1)]
                 last = match.end()
         shadow = read_json(b"".join([*out, payload[last:]]))
         if not isinstance(shadow, dict):
             raise FormatError("not an object")
-        return self._placed(shadow, said)
+        return self._placed(shadow, values)
 
-    def _placed(self, value: Any, said: Sequence[tuple[int, int, Any]]) -> Any:
+    def _placed(self, value: Any, values: Sequence[tuple[int, int, Any]]) -> Any:
         if isinstance(value, dict):
-            return {key: self._placed(inner, said) for key, inner in value.items()}
+            return {key: self._placed(inner, values) for key, inner in value.items()}
         if isinstance(value, list):
-            return [self._placed(inner, said) for inner in value]
+            return [self._placed(inner, values) for inner in value]
         if isinstance(value, str):
-            at, end, known = said[int(value)]
+            at, end, known = values[int(value)]
             low, high = np.searchsorted(self._at, (at, end)).tolist()
             return text(encodable(known), low, high, self._pinned)
         if type(value) is int:
-            at, end, known = said[value]
+            at, end, known = values[value]
             run = int(np.searchsorted(self._at, at))
             if run == len(self._at) or self._at[run] != at or self._lengths[run] != end - at:
                 raise FormatError("an exponent without a sign, or no number")

@@ -44,8 +44,8 @@ def _times(path: Path, frames: int) -> Array | None:
 
     t = times_beside(path)
     if t is not None and len(t) != frames:
-        said = f"{len(t)} rows for the {frames} frames of {path.name}; rename it, or type: [topics] rate"
-        raise LogError(f"{table_beside(path)}: {said}")
+        text = f"{len(t)} rows for the {frames} frames of {path.name}; rename it, or type: [topics] rate"
+        raise LogError(f"{table_beside(path)}: {text}")
     return t
 
 

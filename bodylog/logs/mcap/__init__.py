@@ -1,1 +1,1 @@
-"""MCAP files: records, chunks, summary; read, checked, scanned past damage, written."""
+"""MCAP files: read records, chunks and summary; check them, scan past damage, write."""

@@ -1,4 +1,4 @@
-"""What an MCAP says about itself against what it holds: statistics, indexes, CRCs, times, offsets."""
+"""Compare what an MCAP declares with what it holds: statistics, indexes, CRCs, times, offsets."""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -38,14 +38,14 @@ from .resync import sound_records
 from .summary import records_of, section
 
 Say = Callable[[str, str], None]
-"""Takes the kind of a remark and its text."""
+"""Reports a finding: its kind and its text."""
 
 _INDEXES = {ATTACHMENT_INDEX: ("attachment", ATTACHMENT), METADATA_INDEX: ("metadata", METADATA)}
 
 
 @dataclass
 class _Tally:
-    """What was counted: messages by channel, log times, records by opcode, declared ids; bytes that were not."""
+    """Counts of what was read: messages by channel, log times, records by opcode, declared ids; unreadable bytes."""
 
     messages: dict[int, int] = field(default_factory=dict)
     times: list[int] = field(default_factory=list)
@@ -62,7 +62,7 @@ class _Tally:
 
 
 def check(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
-    """Tell `say` of every disagreement in the MCAP; unreadable parts are left to the reader's own findings."""
+    """Report every disagreement in the MCAP to `say`; the reader's own findings cover unreadable parts."""
     tally, buffer = _Tally(), Buffer(diagnostics.path, diagnostics.limits)
     chunk: tuple[Chunk, MessageRecords] | None = None
 
@@ -87,7 +87,7 @@ def check(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
         elif opcode == DATA_END:
             _data_end(data, at, body, say)
             break
-    with suppress(FormatError):  # the reader says so itself
+    with suppress(FormatError):  # the reader reports it
         place = section(data)
         _summary(data, records_of(data, *place) if place else (), tally, say)
 
@@ -116,7 +116,7 @@ def _chunk(
 
 
 def _index(data: memoryview, at: int, chunk: tuple[Chunk, MessageRecords], say: Say) -> None:
-    """A MessageIndex against the messages of its channel in the chunk before it."""
+    """Compare a MessageIndex with the messages of its channel in the chunk before it."""
     channel = int.from_bytes(data[at + HEAD.size : at + HEAD.size + 2], "little")
     listed = index_of(data, at)
     mine = chunk[1].heads["channel"] == channel
@@ -150,22 +150,22 @@ def _data_end(data: memoryview, at: int, body: memoryview, say: Say) -> None:
 def _summary(data: memoryview, records: Iterable[Record], tally: _Tally, say: Say) -> None:
     listed = 0
     for record in records:
-        said = record.fields
+        fields = record.fields
         listed += record.opcode == CHUNK_INDEX
         if record.opcode == STATISTICS and not tally.lost:
-            _statistics(said, tally, say)
+            _statistics(fields, tally, say)
         elif record.opcode == CHUNK_INDEX:
-            _chunk_index(data, said, say)
+            _chunk_index(data, fields, say)
         elif record.opcode in _INDEXES:
             name, opcode = _INDEXES[record.opcode]
-            _points(data, said["offset"], said["length"], opcode, f"the {name} index", say)
+            _points(data, fields["offset"], fields["length"], opcode, f"the {name} index", say)
         elif record.opcode == SUMMARY_OFFSET:
-            _group(data, said, say)
+            _group(data, fields, say)
     if listed and not tally.lost and listed != tally.records.get(CHUNK, 0):
         say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(CHUNK, 0)}")
 
 
-def _statistics(said: dict[str, Any], tally: _Tally, say: Say) -> None:
+def _statistics(fields: dict[str, Any], tally: _Tally, say: Say) -> None:
     held = {
         "message_count": sum(tally.messages.values()),
         "schema_count": len(tally.declared[SCHEMA]),
@@ -177,18 +177,18 @@ def _statistics(said: dict[str, Any], tally: _Tally, say: Say) -> None:
         "message_end_time": max(tally.times, default=0),
     }
     for name, value in held.items():
-        if said[name] != value:
-            say(f"statistics {name}", f"the statistics say {name} {said[name]}, the file holds {value}")
-    by_channel = {channel: count for channel, count in said["channel_message_counts"].items() if count}
+        if fields[name] != value:
+            say(f"statistics {name}", f"the statistics say {name} {fields[name]}, the file holds {value}")
+    by_channel = {channel: count for channel, count in fields["channel_message_counts"].items() if count}
     for channel in sorted(by_channel.keys() | tally.messages.keys()):
         if by_channel and by_channel.get(channel, 0) != tally.messages.get(channel, 0):
-            told, count = by_channel.get(channel, 0), tally.messages.get(channel, 0)
-            text = f"the statistics say {told} messages on channel {channel}"
+            declared, count = by_channel.get(channel, 0), tally.messages.get(channel, 0)
+            text = f"the statistics say {declared} messages on channel {channel}"
             say("statistics channel", f"{text}, the file holds {count}")
 
 
-def _chunk_index(data: memoryview, said: dict[str, Any], say: Say) -> None:
-    start = said["chunk_start_offset"]
+def _chunk_index(data: memoryview, fields: dict[str, Any], say: Say) -> None:
+    start = fields["chunk_start_offset"]
     try:
         first, last, size, _, compression, packed = chunk_head(data, start)
     except FormatError:
@@ -197,10 +197,10 @@ def _chunk_index(data: memoryview, said: dict[str, Any], say: Say) -> None:
     held = (first, last, size, compression, len(packed))
     names = ("message_start_time", "message_end_time", "uncompressed_size", "compression", "compressed_size")
     for name, value in zip(names, held, strict=True):
-        if said[name] != value:
-            text = f"the chunk index says {name} {said[name]} of the chunk at byte {start}"
+        if fields[name] != value:
+            text = f"the chunk index says {name} {fields[name]} of the chunk at byte {start}"
             say(f"chunk index {name}", f"{text}, which has {value}")
-    for channel, at in said["message_index_offsets"].items():
+    for channel, at in fields["message_index_offsets"].items():
         if at + HEAD.size > len(data) or data[at] != MESSAGE_INDEX or data[at + HEAD.size] != channel & 255:
             say("chunk index offset", f"the chunk index says channel {channel} is indexed at byte {at}: it is not")
 
@@ -211,13 +211,13 @@ def _points(data: memoryview, at: int, length: int, opcode: int, name: str, say:
         say(name, f"{name} points to {length} bytes at byte {at}, which are no such record")
 
 
-def _group(data: memoryview, said: dict[str, Any], say: Say) -> None:
-    start, end = said["group_start"], said["group_start"] + said["group_length"]
+def _group(data: memoryview, fields: dict[str, Any], say: Say) -> None:
+    start, end = fields["group_start"], fields["group_start"] + fields["group_length"]
     if start == end:
         return
     try:
         opcodes = {opcode for opcode, _, _ in iter_records(data, start, min(end, len(data)))}
     except FormatError:
         opcodes = set()
-    if opcodes != {said["group_opcode"]}:
-        say("summary offset", f"the summary offset of opcode {said['group_opcode']} points to others at byte {start}")
+    if opcodes != {fields["group_opcode"]}:
+        say("summary offset", f"the summary offset of opcode {fields['group_opcode']} points to others at byte {start}")

@@ -1,4 +1,4 @@
-"""Chunks of an MCAP: unpacked, checked against their CRC, and their messages found by index or by walking."""
+"""Chunks of an MCAP: decompress them, check their CRC, find their messages by index or record by record."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,7 +18,7 @@ from .records import CHUNK, FIELDS, HEAD, MAGIC, MESSAGE, MESSAGE_INDEX, Record,
 MESSAGE_HEAD = np.dtype(
     [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
 )
-"""The first 31 bytes of a Message record: the payload follows."""
+"""The first 31 bytes of a Message record; the payload follows."""
 
 _BLOCK = 4096
 _BLOCK_BYTES = 4 << 20
@@ -33,8 +33,8 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 class Chunk(NamedTuple):
     """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known.
 
-    `listed`: a sound summary says so; else an index may be missing, and the chunk is opened whatever is asked for.
-    `stored`: it is said to hold its records as they are. `cut`: the file ends inside it, and holds its beginning alone.
+    `listed`: a sound summary lists it; otherwise an index may be missing, and every request opens the chunk. `stored`:
+    it is declared uncompressed. `cut`: the file ends inside it.
     """
 
     start: int
@@ -48,7 +48,7 @@ class Chunk(NamedTuple):
 
 
 class Loose(NamedTuple):
-    """A run of sound records, messages among them, that no chunk holds."""
+    """A run of sound records outside chunks, with messages among them."""
 
     start: int
     end: int
@@ -64,7 +64,7 @@ class MessageRecords(NamedTuple):
 def chunk_head(data: memoryview, start: int, cut: bool = False) -> tuple[int, int, int, int, str, memoryview]:
     """Start, end (ns), unpacked size, CRC, compression and packed bytes of the Chunk at `start`; or FormatError.
 
-    Of one that is `cut` the packed bytes that are there.
+    `cut`: the file ends inside the chunk; return the packed bytes before the end.
     """
     if start < 0 or len(data) - start < HEAD.size + CHUNK_HEAD.size:
         raise FormatError(f"byte {start}: too few bytes for a chunk")
@@ -82,14 +82,14 @@ def chunk_head(data: memoryview, start: int, cut: bool = False) -> tuple[int, in
 
 
 def records_at(chunk: Chunk, compression: str) -> int:
-    """The byte of the file at which a chunk's packed records begin."""
+    """The offset in the file at which a chunk's packed records begin."""
     return chunk.start + HEAD.size + CHUNK_HEAD.size + len(compression) + _U64.size
 
 
 def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
-    """The chunk's records (bytes,) uint8; FormatError when they cannot be unpacked or their CRC disagrees.
+    """The chunk's records (bytes,) uint8; FormatError when decompression or the CRC check fails.
 
-    Of one that is cut, as far as they go: nothing vouches for them but that they unpack.
+    A truncated chunk gives the records before the cut, without a CRC check.
     """
     ensure_local(data, chunk.start, chunk.start + chunk.length)
     _, _, size, crc, compression, packed = chunk_head(data, chunk.start, chunk.cut)
@@ -103,7 +103,7 @@ def unpack(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
 
 
 def load(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostics) -> Array | None:
-    """The chunk's records (bytes,) uint8 once its CRC agrees, else None and the loss is in the diagnostics."""
+    """The chunk's records (bytes,) uint8 if its CRC matches, else None and a loss in the diagnostics."""
     try:
         return unpack(data, chunk, buffer)
     except FormatError as problem:
@@ -112,14 +112,14 @@ def load(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostic
 
 
 def lose(data: memoryview, chunk: Chunk, problem: FormatError, diagnostics: Diagnostics) -> None:
-    """Tell the diagnostics what was in a chunk that cannot be used."""
+    """Record the loss of a chunk."""
     count = sum(len(index_of(data, at)) for at in chunk.indexes.values()) if chunk.indexes else None
     seconds = max(0, chunk.end_ns - chunk.start_ns) / 1e9
     diagnostics.add_loss(chunk.start, chunk.length, count, seconds, str(problem))
 
 
 def index_of(data: memoryview, at: int) -> Array:
-    """The MessageIndex at byte `at`: (n, 2) int64 log time (ns) and offset in the chunk; empty when it is none."""
+    """The MessageIndex at byte `at`: (n, 2) int64 log time (ns) and offset in the chunk; empty if it is not one."""
     if not 0 <= at <= len(data) - _INDEX_HEAD.size:
         return np.empty((0, 2), np.int64)
     ensure_local(data, at, at + _INDEX_HEAD.size)
@@ -131,7 +131,7 @@ def index_of(data: memoryview, at: int) -> Array:
 
 
 def messages(content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
-    """All messages of a loaded chunk in its own order: by its indexes where they are right, else by walking."""
+    """All messages of a loaded chunk in order: by its indexes if they are right, else record by record."""
     if chunk.indexes:
         found = indexed(content, [(0, len(content))], data, [chunk])
         if found is not None:
@@ -146,7 +146,7 @@ def heads_of(content: Array | memoryview) -> Array:
 
 
 def heads_at(content: Array | memoryview, starts: Array) -> Array:
-    """The message heads (n,) that start at these bytes; gathered as plain bytes, which is 20 times faster."""
+    """The message heads (n,) that start at these bytes; gathering plain bytes is 20 times faster."""
     return heads_of(content).view(f"V{MESSAGE_HEAD.itemsize}")[starts].view(MESSAGE_HEAD)
 
 
@@ -176,10 +176,10 @@ def indexed(
 
 
 def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
-    """Whether records follow one another in each place with nothing but other whole ones between: none is missing."""
+    """Whether whole records without a gap fill each place, so that the index misses no message."""
     if sizes.min() < MESSAGE_HEAD.itemsize - HEAD.size or sizes.max() > len(content):
         return False
-    # In order, what is open is one place without a message or with one: no message passes another or its place.
+    # In order, what follows an edge is its place's end or a message: no message overlaps another or an edge.
     # Both are two runs in order, which a stable sort merges.
     lows = np.sort(np.concatenate((places[:, 0], starts + sizes + HEAD.size)), kind="stable")
     highs = np.sort(np.concatenate((starts, places[:, 1])), kind="stable")
@@ -222,14 +222,14 @@ def loose_messages(data: memoryview, run: Loose) -> Iterator[MessageRecords]:
 
 
 def following(data: memoryview, at: int, end: int) -> tuple[Array, int]:
-    """Where Messages (n,) start that follow one another from byte `at` to `end`, a block at most; where they end."""
+    """Where consecutive Messages (n,) start from byte `at` to `end`, at most one block; and where they end."""
     if end - at < _SHORTEST:
         return np.empty(0, np.int64), at
     opcode, length = HEAD.unpack_from(data, at)
     step = HEAD.size + length
     if opcode != MESSAGE or not _SHORTEST <= step <= end - at:
         return np.empty(0, np.int64), at
-    # As a rule some are equally long: a guess that costs next to nothing where it fails, and saves the loop where not.
+    # Consecutive messages often have equal length: the guess is cheap, and saves the loop where it holds.
     most = min(_BLOCK, (end - at) // step, max(1, _BLOCK_BYTES // step))
     heads = np.ndarray((most,), _HEAD, data, at, (step,))
     alike = (heads["opcode"] == MESSAGE) & (heads["size"] == length)
@@ -258,7 +258,7 @@ def _one_after_another(data: memoryview, at: int, end: int) -> tuple[Array, int]
 
 
 def every_record(data: memoryview) -> Iterator[Record]:
-    """All records of an undamaged file, those inside chunks in place of the chunk; FormatError at the first damage."""
+    """All records of an undamaged file, those of chunks in place of the chunk; FormatError at the first damage."""
     buffer = Buffer()
     for opcode, at, length in iter_records(data, len(MAGIC), len(data) - len(MAGIC)):
         if opcode == CHUNK:

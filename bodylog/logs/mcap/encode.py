@@ -1,4 +1,4 @@
-"""MCAP records as bytes, one function each (https://mcap.dev/spec), and message records by the thousand."""
+"""MCAP records as bytes, one function each (https://mcap.dev/spec), and message records in bulk."""
 
 import struct
 from collections.abc import Iterator, Mapping
@@ -43,7 +43,7 @@ MESSAGE_HEAD = _MESSAGE.itemsize
 class MessageTable:
     """n messages of any channels: channel, sequence, log_ns, publish_ns (n,), payload i in data at offset[i].
 
-    Offsets count through the arrays of `data`, one after another; no payload lies in two.
+    Offsets count through the concatenated arrays of `data`; no payload spans two of them.
     """
 
     channel: Array
@@ -100,22 +100,22 @@ def metadata(name: str, pairs: Mapping[str, str]) -> bytes:
 
 
 def metadata_index(offset: int, length: int, name: str) -> bytes:
-    """Where a metadata record lies."""
+    """Where a metadata record is."""
     return record(METADATA_INDEX, struct.pack("<QQ", offset, length), string(name))
 
 
-def attachment(said: Mapping[str, Any]) -> bytes:
-    """A file with the fields `said` of another log's attachment, and a CRC-32 of its own."""
-    data = bytes(said["data"])
-    body = struct.pack("<QQ", said["log_time"], said["create_time"]) + string(said["name"])
-    body += string(said["media_type"]) + struct.pack("<Q", len(data)) + data
+def attachment(fields: Mapping[str, Any]) -> bytes:
+    """An attachment record with the `fields` of another log's attachment, and a new CRC-32."""
+    data = bytes(fields["data"])
+    body = struct.pack("<QQ", fields["log_time"], fields["create_time"]) + string(fields["name"])
+    body += string(fields["media_type"]) + struct.pack("<Q", len(data)) + data
     return record(ATTACHMENT, body, struct.pack("<I", crc32(body)))
 
 
-def attachment_index(offset: int, length: int, said: Mapping[str, Any]) -> bytes:
-    """Where an attachment with the fields `said` lies."""
-    numbers = struct.pack("<QQQQQ", offset, length, said["log_time"], said["create_time"], len(said["data"]))
-    return record(ATTACHMENT_INDEX, numbers, string(said["name"]), string(said["media_type"]))
+def attachment_index(offset: int, length: int, fields: Mapping[str, Any]) -> bytes:
+    """The index record of an attachment with these `fields`."""
+    numbers = struct.pack("<QQQQQ", offset, length, fields["log_time"], fields["create_time"], len(fields["data"]))
+    return record(ATTACHMENT_INDEX, numbers, string(fields["name"]), string(fields["media_type"]))
 
 
 def chunk(start_ns: int, end_ns: int, size: int, crc: int, compression: str, stored: bytes) -> tuple[bytes, int]:
@@ -125,7 +125,7 @@ def chunk(start_ns: int, end_ns: int, size: int, crc: int, compression: str, sto
 
 
 def message_index(number: int, log_ns: Array, offset: Array) -> bytes:
-    """When and where in the chunk one channel's messages are."""
+    """Log times of one channel's messages and their offsets in the chunk."""
     pairs = np.empty((len(log_ns), 2), "<u8")
     pairs[:, 0], pairs[:, 1] = log_ns, offset
     return record(MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes())
@@ -159,12 +159,12 @@ def statistics(counts: Mapping[int, int], numbers: tuple[int, int, int, int, int
 
 
 def data_end(crc: int) -> bytes:
-    """The end of the data section; crc 0 says: not computed."""
+    """The end of the data section; crc 0 means: not computed."""
     return record(DATA_END, struct.pack("<I", crc))
 
 
 def messages(table: MessageTable) -> tuple[Array, Array]:
-    """All message records one after another as (bytes,) uint8, and where each begins (n,)."""
+    """All message records concatenated as (bytes,) uint8, and where each begins (n,)."""
     size = table.length + MESSAGE_HEAD
     start = np.cumsum(size) - size
     head = np.zeros(len(size), _MESSAGE)
@@ -175,14 +175,14 @@ def messages(table: MessageTable) -> tuple[Array, Array]:
     _windows(out, MESSAGE_HEAD)[start] = head.view(f"V{MESSAGE_HEAD}")
     edges = np.cumsum([0, *(data.size for data in table.data)])
     for number, here in groups(np.searchsorted(edges, table.offset, "right") - 1):
-        if number < len(table.data):  # what begins behind them all is empty
+        if number < len(table.data):  # an empty payload may begin at the very end
             where = table.offset[here] - edges[number]
             _copy(table.data[number], where, out, start[here] + MESSAGE_HEAD, table.length[here])
     return out, start
 
 
 def groups(numbers: Array) -> Iterator[tuple[int, Array]]:
-    """Each of the numbers (n,), below 65,536, that there are, ascending, with the rows (m,) where it stands."""
+    """The distinct numbers of (n,), each below 65,536, ascending, with the rows (m,) where each occurs."""
     numbers = numbers.astype(np.uint16)
     order = np.argsort(numbers, kind="stable")
     edges = np.flatnonzero(np.diff(numbers[order])) + 1
@@ -191,7 +191,7 @@ def groups(numbers: Array) -> Iterator[tuple[int, Array]]:
 
 
 def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
-    """Pieces of `data` one after another (bytes,) uint8, and where each begins (n,)."""
+    """Pieces of `data` concatenated (bytes,) uint8, and where each begins (n,)."""
     start = np.cumsum(length) - length
     out = np.empty(int(length.sum()), np.uint8)
     _copy(data, offset, out, start, length)
@@ -199,7 +199,7 @@ def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
 
 
 def _copy(source: Array, where: Array, out: Array, to: Array, length: Array) -> None:
-    """Scatter pieces of `source` into `out`, those of one length at once."""
+    """Copy pieces of `source` into `out`, all pieces of one length at once."""
     alike = bool(len(length)) and length.min() == length.max()
     for size in (length[:1] if alike else np.unique(length)).tolist():
         rows = slice(None) if alike else np.flatnonzero(length == size)
@@ -208,5 +208,5 @@ def _copy(source: Array, where: Array, out: Array, to: Array, length: Array) -> 
 
 
 def _windows(data: Array, size: int) -> Array:
-    """`size` bytes from every place (bytes,) of `data` on, each as one item: moved as a block, not byte by byte."""
+    """The `size` bytes from every offset (bytes,) of `data` as one item each: copied as a block, not byte by byte."""
     return np.ndarray(max(0, len(data) - size + 1), f"V{size}", data, 0, (1,))

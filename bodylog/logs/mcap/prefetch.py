@@ -1,4 +1,4 @@
-"""Chunks unpacked one after another, the next one already while the one before is used."""
+"""Decompress chunks one after another, the next one in the background while the current one is used."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -18,7 +18,7 @@ _SMALL = 4 << 20
 """Bytes of a log that are unpacked in less time than it takes to have a thread for it."""
 
 _SHORT, _LONG = 1 << 14, 8 << 20
-"""Packed bytes: shorter chunks are unpacked sooner than handed over, of longer ones memory shall not hold two."""
+"""Bytes that decompress faster than a thread starts."""
 
 Unpacked = Array | FormatError | None
 """A chunk's records, or why there are none; None for messages outside chunks."""
@@ -27,7 +27,7 @@ Unpacked = Array | FormatError | None
 def unpacked_parts(
     data: memoryview, parts: Sequence[Chunk | Loose], diagnostics: Diagnostics, alone: bool = False
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
-    """Each part with what it unpacks to, valid until the next is asked for; `alone`: nothing between is wanted."""
+    """Each part with its decompressed records, valid until the next; `alone`: nothing between is needed."""
     if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _processors() < 2:
         buffer = Buffer(diagnostics.path, diagnostics.limits)
         yield from ((part, _unpacked(data, part, buffer, alone)) for part in parts)
@@ -41,7 +41,7 @@ def unpacked_parts(
 def _overlapped(
     data: memoryview, parts: Sequence[Chunk | Loose], pool: "ThreadPoolExecutor", diagnostics: Diagnostics, alone: bool
 ) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
-    """Two buffers in turn; the first part comes alone, since who looks at a log's beginning wants no more."""
+    """Alternate between two buffers; the first part is not overlapped, as some callers read only a log's beginning."""
     here, there = Buffer(diagnostics.path, diagnostics.limits), Buffer(diagnostics.path, diagnostics.limits)
     waiting: Future[Unpacked] | None = None
     for number, part in enumerate(parts):

@@ -1,4 +1,4 @@
-"""Which bytes of an MCAP can stay as they are, so that more chunks and a new summary can follow them."""
+"""Find the leading bytes of an MCAP that can be kept, so that more chunks and a new summary can follow them."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -30,16 +30,16 @@ from .records import (
 from .writer import Contents
 
 NAME = "bodylog"
-"""The metadata record that says how it was made."""
+"""Name of the metadata record that describes how an estimate was made."""
 
 _INDEX_HEAD, _INDEX_ENTRY = 6, 16
 _Summary = Mapping[int, list[tuple[Record, bytes]]]
-"""Opcode -> the summary's records, parsed and as they are."""
+"""Opcode -> the summary's records, parsed and raw."""
 
 
 @dataclass(frozen=True)
 class Prefix:
-    """Bytes [0, end) of a file, what its summary says of them, and their CRC where the file keeps one."""
+    """Bytes [0, end) of a file, the summary of their content, and their CRC if the file has one."""
 
     end: int
     crc: int | None
@@ -47,7 +47,7 @@ class Prefix:
 
 
 class _Part(NamedTuple):
-    """One record of the data section; `channels` are those it speaks of, None when it is no channel's."""
+    """One record of the data section; `channels` are those it refers to, None if it refers to none."""
 
     opcode: int
     start: int
@@ -56,17 +56,17 @@ class _Part(NamedTuple):
 
 
 def reusable_prefix(path: Path) -> Prefix:
-    """All of a chunked MCAP with a sound summary but what an earlier run appended.
+    """All of a chunked MCAP with a sound summary, except what an earlier run appended.
 
-    FormatError says why the file must be rewritten instead: not chunked, no summary, one that its data contradict, or
-    /bodylog/ messages between others; or a name is no UTF-8, which other readers refuse.
+    FormatError gives the reason to rewrite the file: it is not chunked, has no summary, or one that contradicts the
+    data; or messages under `PREFIX` lie between others; or a name is not UTF-8, which other readers reject.
     """
     with RecordFile(path) as file:
         return _reusable_prefix(file, PREFIX)
 
 
 def count_messages(path: Path) -> int:
-    """How many messages the message indexes of an MCAP hold; FormatError where summary and data disagree."""
+    """Count an MCAP's messages by its message indexes; FormatError where summary and data disagree."""
     with RecordFile(path) as file:
         return sum(_reusable_prefix(file, None).contents.counts.values())
 
@@ -88,40 +88,40 @@ def _reusable_prefix(file: RecordFile, root: str | None) -> Prefix:
 
 
 def no_utf8(record: Record) -> bool:
-    """Whether a text of a record has the character that stands for bytes that are no UTF-8."""
+    """Whether a text of a record contains the replacement character for bytes that are not UTF-8."""
     values = [(*v, *v.values()) if isinstance(v, dict) else (v,) for v in record.fields.values()]
     return any(isinstance(text, str) and "\ufffd" in text for texts in values for text in texts)
 
 
 def _named(file: RecordFile, end: int, summary: list[Record]) -> Iterator[Record]:
-    """The records of a file that hold names: its header, what its summary repeats, and metadata but ours."""
+    """The records that hold names: header, repeated records of the summary, and metadata other than bodylog's."""
     first = next(file.heads(end), None)
     if first is not None and first.opcode == HEADER:
         yield file.fields(first)
     yield from summary
     for record in summary:
-        said = record.fields
-        if record.opcode == METADATA_INDEX and said["name"] != NAME:
-            raw = memoryview(file.read(said["offset"], said["length"]))
-            yield parse(METADATA, raw[HEAD.size :], said["offset"])
+        fields = record.fields
+        if record.opcode == METADATA_INDEX and fields["name"] != NAME:
+            raw = memoryview(file.read(fields["offset"], fields["length"]))
+            yield parse(METADATA, raw[HEAD.size :], fields["offset"])
 
 
 def _heads(summary: _Summary) -> Iterator[tuple[int, int]]:
-    """Where (byte, size) the summary says that there are heads between what is long."""
+    """Where (byte, size) the summary locates record heads between long contents."""
     for record, _ in summary.get(CHUNK_INDEX, []):
-        said = record.fields
-        yield said["chunk_start_offset"], 1
-        yield said["chunk_start_offset"] + said["chunk_length"], said["message_index_length"] + 1
+        fields = record.fields
+        yield fields["chunk_start_offset"], 1
+        yield fields["chunk_start_offset"] + fields["chunk_length"], fields["message_index_length"] + 1
 
 
 def _parts(heads: Iterable[Head], summary: _Summary) -> list[_Part]:
     """The data section's records, each as the summary describes it; FormatError where the two disagree."""
     chunks = [r.fields for r, _ in summary.get(CHUNK_INDEX, [])]
-    indexed = {said["chunk_start_offset"]: _set(tuple(said["message_index_offsets"])) for said in chunks}
+    indexed = {fields["chunk_start_offset"]: _set(tuple(fields["message_index_offsets"])) for fields in chunks}
     parts = [_part(head, indexed) for head in heads]
     _agree([p.start for p in parts if p.opcode == CHUNK], list(indexed), "chunks")
     found = [(c, p.start) for p in parts if p.opcode == MESSAGE_INDEX for c in p.channels or ()]
-    _agree(found, [pair for said in chunks for pair in said["message_index_offsets"].items()], "message indexes")
+    _agree(found, [pair for fields in chunks for pair in fields["message_index_offsets"].items()], "message indexes")
     for opcode, index in ((ATTACHMENT, ATTACHMENT_INDEX), (METADATA, METADATA_INDEX)):
         listed = [r.fields["offset"] for r, _ in summary.get(index, [])]
         _agree([p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata")
@@ -149,7 +149,7 @@ def _part(head: Head, indexed: Mapping[int, frozenset[int]]) -> _Part:
 
 @lru_cache
 def _set(channels: tuple[int, ...]) -> frozenset[int]:
-    """One object for all the records that speak of the same channels: a long log has very many."""
+    """One shared object for equal channel sets: a long log has very many records."""
     return frozenset(channels)
 
 
@@ -164,7 +164,7 @@ def _ours(summary: _Summary, root: str | None) -> frozenset[int]:
 
 
 def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
-    """Where the tail begins that an earlier run appended, at the schemas in front of its first channel; or DataEnd."""
+    """Where an earlier run's tail begins, at the schemas before its first channel; else at DataEnd."""
     first = next((i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1)
     tail = parts[first:-1]
     if any(p.opcode == ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours for p in tail):
@@ -175,7 +175,7 @@ def _cut(parts: list[_Part], ours: frozenset[int], foreign: set[int]) -> int:
 
 
 def _crc(file: RecordFile, cut: int, end: int) -> int | None:
-    """The CRC of the bytes kept; None where the file does not keep one."""
+    """The CRC of the kept bytes; None if the file has none."""
     stored = int.from_bytes(file.read(end, 13)[9:], "little")
     if not stored:
         return None
@@ -183,7 +183,7 @@ def _crc(file: RecordFile, cut: int, end: int) -> int | None:
 
 
 def _contents(summary: _Summary, kept: list[_Part], ours: frozenset[int]) -> Contents:
-    """What the summary says of the parts kept; FormatError where it leaves out what they need."""
+    """The summary of the kept parts; FormatError if it lacks something they need."""
     channels = {r.fields["id"]: (r, raw) for r, raw in summary.get(CHANNEL, []) if r.fields["id"] not in ours}
     used = {r.fields["schema_id"] for r, _ in channels.values()}
     dropped = {r.fields["schema_id"] for r, _ in summary.get(CHANNEL, []) if r.fields["id"] in ours} - used
@@ -204,7 +204,7 @@ def _contents(summary: _Summary, kept: list[_Part], ours: frozenset[int]) -> Con
 
 
 def _count(contents: Contents, summary: _Summary, kept: list[_Part], places: set[int]) -> None:
-    """Messages per channel by the message indexes, and the span of the chunks kept; the statistics must agree."""
+    """Messages per channel by the message indexes, and the time span of the kept chunks; the statistics must agree."""
     for part in kept:
         if part.opcode == MESSAGE_INDEX:
             number = next(iter(part.channels or ()))

@@ -1,4 +1,4 @@
-"""MCAP files -> undecoded batches; nothing is read that the topics asked for do not need."""
+"""Read MCAP files as undecoded batches; only what the requested topics need is read."""
 
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -21,12 +21,12 @@ from .uncompressed import runs, together
 
 
 class McapLog:
-    """One MCAP file, memory-mapped; see protocol.Log."""
+    """One memory-mapped MCAP file; see protocol.Log."""
 
     format = "mcap"
 
     def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
-        """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
+        """Map `source` (default: `path`) and survey it; LogError when strict and something is lost."""
         from .scan import survey_of
 
         self.path = path
@@ -38,14 +38,14 @@ class McapLog:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found wrong so far; reading on may add to it."""
+        """Problems found so far; further reading may add to them."""
         return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
         topic_of = self._topic_of.copy()
         if ids is not None:
-            known = np.zeros(len(self.topics) + 1, bool)  # the last is that of -1
+            known = np.zeros(len(self.topics) + 1, bool)  # index -1 stands for no topic
             known[[number for number in ids if 0 <= number < len(self.topics)]] = True
             topic_of[~known[topic_of]] = -1
         found = self.messages(topic_of >= 0)
@@ -53,7 +53,7 @@ class McapLog:
         yield from decompress_messages(batches, self.topics, self._diagnostics)
 
     def messages(self, wanted: Array | None = None) -> Iterator[tuple[Array, MessageRecords]]:
-        """Chunk by chunk, the bytes and the messages in them; chunks with no channel `wanted` (65536,) are left out."""
+        """The bytes of each chunk and the messages in them; chunks without a channel `wanted` (65536,) are skipped."""
         done, channels = 0, None if wanted is None else frozenset(np.flatnonzero(wanted).tolist())
         parts = [part for part in self.survey.parts if _holds(part, channels)]
         alone = 2 * len(parts) < len(self.survey.parts)
@@ -63,7 +63,7 @@ class McapLog:
                 yield from self._one_by_one(some, alone)
                 continue
             yield found
-            drop_pages(self._data, done, some[0].start)  # not this run, whose pictures may still be looked at
+            drop_pages(self._data, done, some[0].start)  # not this run, whose images may still be in use
             done = some[0].start
         drop_pages(self._data, done, len(self._data))
 
@@ -81,15 +81,15 @@ class McapLog:
                 lose(self._data, part, content, self._diagnostics)
             elif content is not None:
                 yield content, messages(content, self._data, part, self._diagnostics)
-            drop_pages(self._data, done, part.start + part.length)  # and what was touched since the chunk before
+            drop_pages(self._data, done, part.start + part.length)  # and the pages touched since the last chunk
             done = part.start + part.length
 
     def spans(self) -> dict[int, tuple[int, int]]:
-        """First and last log time (ns) by topic id, where every message is in a message index."""
+        """First and last log time (ns) by topic id, if every message is in a message index."""
         return spans_of(self._data, self.survey.parts, self._topic_of)
 
     def records(self, opcode: int) -> Iterator[Record]:
-        """The sound records of that opcode that are not in chunks."""
+        """The sound records of that opcode outside chunks."""
         from .resync import sound_records
 
         ensure_local(self._data, 0, len(self._data))
@@ -98,22 +98,22 @@ class McapLog:
                 yield parse(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)
 
     def close(self) -> None:
-        """Let go of the file; batches still held keep their bytes."""
+        """Close the file; batches still held keep their bytes."""
         self._data = memoryview(b"")
 
     def __enter__(self) -> "McapLog":
-        """The log itself."""
+        """Return the log."""
         return self
 
     def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
-        """Close; LogError when the file was cut meanwhile."""
+        """Close the file; LogError when it was truncated meanwhile."""
         data = self._data
         self.close()
         check_untruncated(data, self.path, problem)
 
 
 def _holds(part: Chunk | Loose, wanted: frozenset[int] | None) -> bool:
-    """Whether there may be messages of the channels `wanted` in it."""
+    """Whether the part may hold messages of the channels `wanted`."""
     if wanted is None or isinstance(part, Loose) or not part.listed or not part.indexes:
         return True
     return not wanted.isdisjoint(part.indexes)
@@ -123,18 +123,18 @@ def _topics(survey: Survey, diagnostics: Diagnostics) -> tuple[tuple[Topic, ...]
     """The topics, and a table (65536,) from channel id to topic id, -1 where there is none."""
     topics, topic_of = Topics(), np.full(1 << 16, -1, np.int64)
     for channel, record in survey.channels.items():
-        said = record.fields
-        schema = survey.schemas.get(said["schema_id"])
+        fields = record.fields
+        schema = survey.schemas.get(fields["schema_id"])
         name, encoding, data = ("", "", b"")
         if schema is not None:
             name, encoding, data = schema.fields["name"], schema.fields["encoding"], schema.fields["data"]
-        elif said["schema_id"] and channel in survey.counts:
+        elif fields["schema_id"] and channel in survey.counts:
             diagnostics.warn(
-                f"topic {said['topic']}: schema {said['schema_id']} is missing; its messages are undefined"
+                f"topic {fields['topic']}: schema {fields['schema_id']} is missing; its messages are undefined"
             )
         count = survey.counts.get(channel, 0)
         topic_of[channel] = topics.add(
-            said["topic"], name, said["message_encoding"], data, encoding, count, said["metadata"]
+            fields["topic"], name, fields["message_encoding"], data, encoding, count, fields["metadata"]
         )
     return topics.all(), topic_of
 

@@ -1,4 +1,4 @@
-"""An MCAP's records outside chunks, read head by head: what is not looked at is never brought into memory."""
+"""Read an MCAP's records outside chunks head by head, without loading the rest."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -16,7 +16,7 @@ _FOOTER = HEAD.size + 20 + len(MAGIC)
 
 
 class Head(NamedTuple):
-    """One record: opcode, where it starts, length of its body, and that body's first six bytes."""
+    """One record: opcode, start, length of its body, and the body's first six bytes."""
 
     opcode: int
     start: int
@@ -30,10 +30,10 @@ class Head(NamedTuple):
 
 
 class RecordFile:
-    """An open MCAP file."""
+    """An open MCAP file, read record by record."""
 
     def __init__(self, path: Path) -> None:
-        """Open it; FormatError when it does not begin as an MCAP."""
+        """Open the file; FormatError when it does not begin as an MCAP."""
         self._file = path.open("rb", buffering=0)
         self.size = os.fstat(self._file.fileno()).st_size
         if os.pread(self._file.fileno(), len(MAGIC), 0) != MAGIC:
@@ -41,36 +41,36 @@ class RecordFile:
             raise FormatError("the file does not begin as an MCAP")
 
     def __enter__(self) -> "RecordFile":
-        """The file itself."""
+        """Return the file."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the file."""
         self._file.close()
 
     def read(self, start: int, size: int) -> bytes:
-        """The bytes from `start`; FormatError when the file ends before."""
+        """Read `size` bytes from `start`; FormatError when the file ends before."""
         found = os.pread(self._file.fileno(), size, start)
         if len(found) < size:
             raise FormatError(f"byte {start}: {len(found)} bytes where {size} belong")
         return found
 
     def prefetch(self, places: Iterable[tuple[int, int]]) -> None:
-        """Have the disk fetch these (start, size) all at once: one after the other, each would be waited for."""
+        """Request these (start, size) from the disk all at once, to avoid waiting for each in turn."""
         for start, size in places if hasattr(os, "posix_fadvise") else ():
             if start + size <= self.size:
                 os.posix_fadvise(self._file.fileno(), start, size, os.POSIX_FADV_WILLNEED)
 
     def record(self, head: Head) -> bytes:
-        """A whole record."""
+        """Read a whole record."""
         return self.read(head.start, HEAD.size + head.size)
 
     def fields(self, head: Head) -> Record:
-        """A whole record, parsed."""
+        """Read and parse a whole record."""
         return parse(head.opcode, memoryview(self.record(head))[HEAD.size :], head.start)
 
     def heads(self, end: int) -> Iterator[Head]:
-        """The records from the magic to byte `end`; FormatError where one passes it."""
+        """The records from the magic to byte `end`; FormatError where one extends past it."""
         at, low, window = len(MAGIC), 0, b""
         while at < end:
             if at - low + HEAD.size + _FIRST > len(window):
@@ -85,17 +85,17 @@ class RecordFile:
             at += HEAD.size + size
 
     def summary(self) -> tuple[int, list[tuple[Record, bytes]]]:
-        """Where the summary starts, and its records, parsed and as they are; FormatError when it cannot be believed."""
+        """Where the summary starts, and its records, parsed and raw; FormatError when it is damaged."""
         foot = self.size - _FOOTER
         tail = self.read(max(foot, 0), min(_FOOTER, self.size))
         if foot < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC or tail[0] != FOOTER:
             raise FormatError("the file does not end in a footer")
-        said = parse(FOOTER, memoryview(tail)[HEAD.size : -len(MAGIC)]).fields
-        start = int(said["summary_start"])
+        fields = parse(FOOTER, memoryview(tail)[HEAD.size : -len(MAGIC)]).fields
+        start = int(fields["summary_start"])
         if not len(MAGIC) <= start < foot:
             raise FormatError("there is no summary")
         raw = self.read(start, foot - start)
-        if said["summary_crc"] not in (0, crc32(raw + tail[: HEAD.size + 16])):
+        if fields["summary_crc"] not in (0, crc32(raw + tail[: HEAD.size + 16])):
             raise FormatError("the summary's CRC fails")
         view = memoryview(raw)
         records = [
@@ -113,7 +113,7 @@ class RecordFile:
 
 
 def sound_heads(path: Path) -> Iterator[tuple[RecordFile, Head]]:
-    """The records outside chunks up to the first that is damaged; none when the file is no MCAP."""
+    """The records outside chunks up to the first damaged one; none when the file is not an MCAP."""
     try:
         with RecordFile(path) as file:
             for head in file.heads(file.size - len(MAGIC)):

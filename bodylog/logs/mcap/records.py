@@ -1,4 +1,4 @@
-"""MCAP records: one table of fields per opcode, read with every length checked against its record."""
+"""MCAP records: one table of fields per opcode; every length is checked against its record."""
 
 import struct
 from collections.abc import Iterator
@@ -48,7 +48,7 @@ FIELDS: dict[int, tuple[str, str]] = {
     SUMMARY_OFFSET: ("SummaryOffset", "group_opcode:u8 group_start:u64 group_length:u64"),
     DATA_END: ("DataEnd", "data_section_crc:u32"),
 }
-"""opcode -> name of the record and its fields in order, each with its kind."""
+"""Opcode -> name of the record and its fields in order, each with its kind."""
 
 _CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q"}
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
@@ -56,7 +56,7 @@ _OFFSET = struct.Struct("<HQ")
 
 
 def _plan(fields: str) -> tuple[tuple[str, tuple[str, ...], struct.Struct], ...]:
-    """Fields in order as (kind, names, struct); numbers that follow one another are read at once."""
+    """Fields in order as (kind, names, struct); adjacent numbers are read at once."""
     steps: list[tuple[str, tuple[str, ...], str]] = []
     for name, kind in (field.split(":") for field in fields.split()):
         if kind in _CODES and steps and steps[-1][0] == "numbers":
@@ -71,7 +71,7 @@ _PLANS = {opcode: _plan(fields) for opcode, (_, fields) in FIELDS.items()}
 
 @dataclass(frozen=True)
 class Record:
-    """One record: opcode, where it starts in its file or chunk, and its fields by name."""
+    """One record: opcode, start in its file or chunk, and fields by name."""
 
     opcode: int
     start: int
@@ -135,7 +135,7 @@ def is_mcap(path: Path) -> bool:
 
 
 def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
-    """The record in `body`; FormatError when a length inside contradicts it."""
+    """Parse the record in `body`; FormatError when an inner length contradicts it."""
     reader = _Reader(body)
     fields: dict[str, Any] = {}
     for kind, names, numbers in _PLANS[opcode]:
@@ -147,7 +147,7 @@ def parse(opcode: int, body: memoryview, start: int = 0) -> Record:
 
 
 def iter_records(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """(opcode, body start, body length) of the records from `start`; FormatError where one passes `end`."""
+    """(opcode, body start, body length) of the records from `start`; FormatError where one extends past `end`."""
     at = start
     while at < end:
         if end - at < HEAD.size:

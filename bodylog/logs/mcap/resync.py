@@ -1,4 +1,4 @@
-"""Records of a damaged MCAP: where the next sound one begins, and what lies in between."""
+"""Find the next sound record in a damaged MCAP, and the bytes lost before it."""
 
 from collections.abc import Callable, Collection, Iterator
 
@@ -33,20 +33,20 @@ _FEW = 16
 _SHORTEST = MESSAGE_HEAD.itemsize - HEAD.size
 
 Found = tuple[int, int, int]
-"""A record: opcode, where it starts, length of its body."""
+"""A record: opcode, start, length of its body."""
 
 
 Many = Callable[[Array, int], bool]
-"""Takes messages that follow one another, where they start (n,) and where they end, or declines."""
+"""Takes or declines consecutive messages: where they start (n,) and where they end."""
 
 
 def sound_records(
     data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None],
     many: Many = lambda _starts, _end: False,
 ) -> Iterator[Found]:  # fmt: skip
-    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of.
+    """The records between two bytes; after each damage `lost(start, size)` is called and the search resumes.
 
-    Messages that `many` takes, many at a time, are not among them.
+    Messages that `many` takes in bulk are not yielded.
     """
     at, chunked, singly = start, None, start
     held: Found | None = None
@@ -57,7 +57,7 @@ def sound_records(
                 if held:
                     yield held
                     held = None
-                # The last one's length may be a lie, which what follows it shows.
+                # The last one's length may be wrong; the next record shows it.
                 at = int(starts[-1]) if many(starts[:-1], int(starts[-1])) else at
         opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
         if (opcode == MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _plausible(data, at, end):
@@ -74,7 +74,7 @@ def sound_records(
         low = at if held is None or held[0] == CHUNK else held[1] + 1
         found = resync(data, low, end, *_sought(chunked, channels))
         begin = at
-        if held and found is not None and found < at:  # the length of the record before was the lie
+        if held and found is not None and found < at:  # the length of the record before was wrong
             begin = held[1]
         elif held:
             yield held
@@ -86,7 +86,7 @@ def sound_records(
 
 
 def _chunked(data: memoryview, start: int, end: int) -> bool:
-    """Whether what follows a damage are chunks and their indexes, even if the file is cut inside the first of them."""
+    """Whether chunks and their indexes follow a damage, even if the file ends inside the first of them."""
     if _chunk_like(data, start):
         return True
     for low in range(start, end, _WINDOW):
@@ -100,7 +100,7 @@ def _chunked(data: memoryview, start: int, end: int) -> bool:
 
 
 def _chunk_like(data: memoryview, at: int) -> bool:
-    """Whether a chunk begins at a damaged place: at least two signs of its head are there."""
+    """Whether a chunk begins at a damaged place: at least two marks of its head are present."""
     if len(data) - at < HEAD.size + _CHUNK_FIXED:
         return False
     opcode, length = HEAD.unpack_from(data, at)
@@ -118,7 +118,7 @@ def _chunk_like(data: memoryview, at: int) -> bool:
 
 
 def _sought(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
-    """Opcodes and channels to look for after damage: what lies in a damaged chunk cannot be checked, so not inside."""
+    """Opcodes and channels to search for after damage, outside chunks: content of a damaged chunk is unchecked."""
     return ((*_IN_CHUNKED, DATA_END), ()) if chunked else ((SCHEMA, CHANNEL, DATA_END), channels)
 
 
@@ -143,7 +143,7 @@ def _plausible(data: memoryview, at: int, end: int) -> bool:
 
 
 def resync(data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]) -> int | None:
-    """The first byte from `start` where such a record, or a message of such a channel, convincingly begins, or None."""
+    """The first byte from `start` where such a record, or a message of such a channel, plausibly begins, or None."""
     known = np.zeros(1 << 16, bool)
     known[list(channels)] = True
     for low in range(start, end, _WINDOW):
@@ -166,7 +166,7 @@ def _candidates(window: memoryview, left: int, opcodes: list[int], known: Array)
 
 
 def _convincing(data: memoryview, at: int, end: int) -> bool:
-    """Whether a whole record is at `at` and either it is a chunk that adds up or another record follows it."""
+    """Whether a whole record is at `at`, and it is either a consistent chunk or followed by another record."""
     if not _plausible(data, at, end):
         return False
     opcode, length = HEAD.unpack_from(data, at)

@@ -1,4 +1,4 @@
-"""Survey an MCAP whatever state it is in: by its summary, by its records, and past damage to the next sound record."""
+"""Survey an MCAP in any state: by its summary, by its records, and past damage to the next sound record."""
 
 import struct
 from pathlib import Path
@@ -38,7 +38,7 @@ _TIMES = struct.Struct("<QQ")
 
 
 def survey_of(data: memoryview, diagnostics: Diagnostics) -> Survey:
-    """What the file holds; damage and doubts go to the diagnostics."""
+    """Survey the file; damage and contradictions go to the diagnostics."""
     survey = None
     try:
         summary = summary_of(data)
@@ -77,7 +77,7 @@ def _summarised(data: memoryview, summary: Summary, diagnostics: Diagnostics) ->
 
 
 def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: Diagnostics) -> int | None:
-    """Add what lies between two bytes to the survey; FOOTER or DATA_END if they were met, CHUNK if a cut was said."""
+    """Survey the records between two bytes; returns FOOTER or DATA_END if met, CHUNK if the file is truncated."""
     if start == end:
         return None
     ensure_local(data, start, end)
@@ -94,7 +94,7 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: D
         else:
             why = f"the file ends in this chunk, after {size} bytes, which are read without their checksum"
             diagnostics.add_loss(at, None, None, None, why)
-        run.chunk, run.loss, run.told = None, at, at + size == end
+        run.chunk, run.loss, run.is_cut = None, at, at + size == end
         if survey.parts and isinstance(survey.parts[-1], Chunk):
             survey.parts[-1] = survey.parts[-1]._replace(indexes={})
         survey.parts += [cut] if cut else []
@@ -121,11 +121,11 @@ def _scan(data: memoryview, start: int, end: int, survey: Survey, diagnostics: D
         elif opcode == MESSAGE_INDEX:
             run.index(at)
     run.close(end)
-    return ended or (CHUNK if run.told else None)
+    return ended or (CHUNK if run.is_cut else None)
 
 
 class _Run:
-    """Messages outside chunks, counted until something else interrupts them."""
+    """Consecutive messages outside chunks."""
 
     def __init__(self, data: memoryview, survey: Survey, start: int, diagnostics: Diagnostics) -> None:
         self._data = data
@@ -136,7 +136,7 @@ class _Run:
         self._found: list[int] = []
         self.chunk: Chunk | None = None
         self.loss: int | None = None
-        self.told = False
+        self.is_cut = False
 
     def add(self, start: int, end: int) -> None:
         """Count the message between two bytes."""
@@ -146,20 +146,20 @@ class _Run:
             self._flush()
 
     def extend(self, starts: Array, end: int) -> None:
-        """Count messages (n,) that follow one another up to byte `end`."""
+        """Count consecutive messages (n,) up to byte `end`."""
         self._flush()
         self._end = end
         self._count(starts)
 
     def close(self, following: int) -> None:
-        """End the run, a part of the survey if there were messages in it; the next starts at byte `following`."""
+        """End the run and add it to the survey if it has messages; the next run starts at byte `following`."""
         self._flush()
         if self._end > self._start:
             self._survey.parts.append(Loose(self._start, self._end))
         self._start = self._end = following
 
     def credible(self, at: int, length: int) -> bool:
-        """Whether a message in a file of chunks is one: not a message index or channel with a flipped bit."""
+        """Whether a message outside chunks in a chunked file is real, not an index or channel with a flipped bit."""
         chunks = [part for part in self._survey.parts[-1:] if isinstance(part, Chunk)]
         if not chunks:
             return True
@@ -168,7 +168,7 @@ class _Run:
         return bool(near and listed != length - _INDEX_HEAD)
 
     def follow(self, chunk: Chunk) -> None:
-        """Take in a chunk; what was lost before it lies between it and the chunk before that."""
+        """Add a chunk; an earlier loss lies between it and the chunk before."""
         parts = self._survey.parts
         before = parts[-1].end_ns if parts and isinstance(parts[-1], Chunk) else None
         if self.loss is not None and before is not None and 0 <= chunk.start_ns - before < _LONGEST_NS:
@@ -177,7 +177,7 @@ class _Run:
         parts.append(chunk)
 
     def index(self, at: int) -> None:
-        """Take in a MessageIndex: it belongs to the chunk before, or counts the messages of a chunk that was lost."""
+        """Assign a MessageIndex to the chunk before it, or count the messages of a lost chunk by it."""
         if self.chunk is not None:
             (channel,) = _CHANNEL.unpack_from(self._data, at + HEAD.size)
             self.chunk = self.chunk._replace(indexes={**self.chunk.indexes, channel: at})
@@ -197,7 +197,7 @@ class _Run:
 
 
 def _learn(data: memoryview, survey: Survey, diagnostics: Diagnostics) -> None:
-    """Count the messages of every chunk: by its indexes where all their channels are known, else by opening it."""
+    """Count the messages of every chunk: by its indexes if all channels are known, else by opening it."""
     buffer, unopened = Buffer(diagnostics.path, diagnostics.limits), []
     for chunk in [part for part in survey.parts if isinstance(part, Chunk)]:
         if chunk.indexes and survey.knows(chunk.indexes):
@@ -214,7 +214,7 @@ def _learn(data: memoryview, survey: Survey, diagnostics: Diagnostics) -> None:
             if chunk.cut and len(heads):
                 diagnostics.set_duration(chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9)
         drop_pages(data, chunk.start, chunk.start + chunk.length)
-    for chunk in unopened:  # a schema may stand in a chunk that holds no message of it
+    for chunk in unopened:  # a chunk may hold a schema but no message of it
         if survey.knows(survey.counts):
             return
         content = load(data, chunk, buffer, diagnostics)
@@ -229,11 +229,11 @@ def _declare(content: memoryview, survey: Survey) -> None:
             if opcode in (SCHEMA, CHANNEL):
                 survey.declare(parse(opcode, content[at : at + length], at))
     except FormatError:
-        return  # messages() walks the same records and reports where they end
+        return  # messages() reads the same records and reports where they end
 
 
 def _cut(data: memoryview, at: int) -> Chunk | None:
-    """The chunk at byte `at` inside of which the file ends, if that is what is there and a message comes before."""
+    """The chunk at byte `at` in which the file ends, if there is one with at least one message."""
     try:
         first, last, *_ = chunk_head(data, at, cut=True)
         chunk = Chunk(at, len(data) - at, first, last, cut=True)
@@ -244,7 +244,7 @@ def _cut(data: memoryview, at: int) -> Chunk | None:
 
 
 def _seconds(data: memoryview, at: int) -> float | None:
-    """How long the chunk that was cut at `at` lasted by its header, if enough of that is left."""
+    """Duration of the truncated chunk at `at` by its header, if that is complete."""
     if len(data) - at < HEAD.size + 16 or data[at] != CHUNK:
         return None
     first, last = _TIMES.unpack_from(data, at + HEAD.size)

@@ -1,4 +1,4 @@
-"""What an MCAP's summary section says, believed only where it agrees with itself and with the file."""
+"""Read an MCAP's summary section; use it only where it agrees with itself and with the file."""
 
 import struct
 from collections.abc import Iterator
@@ -20,9 +20,9 @@ _INDEX_SIZES = 16
 
 
 class Summary(NamedTuple):
-    """Where it starts, its records but chunk indexes, each chunk with where its indexes end, messages in the indexes.
+    """Start, records except chunk indexes, each chunk with the end of its indexes, number of indexed messages.
 
-    A long log has very many chunk indexes, so no more is kept of them than is used.
+    Chunk indexes are not kept, as a long log has very many.
     """
 
     start: int
@@ -40,13 +40,13 @@ def footer_of(data: memoryview) -> Record | None:
 
 
 def section(data: memoryview) -> tuple[int, int] | None:
-    """Where the summary section starts and ends; None when there is none, FormatError when its CRC fails."""
+    """Start and end of the summary section; None when there is none, FormatError when its CRC fails."""
     footer = footer_of(data)
     if footer is None or not footer.fields["summary_start"]:
         return None
     start, crc = footer.fields["summary_start"], footer.fields["summary_crc"]
     if not len(MAGIC) <= start <= footer.start:
-        raise FormatError(f"it is said to start at byte {start}, outside the file")
+        raise FormatError(f"it is declared to start at byte {start}, outside the file")
     advise_sequential(data, start, len(data), alone=True)
     found = crc32(data[start : footer.start + HEAD.size + 16])
     if crc and found != crc:
@@ -62,7 +62,7 @@ def records_of(data: memoryview, start: int, end: int) -> Iterator[Record]:
 
 
 def summary_of(data: memoryview) -> Summary | None:
-    """What the summary says; None when there is none, FormatError when it is damaged or lists chunks that are not."""
+    """Parse the summary; None when there is none, FormatError when it is damaged or lists chunks that do not exist."""
     place = section(data)
     summary = _summary(data, *place) if place else None
     if summary is None or not (summary.records or summary.chunks):
@@ -77,7 +77,7 @@ def _summary(data: memoryview, start: int, end: int) -> Summary:
         if opcode == CHUNK_INDEX:
             chunk, after = _chunk(data, at, at + size)
             chunks.append((chunk, chunk.start + chunk.length + after))
-            # By arithmetic on their declared length: 15 bytes each and 16 per message.
+            # Computed from their declared length: 15 bytes each and 16 per message.
             indexed += (after - 15 * len(chunk.indexes)) // 16
         elif opcode in FIELDS:
             records.append(parse(opcode, data[at : at + size], at - HEAD.size))
@@ -85,7 +85,7 @@ def _summary(data: memoryview, start: int, end: int) -> Summary:
 
 
 def _fit(data: memoryview, summary: Summary) -> None:
-    """FormatError when a chunk is not where the summary says, or two overlap."""
+    """FormatError when a chunk is not where the summary places it, or two overlap."""
     starts = [*(chunk.start for chunk, _ in summary.chunks[1:]), summary.start]
     for (chunk, end), following in zip(summary.chunks, starts, strict=False):
         if chunk.start < len(MAGIC) or end > following:
@@ -100,7 +100,7 @@ def _fit(data: memoryview, summary: Summary) -> None:
 def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
     """The chunk that the ChunkIndex between two bytes describes, and the length of its message indexes.
 
-    As `records.parse` would read it: a long log has so many that what each takes is what opening the log takes.
+    Equivalent to `records.parse`, but faster: a long log has so many that they determine how long it takes to open.
     """
     if (left := end - at - _INDEX_HEAD.size - _INDEX_TAIL.size) < 0:
         raise FormatError(f"byte {at}: a chunk index of {end - at} bytes")
@@ -117,14 +117,16 @@ def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
 
 
 def believe_counts(summary: Summary, survey: Survey, diagnostics: Diagnostics) -> bool:
-    """Take counts and times from Statistics where they agree with the indexes and the channels; else change nothing."""
-    said = next((record.fields for record in summary.records if record.opcode == STATISTICS), None)
-    if said is None:
+    """Take counts and times from Statistics if they agree with indexes and channels; else change nothing."""
+    statistics = next((record.fields for record in summary.records if record.opcode == STATISTICS), None)
+    if statistics is None:
         return False
-    counts = said["channel_message_counts"]
+    counts = statistics["channel_message_counts"]
     chunks = [part for part in survey.parts if isinstance(part, Chunk)]
-    if sum(counts.values()) != said["message_count"]:
-        diagnostics.warn(f"the statistics count {said['message_count']} messages, {sum(counts.values())} by channel")
+    if sum(counts.values()) != statistics["message_count"]:
+        diagnostics.warn(
+            f"the statistics count {statistics['message_count']} messages, {sum(counts.values())} by channel"
+        )
         return False
     if len(summary.chunks) != len(chunks):
         return False
@@ -132,13 +134,15 @@ def believe_counts(summary: Summary, survey: Survey, diagnostics: Diagnostics) -
         return False
     if any(chunk.indexes for chunk in chunks):
         indexed = summary.indexed + sum(survey.counts.values())
-        if indexed != said["message_count"]:
-            diagnostics.warn(f"the statistics count {said['message_count']} messages, the indexes {indexed}")
+        if indexed != statistics["message_count"]:
+            diagnostics.warn(f"the statistics count {statistics['message_count']} messages, the indexes {indexed}")
             survey.parts = [p._replace(indexes={}) if isinstance(p, Chunk) else p for p in survey.parts]
             return False
     survey.counts = dict(counts)
-    survey.times = [said["message_start_time"], said["message_end_time"]] if said["message_count"] else []
+    survey.times = (
+        [statistics["message_start_time"], statistics["message_end_time"]] if statistics["message_count"] else []
+    )
     dated = [chunk for chunk in chunks if chunk.end_ns]
-    if dated:  # rosbag2 takes a message at time zero for none in its statistics, not in its chunks
+    if dated:  # rosbag2's statistics ignore a message at time zero, its chunks do not
         survey.times += [min(chunk.start_ns for chunk in dated), max(chunk.end_ns for chunk in dated)]
     return True

@@ -1,4 +1,4 @@
-"""What an MCAP file holds, as far as it was looked at."""
+"""The content of an MCAP file, as far as it was surveyed."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from .records import SCHEMA, Record
 
 @dataclass
 class Survey:
-    """What a file holds: schemas, channels and message counts by id, parts in file order, log times (ns)."""
+    """Schemas, channels and message counts by id, parts in file order, log times (ns)."""
 
     schemas: dict[int, Record] = field(default_factory=dict)
     channels: dict[int, Record] = field(default_factory=dict)
@@ -21,17 +21,17 @@ class Survey:
     times: list[int] = field(default_factory=list)
 
     def declare(self, record: Record) -> None:
-        """Take in a Schema or Channel; the first one of an id stands."""
+        """Add a Schema or Channel; the first one of an id is kept."""
         known = self.schemas if record.opcode == SCHEMA else self.channels
         known.setdefault(record.fields["id"], record)
 
     def knows(self, channels: Iterable[int]) -> bool:
-        """Whether every one of these channels, and its schema if it has one, was declared."""
+        """Whether each of these channels, and its schema if it has one, is declared."""
         known = [self.channels.get(channel) for channel in channels]
         return all(one is not None and one.fields["schema_id"] in (0, *self.schemas) for one in known)
 
     def count(self, channels: Array, log_ns: Array) -> None:
-        """Take in messages by their channel ids (n,) and log times (n,) ns."""
+        """Count messages by channel id (n,) and log time (n,) ns."""
         if len(channels):
             numbers = np.bincount(channels)
             for channel in np.flatnonzero(numbers).tolist():

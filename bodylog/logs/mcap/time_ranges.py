@@ -1,4 +1,4 @@
-"""When each topic of an MCAP begins and ends, by the message indexes of its first and last chunk alone."""
+"""First and last log time of each topic of an MCAP, from the message indexes of its first and last chunk."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from .chunks import Chunk, Loose, index_of
 
 
 def spans_of(data: memoryview, parts: Sequence[Chunk | Loose], topic_of: Array) -> dict[int, tuple[int, int]]:
-    """First and last log time (ns) by topic id; of none when messages lie where no index says so."""
+    """First and last log time (ns) by topic id; empty when messages lie outside indexed chunks."""
     first: dict[int, int] = {}
     last: dict[int, int] = {}
     for part in parts:
@@ -18,13 +18,13 @@ def spans_of(data: memoryview, parts: Sequence[Chunk | Loose], topic_of: Array) 
             last[channel] = at
     spans: dict[int, tuple[int, int]] = {}
     for channel, at in first.items():
-        begun, ended = index_of(data, at)[:, 0], index_of(data, last[channel])[:, 0]
-        if len(begun) and len(ended):
-            widen(spans, int(topic_of[channel]), (int(begun.min()), int(ended.max())))
+        starts, ends = index_of(data, at)[:, 0], index_of(data, last[channel])[:, 0]
+        if len(starts) and len(ends):
+            widen(spans, int(topic_of[channel]), (int(starts.min()), int(ends.max())))
     return spans
 
 
 def widen(spans: dict[int, tuple[int, int]], topic: int, span: tuple[int, int]) -> None:
-    """Take in one more span of a topic."""
+    """Widen a topic's time span by another."""
     low, high = spans.get(topic, span)
     spans[topic] = min(low, span[0]), max(high, span[1])

@@ -1,4 +1,4 @@
-"""Chunks stored as they are: their records lie in the file itself, so many chunks are looked at as one."""
+"""Uncompressed chunks: their records lie in the file itself, so many chunks are read as one."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -17,9 +17,9 @@ _TOGETHER = 16 << 20
 
 
 def runs(parts: Sequence[Chunk | Loose]) -> Iterator[list[Chunk | Loose]]:
-    """The parts in order: stored chunks that begin in the same 16 MB of the file together, others between them.
+    """The parts in order, with uncompressed chunks grouped that begin in the same 16 MB of the file.
 
-    The first part comes alone, since who looks at a log's beginning wants no more.
+    The first part is alone, as some callers read only a log's beginning.
     """
 
     def key(part: Chunk | Loose) -> tuple[bool, int]:
@@ -31,10 +31,10 @@ def runs(parts: Sequence[Chunk | Loose]) -> Iterator[list[Chunk | Loose]]:
 
 
 def together(data: memoryview, parts: Sequence[Chunk | Loose], alone: bool) -> tuple[Array, MessageRecords] | None:
-    """The file (bytes,) uint8 and all messages in a run of stored chunks.
+    """The file (bytes,) uint8 and all messages in a run of uncompressed chunks.
 
-    `alone`: what lies around it is not wanted.
-    None when the run is of others, or when a CRC or an index in it is wrong: each is to be looked at by itself.
+    `alone`: the bytes around it are not needed. None when the run holds other parts, or a CRC or index in it is wrong:
+    read each part separately.
     """
     chunks = [part for part in parts if isinstance(part, Chunk) and part.stored and part.indexes]
     if len(chunks) < len(parts):
@@ -48,7 +48,7 @@ def together(data: memoryview, parts: Sequence[Chunk | Loose], alone: bool) -> t
 
 
 def _sound(data: memoryview, chunk: Chunk) -> tuple[int, int] | None:
-    """Where in the file a stored chunk's records are; None when it is not what its head says."""
+    """Where in the file an uncompressed chunk's records are; None when its head or CRC is wrong."""
     with suppress(FormatError):
         _, _, size, crc, compression, packed = chunk_head(data, chunk.start)
         if compression in STORED and len(packed) == size and (not crc or crc32(packed) == crc):

@@ -1,4 +1,4 @@
-"""A file that was written, counted by its message indexes before it takes its name."""
+"""Verify a written file by its message indexes before it takes its final name."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ from .prefix import count_messages
 
 
 def verify(beside: Path, expected: int, out: Path) -> None:
-    """Open what was written and count it by its message indexes."""
+    """Open the written file and count its messages by its message indexes."""
     try:
         found = count_messages(beside)
     except FormatError as problem:

@@ -1,4 +1,4 @@
-"""A file of chunks under way: messages go in, chunks with their indexes come out, then one summary of everything."""
+"""Write an MCAP: messages become chunks with indexes, then one summary of the whole file."""
 
 import struct
 from collections import deque
@@ -36,7 +36,7 @@ _AHEAD = 2
 
 @dataclass
 class Contents:
-    """What the summary will say: records by id or in file order, messages per channel, first and last log time."""
+    """Content of the summary: records by id or in file order, messages per channel, first and last log time."""
 
     schemas: dict[int, bytes] = field(default_factory=dict)
     channels: dict[int, bytes] = field(default_factory=dict)
@@ -54,8 +54,7 @@ class Contents:
 
 @dataclass(frozen=True, eq=False)
 class _Packed:
-    """A chunk ready to be written: log times, bytes unpacked, how and to what it was packed, its record's head and
-    length, messages and message index by channel."""
+    """A chunk ready to write: times, size, packed bytes, record head, messages by channel."""
 
     span: tuple[int, int]
     size: int
@@ -67,7 +66,7 @@ class _Packed:
 
 
 class Writer:
-    """Appends records to a stream at `position`; crc is that of all bytes before, or None where it is not kept."""
+    """Appends records to a stream at `position`; crc is that of all bytes before, or None if the file keeps none."""
 
     def __init__(self, stream: BinaryIO, contents: Contents, position: int = 0, crc: int | None = None) -> None:
         """Start at `position` of the stream, whose CRC so far is `crc`."""
@@ -76,11 +75,11 @@ class Writer:
         self._schema_ids = {record[11:]: number for number, record in contents.schemas.items()}
 
     def begin(self, profile: str, library: str) -> None:
-        """Magic and header of a new file."""
+        """Write the magic and header of a new file."""
         self.put(MAGIC + mcap.header(profile, library))
 
     def put(self, *parts: bytes | memoryview) -> None:
-        """Bytes as they are."""
+        """Write raw bytes."""
         for part in parts:
             self._stream.write(part)
             self._position += len(part)
@@ -99,7 +98,7 @@ class Writer:
         return number
 
     def write(self, table: MessageTable) -> None:
-        """Messages in the given order, as chunks of about 1 MiB each."""
+        """Write messages in the given order, as chunks of about 1 MiB each."""
         edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
         cuts = [0, *(np.flatnonzero(np.diff(edges)) + 1).tolist(), len(edges)]
         parts = (_part(table, slice(first, last)) for first, last in pairwise(cuts) if last > first)
@@ -113,21 +112,21 @@ class Writer:
                 self._chunk(waiting.popleft().result())
 
     def about(self, name: str, pairs: Mapping[str, str]) -> None:
-        """A metadata record."""
+        """Write a metadata record."""
         self.keep_metadata(name, mcap.metadata(name, pairs))
 
     def keep_metadata(self, name: str, record: bytes) -> None:
-        """A metadata record as it was in another file."""
+        """Write a metadata record of another file unchanged."""
         self.contents.metadata.append(mcap.metadata_index(self._position, len(record), name))
         self.put(record)
 
-    def keep_attachment(self, record: bytes, said: Mapping[str, Any]) -> None:
-        """An attachment as it was in another file; `said` are its fields."""
-        self.contents.attachments.append(mcap.attachment_index(self._position, len(record), said))
+    def keep_attachment(self, record: bytes, fields: Mapping[str, Any]) -> None:
+        """Write an attachment of another file, with these `fields`, unchanged."""
+        self.contents.attachments.append(mcap.attachment_index(self._position, len(record), fields))
         self.put(record)
 
     def finish(self) -> None:
-        """DataEnd, the summary, its offsets, the footer."""
+        """Write DataEnd, the summary, its offsets and the footer."""
         self.put(mcap.data_end(self._crc or 0))
         self._stream.write(_summary(self.contents, self._position))
 

@@ -1,1 +1,1 @@
-"""ROS 1 bags (format 2.0): records, chunks; read, and scanned past damage."""
+"""ROS 1 bags (format 2.0): read records and chunks, scan past damage."""

@@ -1,4 +1,4 @@
-"""Chunks of a ROS 1 bag: unpacked, and their messages found by index or by walking."""
+"""Chunks of a ROS 1 bag: decompress them, find their messages by index or record by record."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -16,7 +16,7 @@ _VARY = ((b"conn=", 4), (b"time=", 8))
 
 
 class Index(NamedTuple):
-    """Where one connection's messages in a chunk are listed: byte of the list, number of entries."""
+    """One connection's message list in a chunk: byte of the list, number of entries."""
 
     at: int
     entries: int
@@ -26,7 +26,7 @@ class Index(NamedTuple):
 class BagChunk:
     """One chunk: byte of its record, and {connection: messages in it}, empty when unknown.
 
-    `cut`: the file ends in it, and it is read as far as it unpacks.
+    `cut`: the file ends in it; it is read as far as it decompresses.
     """
 
     start: int
@@ -42,7 +42,7 @@ class BagRun(NamedTuple):
 
 
 class BagMessages(NamedTuple):
-    """Messages inside a chunk, in its order: connection, log time (ns), and where each payload is; all (n,)."""
+    """Messages inside a chunk, in order: connection, log time (ns), and where each payload is; all (n,)."""
 
     connection: Array
     log_ns: Array
@@ -54,7 +54,7 @@ class BagMessages(NamedTuple):
 def load(
     data: memoryview, chunk: BagChunk, buffer: Buffer, diagnostics: Diagnostics
 ) -> tuple[Array, dict[int, Index]] | None:
-    """The chunk's records (bytes,) uint8 and the lists of messages behind it; None and a loss when it is damaged."""
+    """The chunk's records (bytes,) uint8 and the message lists after it; None and a loss when it is damaged."""
     if chunk.cut:
         found = cut_at(data, chunk.start)
         return (np.frombuffer(decompress_truncated(found), np.uint8), {}) if found else None
@@ -90,7 +90,7 @@ def indexes_at(data: memoryview, at: int) -> dict[int, Index]:
 def messages(
     content: Array, data: memoryview, place: int, indexes: dict[int, Index], diagnostics: Diagnostics
 ) -> BagMessages:
-    """All messages of a loaded chunk in its own order: by its indexes where they are right, else by walking."""
+    """All messages of a loaded chunk in order: by its indexes if they are right, else record by record."""
     found = _indexed(content, data, indexes) if indexes else None
     if found is None:
         if indexes:
@@ -100,7 +100,7 @@ def messages(
 
 
 def _slide(content: Array, width: int) -> Array:
-    """A view (n, width) whose row i are the bytes from byte i."""
+    """A view (n, width) whose row i holds the bytes from byte i."""
     rows = max(0, len(content) - width + 1)
     return np.ndarray((rows, width), np.uint8, content, 0, (1, 1))
 
@@ -127,15 +127,15 @@ def _indexed(content: Array, data: memoryview, indexes: dict[int, Index]) -> Bag
     connection, log_ns = np.empty_like(starts), np.empty_like(starts)
     for size in np.unique(header).tolist():
         rows = np.flatnonzero(header == size)
-        said = _same_headers(content, starts[rows] + 4, size)
-        if said is None:
+        same = _same_headers(content, starts[rows] + 4, size)
+        if same is None:
             return None
-        connection[rows], log_ns[rows] = said
+        connection[rows], log_ns[rows] = same
     return BagMessages(connection, log_ns, offset, length, starts) if (connection == listed).all() else None
 
 
 def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] | None:
-    """Connection and time of message headers that differ in nothing else; None when they do."""
+    """Connection and time of message headers that differ in nothing else; None if they differ."""
     headers = _slide(content, size)[at]
     first = memoryview(headers[0].data)
     try:
@@ -157,7 +157,7 @@ def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] |
 
 
 def _tiled(content: Array, starts: Array, ends: Array) -> bool:
-    """Whether nothing but other whole records lies between the messages: none is missing from the index."""
+    """Whether only whole other records lie between the messages, so that the index misses none."""
     lows, highs = np.concatenate(([0], ends)), np.concatenate((starts, [len(content)]))
     if (lows > highs).any():
         return False
@@ -176,7 +176,7 @@ def _tiled(content: Array, starts: Array, ends: Array) -> bool:
 
 
 def walked(data: memoryview, start: int, end: int, place: int, diagnostics: Diagnostics) -> BagMessages:
-    """The messages between two bytes of `data`, one record after another; losses are said to be at byte `place`."""
+    """The messages between two bytes of `data`, record by record; losses are reported at byte `place`."""
 
     def lost(at: int, size: int) -> None:
         diagnostics.add_loss(place, size, None, None, f"records inside the chunk are damaged from its byte {at}")

@@ -1,4 +1,4 @@
-"""ROS 1 bags (format 2.0) -> undecoded batches; nothing is read that the topics asked for do not need."""
+"""Read ROS 1 bags (format 2.0) as undecoded batches; only what the requested topics need is read."""
 
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -16,12 +16,12 @@ from .survey import BagSurvey
 
 
 class BagLog:
-    """One ROS 1 bag, memory-mapped; see protocol.Log."""
+    """One memory-mapped ROS 1 bag; see protocol.Log."""
 
     format = "bag"
 
     def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
-        """Map `source` (default: `path` itself) and survey it; LogError when strict and something is lost."""
+        """Map `source` (default: `path`) and survey it; LogError when strict and something is lost."""
         from .scan import survey_of
 
         self.path = path
@@ -33,7 +33,7 @@ class BagLog:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found wrong so far; reading on may add to it."""
+        """Problems found so far; further reading may add to them."""
         return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
@@ -56,19 +56,19 @@ class BagLog:
                     drop_pages(self._data, part.start, part.start + len(content))
 
     def spans(self) -> dict[int, tuple[int, int]]:
-        """None: a bag's indexes say so of chunks, not of topics."""
+        """Empty: a bag's indexes give the times of chunks, not of topics."""
         return {}
 
     def close(self) -> None:
-        """Let go of the file; batches still held keep their bytes."""
+        """Close the file; batches still held keep their bytes."""
         self._data = memoryview(b"")
 
     def __enter__(self) -> "BagLog":
-        """The log itself."""
+        """Return the log."""
         return self
 
     def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
-        """Close; LogError when the file was cut meanwhile."""
+        """Close the file; LogError when it was truncated meanwhile."""
         data = self._data
         self.close()
         check_untruncated(data, self.path, problem)
@@ -76,10 +76,10 @@ class BagLog:
 
 def _topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:
     topics, topic_of = Topics(), {}
-    for connection, said in survey.connections.items():
-        text = {name.decode(errors="replace"): value.decode(errors="replace") for name, value in said.items()}
+    for connection, fields in survey.connections.items():
+        text = {name.decode(errors="replace"): value.decode(errors="replace") for name, value in fields.items()}
         kept = {name: value for name, value in text.items() if name in ("md5sum", "callerid", "latching")}
-        definition = said.get(b"message_definition", b"")
+        definition = fields.get(b"message_definition", b"")
         name, kind, count = text.get("topic", ""), text.get("type", ""), survey.counts.get(connection, 0)
         topic_of[connection] = topics.add(name, kind, "ros1", definition, "ros1msg", count, kept)
     return topics.all(), topic_of

@@ -1,4 +1,4 @@
-"""Records of ROS 1 bags (format 2.0): headers of name=value fields, and the next sound one after damage."""
+"""Records of ROS 1 bags (format 2.0): headers of name=value fields, and the next sound record after damage."""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ _BACK = 256
 
 @dataclass(frozen=True)
 class BagRecord:
-    """One record: op, header fields, where it starts, where its data starts, and how long that is."""
+    """One record: op, header fields, its start, and start and length of its data."""
 
     op: int
     fields: dict[bytes, memoryview]
@@ -82,9 +82,9 @@ def sound_records(
     lost: Callable[[int, int], None],
     cut: Callable[[int], int | None] = lambda _at: None,
 ) -> Iterator[BagRecord]:
-    """Records between two bytes, found again after each damage, which `lost(start, size)` is told of.
+    """The records between two bytes; after each damage `lost(start, size)` is called and the search resumes.
 
-    Those after one that cannot be read, or is an empty chunk, begin where `cut(start)` says, if the file ends in it.
+    If the file ends inside an unreadable record or empty chunk, `cut(start)` gives where the next records begin.
     """
     at = start
     while at < end:

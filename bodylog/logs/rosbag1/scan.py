@@ -1,4 +1,4 @@
-"""Survey a ROS 1 bag whatever state it is in: by its index section, or record by record past any damage."""
+"""Survey a ROS 1 bag in any state: by its index section, or record by record past any damage."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from .truncated import cut_at, decompress_truncated
 
 
 def survey_of(data: memoryview, diagnostics: Diagnostics) -> BagSurvey:
-    """What the bag holds; damage and doubts go to the diagnostics."""
+    """Survey the bag; damage and contradictions go to the diagnostics."""
     survey = None
     try:
         survey = _indexed(data, diagnostics)
@@ -37,7 +37,7 @@ def _indexed(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
         diagnostics.warn("the bag was never closed: it has no index; its records were walked")
         return None
     if not header.end <= at <= len(data):
-        raise FormatError(f"it is said to start at byte {at} of {len(data)}")
+        raise FormatError(f"it is declared to start at byte {at} of {len(data)}")
     survey = BagSurvey()
     while at < len(data):
         record = record_at(data, at, len(data))
@@ -46,10 +46,10 @@ def _indexed(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
         elif record.op == CHUNK_INFO:
             _announce(data, record, survey)
         at = record.end
-    said = header.number(b"conn_count"), header.number(b"chunk_count")
-    if said != (len(survey.connections), len(survey.parts)):
+    declared = header.number(b"conn_count"), header.number(b"chunk_count")
+    if declared != (len(survey.connections), len(survey.parts)):
         raise FormatError(
-            f"{said[0]} connections and {said[1]} chunks are declared, "
+            f"{declared[0]} connections and {declared[1]} chunks are declared, "
             f"{len(survey.connections)} and {len(survey.parts)} listed"
         )
     survey.parts.sort(key=lambda part: part.start)
@@ -69,7 +69,7 @@ def _announce(data: memoryview, record: BagRecord, survey: BagSurvey) -> None:
 
 
 def _scan(data: memoryview, survey: BagSurvey, diagnostics: Diagnostics) -> None:
-    """Survey by walking all records; chunks are opened for the connections and messages inside."""
+    """Survey all records; chunks are opened for the connections and messages inside."""
 
     def lost(at: int, size: int) -> None:
         diagnostics.add_loss(at, size, None, None, "no whole record can be read there")
@@ -91,9 +91,9 @@ def _scan(data: memoryview, survey: BagSurvey, diagnostics: Diagnostics) -> None
 
 
 def _cut(data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics) -> int | None:
-    """The byte after what is left of a chunk at byte `at` in which the file ends, taken in, or of its head, if stored.
+    """Survey the rest of a truncated chunk at byte `at`; returns the byte after it, or after an uncompressed head.
 
-    None where no such chunk is there, or no message unpacks.
+    None if there is no such chunk, or no message of it can be decompressed.
     """
     found = cut_at(data, at)
     if found is None:

@@ -1,4 +1,4 @@
-"""What a ROS 1 bag holds, as far as it was looked at."""
+"""The content of a ROS 1 bag, as far as it was surveyed."""
 
 from dataclasses import dataclass, field
 
@@ -11,7 +11,7 @@ from .records import BagRecord, fields_of
 
 @dataclass
 class BagSurvey:
-    """What a bag holds: connections by id, counts by id, parts in file order, log times (ns)."""
+    """Connections by id, counts by id, parts in file order, log times (ns)."""
 
     connections: dict[int, dict[bytes, bytes]] = field(default_factory=dict)
     counts: dict[int, int] = field(default_factory=dict)
@@ -19,12 +19,12 @@ class BagSurvey:
     times: list[int] = field(default_factory=list)
 
     def declare(self, record: BagRecord, data: memoryview) -> None:
-        """Take in a connection; the first one of an id stands."""
-        said = {**fields_of(data, record.body, record.end), **record.fields}
-        self.connections.setdefault(record.number(b"conn"), {name: bytes(value) for name, value in said.items()})
+        """Add a connection; the first one of an id is kept."""
+        fields = {**fields_of(data, record.body, record.end), **record.fields}
+        self.connections.setdefault(record.number(b"conn"), {name: bytes(value) for name, value in fields.items()})
 
     def count(self, connections: Array, log_ns: Array) -> None:
-        """Take in messages by their connections (n,) and log times (n,) ns."""
+        """Count messages by connection (n,) and log time (n,) ns."""
         if len(connections):
             for connection, number in zip(*np.unique(connections, return_counts=True), strict=True):
                 self.counts[int(connection)] = self.counts.get(int(connection), 0) + int(number)

@@ -1,4 +1,4 @@
-"""The chunk in which a ROS 1 bag ends: cut off by a full disk or a killed copy, or never closed by its recorder."""
+"""The truncated chunk at the end of a ROS 1 bag: cut by a full disk or a killed copy, or never closed."""
 
 import bz2
 import struct
@@ -17,7 +17,7 @@ _ALWAYS, _RATIO = 64 << 20, 255
 
 @dataclass(frozen=True)
 class Cut:
-    """What is left of a chunk: compression, packed bytes, how many bytes they hold at most, how many of them lack."""
+    """The rest of a chunk: compression, packed bytes, the bytes they expand to at most, and how many are missing."""
 
     compression: str
     packed: memoryview
@@ -26,9 +26,10 @@ class Cut:
 
 
 def cut_at(data: memoryview, at: int) -> Cut | None:
-    """The chunk at byte `at` in which the file ends; None when it is whole, or something else.
+    """The truncated chunk at byte `at`; None when it is whole, or something else.
 
-    A recorder says how long a chunk is when it is done with it; before, it says 0, and what is stored then follows it.
+    A recorder writes a chunk's length when it closes the chunk; before, the length is 0 and uncompressed records
+    follow.
     """
     head = min(len(data) - at, _LONGEST_HEAD)
     with suppress(FormatError, struct.error):
@@ -36,20 +37,20 @@ def cut_at(data: memoryview, at: int) -> Cut | None:
         start = at + 8 + size
         if size > head - 8:
             return None
-        said = _U32.unpack_from(data, start - 4)[0]
+        length = _U32.unpack_from(data, start - 4)[0]
         record = record_at(memoryview(bytes(data[at : start - 4]) + bytes(4)), 0, start - at)
         compression = str(record.fields.get(b"compression", b""), "ascii", "replace")
         stored = compression in STORED
-        if record.op != CHUNK or ((said or stored) and said <= len(data) - start):
+        if record.op != CHUNK or ((length or stored) and length <= len(data) - start):
             return None
         whole, packed = record.number(b"size"), data[start:]
-        lacks = said - len(packed) if stored and said == whole else None
+        lacks = length - len(packed) if stored and length == whole else None
         return Cut(compression, packed, min(whole or _ALWAYS, max(_ALWAYS, _RATIO * len(packed))), lacks)
     return None
 
 
 def decompress_truncated(cut: Cut) -> bytes:
-    """The records before the cut, as far as they unpack: bz2 block by block, lz4 byte by byte."""
+    """The records before the cut, as far as they decompress: bz2 block by block, lz4 byte by byte."""
     if cut.compression == "bz2":
         return _bz2(cut.packed, cut.most)
     return bytes(_lz4(cut.packed, cut.most)) if cut.compression == "lz4" else b""
@@ -62,19 +63,19 @@ def _bz2(packed: memoryview, most: int) -> bytes:
 
 
 def _lz4(packed: memoryview, most: int) -> bytearray:
-    """LZ4 frame: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md; the library gives whole blocks alone."""
+    """LZ4 frame: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md; the library gives only whole blocks."""
     found = bytearray()
     if packed[:4] != _LZ4 or len(packed) < 7:
         return found
     flags = packed[4]
     at, after = 7 + (8 if flags & 8 else 0) + (4 if flags & 1 else 0), 4 if flags & 16 else 0
     while at + 4 <= len(packed) and len(found) < most:
-        said = _U32.unpack_from(packed, at)[0]
-        size = said & 0x7FFFFFFF
+        head = _U32.unpack_from(packed, at)[0]
+        size = head & 0x7FFFFFFF
         if not size:
             break
         block = packed[at + 4 : at + 4 + size]
-        if said >> 31:
+        if head >> 31:
             found += block
         elif not _sequences(block, found, most):
             break
@@ -84,7 +85,7 @@ def _lz4(packed: memoryview, most: int) -> bytearray:
 
 
 def _sequences(block: memoryview, found: bytearray, most: int) -> bool:
-    """Add what a block of literals and matches says to what was found before; whether it was sound to its end."""
+    """Append a block of literals and matches to `found`; returns whether it was sound to its end."""
     at = 0
     with suppress(IndexError):
         while len(found) < most:
@@ -103,7 +104,7 @@ def _sequences(block: memoryview, found: bytearray, most: int) -> bool:
 
 
 def _length(block: memoryview, at: int, nibble: int) -> tuple[int, int]:
-    """A length, of which 15 says that bytes follow, and the byte after it."""
+    """A length, where the nibble 15 means that more bytes follow, and the byte after it."""
     length = nibble
     while nibble == 15:
         length += block[at]

@@ -1,4 +1,4 @@
-"""rosbag2 folders -> one log: files in the order of metadata.yaml where it tells the truth, topics merged."""
+"""Read a rosbag2 folder as one log: files in the order of metadata.yaml if that is right, topics merged."""
 
 import re
 from collections.abc import Callable, Collection, Iterator
@@ -20,7 +20,7 @@ SUFFIXES = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")
 METADATA = "metadata.yaml"
 
 _LONGEST = 1 << 20
-"""Bytes: a topic takes some 2 kB, most of it its QoS, and pure Python reads a megabyte in some seconds."""
+"""Bytes: a topic takes about 2 kB, most of it QoS, and pure Python parses a megabyte in some seconds."""
 
 
 class Rosbag2Log:
@@ -29,7 +29,7 @@ class Rosbag2Log:
     format = "rosbag2"
 
     def __init__(self, path: Path, strict: bool, limits: Input, open_file: Callable[[Path, bool, Input], Log]) -> None:
-        """Survey every file, opened by `open_file`; LogError when none can be read, or when strict and one cannot."""
+        """Survey every file with `open_file`; LogError when none is readable, or when strict and one is not."""
         self.path = path
         self._strict, self._open = strict, open_file
         self._diagnostics = Diagnostics(path, strict, limits)
@@ -47,7 +47,7 @@ class Rosbag2Log:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found wrong so far; reading on may add to it."""
+        """Problems found so far; further reading may add to them."""
         return (*self._diagnostics.findings, *self._findings)
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
@@ -61,22 +61,22 @@ class Rosbag2Log:
                     self._findings.update(dict.fromkeys(log.findings))
 
     def spans(self) -> dict[int, tuple[int, int]]:
-        """First and last log time (ns) by topic id, where every file that holds the topic says so."""
+        """First and last log time (ns) by topic id, if every file with the topic gives them."""
         return {topic: span for topic, span in self._spans.items() if topic not in self._unsaid}
 
     def close(self) -> None:
-        """Nothing stays open between batches."""
+        """Do nothing: no file stays open between batches."""
 
     def __enter__(self) -> "Rosbag2Log":
-        """The log itself."""
+        """Return the log."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the log."""
         self.close()
 
     def _survey(self, member: Path, topics: Topics) -> list[int]:
-        """Take in one file's topics; its first and last log time (ns), if it has messages."""
+        """Add one file's topics; returns its first and last log time (ns), if it has messages."""
         try:
             log = self._open(member, self._strict, self._diagnostics.limits)
         except InputError as problem:
@@ -85,8 +85,8 @@ class Rosbag2Log:
         with log:
             topic_of, spans = {}, log.spans()
             for topic in log.topics:
-                said = (topic.name, topic.type, topic.encoding, topic.definition, topic.definition_encoding)
-                topic_of[topic.id] = topics.add(*said, topic.messages, topic.metadata)
+                properties = (topic.name, topic.type, topic.encoding, topic.definition, topic.definition_encoding)
+                topic_of[topic.id] = topics.add(*properties, topic.messages, topic.metadata)
                 if topic.id in spans:
                     widen(self._spans, topic_of[topic.id], spans[topic.id])
                 elif topic.messages:
@@ -119,7 +119,7 @@ def members(path: Path, diagnostics: Diagnostics) -> list[Path]:
 
 
 def _named(listed: Any, diagnostics: Diagnostics) -> list[str]:
-    """The names of files that metadata.yaml lists; what is no list of texts names none, with a remark."""
+    """The file names that metadata.yaml lists; none, with a warning, if it holds no list of texts."""
     if listed is None or (isinstance(listed, list) and all(isinstance(name, str) for name in listed)):
         return [Path(name).name for name in listed or ()]
     diagnostics.warn(
@@ -129,15 +129,15 @@ def _named(listed: Any, diagnostics: Diagnostics) -> list[str]:
 
 
 def metadata_of(path: Path, diagnostics: Diagnostics) -> dict[str, Any]:
-    """What metadata.yaml says about the bag; empty, with a remark, when it is missing or unreadable."""
+    """The content of metadata.yaml; empty, with a warning, when it is missing or unreadable."""
     file = path / METADATA
     if not file.is_file():
         diagnostics.warn(f"there is no {METADATA}; all logs in the folder are read as one")
         return {}
     try:
-        said = _yaml(atomic_files.text(file, _LONGEST))["rosbag2_bagfile_information"]
-        if isinstance(said, dict):
-            return said
+        fields = _yaml(atomic_files.text(file, _LONGEST))["rosbag2_bagfile_information"]
+        if isinstance(fields, dict):
+            return fields
         raise ValueError("no table rosbag2_bagfile_information")
     except Exception as problem:  # whatever is wrong with this file (also RecursionError), the log is read without it
         diagnostics.warn(f"{METADATA} is not readable ({type(problem).__name__}); the files' own contents are used")
@@ -146,7 +146,7 @@ def metadata_of(path: Path, diagnostics: Diagnostics) -> dict[str, Any]:
 
 @lru_cache(maxsize=4)
 def _yaml(text: str) -> Any:
-    """What a YAML text says; ValueError where it refers to a part of itself again: a few lines can grow without end."""
+    """The value of a YAML text; ValueError for aliases: a few lines of them can expand without end."""
     from ruamel.yaml import YAML
     from ruamel.yaml.composer import Composer
     from ruamel.yaml.events import AliasEvent

@@ -1,6 +1,6 @@
-"""Rows of rosbag2's messages out of SQLite's pages, many at a time; SQLite itself hands them out one by one.
+"""Read rows of rosbag2's messages from SQLite's pages in bulk; SQLite itself returns them one by one.
 
-The format is that of https://www.sqlite.org/fileformat2.html. What is not as rosbag2 writes it is left to SQLite.
+Format: https://www.sqlite.org/fileformat2.html. Tables unlike those that rosbag2 writes are left to SQLite.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ _DEEPEST = 20
 _TOGETHER = 256
 _VARINT, _EIGHT, _WINDOW = 8, 8, 24
 _SIZES = np.array([0, 1, 2, 3, 4, 6, 8, 0, 0, 0], np.int64)
-"""Bytes of an integer by its serial type; 7 is a float, which is none."""
+"""Bytes of an integer by its serial type; 7 is a float, so it has none."""
 
 _FLOAT, _ZERO, _ONE, _BLOB = 7, 8, 9, 12
 _OVERFLOW = 35
@@ -37,10 +37,10 @@ class Rows(NamedTuple):
 
 
 class Pages:
-    """The pages of a database that nothing is written to, mapped."""
+    """The mapped pages of a database that nobody writes to."""
 
     def __init__(self, data: memoryview, root: int) -> None:
-        """The table whose b-tree begins at page `root`; FormatError when the file cannot be read so."""
+        """The table whose b-tree begins at page `root`; FormatError when the file must be read by SQLite."""
         self._view, self.data = data, np.frombuffer(data, np.uint8)
         size = int.from_bytes(data[16:18], "big")
         self._size = 1 << 16 if size == 1 else size
@@ -51,7 +51,7 @@ class Pages:
         self._root = root
 
     def rows(self) -> Iterator[Rows]:
-        """All rows in order, those of some pages at a time; FormatError at the first page that SQLite is to read."""
+        """All rows in order, some pages at a time; FormatError at the first page that SQLite must read."""
         leaves = self._leaves()
         last = -(1 << 63)
         for at in range(0, len(leaves), _TOGETHER):
@@ -83,7 +83,7 @@ class Pages:
         return np.append(self._number(cells, 4), self._number(np.array([base + 8]), 4))
 
     def _cells(self, base: Array, kind: int) -> tuple[Array, Array]:
-        """Where the cells of pages that begin at `base` (p,) are, and where each one's page ends."""
+        """Where the cells of pages that begin at `base` (p,) are, and where each cell's page ends."""
         counts = self._number(base + 3, 2)
         bases = np.repeat(base, counts)
         number = np.arange(len(bases)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -115,7 +115,7 @@ class Pages:
         return found
 
     def _varints(self, at: Array, end: Array, count: int) -> tuple[list[Array], list[Array]]:
-        """So many numbers (n,) that follow one another, and where each ends (n,)."""
+        """`count` consecutive numbers (n,), and where each ends (n,)."""
         window = gather(self.data, at, _WINDOW)
         if not len(window):
             return [at] * count, [at] * count
@@ -156,7 +156,7 @@ class Pages:
         raise FormatError("a number of nine bytes")
 
     def _number(self, at: Array, size: int) -> Array:
-        """Unsigned big-endian numbers (n,) of so many bytes."""
+        """Unsigned big-endian numbers (n,) of `size` bytes."""
         value: Array = np.zeros(len(at), np.int64)
         for k in range(size):
             value = (value << 8) | self.data[at + k]

@@ -1,4 +1,4 @@
-"""The rows of a rosbag2 database as arrays, in the order stored, read on past what is damaged."""
+"""Read the rows of a rosbag2 database as arrays, in the order stored, past damaged ones."""
 
 import sqlite3
 import time
@@ -15,7 +15,7 @@ from .pages import Pages
 from .pages import Rows as PageRows
 
 DAMAGE = (sqlite3.Error, UnicodeError)
-"""What SQLite raises for a file that is damaged."""
+"""Exceptions of SQLite for a damaged file."""
 
 _AGAIN = 0.5
 _ROWS = 512
@@ -27,9 +27,9 @@ _SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
 
 
 def interrupted(problem: Exception) -> None:
-    """KeyboardInterrupt where a signal, not damage, ended a query: SQLite keeps what its handler raises to itself.
+    """Raise KeyboardInterrupt if a signal, not damage, ended a query: SQLite hides exceptions of its handler.
 
-    Who was told to stop otherwise is told again in a moment, and ends by that.
+    Other signals arrive again shortly and then end the process.
     """
     if getattr(problem, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
         time.sleep(_AGAIN)
@@ -41,7 +41,7 @@ Row = tuple[int, int, int, bytes]
 
 
 class Block(NamedTuple):
-    """Rows as arrays: topic id in the file (n,), log time (n,) ns, bytes, where in them each payload is (n,), (n,)."""
+    """Rows as arrays: topic id in the file (n,), log time (n,) ns, bytes, offset and length of payloads (n,)."""
 
     topic: Array
     log_ns: Array
@@ -51,14 +51,14 @@ class Block(NamedTuple):
 
 
 class Rows:
-    """The table of messages; what of it is lost goes into the diagnostics."""
+    """The table of messages; losses go to the diagnostics."""
 
     def __init__(self, store: sqlite3.Connection, diagnostics: Diagnostics, pages: Pages | None = None) -> None:
-        """Of an open database, and its pages where they can be read by themselves."""
+        """For an open database, and its pages if they can be read directly."""
         self._store, self._diagnostics, self._pages = store, diagnostics, pages
 
     def blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
-        """The rows of these topics in the order stored; what cannot be read is skipped and said."""
+        """The rows of these topics in the order stored; unreadable rows are skipped and recorded as losses."""
         chosen = "" if wanted is None else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
         count, largest, low = _FIRST_ROWS, 1, _LOWEST
         if self._pages is not None:
@@ -68,7 +68,7 @@ class Rows:
                     low = int(some.rowid[-1])
                 return
             except FormatError:
-                pass  # SQLite reads on from there
+                pass  # SQLite continues from there
         try:
             cursor = self._store.execute(_SELECT.format(_COLUMNS, chosen), (low,))
             while rows := cursor.fetchmany(count):
@@ -82,7 +82,7 @@ class Rows:
             else:
                 return
         except DAMAGE as problem:
-            interrupted(problem)  # else read on row by row, and past the damage
+            interrupted(problem)  # else continue row by row, past the damage
         yield from self._damaged_rows(chosen, wanted, low)
 
     def _damaged_rows(self, chosen: str, wanted: Collection[int] | None, low: int) -> Iterator[Block]:
@@ -113,7 +113,7 @@ class Rows:
             self._diagnostics.add_loss(row[0], None, 1, None, f"row {row[0]} of messages is damaged")
 
     def _next(self, low: int, last_ns: int | None, problem: Exception) -> Row | None:
-        """The next row after rowid `low` that can be read, or None; what lies between is lost."""
+        """The next readable row after rowid `low`, or None; records the rows between as lost."""
         base, step = max(low, 0), 0
         while step < 1 << 40 and not self._readable(base + step):
             step = max(1, 2 * step)
@@ -147,13 +147,13 @@ class Rows:
 
 
 def _rises(row: Row, low: int) -> None:
-    """DatabaseError when a row does not come after rowid `low`: pages that point back would be read without end."""
+    """DatabaseError when a row does not come after rowid `low`: pages that point back would be read forever."""
     if row[0] <= low:
         raise sqlite3.DatabaseError(f"row {row[0]} comes after row {low}")
 
 
 def _block(rows: list[Row], low: int) -> Block | None:
-    """The rows as arrays, or None when a value is not of the type its column must have, or rows after `low` go back."""
+    """The rows as arrays; None when a value has the wrong type, or rowids do not rise from `low`."""
     ids, numbers, times, payloads = zip(*rows, strict=True)
     try:
         rowid, topic, log_ns = (np.frombuffer(array("q", values), np.int64) for values in (ids, numbers, times))

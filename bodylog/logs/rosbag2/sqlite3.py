@@ -1,4 +1,4 @@
-"""rosbag2's SQLite files -> undecoded batches: read only, never a file written beside the user's."""
+"""Read rosbag2's SQLite files as undecoded batches: read only, no file is written beside the user's."""
 
 import os
 import shutil
@@ -26,7 +26,7 @@ _LARGEST = 1 << 30
 _COLUMNS = ("id", "topic_id", "timestamp", "data")
 _TABLES = ("topics", "messages", "message_definitions")
 _STEPS = 1_000_000
-"""SQLite's own steps after which Python is asked, some milliseconds, so that a signal is heard while it looks."""
+"""SQLite's virtual machine steps, a few milliseconds, between checks for Python signals."""
 
 
 class Db3Log:
@@ -35,7 +35,7 @@ class Db3Log:
     format = "db3"
 
     def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
-        """Open `source` (default: `path` itself) read only; LogError when it has no topics or messages."""
+        """Open `source` (default: `path`) read only; LogError when it has no topics or messages."""
         self.path = path
         self._diagnostics = Diagnostics(path, strict, limits)
         self._store, alone = _connect(path, source or path)
@@ -63,7 +63,7 @@ class Db3Log:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was found wrong so far; reading on may add to it."""
+        """Problems found so far; further reading may add to them."""
         return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
@@ -75,19 +75,19 @@ class Db3Log:
             yield from decompress_messages(found, self.topics, self._diagnostics)
 
     def spans(self) -> dict[int, tuple[int, int]]:
-        """None: that takes a pass over all rows."""
+        """Empty: times per topic would take a pass over all rows."""
         return {}
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._store.close()
 
     def __enter__(self) -> "Db3Log":
-        """The log itself."""
+        """Return the log."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the file."""
         self.close()
 
     def _survey(self, numbers: list[int]) -> tuple[dict[int, int], int, int]:
@@ -111,7 +111,7 @@ class Db3Log:
         return counts, min(ends, default=0), max(ends, default=0)
 
     def _counts(self, numbers: list[int]) -> dict[int, int]:
-        """Messages by topic id in the file; of few topics they are added up, which is twice as fast as grouping."""
+        """Messages by topic id in the file; sums are twice as fast as grouping for few topics."""
         if 0 < len(numbers) <= _FEW_TOPICS:
             sums = ", ".join(f"sum(topic_id = {number})" for number in numbers)
             whole, *each = self._store.execute(f"SELECT count(*), {sums} FROM messages").fetchone()
@@ -138,7 +138,7 @@ def _connect(path: Path, source: Path) -> tuple[sqlite3.Connection, bool]:
 
 
 def _pages(store: sqlite3.Connection, source: Path) -> Pages | None:
-    """The pages of the table of messages; None where its columns are not those that rosbag2 gives it."""
+    """The pages of the table of messages; None if its columns are not those of rosbag2."""
     columns = [(name, kind.upper(), key) for _, name, kind, _, _, key in store.execute("PRAGMA table_info(messages)")]
     found = store.execute("SELECT rootpage FROM sqlite_master WHERE lower(name) = 'messages'").fetchone()
     if found is None or tuple(name for name, _, _ in columns) != _COLUMNS or columns[0][1:] != ("INTEGER", 1):
@@ -159,7 +159,7 @@ def _opened(address: str, size: int) -> sqlite3.Connection:
 
 
 def _only_tables(path: Path, store: sqlite3.Connection) -> None:
-    """LogError where rows would be computed: by a view, which may never end, a virtual table or a generated column."""
+    """LogError for computed rows: a view, which may never end, a virtual table or a generated column."""
     for name in _TABLES:
         found = store.execute("SELECT type, rootpage FROM sqlite_master WHERE lower(name) = ?", (name,)).fetchall()
         kinds = [kind if kind != "table" or page else "virtual table" for kind, page in found]
@@ -183,7 +183,7 @@ def _topics(store: sqlite3.Connection) -> dict[int, tuple[str, str, str, bytes, 
     topics = {}
     for number, name, kind, encoding, *rest in store.execute(f"SELECT {chosen} FROM topics"):
         if type(number) is not int:
-            continue  # a damaged row; its messages are said to be of an unknown topic
+            continue  # a damaged row; its messages are reported as of an unknown topic
         metadata = {key: str(value) for key, value in zip(kept, rest, strict=True) if value}
         definition, dialect = definitions.get(kind) or _standard(normalised(str(kind)))
         topics[number] = (str(name), str(kind), str(encoding or "cdr"), definition, dialect, metadata)

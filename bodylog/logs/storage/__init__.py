@@ -1,1 +1,1 @@
-"""Bytes: mapped files, remote files, compression."""
+"""Bytes of logs: memory-mapped files, remote files, decompression."""

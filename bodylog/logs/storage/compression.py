@@ -1,4 +1,4 @@
-"""Decompress one chunk after another into one buffer that stays: fresh buffers cost more than lz4 itself."""
+"""Decompress chunks into one reused buffer: allocating a new one costs more than lz4 itself."""
 
 import bz2
 import math
@@ -16,28 +16,28 @@ NAMES = ("", "none", "lz4", "zstd", "bz2")
 """Compressions of chunks, as MCAP and ROS 1 bags name them."""
 
 STORED = ("", "none")
-"""Those that leave the bytes as they are."""
+"""Names for uncompressed chunks."""
 
 _RATIO, _LIKELY = 1024, 16
-"""Times the bytes packed that all of a file, and one chunk or message, may unpack to whatever the limits are."""
+"""A file, chunk or message may always expand to this many times its size, whatever the limits."""
 
 _PIECE = 128 << 10
 
 
 class Allowance:
-    """How much may be unpacked: of one chunk or message, and of a file in all."""
+    """How many bytes one chunk or message, and a whole file, may expand to."""
 
     def __init__(self, path: Path | None, limits: Input) -> None:
-        """Nothing unpacked yet of the log at `path`."""
+        """Start the count for the log at `path`."""
         self._path, self._limits = path, limits
         self._packed = self._unpacked = 0
 
     def single(self, packed: int) -> int:
-        """Bytes that one chunk or message of `packed` bytes may unpack to."""
+        """The bytes that a chunk or message of `packed` bytes may expand to."""
         return max(int(self._limits.max_message_mb * 1e6), _LIKELY * packed)
 
     def take(self, packed: int, size: int) -> None:
-        """Count `size` bytes that `packed` bytes unpack to: FormatError for too large a one, LogError for too many."""
+        """Count `size` unpacked bytes of `packed` bytes: FormatError for too large a one, LogError for the sum."""
         if size > self.single(packed):
             asked = f"type in robot.toml: [input] max_message_mb = {math.ceil(size / 1e6)}"
             raise FormatError(f"{packed} packed bytes claim to hold {size}; to unpack them, {asked}")
@@ -45,15 +45,15 @@ class Allowance:
         self.check(self._packed, self._unpacked)
 
     def check(self, packed: int, size: int) -> None:
-        """LogError, which names the setting, where a file of `packed` bytes unpacks to `size` and may not."""
+        """LogError, naming the setting, when a file of `packed` bytes may not expand to `size`."""
         whole = self._limits.max_unpacked_gb
         if size > max(int(whole * 1e9), _RATIO * packed):
-            said = f"{self._path}: it unpacks to more than {whole:g} GB, {_RATIO} times its size or more"
-            raise LogError(f"{said}; to read it, type in robot.toml: [input] max_unpacked_gb = {math.ceil(4 * whole)}")
+            text = f"{self._path}: it unpacks to more than {whole:g} GB, {_RATIO} times its size or more"
+            raise LogError(f"{text}; to read it, type in robot.toml: [input] max_unpacked_gb = {math.ceil(4 * whole)}")
 
 
 class Buffer:
-    """The reused buffer; what `load` returns is valid until the next `load`."""
+    """The reused buffer; the result of `load` is valid until the next `load`."""
 
     def __init__(self, path: Path | None = None, limits: Input = LIMITS) -> None:
         """Start empty, for the log at `path`; the buffer grows to the largest chunk."""
@@ -61,9 +61,9 @@ class Buffer:
         self._allowance = Allowance(path, limits)
 
     def load(self, compression: str, packed: memoryview, size: int, partly: bool = False) -> Array:
-        """The `size` bytes (size,) uint8 that `packed` unpacks to; FormatError if it does not, or claims too much.
+        """Decompress `packed` to `size` bytes (size,) uint8; FormatError on a mismatch or beyond the limits.
 
-        `partly`: `packed` is cut off, and as many bytes are given as come before that.
+        `partly`: `packed` is truncated; return the bytes before the cut.
         """
         if compression in STORED:
             if len(packed) != size and not partly:
@@ -78,7 +78,7 @@ class Buffer:
 
 
 def _fill(target: Array, compression: str, packed: memoryview, partly: bool) -> int:
-    """How many bytes were filled: all, unless only some are asked for."""
+    """Number of bytes written: all of them, unless `partly`."""
     at, view = 0, target.data
     try:
         for count in _PIECES[compression](packed, view):
@@ -143,7 +143,7 @@ _PIECES: dict[str, Any] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
 
 
 def unpack_zstd(payload: memoryview, allowance: Allowance) -> bytes:
-    """One zstd frame, as large as is allowed; FormatError if it is damaged or larger."""
+    """Decompress one zstd frame; FormatError if it is damaged or too large."""
     import zstandard
 
     try:

@@ -1,4 +1,4 @@
-"""Files mapped into memory, and pages let go again, so that what is resident does not grow with the log."""
+"""Memory-mapped files whose pages are dropped after use, so that resident memory does not grow with the log."""
 
 import mmap
 from pathlib import Path
@@ -12,11 +12,11 @@ from .remote_map import RemoteMap, remote_map_of
 _ADVICE = hasattr(mmap, "MADV_DONTNEED")
 _PAGE = mmap.PAGESIZE
 _BEHIND, _AROUND = 32, 2 << 20
-"""Pictures are looked at a while after they were handed out; and a page that is touched brings its neighbours along."""
+"""Images are used a while after they were read; and touching one page loads its neighbours."""
 
 
 def mapped(path: Path) -> memoryview:
-    """The bytes of a file that is not empty, read as they are touched, and no more than is touched."""
+    """Map a file that is not empty; only pages that are touched are read."""
     if (remote := remote_map_of(path)) is not None:
         return memoryview(remote)
     with path.open("rb") as stream:
@@ -27,24 +27,24 @@ def mapped(path: Path) -> memoryview:
 
 
 def is_mapped(data: Array) -> bool:
-    """Whether bytes (n,) are a mapped file's, which stay what they are for whoever holds them."""
+    """Whether bytes (n,) belong to a mapped file, so that they stay valid while someone holds them."""
     return isinstance(getattr(data.base, "obj", None), mmap.mmap)
 
 
 def check_untruncated(data: memoryview, path: Path, problem: BaseException | None = None) -> None:
-    """LogError when the mapped file was cut while it was read, and nothing worse than what follows from it happened."""
+    """LogError when the mapped file was truncated during reading and `problem`, if any, may follow from that."""
     if not isinstance(data.obj, mmap.mmap) or not isinstance(problem, BodylogError | None):
         return
     if (left := data.obj.size()) < len(data):
-        said = f"had {len(data)} bytes, but {left} while it was read"
-        raise LogError(f"{path}: {said}; give it once nobody writes to it any more") from problem
+        text = f"had {len(data)} bytes, but {left} while it was read"
+        raise LogError(f"{path}: {text}; give it once nobody writes to it any more") from problem
 
 
 def advise_sequential(data: memoryview, start: int, end: int, alone: bool = False) -> None:
-    """Have the file read ahead of where it is touched between two bytes: all of that is about to be, in order.
+    """Tell the kernel that all bytes between two will be read in order.
 
-    Read ahead so, a file is kept in large pieces, which are mapped at once; asked for by hand, page by page. What is
-    wanted `alone` is asked for by hand: to read ahead would bring some megabytes that lie behind it along.
+    The page cache then holds the file in large pieces, which are mapped at once. With `alone` only these bytes are
+    requested: readahead would load some megabytes beyond them.
     """
     ensure_local(data, start, end)
     low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
@@ -53,13 +53,13 @@ def advise_sequential(data: memoryview, start: int, end: int, alone: bool = Fals
 
 
 def ensure_local(data: memoryview, start: int, end: int) -> None:
-    """Have the bytes between two of a remote file there before they are touched; a file of this machine has its own."""
+    """Fetch the bytes between two of a remote file; does nothing for a local file."""
     if isinstance(data.obj, RemoteMap):
         data.obj.ensure_local(start, min(end, len(data)))
 
 
 def is_zero(data: memoryview, start: int, end: int) -> bool:
-    """Whether all bytes between two are 0, as where a file was given room and never written; their pages are let go."""
+    """Whether all bytes between two are 0, as in preallocated space; drops their pages if so."""
     advise_sequential(data, start, end)
     if np.frombuffer(data, np.uint8, end - start, start).any():
         return False
@@ -68,7 +68,7 @@ def is_zero(data: memoryview, start: int, end: int) -> bool:
 
 
 def drop_pages(data: memoryview, start: int, end: int) -> None:
-    """Let go of the pages between two bytes of a mapped file and of many before; touching them maps them again."""
+    """Drop the pages between two bytes of a mapped file, and those well before; access maps them again."""
     behind = max(_AROUND, _BEHIND * (end - start))
     low, high = max(0, start - behind) // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and type(data.obj) is mmap.mmap:

@@ -1,4 +1,4 @@
-"""A remote file as a map of memory of which only what was fetched is there: a sparse file, filled block by block."""
+"""A remote file as a memory map: a sparse local file, filled block by block on request."""
 
 import mmap
 import os
@@ -14,11 +14,11 @@ _BLOCK = 1 << 18
 _ENDS = 1 << 20
 
 Read = Callable[[int, int], bytes]
-"""The bytes of a remote file from one to before another; more than those where the store gives no less."""
+"""Reads the bytes of a remote file from one offset to before another; some stores return the whole file."""
 
 
 class RemoteMap(mmap.mmap):
-    """See the module; `ensure_local` before touching."""
+    """A memory map of a remote file; call `ensure_local` before access."""
 
     missing: set[int]
     remote: Read
@@ -26,7 +26,7 @@ class RemoteMap(mmap.mmap):
     handle: int
 
     def ensure_local(self, start: int, end: int) -> None:
-        """Fetch what is not there yet of the bytes from `start` to before `end`, whole blocks, in few requests."""
+        """Fetch the missing blocks between the bytes `start` and `end` in few requests."""
         with self.lock:
             wanted = sorted(self.missing.intersection(range(start // _BLOCK, -(-end // _BLOCK))))
             for first, last in _runs(wanted):
@@ -57,7 +57,7 @@ _MAPPED: dict[Path, tuple[Read, int]] = {}
 
 @contextmanager
 def mapped_remote(name: str, size: int, read: Read) -> Iterator[Path]:
-    """A path that `mapping.mapped` maps as a Sparse file of `size` bytes, its head there for who looks at the magic."""
+    """A path that `mmapped.mapped` maps as a RemoteMap of `size` bytes; its head is there to detect its format."""
     with scratch() as folder:
         path = folder / name
         with path.open("wb") as stream:
@@ -71,7 +71,7 @@ def mapped_remote(name: str, size: int, read: Read) -> Iterator[Path]:
 
 
 def remote_map_of(path: Path) -> RemoteMap | None:
-    """The map of a glimpsed file, its ends there; None for any other path."""
+    """The map of a path from `mapped_remote`, with its ends fetched; None for any other path."""
     if path not in _MAPPED:
         return None
     read, size = _MAPPED[path]

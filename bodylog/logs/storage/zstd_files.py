@@ -1,4 +1,4 @@
-"""zstd around what a log holds: whole files, unpacked to a temporary file, and single messages (rosbag2)."""
+"""zstd compression of whole log files and of single messages (rosbag2)."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -15,15 +15,15 @@ from ..records import Array, Batch, Topic
 from .compression import Allowance, unpack_zstd
 
 ZSTD = b"\x28\xb5\x2f\xfd"
-"""How a zstd frame begins; no CDR payload does."""
+"""The magic of a zstd frame; no CDR payload begins with it."""
 
 _MARGIN = 256 << 20
 _HEAD = 32
 _PIECE = 128 << 10
-"""A block of zstd: of the piece with the damage nothing is had."""
+"""Size of a zstd block: a damaged block gives no data."""
 
 _TOGETHER = 16 << 20
-"""Bytes that are unpacked together, if no message is longer."""
+"""Bytes to decompress together, unless one message is longer."""
 
 Opened = TypeVar("Opened")
 
@@ -34,9 +34,9 @@ def unpack_file(
     limits: Input = LIMITS,
     check: Callable[[bytes], object] = lambda first: None,
 ) -> Opened:
-    """What `use` makes of the unpacked file, which is unlinked afterwards; LogError when disk or limits are too small.
+    """Decompress a file to a temporary file and call `use` on it; LogError when disk space or limits do not suffice.
 
-    `check` sees the first bytes, and may refuse them, before the rest is unpacked.
+    `check` sees the first bytes and may reject them before the rest is decompressed.
     """
     with scratch() as folder:
         inner = folder / path.stem
@@ -66,14 +66,14 @@ def _unpack(path: Path, inner: Path, limit: int, limits: Input, check: Callable[
             if not written:
                 raise LogError(f"{path}: zstd data is damaged: {problem}; copy it again") from None
     if not written:
-        said = f"nothing comes out of its {path.stat().st_size} bytes"
-        raise LogError(f"{path}: zstd data is damaged: {said}; copy it again")
+        text = f"nothing comes out of its {path.stat().st_size} bytes"
+        raise LogError(f"{path}: zstd data is damaged: {text}; copy it again")
 
 
 def decompress_messages(
     batches: Iterable[Batch], topics: tuple[Topic, ...], diagnostics: Diagnostics
 ) -> Iterator[Batch]:
-    """The batches, with CDR payloads that rosbag2 packed one by one unpacked."""
+    """The batches, with CDR payloads that rosbag2 compressed one by one decompressed."""
     cdr, allowance = (
         {topic.id for topic in topics if topic.encoding == "cdr"},
         Allowance(diagnostics.path, diagnostics.limits),
@@ -87,7 +87,7 @@ def decompress_messages(
 
 
 def _each(batch: Batch, diagnostics: Diagnostics, allowance: Allowance) -> Iterator[Batch]:
-    """The batch unpacked, in parts of some megabytes: of very many bytes never more at once than of one message."""
+    """The batch decompressed, in parts of some megabytes, to limit memory."""
     kept: list[int] = []
     payloads: list[bytes] = []
     size = 0
@@ -97,7 +97,9 @@ def _each(batch: Batch, diagnostics: Diagnostics, allowance: Allowance) -> Itera
             kept.append(i)
             size += len(payloads[-1])
         except FormatError as problem:
-            diagnostics.add_loss(int(batch.offset[i]), len(payload), 1, 0.0, f"a message packed by itself: {problem}")
+            diagnostics.add_loss(
+                int(batch.offset[i]), len(payload), 1, 0.0, f"a message compressed on its own: {problem}"
+            )
         if size > _TOGETHER:
             yield _joined(batch, kept, payloads)
             kept, payloads, size = [], [], 0

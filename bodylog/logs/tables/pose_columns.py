@@ -36,14 +36,14 @@ class Poses:
     images: Mapping[str, Array]
     t: Array
     time: str | None
-    remarks: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def poses(table: Table, path: str) -> Poses:
     """The columns by what they are; LogError when there is no joint and no place."""
-    left, remarks = dict(table.numbers), list[str]()
+    left, notes = dict(table.numbers), list[str]()
     images = {name: files for name, files in table.texts.items() if _are_images(files)}
-    time, t = _time(left, table.rows, remarks)
+    time, t = _time(left, table.rows, notes)
     tracks, std = _tracks(left)
     labels = [name for name in left if label(name)]
     spaces = _spaces(left)
@@ -54,10 +54,10 @@ def poses(table: Table, path: str) -> Poses:
     if not joints and not tracks and not images:
         have = ", ".join(table.names[:12])
         raise LogError(f"{path}: no column is a joint, NAME_u and NAME_v, or image files; the columns are {have}")
-    remarks += _used(joints, tracks, images, time)
+    notes += _used(joints, tracks, images, time)
     if unused:
-        remarks.append(f"columns not used: {', '.join(unused)}")
-    return Poses(joints, tracks, std, images, t, time, tuple(remarks))
+        notes.append(f"columns not used: {', '.join(unused)}")
+    return Poses(joints, tracks, std, images, t, time, tuple(notes))
 
 
 def _are_images(files: Array) -> bool:
@@ -66,21 +66,21 @@ def _are_images(files: Array) -> bool:
     return bool(filled) and sum(name.lower().endswith(IMAGES) for name in filled) > len(filled) / 2
 
 
-def _time(left: dict[str, Array], rows: int, remarks: list[str]) -> tuple[str | None, Array]:
+def _time(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | None, Array]:
     """The column of times, taken out of `left`, and the rows' times (N,) s: their numbers where no column is sound."""
     name, t = time_column(left)
     if name is None:
-        remarks.append("no column of times; t is the row's number, counted from 0")
+        notes.append("no column of times; t is the row's number, counted from 0")
         return None, np.arange(rows, dtype=float)
     left.pop(name)
     for other in [other for other in left if _TIME.fullmatch(other)]:
         left.pop(other)
-        remarks.append(f"column {other} is a second column of times; {name} is used")
+        notes.append(f"column {other} is a second column of times; {name} is used")
     if not np.isfinite(t).all() or (np.diff(np.sort(t)) <= 0).any() or np.abs(t).max() > 9e9:
-        remarks.append(f"column {name} does not date every row differently; t is the row's number, counted from 0")
+        notes.append(f"column {name} does not date every row differently; t is the row's number, counted from 0")
         return None, np.arange(rows, dtype=float)
     if np.diff(np.sort(t)).max(initial=0) > 86_400 / 2:
-        remarks.append(f"column {name} leaps by more than half a day; t is the row's number, counted from 0")
+        notes.append(f"column {name} leaps by more than half a day; t is the row's number, counted from 0")
         return None, np.arange(rows, dtype=float)
     return name, t
 
@@ -146,11 +146,11 @@ def _used(
     joints: Mapping[str, Array], tracks: Mapping[str, Array], images: Mapping[str, Array], time: str | None
 ) -> list[str]:
     """What the columns in use are taken for; which joints may be in degrees."""
-    said = [f"joints: {', '.join(joints)}"] if joints else []
-    said += [f"tracks: {', '.join(tracks)}"] if tracks else []
-    said += [f"images: {', '.join(images)}"] if images else []
-    said += [f"time: {time}"] if time else []
-    found = [f"still poses, each by itself; {'; '.join(said)}"]
+    uses = [f"joints: {', '.join(joints)}"] if joints else []
+    uses += [f"tracks: {', '.join(tracks)}"] if tracks else []
+    uses += [f"images: {', '.join(images)}"] if images else []
+    uses += [f"time: {time}"] if time else []
+    found = [f"still poses, each by itself; {'; '.join(uses)}"]
     return found
 
 

@@ -36,7 +36,7 @@ class PoseLog:
         table = read(source, self.format)
         self._strict, self._findings = strict, list[Finding]()
         found = poses(table, str(path))
-        self._add("info", *found.remarks)
+        self._add("info", *found.notes)
         self._add("warning", *table.odd)
         self._add("lost", *table.lost)
         if far := in_degrees(found.joints):

@@ -188,8 +188,8 @@ def _parquet(path: Path) -> Table:
     try:
         parquet: Any = import_module("pyarrow.parquet")
     except ImportError:
-        said = 'Parquet needs pyarrow; type: pip install "bodylog[parquet]", or save it as CSV'
-        raise UsageError(f"{path}: {said}") from None
+        text = 'Parquet needs pyarrow; type: pip install "bodylog[parquet]", or save it as CSV'
+        raise UsageError(f"{path}: {text}") from None
     with parquet.ParquetFile(path) as file:
         names = _header(list(file.schema_arrow.names), path)
         if file.metadata.num_rows * len(names) > _MOST_CELLS:
