@@ -10,7 +10,7 @@ from .diagnostics import Diagnostics
 from .records import Array, Batch, Topic
 
 INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
-"""Metadata of a topic of joints whose messages are still poses that say nothing of each other."""
+"""Metadata of a joint topic whose messages are independent poses."""
 
 
 def independent(topics: Collection[Topic]) -> bool:

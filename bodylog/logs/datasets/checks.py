@@ -1,4 +1,4 @@
-"""What is wrong with an episode: black and frozen cameras, joints that wrap or never move, lengths, gaps in time."""
+"""Check an episode: black and frozen cameras, joints that wrap or never move, lengths, gaps in time."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -17,7 +17,7 @@ from .lerobot_layout import Layout
 _BLACK = 20
 """Grey levels: video's black is 16 (BT.601), and a covered sensor's noise a few levels more."""
 _BLOCK = 8
-"""px: block of a video codec."""
+"""px: block size of a video codec."""
 _SAME = 4.0
 """Grey levels that no block's mean differs by where the same image is coded again. Measured on an image repeated 60
 times: AV1 (crf 30) 0, H.264 (crf 23) 1; on a real MPEG-4 recording whose camera repeats images 2.5. A new image of that
@@ -32,7 +32,7 @@ _GAP = 5.0
 
 @dataclass
 class _Look:
-    """What is kept of a camera's images: brightness (grey levels), change from the one before, time (ns) of each."""
+    """Record of a camera's images: brightness (grey levels), change from the previous one, time (ns) of each."""
 
     bright: list[float] = field(default_factory=list)
     change: list[float] = field(default_factory=list)
@@ -40,7 +40,7 @@ class _Look:
     last: Array | None = None
 
     def add(self, ns: int, image: Array) -> None:
-        """Take in the next image (H,W,3)."""
+        """Record the next image (H,W,3)."""
         import cv2
 
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2GRAY)
@@ -54,27 +54,27 @@ class _Look:
 
 
 class Checks:
-    """Looks at the batches of an episode on their way, then says what is wrong."""
+    """Checks an episode from its batches."""
 
     def __init__(self, log: EpisodeLog, limits: Input = LIMITS) -> None:
-        """An episode that is about to be read from end to end."""
+        """For an episode that will be read from end to end."""
         self._log = log
         topics = {topic.id: topic for topic in log.topics if topic.id in log.cameras}
         self._decoders = {number: messages.decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
         self._looks = {number: _Look() for number in topics}
 
     def add(self, batch: Batch) -> None:
-        """Look at the images of a batch."""
+        """Examine the images of a batch."""
         if (decode := self._decoders.get(batch.topic_id)) is None:
             return
         for ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
             try:
                 self._looks[batch.topic_id].add(ns, decode(bytes(payload), 1))
-            except BodylogError:  # counted by the log itself
+            except BodylogError:  # the log counts it
                 continue
 
     def texts(self) -> Iterator[str]:
-        """One line for each thing that is wrong."""
+        """One line for each problem."""
         joints = next((one for one in self._log.signals if one.topic == JOINTS), None)
         for number, look in self._looks.items():
             yield from _camera(self._log.cameras[number], look, joints)
@@ -97,7 +97,7 @@ def _camera(camera: Camera, look: _Look, joints: Signal | None) -> Iterator[str]
 
 
 def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: Signal | None) -> Iterator[str]:
-    """Runs of images that show the same, though joints move."""
+    """Runs of identical images while joints move."""
     runs = [(first, end) for first, end in runs if joints is None or _moves(joints, ns[first], ns[end - 1])]
     if not runs:
         return
@@ -113,7 +113,7 @@ def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: S
 
 
 def _runs(which: Array, ns: Sequence[int]) -> Iterator[tuple[int, int]]:
-    """Runs (first, beyond the last) that last long enough to be remarked on."""
+    """Runs (first, beyond the last) that are long enough to report."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
     for first, end in edges.tolist():
         if end - first >= _MANY and ns[end - 1] - ns[first] >= _LONG_S * 1e9:
@@ -126,7 +126,7 @@ def _when(ns: Sequence[int], first: int, end: int) -> str:
 
 
 def _moves(joints: Signal, first_ns: int, last_ns: int) -> bool:
-    """Whether any joint crosses some of its range meanwhile."""
+    """Whether any joint crosses part of its range in that time."""
     during = joints.values[(joints.ns >= first_ns) & (joints.ns <= last_ns)]
     if not len(during):
         return False
@@ -135,7 +135,7 @@ def _moves(joints: Signal, first_ns: int, last_ns: int) -> bool:
 
 
 def _range(values: Array) -> Array:
-    """Highest less lowest of each column (K,), 0 where it holds no number."""
+    """Range of each column (K,), 0 if it holds no number."""
     known = np.isfinite(values)
     low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
     return np.where(known.any(axis=0), high - low, 0.0)
@@ -156,7 +156,7 @@ def _joints(joints: Signal) -> Iterator[str]:
 
 
 def _wraps(joints: Signal) -> Iterator[str]:
-    """Joints whose readings leap by more than half a turn."""
+    """Joints whose readings jump by more than half a turn."""
     known = joint_unit(joints.metadata, "rad")
     if known.turn is None:
         return
@@ -174,7 +174,7 @@ def _length(log: EpisodeLog) -> Iterator[str]:
 
 
 def of_dataset(known: Layout) -> Iterator[str]:
-    """What info.json says of the dataset as a whole and the rest does not."""
+    """Problems of the dataset as a whole: info.json against the other files."""
     there, info = known.present(), known.info
     listed = len(known.rows)
     if isinstance(total := info.get("total_episodes"), int) and total != listed:

@@ -1,4 +1,4 @@
-"""Images to a video file whose frames have the times given, and how far what it shows is from the images."""
+"""Encode images as a video file with given frame times, and measure the error of the result."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -13,14 +13,14 @@ from . import video
 from .extra import needed
 
 Images = Callable[[], Iterator[Array]]
-"""Gives the images (H,W,3) uint8 BGR of a video in order, each time it is called."""
+"""Returns the images (H,W,3) uint8 BGR of a video in order, on each call."""
 _TICKS = 1_000_000
 """Per second: times of frames are kept to the microsecond."""
 
 
 @dataclass(frozen=True)
 class Codec:
-    """An encoder of FFmpeg: its name, pixel format, options, and what the format is called in info.json."""
+    """An encoder of FFmpeg: its name, pixel format, options, and the format's name in info.json."""
 
     encoder: str
     pixels: str
@@ -33,11 +33,11 @@ CODECS: Mapping[str, Codec] = {
     "h264": Codec("libx264", "yuv420p", {"crf": "18", "preset": "veryfast", "g": "10", "bf": "0"}, "h264"),
     "av1": Codec("libsvtav1", "yuv420p", {"crf": "30", "preset": "8", "g": "2"}, "av1"),
 }
-"""What --codec names; av1 is as LeRobot writes (crf 30, a key frame every 2 frames)."""
+"""The choices of --codec; av1 as LeRobot writes it (crf 30, a key frame every 2 frames)."""
 
 
 def codec(name: str) -> Codec:
-    """The encoder; UsageError names those possible."""
+    """The encoder of that name; UsageError lists the choices."""
     if name not in CODECS:
         raise UsageError(f"--codec {name}: possible are {', '.join(CODECS)}")
     return CODECS[name]
@@ -46,7 +46,7 @@ def codec(name: str) -> Codec:
 def encode(path: Path, how: Codec, images: Images, t: Array, size: tuple[int, int]) -> float:
     """Write a video of the images, frame k shown at t[k] (N,) s, and return its RMS error in grey levels.
 
-    LogError where the images have no one size, or the video does not hold what was written.
+    LogError if the images differ in size, or the video does not hold what was written.
     """
     width, height = size
     if how.pixels == "yuv420p" and (width % 2 or height % 2):
@@ -79,7 +79,7 @@ def _write(path: Path, how: Codec, images: Images, pts: Array, size: tuple[int, 
 
 
 def _step(pts: Array) -> int:
-    """The usual time between frames, in ticks."""
+    """The median time between frames, in ticks."""
     return max(int(np.median(np.diff(pts))), 1) if len(pts) > 1 else _TICKS
 
 
@@ -91,7 +91,7 @@ def _sized(image: Array, size: tuple[int, int], path: Path) -> Array:
 
 
 def _error(path: Path, images: Images, pts: Array, size: tuple[int, int]) -> float:
-    """RMS difference (grey levels) of what the video shows from the images; LogError where frames are missing."""
+    """RMS difference (grey levels) of the video's frames from the images; LogError where frames are missing."""
     found = video.survey(path, size[0] * size[1] / 1e6)
     shown = np.rint(found.t * _TICKS).astype(np.int64)
     if len(shown) != len(pts) or np.abs(shown - pts).max(initial=0) > 1:

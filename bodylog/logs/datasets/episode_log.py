@@ -1,4 +1,4 @@
-"""One episode of a dataset as a log: signals held as arrays, cameras decoded as they are read; see protocol.Log."""
+"""One episode of a dataset as a log: signals held as arrays, cameras decoded on reading; see protocol.Log."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,15 +16,15 @@ from ..records import Array, Batch, Finding, Topic
 
 JOINTS, ACTION = "/joint_states", "/action"
 FEATURE, DTYPE = "bodylog.feature", "bodylog.dtype"
-"""Metadata of a topic: the dataset's name and dtype of what it holds."""
+"""Metadata of a topic: the dataset's name and dtype of its values."""
 JOINT_STATE, VECTOR = "sensor_msgs/msg/JointState", "bodylog_msgs/msg/Vector"
 RAW, COMPRESSED, TEXT = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
 EPOCH_NS = 1_000_000_000
-"""Where times of a dataset begin that count from an episode's start: a stamp of 0 would mean that there is none."""
+"""Start of times that count from an episode's start: a stamp of 0 would mean no stamp."""
 _BATCH_BYTES = 4 << 20
 
 Item = tuple[int, Array | bytes | None]
-"""Number of a frame, and its image (H,W,3) uint8 BGR or encoded bytes; None where it cannot be read."""
+"""Number of a frame, and its image (H,W,3) uint8 BGR or encoded bytes; None if unreadable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +51,9 @@ class Texts:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Images of one topic: their times ns (n,) int64, and what reads them: one item for each time, in order.
+    """Images of one topic: their times ns (n,) int64, and a function that reads one item per time, in order.
 
-    `size` is (width, height) px of raw images; None: they are encoded, as `form` (jpeg, png) says.
+    `size` is (width, height) px of raw images; None: encoded in the format `form` (jpeg, png).
     """
 
     topic: str
@@ -66,7 +66,7 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """What a reader found: name of the format, streams, remarks; `length`: rows that the dataset declares."""
+    """The result of a reader: format name, streams, findings; `length`: declared number of rows."""
 
     format: str
     streams: Sequence[Signal | Texts | Camera]
@@ -76,10 +76,10 @@ class Episode:
 
 
 class EpisodeLog:
-    """An episode as a log; images that cannot be read are counted as lost, and stand as messages without an image."""
+    """An episode as a log; unreadable images count as lost, and become messages without an image."""
 
     def __init__(self, path: Path, episode: Episode, strict: bool) -> None:
-        """LogError when it holds nothing, or when strict and part of it is lost."""
+        """LogError for an empty episode, or when strict and part of it is lost."""
         self.path, self.episode, self.format, self._strict = path, episode, episode.format, strict
         self._lost: dict[str, str] = {}
         streams = [one for one in episode.streams if len(one.ns)]
@@ -94,7 +94,7 @@ class EpisodeLog:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Remarks of the reader, and images that could not be read so far."""
+        """Findings of the reader, and the unreadable images so far."""
         lost = (Finding("lost", f"{self.path}: {text}") for text in self._lost.values())
         return (*(Finding(f.severity, f"{self.path}: {f.text}") for f in self.episode.findings), *lost)
 
@@ -115,7 +115,7 @@ class EpisodeLog:
                 yield from self._images(number, one) if isinstance(one, Camera) else _held(number, one)
 
     def heads(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
-        """As `batches`, but messages of cameras come without their images, which need not be decoded."""
+        """As `batches`, but messages of cameras have no images, so that none is decoded."""
         for number, one in self._streams.items():
             if ids is None or number in ids:
                 yield from _held(number, one)
@@ -125,17 +125,17 @@ class EpisodeLog:
         return {number: (int(one.ns.min()), int(one.ns.max())) for number, one in self._streams.items()}
 
     def close(self) -> None:
-        """Nothing stays open between batches."""
+        """Do nothing: no file stays open between batches."""
 
     def __enter__(self) -> Self:
-        """The log itself."""
+        """Return the log."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
     def _images(self, number: int, camera: Camera) -> Iterator[Batch]:
-        """Batches of a camera's images; as many messages as it has times."""
+        """Batches of a camera's images, one message per time."""
         pending: list[tuple[int, bytes]] = []
         size, missing = 0, 0
         for at, image in camera.read():
@@ -173,7 +173,7 @@ def _type(one: Signal | Texts | Camera) -> str:
 
 
 def _held(number: int, one: Signal | Texts | Camera) -> Iterator[Batch]:
-    """All messages of a topic at once, of a camera without images."""
+    """All messages of a topic at once; those of a camera have no image."""
     made = _texts(one) if isinstance(one, Texts) else cdr.serialise(len(one.ns), _fields(one))
     yield Batch(number, one.ns, made.data, made.offset, made.length)
 
@@ -193,7 +193,7 @@ def _texts(one: Texts) -> Payloads:
 
 
 def _image_fields(camera: Camera, ns: Array, data: Array) -> list[CdrField]:
-    """CompressedImage or Image with the bytes data (n,B); B = 0 of a raw image means none."""
+    """CompressedImage or Image with the bytes data (n,B); B = 0 for a raw image means no image."""
     if camera.size is None:
         return [*cdr.header(ns), ("string", camera.form), ("uint8[]", data)]
     width, height = camera.size if data.shape[1] else (0, 0)

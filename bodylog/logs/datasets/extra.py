@@ -1,4 +1,4 @@
-"""Packages of the extra `datasets`, imported when a dataset needs them."""
+"""Packages of the extra `datasets`, imported on first use."""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
@@ -16,7 +16,7 @@ _PACKAGES: Mapping[str, tuple[str, Callable[[], Any]]] = {
 
 
 def needed(module: str, path: Path) -> Any:
-    """A module of the extra; UsageError names what to install."""
+    """Import a module of the extra; UsageError names the package to install."""
     why, imported = _PACKAGES[module]
     try:
         return imported()

@@ -45,7 +45,7 @@ _ACTION = re.compile(r"actions?")
 
 
 def open_hdf5(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
-    """An episode of an HDF5 file: of FILE#N number N, of FILE the first."""
+    """Open an episode of an HDF5 file: FILE#N is number N, FILE the first."""
     file, number = episodes.split(path)
     findings: list[Finding] = []
     with opened(file) as one:
@@ -95,7 +95,7 @@ def _rows(sets: Mapping[str, Any]) -> int:
 
 
 def _is_camera(name: str, one: Any) -> bool:
-    """(T,H,W,3) or (T,H,W,1) bytes, or JPEG and PNG in (T,L) bytes or rows of changing length, named as images are."""
+    """(T,H,W,3) or (T,H,W,1) bytes, or JPEG and PNG in (T,L) bytes or variable-length rows, named like images."""
     if one.dtype == np.uint8 and one.ndim == 4:
         return one.shape[3] in (1, 3)
     return bool(re.search(r"image|rgb|cam", name)) and (
@@ -104,7 +104,7 @@ def _is_camera(name: str, one: Any) -> bool:
 
 
 def _times(found: Sets, rows: int, findings: list[Finding]) -> Array:
-    """Times of the steps (N,) int64 ns: a dataset of times, else their numbers at the rate that is known."""
+    """Times of the steps (N,) int64 ns: a dataset of times, else step numbers at the known rate."""
     for name, one in found.sets.items():
         if (match := _TIMES.search(name)) and one.shape == (rows,) and one.dtype.kind in "fiu":
             ns = _ns(one[()], match[4])
@@ -120,7 +120,7 @@ def _times(found: Sets, rows: int, findings: list[Finding]) -> Array:
 
 
 def _ns(values: Array, ending: str | None) -> Array | None:
-    """Times as int64 ns: by the ending of their name, else by their size; None where they are none."""
+    """Times as int64 ns: by the suffix of their name, else by their size; None if they are not times."""
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return None
     largest = float(np.abs(values).max(initial=0))
@@ -159,7 +159,7 @@ def _stream(
 
 
 def _feature(name: str) -> str:
-    """What LeRobot would call a dataset."""
+    """LeRobot's name for a dataset."""
     if _JOINTS.search(name):
         return "observation.state"
     if _ACTION.fullmatch(name):
@@ -173,7 +173,7 @@ def _text(value: Any) -> Any:
 
 
 def _names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:
-    """ALOHA's names of its arms' joints; else their places."""
+    """ALOHA's names of its arms' joints; else their indices."""
     if of_joints and form == "hdf5" and count in (7, 14):
         sides = ("left_", "right_") if count == 14 else ("",)
         return tuple(f"{side}{name}" for side in sides for name in _ALOHA_ARM)
@@ -181,7 +181,7 @@ def _names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:
 
 
 def _chunk_bytes(one: Any) -> int:
-    """Bytes that HDF5 unpacks at once."""
+    """Bytes that HDF5 decompresses at once."""
     if one.dtype == object:
         return 0
     return int(np.prod(one.chunks or (1,), dtype=float) * one.dtype.itemsize) if one.chunks else 0
@@ -217,14 +217,14 @@ def _raw(path: Path, place: str, count: int) -> Iterator[Item]:
 
 
 def _packed(path: Path, place: str, count: int) -> Iterator[Item]:
-    """JPEG or PNG images row by row, without the zeros that fill a row up."""
+    """JPEG or PNG images row by row, without the zeros that pad a row."""
     for number, row in _rows_of(path, place, count):
         data = b"" if row is None else np.asarray(row, np.uint8).tobytes().rstrip(b"\0")
         yield number, data or None
 
 
 def _rows_of(path: Path, place: str, count: int) -> Iterator[tuple[int, Array | None]]:
-    """The rows of a dataset; None for those that cannot be unpacked."""
+    """The rows of a dataset; None for unreadable ones."""
     with opened(path) as file:
         one = file[place]
         for number in range(count):

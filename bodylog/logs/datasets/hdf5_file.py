@@ -1,4 +1,4 @@
-"""HDF5 files with episodes: opened, and the datasets of one episode found in them."""
+"""Open HDF5 files with episodes, and find the datasets of one episode."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -20,7 +20,7 @@ _DEMO = re.compile(r"demo_(\d{1,9})$")
 
 @dataclass(frozen=True, eq=False)
 class Sets:
-    """The datasets below one group by their path within it, and the rate where the file states it (Hz)."""
+    """The datasets of one group by their path in it, and the rate if the file declares it (Hz)."""
 
     group: str
     sets: Mapping[str, Any]
@@ -29,14 +29,14 @@ class Sets:
 
 
 def numbers(file: Path) -> tuple[int, ...]:
-    """The numbers of a file's demonstrations; none where it holds a single episode."""
+    """The numbers of a file's demonstrations; empty if it holds a single episode."""
     with opened(file) as one:
         return _demos(one)
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """An HDF5 file; FormatError where it is damaged, or while something in it cannot be read."""
+    """Open an HDF5 file; FormatError when it is damaged or becomes unreadable."""
     h5py = needed("h5py", path)
     try:
         with h5py.File(path, "r") as file:
@@ -53,7 +53,7 @@ def _demos(file: Any) -> tuple[int, ...]:
 
 
 def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding]) -> Sets:
-    """The datasets of the episode; LogError where there is no such episode or none at all."""
+    """The datasets of the episode; LogError if that episode, or any, is missing."""
     demos = _demos(file)
     if not demos:
         if number:
@@ -72,7 +72,7 @@ def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding]) 
 
 
 def _walk(group: Any, before: str = "", depth: int = 0) -> dict[str, Any]:
-    """The datasets below a group that lie in the file itself: no links, no data kept in other files."""
+    """The datasets below a group that are in the file itself: no links, no external data."""
     found: dict[str, Any] = {}
     for name in list(group.keys())[:_MOST_SETS]:
         one = _member(group, name)
@@ -88,7 +88,7 @@ def _walk(group: Any, before: str = "", depth: int = 0) -> dict[str, Any]:
 
 
 def _is_own(one: Any) -> bool:
-    """Whether this is a dataset of a type that NumPy knows, whose data lie in the file."""
+    """Whether this is a dataset of a NumPy type with its data in the file."""
     try:
         return one.dtype is not None and one.shape is not None and not one.is_virtual and not one.external
     except (AttributeError, TypeError):
@@ -96,7 +96,7 @@ def _is_own(one: Any) -> bool:
 
 
 def attribute(one: Any, name: str) -> Any:
-    """An attribute, or None where it is of no type that NumPy knows."""
+    """An attribute, or None if NumPy does not know its type."""
     try:
         return one.attrs.get(name)
     except (TypeError, OSError, RuntimeError, ValueError):
@@ -104,7 +104,7 @@ def attribute(one: Any, name: str) -> Any:
 
 
 def _member(group: Any, name: str) -> Any:
-    """What lies under a name, unless that is a link to elsewhere."""
+    """The object of that name, unless it is a link out of the file."""
     if name not in group:
         return None
     link = group.get(name, getlink=True)

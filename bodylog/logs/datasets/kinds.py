@@ -1,4 +1,4 @@
-"""Which datasets there are: who opens a folder or a file, which files an episode is read from, how many there are."""
+"""Detect datasets: which reader opens a folder or file, the files of an episode, the number of episodes."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +15,7 @@ _RECORDED = (".db3", ".mcap", ".bag", ".zst", ".zstd", ".active")
 
 
 def of_folder(folder: Path) -> Opener | None:
-    """Who opens a folder as a dataset; None for a folder that is none, or holds what rosbag2 or ROS recorded."""
+    """The reader of a dataset's folder; None for other folders, and those recorded by rosbag2 or ROS."""
     if is_dataset(folder):
         from . import lerobot
 
@@ -29,7 +29,7 @@ def of_folder(folder: Path) -> Opener | None:
 
 
 def of_file(first: bytes) -> Opener | None:
-    """Who opens a file that begins so; None for one that is neither HDF5 nor a video."""
+    """The reader of a file that begins with these bytes; None if it is neither HDF5 nor a video."""
     from . import hdf5, hdf5_file, tables, video
 
     if first.startswith(hdf5_file.MAGIC):
@@ -43,19 +43,19 @@ def is_dataset(folder: Path) -> bool:
 
 
 def files(folder: Path, number: int | None) -> tuple[Path, ...]:
-    """The files that an episode of a dataset's folder is read from; none for a folder that holds no episodes."""
+    """The files of one episode of a dataset's folder; none for a folder without episodes."""
     from . import lerobot
 
     return lerobot.files(folder, number) if is_dataset(folder) else ()
 
 
 def numbers(path: Path) -> tuple[int, ...]:
-    """The episodes that are there in a folder or file; none where it holds no episodes."""
+    """The numbers of the episodes in a folder or file; empty if it holds no episodes."""
     from . import hdf5_file, lerobot_layout
 
     if path.is_dir():
         return lerobot_layout.layout(path).present() if is_dataset(path) else ()
-    if not path.is_file():  # a pipe would be waited for
+    if not path.is_file():  # opening a pipe would block
         return ()
     with path.open("rb") as stream:
         is_hdf5 = stream.read(8) == hdf5_file.MAGIC

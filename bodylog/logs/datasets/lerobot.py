@@ -42,7 +42,7 @@ _MOST_WIDE = 100_000
 
 
 def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
-    """An episode of a LeRobot folder: of DATASET#N number N, of DATASET the first that is there."""
+    """Open an episode of a LeRobot folder: DATASET#N is number N, DATASET the first existing one."""
     folder, number = episodes.split(path)
     known, findings = layout(folder), list[Finding]()
     if number is None:
@@ -59,7 +59,7 @@ def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> Ep
 
 
 def files(folder: Path, number: int | None) -> tuple[Path, ...]:
-    """The files that an episode is read from (None: the first), those that are there."""
+    """The existing files of an episode (None: the first)."""
     known = layout(folder)
     number = next(filter(known.holds, sorted(known.rows)), 0) if number is None else number
     cameras = [name for name, about in known.features.items() if about.get("dtype") == "video"]
@@ -70,7 +70,7 @@ def files(folder: Path, number: int | None) -> tuple[Path, ...]:
 
 
 def _ranges(numbers: Sequence[int]) -> str:
-    """0 to 24, or 0, 1, 7."""
+    """Format numbers as 0 to 24, or 0, 1, 7."""
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"{numbers[0]} to {numbers[-1]}"
     return ", ".join(map(str, numbers[:12])) + (f" and {len(numbers) - 12} more" if len(numbers) > 12 else "")
@@ -103,7 +103,7 @@ def _episode(known: Layout, number: int, findings: list[Finding], limits: Input)
 def _times(
     stamps: Mapping[str, Array | None], t: Array | None, count: int, fps: float, findings: list[Finding]
 ) -> Array:
-    """Times of the rows (N,) int64 ns: the first stamps, else `timestamp` (s), else their numbers at the rate."""
+    """Times of the rows (N,) int64 ns: the first stamps, else `timestamp` (s), else row numbers at the rate."""
     own = [ns for ns in stamps.values() if ns is not None]
     if own:
         return times(own[0])
@@ -116,7 +116,7 @@ def _times(
 
 
 def _stamps(stamps: Mapping[str, Array | None], name: str, ns: Array) -> Array:
-    """The feature's own times, where the dataset has them, else the rows'."""
+    """The feature's own times if the dataset has them, else the rows'."""
     own = stamps.get(f"{name}{_STAMP}")
     return ns if own is None else times(own)
 
@@ -148,7 +148,7 @@ def _signal(
 
 
 def _robot(known: Layout, name: str) -> dict[str, str]:
-    """What of the dataset is kept with the joints: rate and robot."""
+    """The joints' metadata from the dataset: rate and robot."""
     if name not in _STATE:
         return {}
     robot = known.info.get("robot_type")
@@ -156,7 +156,7 @@ def _robot(known: Layout, name: str) -> dict[str, str]:
 
 
 def _names(declared: Any, count: int) -> tuple[str, ...]:
-    """The names of `count` numbers: a list, or what lies in a mapping ({"motors": [...]}); else their places."""
+    """The names of `count` numbers: a list, or the values of a mapping ({"motors": [...]}); else their indices."""
     while isinstance(declared, dict) and len(declared) == 1:
         declared = next(iter(declared.values()))
     if isinstance(declared, dict):
@@ -169,7 +169,7 @@ def _names(declared: Any, count: int) -> tuple[str, ...]:
 
 
 def _tasks(known: Layout, found: Mapping[str, Array | None], ns: Array) -> Iterator[Texts]:
-    """The task, where it begins or changes."""
+    """The task at its beginning and at each change."""
     index = found.get("task_index")
     texts = tasks(known)
     if not texts or not len(ns):
@@ -222,14 +222,14 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _within(film: video.Video, start: float, end: float | None, fps: float) -> tuple[int, int]:
-    """The frames of an episode in a video of several: from start to before end, within half a frame."""
+    """The frames of an episode in a shared video: from start to before end, within half a frame."""
     margin = 0.5 / fps
     first = int(np.searchsorted(film.t, start - margin)) if start else 0
     return first, len(film.t) if end is None else int(np.searchsorted(film.t, end - margin))
 
 
 def _dated(name: str, t: Array, ns: Array, fps: float) -> tuple[Array, list[Finding]]:
-    """When the frames shown at t (K,) s were taken, ns: frame k belongs to row k where there are as many."""
+    """Times (ns) of the frames shown at t (K,) s: frame k has the time of row k if the counts agree."""
     if len(t) != len(ns):
         less = "lost" if len(t) < len(ns) else "warning"
         text = f"{name}: the video has {len(t)} frames, the table {len(ns)} rows; frames are dated by the video"

@@ -1,4 +1,4 @@
-"""Where a LeRobot dataset (v2.0, v2.1, v3.0) keeps what: meta/info.json, the list of episodes, tables and videos."""
+"""The layout of a LeRobot dataset (v2.0, v2.1, v3.0): meta/info.json, list of episodes, tables and videos."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -20,7 +20,7 @@ _PLACE = re.compile(r"\{(\w+)(?::0?(\d{1,2})d)?\}")
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Where a piece of an episode is: a file, and for videos of several episodes from when to when (s)."""
+    """The place of a piece of an episode: a file, and in a shared video its start and end (s)."""
 
     path: Path
     start: float = 0.0
@@ -31,7 +31,7 @@ class Part:
 class Layout:
     """A dataset: its folder, info.json, features {name: declaration}, frames per second, and the episodes' rows.
 
-    `rows` {episode: what the dataset lists about it}.
+    `rows` {episode: its entry in the dataset's list}.
     """
 
     folder: Path
@@ -47,7 +47,7 @@ class Layout:
 
     @property
     def one_file_each(self) -> bool:
-        """Whether each episode has files of its own, as before v3.0."""
+        """Whether each episode has its own files, as before v3.0."""
         return not self.version.startswith("v3")
 
     def table(self, episode: int) -> Path:
@@ -65,11 +65,11 @@ class Layout:
         return Part(path, start or 0.0, end)
 
     def present(self) -> tuple[int, ...]:
-        """The episodes whose tables are there."""
+        """The episodes whose tables exist."""
         return tuple(number for number in sorted(self.rows) if self.holds(number))
 
     def holds(self, episode: int) -> bool:
-        """Whether an episode is listed and its table is there."""
+        """Whether an episode is listed and its table exists."""
         try:
             return episode in self.rows and self.table(episode).is_file()
         except FormatError:
@@ -87,7 +87,7 @@ class Layout:
         return {"episode_index": episode, **{name: int(value or 0) for name, value in found.items()}}
 
     def _path(self, key: str, values: Mapping[str, int | str]) -> Path:
-        """A path of info.json with its places filled in; FormatError where it leads out of the folder."""
+        """A path of info.json with its placeholders filled in; FormatError if it leads out of the folder."""
         template = self.info.get(key)
         if not isinstance(template, str):
             raise FormatError(f"{self.folder}/{INFO}: {key} is {template!r:.60}; a path is expected")
@@ -106,7 +106,7 @@ class Layout:
 
 
 def layout(folder: Path) -> Layout:
-    """The layout of a dataset; FormatError or LogError says in one line what is wrong with its meta files."""
+    """The layout of a dataset; FormatError or LogError for broken meta files."""
     info = (folder / INFO).stat()
     tables = sorted((folder / EPISODE_TABLES).rglob("*.parquet"))
     listed = [path.stat() for path in (folder / EPISODES, *tables) if path.is_file()]
@@ -115,7 +115,7 @@ def layout(folder: Path) -> Layout:
 
 @lru_cache(maxsize=4)
 def _layout(folder: Path, *_: tuple[int, int]) -> Layout:
-    """As `layout`, kept as long as the files do not change."""
+    """As `layout`, cached while the files do not change."""
     path = folder / INFO
     info = _json(path)
     features = info.get("features") if isinstance(info, dict) else None
@@ -133,7 +133,7 @@ def _layout(folder: Path, *_: tuple[int, int]) -> Layout:
 
 
 def tasks(layout: Layout) -> dict[int, str]:
-    """The texts of the tasks by index; none where the dataset lists none."""
+    """The texts of the tasks by index; empty if the dataset lists none."""
     folder = layout.folder
     if layout.one_file_each:
         found = _lines(folder / TASKS) if (folder / TASKS).is_file() else []
@@ -203,7 +203,7 @@ def _json(path: Path) -> Any:
 
 
 def _lines(path: Path) -> Sequence[Mapping[str, Any]]:
-    """The objects of a file of JSON lines; FormatError for a line that is none."""
+    """The objects of a file of JSON lines; FormatError for an invalid line."""
     found = []
     for number_, line in enumerate(_text(path).splitlines(), 1):
         if line.strip():

@@ -1,4 +1,4 @@
-"""Columns of Parquet files as arrays; what a file declares is checked before memory is taken."""
+"""Read columns of Parquet files as arrays; declared sizes are checked before memory is allocated."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,7 +12,7 @@ from ..records import Array
 from .extra import needed
 
 MOST_VALUES = 1 << 26
-"""Numbers of one column that are read."""
+"""The most numbers of one column that are read."""
 _MOST_ROWS = 1 << 24
 _MOST_BYTES = 256 << 20
 """Bytes that one piece of a column of images may unpack to."""
@@ -20,7 +20,7 @@ _MOST_BYTES = 256 << 20
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A Parquet file; LogError where it is none, FormatError where it is damaged."""
+    """Open a Parquet file; LogError if it is not one, FormatError if it is damaged."""
     arrow, parquet = needed("pyarrow", path), needed("pyarrow.parquet", path)
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; is the dataset downloaded completely?")
@@ -34,7 +34,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def rows(path: Path, column: str, value: int) -> list[tuple[int, int]]:
-    """Where an integer column has a value: runs of rows (first, beyond the last), in file order."""
+    """The rows where an integer column has a value: runs (first, beyond the last), in file order."""
     with opened(path) as file:
         if column not in file.schema_arrow.names:
             return [(0, file.metadata.num_rows)]
@@ -44,16 +44,16 @@ def rows(path: Path, column: str, value: int) -> list[tuple[int, int]]:
 
 
 def columns(path: Path, names: Sequence[str], where: Sequence[tuple[int, int]]) -> dict[str, Array | None]:
-    """Columns of numbers (n,K) float64, NaN where empty, of runs of rows; None for those that hold no numbers.
+    """Columns of numbers (n,K) float64, NaN where empty, in runs of rows; None for other columns.
 
-    A column of lists of changing length is as wide as its longest, and ends in NaN.
+    A column of variable-length lists is as wide as its longest, padded with NaN.
     """
     with opened(path) as file:
         return {name: _found(file, name, where, path) for name in names if name in file.schema_arrow.names}
 
 
 def integers(path: Path, name: str, where: Sequence[tuple[int, int]]) -> Array | None:
-    """A column of whole numbers (n,) int64 of runs of rows, to the last digit; None where it is none."""
+    """A column of whole numbers (n,) int64 in runs of rows, without rounding; None for other columns."""
     with opened(path) as file:
         types = needed("pyarrow", path).types
         if name not in file.schema_arrow.names or not types.is_integer(file.schema_arrow.field(name).type):
@@ -72,7 +72,7 @@ def objects(path: Path, names: Sequence[str]) -> Mapping[str, list[Any]]:
 
 
 def encoded(path: Path, column: str, where: Sequence[tuple[int, int]]) -> Iterator[bytes | None]:
-    """Encoded images of a column of {bytes, path}, or of bytes, row by row; None where there is none."""
+    """Encoded images of a column of {bytes, path}, or of bytes, row by row; None for a missing image."""
     with opened(path) as file:
         first = 0
         for group in range(file.num_row_groups):
@@ -105,7 +105,7 @@ def _found(file: Any, name: str, where: Sequence[tuple[int, int]], path: Path) -
 
 
 def _column(file: Any, name: str, run: tuple[int, int] | None, path: Path) -> Any:
-    """One column of a run of rows, or of all; LogError where it declares more values than are read."""
+    """One column of a run of rows, or of all; LogError if it declares too many values."""
     arrow = needed("pyarrow", path)
     pieces, first = [], 0
     for group in range(file.num_row_groups):
@@ -125,7 +125,7 @@ def _column(file: Any, name: str, run: tuple[int, int] | None, path: Path) -> An
 
 
 def _numbers(column: Any) -> Array:
-    """An Arrow column as (n,K) float64, or objects where it holds no numbers; lists of lists are laid out flat."""
+    """An Arrow column as (n,K) float64, or objects if it holds no numbers; nested lists are flattened."""
     import pyarrow as arrow
     from pyarrow import compute
 

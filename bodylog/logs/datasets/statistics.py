@@ -1,4 +1,4 @@
-"""Statistics of features and images, as LeRobot keeps them: of each episode, and of all together."""
+"""Statistics of features and images, as LeRobot stores them: per episode, and for the whole dataset."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ _SAMPLE = 8
 
 
 def of_numbers(values: Array) -> dict[str, Any]:
-    """Least, largest, mean and std of each column, over the finite numbers, and how many rows."""
+    """Minimum, maximum, mean and std of each column over its finite numbers, and the number of rows."""
     table = np.where(np.isfinite(values.astype(float)), values.astype(float), np.nan).reshape(len(values), -1)
     known = np.isfinite(table).any(axis=0)
     safe = np.where(known, table, 0.0)
@@ -24,16 +24,16 @@ def of_numbers(values: Array) -> dict[str, Any]:
 
 
 class Sampled:
-    """Statistics of images as they pass, of every eighth pixel and line, in RGB from 0 to 1."""
+    """Statistics of a stream of images, from every eighth pixel and line, in RGB from 0 to 1."""
 
     def __init__(self) -> None:
-        """Nothing yet."""
+        """Start without images."""
         self._sums = np.zeros((2, 3))
         self._ends = np.array([[1.0] * 3, [0.0] * 3])
         self._count = 0
 
     def seen(self, image: Array) -> Array:
-        """The image, once it is counted."""
+        """Add an image to the statistics and return it."""
         some = image[::_SAMPLE, ::_SAMPLE, ::-1].reshape(-1, 3) / 255.0
         self._sums += some.sum(axis=0), (some**2).sum(axis=0)
         low, high = np.minimum(self._ends[0], some.min(axis=0)), np.maximum(self._ends[1], some.max(axis=0))
@@ -42,7 +42,7 @@ class Sampled:
         return image
 
     def stats(self, count: int) -> dict[str, Any]:
-        """Least, largest, mean and std of each channel (3,1,1), and how many images."""
+        """Minimum, maximum, mean and std of each channel (3,1,1), and the number of images."""
         mean = self._sums[0] / self._count
         std = np.sqrt(np.maximum(self._sums[1] / self._count - mean**2, 0.0))
         found = {"min": self._ends[0], "max": self._ends[1], "mean": mean, "std": std}
@@ -50,7 +50,7 @@ class Sampled:
 
 
 def together(stats: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
-    """Statistics of all episodes from those of each."""
+    """Combine the statistics of all episodes."""
     return {name: _joined([one[name] for one in stats]) for name in stats[0]} if stats else {}
 
 

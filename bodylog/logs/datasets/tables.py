@@ -1,7 +1,7 @@
-"""A folder of tables, images and videos as a log, or a lone video: each table dates what it names or lies beside.
+"""A folder of tables, images and videos as a log, or a lone video: tables give images and frames their times.
 
-A table with a column of image files is a camera, one beside a video of its name dates the video's frames, its numbers
-are joints.
+A table with a column of image files is a camera, one named like a video gives its frames' times, its numbers are
+joints.
 """
 
 import re
@@ -43,12 +43,12 @@ class _Dated:
 
 
 def is_tables(folder: Path) -> bool:
-    """Whether a folder holds tables or videos, and is no recording."""
+    """Whether a folder holds tables or videos, and is not a recording."""
     return any(True for _ in _files(folder, (*SUFFIXES, *video.SUFFIXES)))
 
 
 def open_folder(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
-    """The folder as a log; LogError when no table dates anything in it."""
+    """Open the folder as a log; LogError when no table gives times."""
     if episodes.split(path)[1] is not None:
         raise LogError(f"{path}: the folder holds no episodes; leave out the #")
     findings: list[Finding] = []
@@ -58,7 +58,7 @@ def open_folder(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epi
 
 
 def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
-    """A video as a log, dated by a table beside it, else by itself."""
+    """Open a video as a log, with times from a table beside it, else its own."""
     if episodes.split(path)[1] is not None:
         raise LogError(f"{path}: a video holds no episodes; leave out the #")
     film, findings = video.survey(path, limits.max_image_mpx), list[Finding]()
@@ -68,13 +68,13 @@ def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epis
 
 
 def table_beside(film: Path) -> Path | None:
-    """The table beside a video that dates its frames, by its name: side.csv, side_timestamps.csv of side.mp4."""
+    """The table with a video's frame times, by its name: side.csv, side_timestamps.csv for side.mp4."""
     names = (film.with_name(f"{film.stem}{ending}{suffix}") for ending in _ENDINGS for suffix in SUFFIXES)
     return next((path for path in names if path.is_file()), None)
 
 
 def times_beside(film: Path) -> Array | None:
-    """The times (N,) s of the table beside a video; None without one, LogError where it dates nothing."""
+    """The times (N,) s of the table beside a video; None without one, LogError if it has no times."""
     table, findings = table_beside(film), list[Finding]()
     if table is None:
         return None
@@ -95,7 +95,7 @@ def _films(files: Sequence[Path], limits: Input, findings: list[Finding]) -> lis
 
 
 def _files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
-    """The files of a folder that end so, and tables in folders in it, in name order."""
+    """The folder's files with these suffixes, and tables in its subfolders, in name order."""
     names = sorted(path for path in folder.iterdir() if path.name[0] != ".")[:_MOST_FILES]
     yield from (path for path in names if path.suffix.lower() in suffixes and path.is_file())
     for inner in (path for path in names if path.is_dir() and not path.is_symlink()):
@@ -104,7 +104,7 @@ def _files(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Path]:
 
 
 def _table(file: Path, folder: Path, findings: list[Finding]) -> Iterator[_Dated]:
-    """A table that dates its rows; one that does not, or is none, is remarked on."""
+    """A table whose rows have times; any other table gives a finding."""
     where = file.relative_to(folder)
     try:
         table = read(file, SUFFIXES[file.suffix.lower()])
@@ -131,7 +131,7 @@ def _is_joint(name: str, values: Array) -> bool:
 
 
 def _plain(name: str) -> str:
-    """The name of a column without what EuRoC adds: `#timestamp [ns]` is timestamp_ns."""
+    """A column's name without EuRoC's decoration: `#timestamp [ns]` is timestamp_ns."""
     return re.sub(r"\s*[\[(](\w+)[\])]$", r"_\1", name.lstrip("# "))
 
 
@@ -172,7 +172,7 @@ def _dates(table: _Dated, film: video.Video) -> bool:
 
 
 def _film(film: video.Video, table: _Dated | None, shift: float, findings: list[Finding]) -> Iterator[Camera]:
-    """A video as a camera: frame k at row k of its table, or when the video shows it."""
+    """A video as a camera: frame k has the time of row k of its table, or its presentation time."""
     t = film.t - film.t[0] + EPOCH_NS / 1e9 if table is None and len(film.t) else film.t
     if table is not None:
         t = table.t + shift
@@ -209,7 +209,7 @@ def _frames(film: video.Video, count: int) -> Iterator[Item]:
 
 
 def _files_of(folder: Path, names: Sequence[str]) -> Iterator[Item]:
-    """The bytes of image files; None for those that are not there, too large, or out of the folder."""
+    """The bytes of image files; None for those missing, too large, or outside the folder."""
     for number, name in enumerate(names):
         yield number, next((data for place in _PLACES if (data := _bytes(folder, place, name))), None)
 

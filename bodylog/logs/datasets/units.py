@@ -1,4 +1,4 @@
-"""The unit of a dataset's joints: as the dataset declares it, or what the values look like, which stays a guess."""
+"""The unit of a dataset's joints: as declared, or a guess from the values."""
 
 import math
 import re
@@ -24,7 +24,7 @@ _ROUND = 1.05
 
 @dataclass(frozen=True)
 class Unit:
-    """rad, deg, counts or unknown · whether the dataset declares it · one whole turn in it, None where unknown."""
+    """rad, deg, counts or unknown · whether the dataset declares it · one turn in that unit, None if unknown."""
 
     name: str
     declared: bool
@@ -33,13 +33,13 @@ class Unit:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """For the topic. A guess of rad stands for itself, as any log's joints are taken for rad."""
+        """The topic's metadata. A guess of rad adds none, as joints of any log are assumed to be in rad."""
         turn = {} if self.turn is None else {TURN: repr(self.turn)}
         return {} if self.name == "rad" and not self.declared else {UNIT: self.name, **turn}
 
     @property
     def remark(self) -> tuple[str, str]:
-        """Severity and text of what is to be known of the unit."""
+        """Severity and text of the finding about the unit."""
         if self.name == "rad":
             return "info", f"joints: rad, {self.why}"
         if self.name == "deg" and self.declared:
@@ -52,7 +52,7 @@ class Unit:
 
 
 def unit(feature: Mapping[str, Any], names: Sequence[str], values: Array) -> Unit:
-    """The unit of joints from the declaration of their feature, their names, and their values (N,K)."""
+    """The unit of joints from their feature's declaration, their names, and their values (N,K)."""
     for key in ("unit", "units"):
         if isinstance(declared := feature.get(key), str) and (known := _WORDS.get(declared.strip().lower())):
             return Unit(known, True, _turn(known, values), f"as the dataset declares ({key}: {declared})")
@@ -80,7 +80,7 @@ def _guessed(values: Array) -> Unit:
 
 
 def _turn(name: str, values: Array) -> float | None:
-    """One whole turn: of counts only where the values stay within those of a 12-bit encoder."""
+    """One turn: for counts, only if the values fit a 12-bit encoder."""
     if name != "counts":
         return 2 * math.pi if name == "rad" else 360.0
     known = values[np.isfinite(values)]

@@ -1,4 +1,4 @@
-"""Video files, frame by frame: when each frame is shown, and its image. Nothing is held but the frame at hand."""
+"""Read video files frame by frame: presentation times and images; memory holds one frame at a time."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -34,16 +34,16 @@ class Video:
 
 
 def survey(path: Path, mpx: float) -> Video:
-    """Size, codec and the times of all frames, read from the packets' heads without decoding.
+    """Size, codec and frame times of a video, read from the packets' headers without decoding.
 
-    LogError for a file that is no video, or whose images have more than `mpx` million pixels.
+    LogError for a file that is not a video, or whose images have more than `mpx` million pixels.
     """
     with _opened(path) as (container, stream):
         width, height = stream.codec_context.width, stream.codec_context.height
         if not 0 < width * height <= mpx * 1e6:
             raise LogError(f"{path}: images of {width} x {height}; set [input] max_image_mpx to read larger ones")
         shown: list[int] = []
-        with suppress(*_damage(path)):  # a file that is cut has fewer packets
+        with suppress(*_damage(path)):  # a truncated file has fewer packets
             for packet in container.demux(stream):
                 if packet.size and (at := packet.dts if packet.pts is None else packet.pts) is not None:
                     shown.append(at)
@@ -54,7 +54,7 @@ def survey(path: Path, mpx: float) -> Video:
 
 
 def images(video: Video, first: int = 0, last: int | None = None) -> Iterator[tuple[int, Array | None]]:
-    """Frames `first` to before `last` by number, each with its image (H,W,3) uint8 BGR; None: it cannot be decoded."""
+    """Frames `first` to before `last` by number, each with its image (H,W,3) uint8 BGR; None if it is undecodable."""
     due, last = first, len(video.pts) if last is None else last
     for number, image in _decoded(video, first):
         if number >= last:
@@ -68,7 +68,7 @@ def images(video: Video, first: int = 0, last: int | None = None) -> Iterator[tu
 
 
 def _decoded(video: Video, first: int) -> Iterator[tuple[int, Array]]:
-    """Frames with their numbers, from a key frame at or before `first` to the end or to where the file is damaged."""
+    """Frames with their numbers, from a key frame at or before `first` to the end or the first damage."""
     known = {pts: number for number, pts in reversed(list(enumerate(video.pts.tolist())))}
     if not known:
         return
@@ -84,9 +84,9 @@ def _decoded(video: Video, first: int) -> Iterator[tuple[int, Array]]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """The container and its first video stream; LogError where there is none.
+    """The container and its first video stream; LogError if there is none.
 
-    The form is named by the file's first bytes, so that FFmpeg takes no text for a list of other files or URLs.
+    The file's first bytes select the format, so that FFmpeg reads no text as a list of other files or URLs.
     """
     av = needed("av", path)
     with path.open("rb") as file:
@@ -106,7 +106,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
 
 def is_video(first: bytes) -> bool:
-    """Whether a file that begins so is a video that is read."""
+    """Whether a file that begins with these bytes is a readable video."""
     return _form(first) is not None
 
 
@@ -119,7 +119,7 @@ def _form(first: bytes) -> str | None:
 
 
 def _damage(path: Path) -> tuple[type[Exception], ...]:
-    """What FFmpeg's binding raises on damaged files."""
+    """Exceptions of FFmpeg's binding for damaged files."""
     return (needed("av", path).error.FFmpegError, ValueError, EOFError)
 
 

@@ -1,1 +1,1 @@
-"""Payloads to arrays: definitions, layouts, columns, message objects."""
+"""Decode payloads to arrays: definitions, layouts, columns, message objects."""

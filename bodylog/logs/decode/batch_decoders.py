@@ -1,4 +1,4 @@
-"""Which JSON or protobuf messages of a batch are laid out alike, and their values; the layouts met are kept."""
+"""Group the JSON or protobuf messages of a batch by layout and decode each group at once; layouts are reused."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -28,15 +28,15 @@ _UNLIKE = (FormatError, KeyError, ValueError, TypeError, RecursionError)
 
 
 class JsonBatchDecoder:
-    """Messages whose bytes but numbers are the same."""
+    """Decodes JSON messages at once that differ only in numbers."""
 
     def __init__(self, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
-        """No layout known yet."""
+        """Start without a known layout."""
         self._paths, self._single = paths, single
         self._known: dict[bytes, JsonLayout | None] = {}
 
     def take(self, batch: Batch) -> Found:
-        """The messages that others are laid out like."""
+        """Decode the messages that share a layout."""
         if len(batch.offset) <= _FEW:
             return
         joined, begin, between = _joined(batch)
@@ -59,7 +59,7 @@ class JsonBatchDecoder:
                 yield from self._read(key, rows, b"".join([payloads[one] for one in some]), start)
 
     def _read(self, key: bytes, index: Array, content: bytes, begin: Array) -> Found:
-        """The messages `index` (m,) of a skeleton, which begin at those bytes (m,), if they are alike in all else."""
+        """Decode the messages `index` (m,) of a skeleton, which begin at bytes `begin` (m,), if their layouts agree."""
         layout = self._layout(key, content[: begin[1]].rstrip(_BETWEEN))
         values = layout.values(content, begin, self._single) if layout else None
         if values is not None:
@@ -77,11 +77,11 @@ class JsonBatchDecoder:
 
 
 def _joined(batch: Batch) -> tuple[Array, Array, bytes]:
-    """All payloads in a row (bytes,) uint8, where each begins (n,), and what stands between two of them."""
+    """All payloads concatenated (bytes,) uint8, where each begins (n,), and the separator between two of them."""
     ends = batch.offset + batch.length
     gaps = batch.offset[1:] - ends[:-1]
     gap = int(gaps[0])
-    if (gaps == gap).all() and 0 <= gap <= _WIDEST_GAP:  # as they lie there, the heads of messages blotted out
+    if (gaps == gap).all() and 0 <= gap <= _WIDEST_GAP:  # in place, with the message heads between them overwritten
         low = int(batch.offset[0])
         content = np.array(batch.data[low : int(ends[-1])])
         content[(ends[:-1] - low)[:, None] + np.arange(gap)] = _BETWEEN[0]
@@ -92,17 +92,17 @@ def _joined(batch: Batch) -> tuple[Array, Array, bytes]:
 
 
 class ProtobufBatchDecoder:
-    """Messages of the same fields in the same order, equally long."""
+    """Decodes protobuf messages at once that have the same fields in the same order, and equal length."""
 
     def __init__(self, topic: Topic, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
-        """No layout known yet; FormatError when the topic's schema is broken."""
+        """Start without a known layout; FormatError when the topic's schema is broken."""
         self._types, self._root = root_of(topic)
         self._paths, self._single = paths, single
         self._known: dict[int, list[ProtobufLayout]] = {}
         self._count = 0
 
     def take(self, batch: Batch) -> Found:
-        """The messages that others are laid out like."""
+        """Decode the messages that share a layout."""
         for length in np.unique(batch.length).tolist():
             index = np.flatnonzero(batch.length == length)
             for layout in self._known.get(length, ()):
@@ -115,7 +115,7 @@ class ProtobufBatchDecoder:
                     index = yield from self._same_layout(batch, index, learned)
 
     def _same_layout(self, batch: Batch, index: Array, layout: ProtobufLayout) -> Any:
-        """Gives, as a generator does, the messages that are laid out so, and returns the others."""
+        """Yield the decoded messages of this layout; return the others."""
         if not len(index):
             return index
         same, values = layout.values(batch, index, self._single)

@@ -1,4 +1,4 @@
-"""ROS 1 messages laid out alike, turned into CDR all at once: where each byte goes is learnt from one of them."""
+"""Convert ROS 1 messages of the same layout to CDR all at once: one of them shows where each byte goes."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,10 +18,10 @@ _NAMED, _BASE, _SEQUENCE = 2, 1, 4
 def convert_same_layout(
     store: Any, kind: str, rows: Array, convert: Callable[[memoryview], memoryview]
 ) -> tuple[Array, Array]:
-    """Which of the rows (n,L) uint8 are laid out as the first (n,) bool, and their CDR (m,K) uint8.
+    """Which of the rows (n,L) uint8 have the layout of the first (n,) bool, and their CDR (m,K) uint8.
 
-    `convert` turns one payload of that type into CDR; rosbags' type store says where its lengths and texts are.
-    FormatError when the first row is not what its type says, or longer than two bytes can count.
+    `convert` turns one payload of that type into CDR; rosbags' type store gives the positions of lengths and texts.
+    FormatError when the first row contradicts its type, or is longer than two bytes can count.
     """
     first = rows[0].tobytes()
     convert(memoryview(first))
@@ -43,7 +43,7 @@ def convert_same_layout(
 
 
 def _converted(row: Array, settled: Array, digit: Array, convert: Callable[[memoryview], memoryview]) -> Array:
-    """What a message becomes whose every byte but the settled ones is a digit of its own place."""
+    """The CDR of a message in which every byte that may vary holds a digit of its own position."""
     probe = np.where(settled, row, digit.astype(np.uint8))
     return np.frombuffer(convert(memoryview(probe.tobytes())), np.uint8)
 

@@ -1,4 +1,4 @@
-"""Messages -> arrays: messages laid out alike are decoded all at once, the others one by one and counted."""
+"""Decode messages to arrays: those of the same layout all at once, others one by one; failures are counted."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -22,14 +22,14 @@ _OBJECTS = ("json", "protobuf")
 
 
 class Source(Protocol):
-    """What of a log is needed here."""
+    """The part of a log's interface that decoding needs."""
 
     def batches(self, ids: Collection[int]) -> Iterator[Batch]:
         """Undecoded messages in file order."""
 
 
 def columns(log: Source, topic: Topic, fields: Sequence[str]) -> Columns:
-    """The fields (message paths without the topic) of one topic; ConfigError for a field that is not there."""
+    """The fields (message paths without the topic) of one topic; ConfigError for a missing field."""
     return columns_of(log, {topic.id: (topic, fields)})[topic.id]
 
 
@@ -42,17 +42,17 @@ def columns_of(log: Source, wants: Mapping[int, tuple[Topic, Sequence[str]]]) ->
 
 
 class Decoder(Protocol):
-    """Takes batches of one topic, gives its columns."""
+    """Takes batches of one topic and returns its columns."""
 
     def feed(self, batch: Batch) -> None:
         """Decode one more batch."""
 
     def columns(self) -> Columns:
-        """All that was fed."""
+        """The columns of all batches so far."""
 
 
 def decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
-    """The decoder of a topic's encoding; FormatError or ConfigError when its definition cannot give the fields."""
+    """The decoder for a topic's encoding; FormatError or ConfigError when its definition cannot give the fields."""
     paths = tuple(read_steps(text) for text in fields)
     if topic.encoding in _OBJECTS:
         from .dynamic import ObjectDecoder
@@ -78,12 +78,12 @@ def definition_of(topic: Topic) -> Definition:
 
 
 def is_ros1(topic: Topic) -> bool:
-    """Whether the payloads are declared to be ROS 1's."""
+    """Whether the payloads are declared as ROS 1."""
     return topic.encoding == "ros1"
 
 
 def speaks_ros1(definition: Definition, payload: Payload) -> bool:
-    """Whether a payload declared CDR is in truth a ROS 1 one: not readable as CDR, readable to its end as ROS 1."""
+    """Whether a payload declared CDR is ROS 1: not readable as CDR, but readable to its end as ROS 1."""
     if tuple(payload[:2]) in CDR_KINDS and _left_over(definition, payload, False) is not None:
         return False
     return _left_over(definition, payload, True) == 0
@@ -97,7 +97,7 @@ def _left_over(definition: Definition, payload: Payload, ros1: bool) -> int | No
 
 
 class _Decoder:
-    """Columns of CDR and ROS 1 topics."""
+    """Decodes CDR and ROS 1 topics to columns."""
 
     def __init__(
         self, definition: Definition, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...], ros1: bool
@@ -150,7 +150,7 @@ class _Decoder:
         return None
 
     def _take(self, batch: Batch, left: Array, known: Template) -> Array:
-        """Decode the messages of `left` that are laid out as `known`; gives those that are not."""
+        """Decode the messages of `left` with the layout `known`; returns the others."""
         long = left[batch.length[left] >= known.layout.width]
         rows = gather(batch.data, batch.offset[long], 8 * known.words)
         same = agrees(rows, known)
@@ -167,7 +167,7 @@ class _Decoder:
         self.pieces.setdefault(shape, []).append((index + self.seen, found))
 
     def columns(self) -> Columns:
-        """All that was fed."""
+        """The columns of all batches so far."""
         log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
         parts = tuple(joined(pieces) for pieces in self.pieces.values())
         return Columns(self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected))

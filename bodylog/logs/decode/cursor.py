@@ -1,4 +1,4 @@
-"""A cursor over one CDR or ROS 1 payload that knows where each field of the definition begins."""
+"""A cursor over one CDR or ROS 1 payload that records where each field of the definition begins."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ Wanted = Sequence[tuple[int, tuple[Step, ...]]]
 
 @dataclass(frozen=True, eq=False)
 class Leaf:
-    """One wanted field: byte offsets (K,), one element's dtype · texts, if text · single: neither array nor slice."""
+    """One requested field: byte offsets (K,), element dtype · texts, if text · single: neither array nor slice."""
 
     offsets: Array
     dtype: np.dtype[np.generic]
@@ -32,10 +32,10 @@ class Leaf:
 
 
 class CdrCursor:
-    """A cursor over one payload that notes constants and wanted places as it passes them."""
+    """A cursor over one payload that records constants and positions of requested fields."""
 
     def __init__(self, definition: Definition, payload: Payload, wanted: int, ros1: bool) -> None:
-        """At the payload's first field; FormatError when it is not plain CDR."""
+        """Start at the payload's first field; FormatError when it is not plain CDR."""
         self.definition, self.payload = definition, payload
         self.origin = self.pos = 0 if ros1 else 4
         self.constants: list[tuple[int, int]] = [] if ros1 else [(0, 2)]
@@ -47,7 +47,7 @@ class CdrCursor:
         self._fixed: dict[str, bool] = {}
 
     def struct(self, type_: str, wanted: Wanted, final: bool) -> None:
-        """All fields of a struct; with `final`, only as far as the last wanted one."""
+        """Read all fields of a struct; with `final`, only up to the last requested one."""
         fields = self.definition.types[type_]
         wanted = self._matching(type_, wanted)
         inner = [tuple((k, steps[1:]) for k, steps in wanted if steps[0] == f.name) for f in fields]
@@ -127,7 +127,7 @@ class CdrCursor:
             self._value(type_, inner, final and index == last)
 
     def _matching(self, type_: str, wanted: Wanted) -> Wanted:
-        """The wanted paths whose filters this struct passes; what the filters look at must stay constant."""
+        """The requested paths whose filters this struct passes; the values compared must stay constant."""
         passed = []
         for k, steps in wanted:
             if not isinstance(steps[0], Only) or self._equals(type_, steps[0]):
@@ -147,7 +147,7 @@ class CdrCursor:
         return bool(np.frombuffer(self.payload, self._dtype(field.type), 1, offset)[0] == only.value)
 
     def _skip(self, type_: str, count: int) -> None:
-        """Step over fixed-size structs: their spans repeat once the alignment does."""
+        """Skip fixed-size structs: their sizes repeat once the alignment does."""
         spans: list[int] = []
         seen: dict[int, int] = {}
         while len(spans) < count and (residue := (self.pos - self.origin) % self.largest) not in seen:
@@ -195,13 +195,13 @@ class CdrCursor:
     def _dtype(self, type_: str) -> np.dtype[np.generic]:
         order = ">" if self.big else "<"
         if type_ in TIMES:
-            # int32 in ROS 2 ends in 2038, after which its stamps can only be meant to go on
+            # ROS 2's int32 overflows in 2038; later stamps continue as unsigned
             seconds = "i4" if type_ == "duration" or type_.endswith("/Duration") else "u4"
             return np.dtype([("sec", order + seconds), ("nanosec", order + "u4")])
         return np.dtype("V0") if type_ in TEXTS else np.dtype(order + PRIMITIVES[type_])
 
     def leaf(self, k: int, end: tuple[Field, bool]) -> Leaf:
-        """What was noted for the k-th wanted path."""
+        """The recorded positions of the k-th requested path."""
         field, single = end
         start, count, stride = np.array(self.runs[k], np.int64).reshape(-1, 3).T
         number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
@@ -209,7 +209,7 @@ class CdrCursor:
         return Leaf(offsets, self._dtype(field.type), tuple(self.texts[k]) if field.type in TEXTS else None, single)
 
     def single(self, k: int, end: tuple[Field, bool]) -> str | int | float | memoryview:
-        """What was noted for the k-th wanted path, as one value."""
+        """The value of the k-th requested path, as one value."""
         field, single = end
         if field.type in TEXTS:
             return "".join(self.texts[k][:1])

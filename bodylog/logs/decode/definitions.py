@@ -1,4 +1,4 @@
-"""Message definitions (ros2msg, ros1msg, ros2idl text) as a flat table of types, complete down to the primitives."""
+"""Parse message definitions (ros2msg, ros1msg, ros2idl text) to a flat table of types, down to the primitives."""
 
 import re
 from collections.abc import Iterator, Mapping
@@ -48,7 +48,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Definition:
-    """The root type and the fields of every type it needs; bytes of what wstrings count, or 0 if that is unknown."""
+    """The root type and the fields of every type it needs; bytes per wstring character, or 0 if unknown."""
 
     root: str
     types: Mapping[str, tuple[Field, ...]]
@@ -57,7 +57,7 @@ class Definition:
 
 @lru_cache(maxsize=256)
 def parse(text: bytes, root: str, encoding: str) -> Definition:
-    """The definition of `root` from `text`; FormatError when a line or a type cannot be understood."""
+    """Parse the definition of `root` from `text`; FormatError for a line or type that cannot be parsed."""
     if len(text) > _LONGEST:
         raise FormatError(f"{root}: a definition of {len(text)} bytes; at most {_LONGEST} are read")
     ros1 = encoding == "ros1msg"
@@ -169,7 +169,7 @@ def _store(ros1: bool) -> Mapping[str, Any]:
 
 
 def _described(label: str, node: Any) -> Field:
-    """One field of rosbags' notation: (kind, argument), kind 1 base, 2 name, 3 array, 4 sequence."""
+    """One field in rosbags' notation: (kind, argument), kind 1 base, 2 name, 3 array, 4 sequence."""
     kind, argument = int(node[0]), node[1]
     if kind in (3, 4):
         element, length = argument
@@ -198,7 +198,7 @@ def _idl_sections(text: bytes, root: str) -> dict[str, tuple[Field, ...]]:
 
 
 def _check_idl(body: str, root: str) -> None:
-    """FormatError for what takes the IDL parser long: brackets in one another, many sizes or texts."""
+    """FormatError for text that the IDL parser takes long for: nested brackets, many sizes or texts."""
     bare = _COMMENTS.sub(" ", _QUOTED.sub(" ", body))
     depth = deepest = 0
     for sign in re.findall(r"[<(\[>)\]]", bare):

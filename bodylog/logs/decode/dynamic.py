@@ -1,4 +1,4 @@
-"""JSON and protobuf payloads as columns: those laid out alike all at once, the others by way of dictionaries."""
+"""Decode JSON and protobuf payloads to columns: equal layouts at once, others through dictionaries."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from .parts import Columns, Part, joined
 
 
 def reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
-    """A function from payload to dictionary; FormatError when the topic's schema, or later a payload, is broken."""
+    """A function from payload to dictionary; FormatError for a broken schema, or later for a broken payload."""
     if topic.encoding == "json":
         return lambda payload: _json(topic.name, payload)
     from .protobuf import message_reader
@@ -35,10 +35,10 @@ def _json(name: str, payload: bytes) -> Mapping[str, Any]:
 
 
 class ObjectDecoder:
-    """Columns of JSON and protobuf topics."""
+    """Decodes JSON and protobuf topics to columns."""
 
     def __init__(self, topic: Topic, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...]) -> None:
-        """Nothing fed yet; FormatError when the schema is broken."""
+        """Start without messages; FormatError when the schema is broken."""
         self.fields, self.paths, self.read = fields, paths, reader(topic)
         self.single = [number_of(steps) for steps in paths]
         self.log_ns: list[Array] = []
@@ -55,7 +55,7 @@ class ObjectDecoder:
         )
 
     def feed(self, batch: Batch) -> None:
-        """Decode one more batch: messages laid out alike at once, then those that are left."""
+        """Decode one more batch: messages of equal layout at once, then the rest."""
         self.log_ns.append(np.array(batch.log_ns, np.int64))
         left = np.ones(len(batch.log_ns), bool)
         for index, values in self.together.take(batch):
@@ -81,7 +81,7 @@ class ObjectDecoder:
             self.rows.setdefault(shape, []).append((row, values))
 
     def columns(self) -> Columns:
-        """All that was fed."""
+        """The columns of all batches so far."""
         log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
         parts = tuple(self._part(shape, rows) for shape, rows in self.rows.items())
         slow = sum(len(part.rows) for part in parts)

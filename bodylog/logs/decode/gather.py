@@ -1,4 +1,4 @@
-"""Bytes of many messages at once: gathered as rows, compared, viewed as numbers."""
+"""Gather the bytes of many messages as rows, compare them, view them as numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,9 +18,9 @@ memory."""
 
 @dataclass(frozen=True, eq=False)
 class Template:
-    """A layout made ready to compare `block` rows at a time, `words` times eight bytes each, with its constants.
+    """A layout prepared to compare `block` rows at a time, `words` times eight bytes each, with its constants.
 
-    mask, reference (block · words,): which bits are constant, and what they are.
+    mask, reference (block · words,): which bits are constant, and their values.
     """
 
     layout: Layout
@@ -31,7 +31,7 @@ class Template:
 
 
 def template(layout: Layout, payload: bytes, high: Sequence[tuple[int, int]] = ()) -> Template:
-    """The template of the message a layout was found in; of the bytes in the ranges `high` the highest bit is fixed."""
+    """The template of the message with this layout; in the byte ranges `high` only the highest bit is fixed."""
     words = -(-layout.width // 8)
     mask, reference = np.zeros((2, 8 * words), np.uint8)
     for start, stop in layout.constants:
@@ -45,9 +45,9 @@ def template(layout: Layout, payload: bytes, high: Sequence[tuple[int, int]] = (
 
 
 def agrees(rows: Array, known: Template) -> Array:
-    """True (n,) for the rows whose constant bytes are the template's."""
+    """True (n,) for the rows whose constant bytes equal the template's."""
     words, same = rows.view(np.uint64).reshape(-1), np.ones(len(rows), bool)
-    # Block by block: fresh pages for a temporary as large as the rows cost more than the comparison.
+    # Block by block: a temporary as large as all rows would cost more in page faults than the comparison.
     for start in range(0, len(rows), known.block):
         block = words[start * known.words : (start + known.block) * known.words]
         differs = (block ^ known.reference[: len(block)]) & known.mask[: len(block)]
@@ -57,7 +57,7 @@ def agrees(rows: Array, known: Template) -> Array:
 
 
 def gather(data: Array, offset: Array, width: int) -> Array:
-    """Rows (n,width) of bytes beginning at the offsets; what lies past the end of `data` reads as 0."""
+    """Rows (n,width) of bytes from the offsets; bytes past the end of `data` are 0."""
     if not len(offset) or not width:
         return np.empty((len(offset), width), np.uint8)
     over = int(offset.max()) + width - len(data)

@@ -1,6 +1,6 @@
-"""JSON messages that differ in nothing but numbers, and digits in texts nobody asks for: decoded all at once.
+"""Decode JSON messages all at once that differ only in numbers, and in digits of texts that are not requested.
 
-A number that nobody asks for is not looked at.
+Numbers that are not requested are not parsed.
 """
 
 import json
@@ -30,9 +30,9 @@ Follow = Callable[..., Iterator[Item]]
 
 
 def marked(content: Array) -> bytes:
-    """Payloads (bytes,) uint8 with the exponents' e marked, as far as a sign follows, which is how writers write them.
+    """Payloads (bytes,) uint8 with the e of signed exponents marked, as writers emit them.
 
-    Nothing where the mark stands in them already, as in no JSON. `content` is changed.
+    Empty if the mark already occurs, which no JSON contains. Changes `content`.
     """
     if (content == _POWER[0]).any():
         return b""
@@ -43,15 +43,15 @@ def marked(content: Array) -> bytes:
 
 
 def skeleton(payload: bytes) -> bytes:
-    """What is left of a marked payload without its numbers."""
+    """A marked payload without its numbers."""
     return payload.translate(None, _IN_NUMBERS)
 
 
 class JsonLayout:
-    """The layout of one message and of those with the same skeleton."""
+    """The layout of one message and of all with the same skeleton."""
 
     def __init__(self, payload: bytes, paths: Sequence[tuple[Step, ...]], follow: Follow) -> None:
-        """Of a marked payload; FormatError, KeyError or ValueError when the paths cannot be followed by place."""
+        """For a marked payload; FormatError, KeyError or ValueError when a path cannot be followed by position."""
         if b"\0" in payload:
             raise FormatError("UTF-16, where places are not between ASCII bytes")
         runs = _runs(payload)
@@ -68,7 +68,7 @@ class JsonLayout:
     ) -> list[Array | tuple[str, ...]] | None:
         """The paths' values in marked payloads of this skeleton that begin at the bytes `begin` (n,) of `content`.
 
-        None where one of them differs in more.
+        None if one of them differs in more than numbers.
         """
         count, runs = len(begin), _runs(content)
         if len(runs) != 2 * count * len(self._at):
@@ -89,7 +89,7 @@ class JsonLayout:
         return found
 
     def _shadow(self) -> Any:
-        """The message with places for its numbers and texts."""
+        """The message with positions in place of its numbers and texts."""
         values, out, last = [], [], 0
         payload = self._payload.replace(_POWER, b"e")
         for match in _TOKEN.finditer(payload):
@@ -123,14 +123,14 @@ class JsonLayout:
         return value
 
     def _constants(self) -> list[int]:
-        """The runs that must be the same in every message: of keys, of texts that are wanted, of what is compared."""
+        """The runs that are equal in every message: keys, requested texts, compared values."""
         spans = [match.span() for match in _TOKEN.finditer(self._payload) if match[1]]
         keys = [np.searchsorted(self._at, span).tolist() for span in spans]
         escaped = [run for run, at in enumerate(self._at.tolist()) if b"\\" in self._payload[max(0, at - 5) : at]]
         return sorted({run for low, high in (*self._pinned, *keys) for run in range(low, high)} | set(escaped))
 
     def _fits(self, content: Array, begin: Array, starts: Array, lengths: Array) -> bool:
-        """Whether the numbers stand where they stand here, between the same bytes, and constants are the same."""
+        """Whether numbers are at the same positions between the same bytes, and constants are equal."""
         before = np.cumsum(lengths, axis=1) - lengths
         if (starts - begin[:, None] - before != self._ranks).any():
             return False
@@ -142,7 +142,7 @@ class JsonLayout:
         return True
 
     def _numbers(self, content: bytes, starts: Array, ends: Array, runs: Sequence[int]) -> Array | None:
-        """The numbers (n,K) in runs: those that stand in a row are read as one text."""
+        """The numbers (n,K) in runs; adjacent numbers are parsed as one text."""
         parts, first = [], 0
         for k in range(1, len(runs) + 1):
             if k < len(runs) and self._in_a_row(runs[k - 1], runs[k]):
@@ -161,9 +161,9 @@ class JsonLayout:
 
 
 def _runs(content: bytes) -> Array:
-    """Where runs of bytes that numbers are made of begin and end, in turn (2n,); none may touch the ends."""
+    """Where runs of number characters begin and end, alternating (2n,); none may touch the ends."""
     found = np.frombuffer(content, np.uint8)
-    # Vectors of bytes are compared faster than looked up: from - to 9 are the point, the slash and the digits.
+    # Comparing bytes is faster than a lookup table: from - to 9 are the point, the slash and the digits.
     inside = ((found - ord("-")) <= ord("9") - ord("-")) & (found != ord("/"))
     inside |= (found == ord("+")) | (found == _POWER[0])
     if not len(content) or inside[0] or inside[-1]:
@@ -172,7 +172,7 @@ def _runs(content: bytes) -> Array:
 
 
 def _parsed(pieces: list[bytes], count: int) -> Array | None:
-    """The `count` numbers (n,) of marked texts, int64 if all are whole; None if 64 bits do not hold one of them."""
+    """The `count` numbers (n,) of marked texts, int64 if all are whole; None if one exceeds 64 bits."""
     text = b",".join(pieces)
     try:
         found = json.loads(b"[" + (text.replace(_POWER, b"e") if _POWER in text else text) + b"]")

@@ -1,4 +1,4 @@
-"""Where in a message's bytes each wanted field lies: one walk over one CDR or ROS 1 payload."""
+"""Locate each requested field in a message's bytes by one pass over a CDR or ROS 1 payload."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -15,7 +15,7 @@ _PADDING = 4
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """One concrete arrangement: bytes looked at, the (start, stop) byte ranges that define it, the wanted leaves."""
+    """One layout: bytes examined, the (start, stop) byte ranges that define it, the requested leaves."""
 
     width: int
     constants: tuple[tuple[int, int], ...]
@@ -23,7 +23,7 @@ class Layout:
 
 
 def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, bool]:
-    """The field `steps` end at, and whether they pick one value; ConfigError names what could have been meant."""
+    """The field at the end of `steps`, and whether it is one value; ConfigError suggests existing fields."""
     field, single = Field("", definition.root, None), True
     for step in steps:
         if isinstance(step, str):
@@ -67,24 +67,24 @@ def _fields(definition: Definition, type_: str) -> tuple[Field, ...]:
 
 
 def locate_fields(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> Layout:
-    """The layout of `payload`, walked as far as the last wanted field; FormatError when it contradicts itself."""
+    """The layout of `payload` up to the last requested field; FormatError when it contradicts itself."""
     walker = CdrCursor(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
     leaves = tuple(walker.leaf(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
     constants = _merged(walker.constants)
-    # a filter may look further than the last wanted field
+    # a filter may read further than the last requested field
     return Layout(max([walker.pos, *(stop for _, stop in constants)]), constants, leaves)
 
 
 def rest(definition: Definition, payload: Payload, ros1: bool) -> int:
-    """Bytes left over after walking all of `payload`."""
+    """Bytes left over after reading all of `payload`."""
     return len(payload) - locate_fields(definition, payload, (), ros1).width
 
 
 def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Definition]:
-    """With the sizes of a wstring's characters, in bytes, for which `payload` is as long as it says but for padding.
+    """The definition with the wstring character sizes, in bytes, for which `payload` has its declared length.
 
-    Writers count characters of 2 or 4 bytes, or bytes. One definition, or all where no wstring tells them apart.
+    Writers count characters of 2 or 4 bytes, or bytes. One definition, or all if no wstring distinguishes them.
     """
     fits: dict[int, list[Definition]] = {}
     unknown = not definition.wide and any(f.type == "wstring" for some in definition.types.values() for f in some)
@@ -97,19 +97,19 @@ def widened(definition: Definition, payload: Payload, ros1: bool) -> list[Defini
 
 
 class Picker:
-    """Single fields of message after message: texts and numbers as they are, arrays as their bytes.
+    """Reads single fields of message after message: texts and numbers as values, arrays as their bytes.
 
-    Where nothing differs from the message before but the length of the bytes that are picked last, nothing is walked.
+    If only the length of the last requested bytes differs from the previous message, its layout is reused.
     """
 
     def __init__(self, definition: Definition, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> None:
-        """For messages of one definition and dialect; ConfigError names what could have been meant."""
+        """For messages of one definition and dialect; ConfigError suggests existing fields."""
         self._definition, self._wanted, self._ros1 = definition, wanted, ros1
         self._ends = tuple(leaf_field(definition, steps) for steps in wanted)
         self._last: CdrCursor | None = None
 
     def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
-        """The wanted fields of one message; FormatError when it contradicts itself. Threads may share a picker."""
+        """The requested fields of one message; FormatError when it contradicts itself. Thread safe."""
         walker = _again(self._last, payload) if self._last else None
         if walker is None:
             walker = CdrCursor(self._definition, payload, len(self._wanted), self._ros1)
@@ -119,7 +119,7 @@ class Picker:
 
 
 def _again(last: CdrCursor, payload: Payload) -> CdrCursor | None:
-    """The walk over a payload unlike the last one in no constant but the length of the bytes it ended with, or None."""
+    """A cursor for a payload that differs from the last one only in the length of its final bytes, or None."""
     start, stop = last.constants[-1] if last.constants else (0, 0)
     tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]
     if True not in tail or any(payload[a:b] != last.payload[a:b] for a, b in last.constants[:-1]):

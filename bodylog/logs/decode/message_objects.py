@@ -1,4 +1,4 @@
-"""CDR and ROS 1 payloads as rosbags' message objects, one by one."""
+"""Decode CDR and ROS 1 payloads to rosbags' message objects, one by one."""
 
 import struct
 from collections.abc import Callable
@@ -17,7 +17,7 @@ Decode = Callable[[bytes], Any]
 
 
 def decoder(topic: Topic) -> Decode:
-    """decode(payload) -> message; FormatError for a definition or payload that cannot be read."""
+    """decode(payload) -> message; FormatError for an unreadable definition or payload."""
     definition = definition_of(topic)
     known: dict[bool, Decode] = {}
 

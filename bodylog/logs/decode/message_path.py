@@ -22,7 +22,7 @@ class IndexRange:
     last: int
 
     def of(self, count: int) -> range:
-        """The indices this picks out of `count` elements."""
+        """The indices this selects out of `count` elements."""
         first, last = (n + count if n < 0 else n for n in (self.first, self.last))
         return range(max(first, 0), min(last + 1, count))
 
@@ -47,14 +47,14 @@ class Path:
 
 
 def parse(text: str, topics: Iterable[str] = ()) -> Path:
-    """The path in `text`; a topic of `topics` that begins it wins over cutting at the first `.`, `[` or `{`."""
+    """Parse the path in `text`; a topic of `topics` at its start takes precedence over the first `.`, `[` or `{`."""
     known = [topic for topic in topics if text == topic or (text.startswith(topic) and text[len(topic)] in ".[{")]
     topic = max(known, key=len) if known else re.split(r"[.\[{]", text, maxsplit=1)[0]
     return Path(topic, steps(text[len(topic) :], text))
 
 
 def steps(text: str, whole: str | None = None) -> tuple[Step, ...]:
-    """The steps in `text`, e.g. `.data[:].prox[0]` (a leading dot may be left out); ConfigError names the odd part."""
+    """The steps in `text`, e.g. `.data[:].prox[0]` (a leading dot is optional); ConfigError names the invalid part."""
     rest = f".{text}" if text and text[0] not in ".[{" else text
     found: list[Step] = []
     while rest:
@@ -68,7 +68,7 @@ def steps(text: str, whole: str | None = None) -> tuple[Step, ...]:
 
 
 def is_index(step: Step) -> bool:
-    """Whether a step picks one element by number."""
+    """Whether a step selects one element by number."""
     return isinstance(step, IndexRange) and step.first == step.last
 
 

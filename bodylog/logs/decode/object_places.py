@@ -1,4 +1,4 @@
-"""Where in JSON and protobuf messages the values lie: a message in which places stand for values, followed by paths."""
+"""Positions of values in JSON and protobuf messages: a message of positions that message paths can follow."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -19,9 +19,9 @@ _LONGEST_S = (LATEST_NS + _MOST_REST_NS) // 1_000_000_000
 
 
 class Place:
-    """A number of the message looked at and where it lies; once compared by a filter, other messages must have it too.
+    """A number of the message and its position; once a filter compares it, other messages must have it too.
 
-    at, end: a range whose unit is the encoding's · kind: the protobuf kind, 0 in JSON.
+    at, end: a range whose unit depends on the encoding · kind: the protobuf kind, 0 in JSON.
     """
 
     def __init__(self, value: float, at: int, end: int, kind: int, pinned: list[tuple[int, int]]) -> None:
@@ -30,7 +30,7 @@ class Place:
         self._pinned = pinned
 
     def __eq__(self, other: object) -> bool:
-        """Whether the value is `other`, which must then hold for every message laid out alike."""
+        """Whether the value equals `other`; pins it for all messages of this layout."""
         self._pinned.append((self.at, self.end))
         return bool(self.value == other)
 
@@ -38,33 +38,33 @@ class Place:
 
 
 class Text(str):
-    """A text of the message looked at and where it lies; once compared or wanted, other messages must have it too."""
+    """A text of the message and its position; once compared or requested, other messages must have it too."""
 
     at: int
     end: int
     pinned: list[tuple[int, int]]
 
     def __eq__(self, other: object) -> bool:
-        """Whether the text is `other`, which must then hold for every message laid out alike."""
+        """Whether the text equals `other`; pins it for all messages of this layout."""
         self.pin()
         return str.__eq__(self, other)
 
     __hash__ = str.__hash__
 
     def pin(self) -> None:
-        """Other messages must have it too."""
+        """Require other messages to have the same text."""
         self.pinned.append((self.at, self.end))
 
 
 def text(value: str, at: int, end: int, pinned: list[tuple[int, int]]) -> Text:
-    """The text that lies there."""
+    """The text at a position."""
     found = Text(value)
     found.at, found.end, found.pinned = at, end, pinned
     return found
 
 
 class Opaque:
-    """Bytes, which are neither compared nor read by place."""
+    """Bytes, which are neither compared nor read by position."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +76,11 @@ class Time:
 
 
 Item = Place | Text | Time | float | str | None
-"""A value by its place, or one that the layout fixes."""
+"""A value by its position, or one that the layout fixes."""
 
 
 def items(value: Any) -> Iterator[Item]:
-    """The plain values below a value; KeyError where it is an object, FormatError where places do not do."""
+    """The plain values below a value; KeyError for an object, FormatError where positions do not suffice."""
     if isinstance(value, dict):
         seconds = next((value[key] for key in SECONDS if key in value), None)
         if seconds is None:
@@ -101,18 +101,18 @@ def items(value: Any) -> Iterator[Item]:
 
 
 Numbers = Callable[[Sequence[Place]], Array | None]
-"""The numbers at places in every message, (n,K); None where 64 bits do not hold them or they are none."""
+"""The numbers at places in every message, (n,K); None if one is missing or exceeds 64 bits."""
 
 
 def number_of(steps: Sequence[Step]) -> int | None:
-    """How many values a path gives at most: 1, as it ends at an element; 0 for a field, which may be one; else None."""
+    """How many values a path gives at most: 1 if it ends at an element; 0 for a field, which may be one; else None."""
     if not all(isinstance(step, str) or is_index(step) for step in steps):
         return None
     return int(any(not isinstance(step, str) for step in steps))
 
 
 def shaped(values: Array, most: int | None) -> Array:
-    """Values (n,K) as the path's: (n,) where it gives a single one, NaN where an element is not there."""
+    """Values (n,K) in the path's shape: (n,) if it gives a single one, NaN for a missing element."""
     if most is None or values.shape[1] > 1:
         return values
     if values.shape[1] == 0:
@@ -121,7 +121,7 @@ def shaped(values: Array, most: int | None) -> Array:
 
 
 def column(found: Sequence[Item], single: int | None, count: int, numbers: Numbers) -> Array | tuple[str, ...] | None:
-    """One path's values in `count` messages, (n,) or (n,K), or its texts; None where they must be read one by one."""
+    """One path's values in `count` messages, (n,) or (n,K), or its texts; None if they must be read one by one."""
     if any(isinstance(item, str) for item in found):
         plain = all(isinstance(item, str) for item in found)
         return tuple(str(item) for item in found) if plain else None

@@ -14,9 +14,9 @@ _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 
 
 def follow(value: Any, steps: tuple[Step, ...], plain: Callable[[Any], Iterator[Any]] | None = None) -> Iterator[Any]:
-    """The plain values the steps lead to, times as ns; KeyError when a field is missing.
+    """The plain values at the end of the steps, times as ns; KeyError when a field is missing.
 
-    `plain`: takes a value apart that the steps end at, in place of that.
+    `plain`: splits the final value into plain ones, in place of the default.
     """
     if not steps:
         yield from (plain or _plain)(value)

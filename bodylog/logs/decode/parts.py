@@ -1,4 +1,4 @@
-"""What decoding a topic gives: its columns, in parts of messages with equally many values."""
+"""The result of decoding a topic: its columns, in parts of messages with equally many values."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -34,13 +34,13 @@ class Columns:
         return np.sort(np.concatenate([part.rows for part in self.parts])) if self.parts else np.empty(0, np.int64)
 
     def column(self, name: str) -> Array:
-        """One field of the sound rows in file order: (m,) or (m,K); shorter rows of an array end in NaN or ""."""
+        """One field of the sound rows in file order: (m,) or (m,K); shorter rows are padded with NaN or ""."""
         which = self.fields.index(name)
         arrays = [_spread(part.values[which], len(part.rows)) for part in self.parts]
         if not arrays:
             return np.empty(0)
         order = np.argsort(np.concatenate([part.rows for part in self.parts]), kind="stable")
-        if any(array.dtype.kind == "U" for array in arrays):  # of texts that are not there nothing tells the kind
+        if any(array.dtype.kind == "U" for array in arrays):  # missing texts have no dtype
             arrays = [array if array.size else array.astype(np.str_) for array in arrays]
         if len({array.shape[1:] for array in arrays}) > 1:
             arrays = [array if array.ndim == 2 else array[:, None] for array in arrays]

@@ -1,4 +1,4 @@
-"""Protobuf payloads, driven by the FileDescriptorSet a log carries: wire format to dictionaries."""
+"""Decode protobuf payloads to dictionaries, with the FileDescriptorSet in the log."""
 
 import struct
 from collections.abc import Callable, Iterator, Mapping
@@ -40,7 +40,7 @@ def field_types(topic: Topic) -> dict[str, str]:
 
 
 def root_of(topic: Topic) -> tuple[Types, str]:
-    """The message types of a topic's schema and which of them its messages are; FormatError when it is none."""
+    """The message types of a topic's schema and the type of its messages; FormatError for an invalid schema."""
     try:
         types = _types(topic.definition)
     except (FormatError, UnicodeDecodeError, StopIteration):

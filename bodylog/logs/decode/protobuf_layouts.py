@@ -1,4 +1,4 @@
-"""Protobuf messages that have the same fields in the same order, equally long: decoded all at once."""
+"""Decode protobuf messages all at once that have the same fields in the same order, and equal length."""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -20,12 +20,12 @@ Follow = Callable[..., Iterator[Item]]
 
 
 class ProtobufLayout:
-    """The layout of one message and of those whose keys, lengths and widths of numbers are the same."""
+    """The layout of one message and of all with the same keys, lengths and widths of numbers."""
 
     def __init__(
         self, payload: bytes, types: Types, root: str, paths: Sequence[tuple[Step, ...]], follow: Follow
     ) -> None:
-        """FormatError or KeyError when the message is broken or the paths cannot be followed by place."""
+        """FormatError or KeyError when the message is broken or a path cannot be followed by position."""
         walk = _Walk(payload, types)
         value = walk.message(0, len(payload), root, 0)
         self._items = [list(follow(value, steps, items)) for steps in paths]
@@ -35,7 +35,7 @@ class ProtobufLayout:
     def values(
         self, batch: Batch, index: Array, single: Sequence[int | None]
     ) -> tuple[Array, list[Array | tuple[str, ...]] | None]:
-        """Which of the messages `index` (m,), all `width` long, are laid out so (m,), and the paths' values in them."""
+        """Which messages `index` (m,), all `width` long, have this layout (m,), and the paths' values."""
         rows = gather(batch.data, batch.offset[index], 8 * self._template.words)
         same = agrees(rows, self._template)
         rows = rows if same.all() else rows[same]
@@ -54,7 +54,7 @@ class ProtobufLayout:
 
 
 class _Walk:
-    """One message walked by place: what must be the same in others, and where only the highest bit of bytes must."""
+    """Reads one message by position: which bytes are constant, and of which only the highest bit is."""
 
     def __init__(self, payload: bytes, types: Types) -> None:
         self.payload, self.types = memoryview(payload), types
@@ -63,7 +63,7 @@ class _Walk:
         self.pinned: list[tuple[int, int]] = []
 
     def message(self, start: int, end: int, type_: str, depth: int) -> dict[str, Any]:
-        """The message between two bytes with places for its values."""
+        """The message between two bytes, with positions in place of its values."""
         if depth > DEEPEST or type_ not in self.types:
             raise FormatError("no definition, or nested too deeply")
         fields = self.types[type_]
@@ -76,7 +76,7 @@ class _Walk:
         return out
 
     def _records(self, start: int, end: int) -> Iterator[tuple[int, int, int, int]]:
-        """Field number, wire type, and the bytes of the value."""
+        """Field number, wire type, and the byte range of each value."""
         pos = start
         while pos < end:
             key, at = varint(self.payload, pos)
@@ -156,7 +156,7 @@ def _default(field: ProtobufField) -> Any:
 
 
 def _number(rows: Array, place: Place) -> Array | None:
-    """The numbers (n,) at a place of rows (n,width): float64 or int64; None where 64 bits do not hold one of them."""
+    """The numbers (n,) at a place of rows (n,width): float64 or int64; None if one exceeds 64 bits."""
     if place.kind in FIXED:
         kind = np.dtype(FIXED[place.kind])
         found = np.ndarray((len(rows),), kind, rows, place.at, (rows.shape[1],))

@@ -1,4 +1,4 @@
-"""ROS 1 payloads as CDR, and definitions a ROS 2 reader understands where the log has none."""
+"""Convert ROS 1 payloads to CDR, and supply ROS 2 definitions where the log has none."""
 
 import re
 import struct
@@ -19,13 +19,13 @@ _TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, Type
 
 @dataclass(frozen=True, eq=False)
 class Converter:
-    """Turns one topic's ROS 1 payloads into CDR; FormatError when one cannot be."""
+    """Converts one topic's ROS 1 payloads to CDR; FormatError when that is impossible."""
 
     topic: Topic
     store: Any
 
     def __call__(self, payload: memoryview) -> memoryview:
-        """One payload as CDR."""
+        """Convert one payload to CDR."""
         from rosbags.serde import SerdeError
 
         try:
@@ -34,18 +34,18 @@ class Converter:
             raise FormatError(f"topic {self.topic.name}: {problem}") from None
 
     def convert_same_layout(self, rows: Array) -> tuple[Array, Array]:
-        """Which payloads (n,L) uint8 are laid out as the first (n,) bool, and their CDR (m,K)."""
+        """Which payloads (n,L) uint8 have the layout of the first (n,) bool, and their CDR (m,K)."""
         return convert_same_layout(self.store, self.topic.type, rows, self)
 
 
 def converter(topic: Topic) -> tuple[Converter, bytes]:
-    """The converter of a topic and its ros2msg definition; FormatError when the definition is missing or is not one."""
+    """The converter of a topic and its ros2msg definition; FormatError when the definition is missing or invalid."""
     store = _store(topic, _text(topic))
     return Converter(topic, store), store.generate_msgdef(topic.type, ros_version=2)[0].encode()
 
 
 def known_definition(kind: str) -> bytes | None:
-    """The ros2msg definition of a type every ROS 2 has; None for another."""
+    """The ros2msg definition of a type that every ROS 2 has; None for others."""
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -53,7 +53,7 @@ def known_definition(kind: str) -> bytes | None:
 
 
 def _text(topic: Topic) -> str:
-    """The topic's definition, or that of ROS 1's own type of this name and MD5 when the bag left it out."""
+    """The topic's definition; if the bag omits it, that of ROS 1's own type of this name and MD5."""
     from rosbags.typesys import Stores, get_typestore
 
     text, md5 = topic.definition.decode("utf-8", "replace"), topic.metadata.get("md5sum", "")

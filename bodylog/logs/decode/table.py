@@ -1,4 +1,4 @@
-"""One topic's messages as arrays, each field decoded when it is first asked for."""
+"""One topic's messages as arrays; each field is decoded on first use."""
 
 import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -35,10 +35,9 @@ class _Field:
 class Table:
     """The messages of one topic in order of log time: `table.position`, `table["header.stamp"]`, `table.log_ns`.
 
-    A row is a message in which every field asked for so far decodes; `rejected` counts the others by reason. Numbers
-    are arrays (N,), arrays of numbers (N,K) with NaN behind shorter ones, bytes of several lengths objects (N,), times
-    int64 ns, texts (N,) of str.
-    ConfigError names the fields there are.
+    A row is a message in which every requested field decodes; `rejected` counts the others by reason. Numbers are
+    arrays (N,), arrays of numbers (N,K) padded with NaN, bytes of several lengths objects (N,), times int64 ns, texts
+    (N,) of str. ConfigError names the existing fields.
     """
 
     def __init__(self, name: str, fields: tuple[str, ...], read: Read, log_ns: Array | None = None) -> None:
@@ -49,7 +48,7 @@ class Table:
         self._found: dict[str, _Field] = {}
 
     def __len__(self) -> int:
-        """Rows."""
+        """The number of rows."""
         return len(self._rows)
 
     def __getitem__(self, field: str) -> Array:
@@ -60,18 +59,18 @@ class Table:
         return found.values[np.searchsorted(found.rows, self._rows)]
 
     def __getattr__(self, name: str) -> Any:
-        """A field, or the fields below one that is a message: `table.header.stamp`."""
+        """A field, or the fields of an inner message: `table.header.stamp`."""
         if name.startswith("_"):
             raise AttributeError(name)
         return _below(self, name)
 
     def __dir__(self) -> Iterator[str]:
-        """The fields among the attributes, for who completes names."""
+        """Attributes, including the fields, for name completion."""
         yield from super().__dir__()
         yield from {field.split(".")[0].split("[")[0] for field in self.fields}
 
     def __repr__(self) -> str:
-        """Name, messages and fields."""
+        """Name, number of messages and fields."""
         return f"<Table {self._name}: {', '.join(self.fields)}>"
 
     @property
@@ -131,7 +130,7 @@ class Table:
 
 @contextmanager
 def _installed(package: str) -> Iterator[None]:
-    """UsageError, which says what to type, where an import in the `with` fails."""
+    """Turn a failed import in the `with` block into a UsageError that names the package to install."""
     try:
         yield
     except ImportError:
@@ -139,7 +138,7 @@ def _installed(package: str) -> Iterator[None]:
 
 
 class Struct:
-    """Fields below one that is itself a message."""
+    """The fields of an inner message."""
 
     def __init__(self, table: Table, path: str) -> None:
         """The fields of `table` that begin with `path`."""
@@ -191,7 +190,7 @@ def _column(topic: Topic, columns: Columns, field: str) -> Array:
 
 
 def _bytes(columns: Columns, packed: Sequence[Any]) -> Array:
-    """Arrays of bytes of several lengths, as objects: padded, pictures would take a multiple of the log's size."""
+    """Arrays of bytes of several lengths, as objects: padded, images would take a multiple of the log's size."""
     found = [(row, one.tobytes()) for part, values in zip(columns.parts, packed, strict=True)
              for row, one in zip(part.rows.tolist(), values, strict=True)]  # fmt: skip
     out = np.empty(len(found), object)

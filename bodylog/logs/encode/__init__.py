@@ -1,1 +1,1 @@
-"""Arrays to payloads."""
+"""Encode arrays as payloads."""

@@ -1,4 +1,4 @@
-"""Many ROS 2 messages of one layout serialised at once: little-endian CDR through a structured dtype."""
+"""Serialise many ROS 2 messages of one layout at once: little-endian CDR through a structured dtype."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,8 +9,9 @@ import numpy as np
 from ..records import Array
 
 CdrField = tuple[str, Any]
-"""(kind, value): a primitive with an array (n,) or a constant · `string`, `string[]` with constants ·
-`<primitive>*` a fixed array (n,k) · `<primitive>[]` a sequence (n,k)."""
+"""(kind, value): a primitive with an array (n,) or a constant · `string`, `string[]` with constants · `<primitive>*` a
+fixed array (n,k) · `<primitive>[]` a sequence (n,k).
+"""
 
 PRIMITIVES = {
     "bool": "u1",
@@ -48,7 +49,7 @@ def header(ns: Array, frame_id: str = "") -> list[CdrField]:
 
 
 def serialise(count: int, fields: Sequence[CdrField]) -> Payloads:
-    """`count` messages made of `fields` in order, all of one length."""
+    """Serialise `count` messages of these `fields` in order, all of one length."""
     layout = _Layout()
     for kind, value in fields:
         layout.add(kind, value)
@@ -62,7 +63,7 @@ def serialise(count: int, fields: Sequence[CdrField]) -> Payloads:
 
 
 def merge(parts: Sequence[tuple[Array, Payloads]], count: int) -> Payloads:
-    """Groups of payloads put back in one order: each part says which of the `count` messages it holds."""
+    """Groups of payloads in one order: each part lists which of the `count` messages it holds."""
     offset, length = np.zeros(count, np.int64), np.zeros(count, np.int64)
     start = 0
     for index, part in parts:
@@ -73,7 +74,7 @@ def merge(parts: Sequence[tuple[Array, Payloads]], count: int) -> Payloads:
 
 
 class _Layout:
-    """Where each field falls: CDR aligns to a field's own size, counted from behind the encapsulation."""
+    """The offset of each field: CDR aligns to a field's own size, counted from the end of the encapsulation header."""
 
     def __init__(self) -> None:
         self.position = 4

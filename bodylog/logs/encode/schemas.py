@@ -1,4 +1,4 @@
-"""The message types we write, as complete ros2msg text."""
+"""The message types that bodylog writes, as complete ros2msg text."""
 
 _PARTS = {
     "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",

@@ -1,1 +1,1 @@
-"""Image messages and video files to BGR arrays."""
+"""Decode image messages and video files to BGR arrays."""

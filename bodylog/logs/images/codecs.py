@@ -1,4 +1,4 @@
-"""JPEG, PNG and WebP -> BGR, checked before memory is taken; what their libraries would say of damage stays unsaid."""
+"""Decode JPEG, PNG and WebP to BGR: check sizes before allocation, suppress the libraries' own messages."""
 
 import math
 import os
@@ -24,7 +24,7 @@ _SILENT = 0
 
 
 def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
-    """(H/k, W/k, 3) uint8 BGR of a picture's bytes; FormatError, which says its `form`, when there is none in them."""
+    """Decode an image's bytes to (H/k, W/k, 3) uint8 BGR; FormatError, naming its `form`, if that fails."""
     height, width, jpeg = _size(data[: 1 << 16], form)
     check_size(height, width, mpx)
     image = _jpeg(data, height, width, k) if jpeg else None
@@ -34,7 +34,7 @@ def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_im
 
 
 def check_size(height: int, width: int, mpx: float) -> None:
-    """FormatError for an image without pixels, or with more than `mpx` million, which names the setting."""
+    """FormatError, naming the setting, for an image without pixels, or with more than `mpx` million."""
     if height * width <= 0:
         raise FormatError(f"a picture of {width} x {height} pixels")
     if height * width > mpx * 1e6:
@@ -43,9 +43,9 @@ def check_size(height: int, width: int, mpx: float) -> None:
 
 
 def _jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
-    """What OpenCV makes of a JPEG, to the byte, in 7/8 of its time; None for what it is to decide on.
+    """Decode a JPEG to the same bytes as OpenCV in 7/8 of its time; None if OpenCV must decide.
 
-    Of codes that are damaged, while the end is there, OpenCV makes the same and says so on standard error.
+    For damaged codes before a complete end OpenCV gives the same, with a message on standard error.
     """
     import simplejpeg
 
@@ -95,7 +95,7 @@ def _unheard() -> Iterator[None]:
 
 
 def _check_png(data: memoryview, form: str) -> None:
-    """FormatError where a chunk that decoding needs is cut off or fails its checksum."""
+    """FormatError where a chunk that decoding needs is truncated or fails its checksum."""
     at, name = len(_PNG), b""
     while name != b"IEND":
         length, name = struct.unpack_from(">I4s", data, at) if at + 8 <= len(data) else (len(data), b"")
@@ -108,7 +108,7 @@ def _check_png(data: memoryview, form: str) -> None:
 
 
 def _shrunk(image: Array, k: int) -> Array:
-    """The means of k by k pixels (H/k, W/k, 3), as JPEG gives them; what is left over at the right and below goes."""
+    """The means of k by k pixels (H/k, W/k, 3), as JPEG gives them; a remainder at right and bottom is dropped."""
     import cv2
 
     height, width = max(1, image.shape[0] // k), max(1, image.shape[1] // k)
@@ -116,7 +116,7 @@ def _shrunk(image: Array, k: int) -> Array:
 
 
 def _size(begins: memoryview, form: str) -> tuple[int, int, bool]:
-    """Height, width and whether it is JPEG, from a picture's first bytes."""
+    """Height, width and whether it is JPEG, from an image's first bytes."""
     head = bytes(begins[:32])
     try:
         if head[:2] == b"\xff\xd8":

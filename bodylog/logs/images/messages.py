@@ -1,4 +1,4 @@
-"""Picture payloads -> BGR: ROS and Foxglove images, raw or compressed, checked before memory is taken."""
+"""Decode image payloads to BGR: ROS and Foxglove images, raw or compressed; sizes are checked before decoding."""
 
 import re
 from base64 import b64decode
@@ -37,9 +37,9 @@ FIELDS = frozenset(_RAW_FIELDS)
 
 
 class _Encoding(NamedTuple):
-    """Channels and bytes per channel of one pixel, which channels are BGR; or the OpenCV conversion of the whole.
+    """Channels and bytes per channel of a pixel, which channels are BGR; or the OpenCV conversion of the whole image.
 
-    `below`: the colours of 2 by 2 pixels follow in half as many lines again.
+    `below`: chroma of 2 by 2 pixels follows in half as many further lines.
     """
 
     channels: int
@@ -67,7 +67,7 @@ ENCODINGS: Mapping[str, _Encoding] = {
 
 
 def refusal(topic: Topic, text: str) -> str | None:
-    """Why pictures with this format or encoding text cannot be read, or None."""
+    """Why images with this format or encoding text cannot be read, or None."""
     if topic.type in COMPRESSED and _CODECS.fullmatch(text.strip()):
         return f"format {text!r} is {PACKETS}"
     if topic.type in COMPRESSED:
@@ -81,15 +81,15 @@ def is_packets(topic: Topic) -> bool:
 
 
 def text_field(topic: Topic) -> str:
-    """The field that says how a topic's pictures are stored."""
+    """The field that names the format or encoding of a topic's images."""
     return "format" if topic.type in COMPRESSED else "encoding"
 
 
 def decoder(topic: Topic, mpx: float = LIMITS.max_image_mpx) -> Callable[[Payload, int], Array]:
-    """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError says what is wrong.
+    """decode(payload, k) -> (H/k, W/k, 3) uint8 BGR of a topic's messages; FormatError names the problem.
 
-    Images of more than `mpx` million pixels are refused.
-    What is stored raw is not copied: it is the payload's own bytes in another order, and may not be written to.
+    Images of more than `mpx` million pixels are rejected. Raw images are not copied: the result is a read-only view of
+    the payload in another order.
     """
     read = _reader(topic, _FIELDS.get(topic.type, _RAW_FIELDS))
     unpack = _compressed if topic.type in COMPRESSED else _raw
@@ -98,7 +98,7 @@ def decoder(topic: Topic, mpx: float = LIMITS.max_image_mpx) -> Callable[[Payloa
         try:
             return unpack(read(payload), k, mpx)
         except (FormatError, TypeError, ValueError) as error:
-            # JSON may hold anything under any name, and OpenCV converts not every size.
+            # JSON may hold anything under any name, and OpenCV does not convert every size.
             raise FormatError(f"{topic.name}: {str(error).removeprefix(f'{topic.name}: ')}") from None
 
     return decode
@@ -116,7 +116,7 @@ def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[Payload], Mappin
         nonlocal dialect
         ros1 = speaks_ros1(definition, payload) if dialect is None else dialect
         found = dict(zip(fields, pickers[ros1](payload), strict=True))
-        # Only a sound payload settles the dialect for those to come.
+        # Only a sound payload determines the dialect of later ones.
         dialect = ros1
         return found
 
@@ -128,7 +128,7 @@ def _with_bytes(message: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def content(message: Mapping[str, Any]) -> bytes:
-    """The bytes of an image's message, in JSON as base64; FormatError when it has others."""
+    """The bytes of an image message, in JSON as base64; FormatError for anything else."""
     data = message.get("data", b"")
     try:
         data = b64decode(data, validate=True) if isinstance(data, str) else data
@@ -147,7 +147,7 @@ def _compressed(message: Mapping[str, Any], k: int, mpx: float) -> Array:
 
 
 def whole(message: Mapping[str, Any], name: str) -> int:
-    """A size of an image's message, 0 if it has none of that name; FormatError when it is no number of 32 bits."""
+    """A size in an image message, 0 if there is none of that name; FormatError if it is not a 32-bit number."""
     value = message.get(name, 0)
     if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < 1 << 32:
         raise FormatError(f"{name} is {str(value)[:20]}; possible: 0 to {(1 << 32) - 1}")
@@ -162,7 +162,7 @@ def _raw(message: Mapping[str, Any], k: int, mpx: float) -> Array:
     check_size(height, width, mpx)
     data, line = message.get("data", b""), width * encoding.channels * encoding.size
     step, lines = whole(message, "step") or line, height
-    if encoding.below:  # publishers disagree on the step of these, so it is what the bytes make it
+    if encoding.below:  # publishers disagree on the step of these, so it is computed from the bytes
         lines = height * 3 // 2
         step = len(data) // lines
     if encoding.below and (height % 2 or width % 2 or (name == "i420" and step != line)):
@@ -179,7 +179,7 @@ def _to_bgr(rows: Array, encoding: _Encoding, big: bool, k: int) -> Array:
 
     pixels = rows.reshape(len(rows), -1, encoding.channels * encoding.size)
     if encoding.size == 2:
-        # The high byte alone: what 16 to 8 bits means to every decoder.
+        # The high byte alone: every decoder converts 16 to 8 bits so.
         pixels = pixels[:, :, 0 if big else 1 :: 2]
     if encoding.code is not None:
         try:

@@ -1,4 +1,4 @@
-"""A video file beside the log as camera."""
+"""A video file beside the log as a camera."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _DATES = 1e8
 
 @dataclass(frozen=True, eq=False)
 class Sidecar:
-    """A video's file, frames per second, how many frames it says it has, and their times t (K,) s from a table."""
+    """A video: its file, frames per second, declared number of frames, and their times t (K,) s from a table."""
 
     path: Path
     rate: float
@@ -26,7 +26,7 @@ class Sidecar:
 
 
 def find(name: str, log: Path, rate: float | None) -> Sidecar:
-    """The video `name`, here or beside the log, at `rate` (1/s; None: its own); LogError when there is none."""
+    """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own); LogError when there is none."""
     path = next((p for p in (Path(name), log.parent / name) if p.is_file()), None)
     if path is None:
         raise LogError(f"{log}: [topics] camera = {name!r}, but there is no such file, here or beside the log")
@@ -39,7 +39,7 @@ def find(name: str, log: Path, rate: float | None) -> Sidecar:
 
 
 def _times(path: Path, frames: int) -> Array | None:
-    """The times of a video's frames from a table beside it; LogError where it has another number of rows."""
+    """The times of a video's frames from a table beside it; LogError if it has another number of rows."""
     from ..datasets.tables import table_beside, times_beside
 
     t = times_beside(path)
@@ -52,7 +52,7 @@ def _times(path: Path, frames: int) -> Array | None:
 def frames(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], Iterator[Frame]]:
     """A function that decodes the video from its beginning; its first frame is at first_s after start_ns.
 
-    Where a table has the frames' times and these are counted from 1970, first_s None leaves them as they are.
+    If a table has the frames' times counted from 1970, first_s None keeps these times.
     """
     at = _at(video, first_s, start_ns)
 
@@ -72,7 +72,7 @@ def frames(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[],
 
 
 def _at(video: Sidecar, first_s: float | None, start_ns: int) -> Callable[[int], float]:
-    """When a frame was taken, s after start_ns, by its number; one that no table dates follows at the video's rate."""
+    """A function from a frame's number to its time, s after start_ns; after the table, the video's rate gives it."""
     if video.t is None or not len(video.t):
         return lambda number: (first_s or 0.0) + number / video.rate
     is_date = first_s is None and float(video.t[0]) >= _DATES

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
 
 _SMALL = 4 << 20
-"""Bytes of a log that are unpacked in less time than it takes to have a thread for it."""
+"""Bytes of a log that decompress faster than a thread starts."""
 
 _SHORT, _LONG = 1 << 14, 8 << 20
-"""Bytes that decompress faster than a thread starts."""
+"""Packed bytes: handing over a shorter chunk costs more than it saves; two longer ones take too much memory."""
 
 Unpacked = Array | FormatError | None
 """A chunk's records, or why there are none; None for messages outside chunks."""

@@ -31,7 +31,7 @@ _LEVEL = 1
 _WORTH = 0.95
 _MOST = 0xFFFF
 _AHEAD = 2
-"""Chunks made while the one before is written."""
+"""Chunks compressed while the previous one is written."""
 
 
 @dataclass

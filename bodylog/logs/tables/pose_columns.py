@@ -1,4 +1,4 @@
-"""What each column of a table of poses is, by its name: joint, place in an image, image file, time, or nothing used."""
+"""The role of each column of a pose table, by its name: joint, image position, image file, time, or unused."""
 
 import re
 from collections.abc import Mapping
@@ -25,9 +25,10 @@ _SPACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[xyz]|q[xyzw])", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """joints (names) · tracks {name: places (N,2) px} · std {name: (N,2) px} · images {column: file names} · t (N,) s.
+    """joints (names) · tracks {name: positions (N,2) px} · std {name: (N,2) px} · images {column: file names} · t (N,)
+    s.
 
-    `time`: the column of times, None where rows are numbered · remarks on what was made of the columns.
+    `time`: the column of times, None if rows are numbered · notes on the roles of the columns.
     """
 
     joints: Mapping[str, Array]
@@ -40,7 +41,7 @@ class Poses:
 
 
 def poses(table: Table, path: str) -> Poses:
-    """The columns by what they are; LogError when there is no joint and no place."""
+    """Assign a role to each column; LogError if there is neither a joint nor a position."""
     left, notes = dict(table.numbers), list[str]()
     images = {name: files for name, files in table.texts.items() if _are_images(files)}
     time, t = _time(left, table.rows, notes)
@@ -61,13 +62,13 @@ def poses(table: Table, path: str) -> Poses:
 
 
 def _are_images(files: Array) -> bool:
-    """Whether most of a column's texts end as an image file's name does."""
+    """Whether most texts of a column end like an image file's name."""
     filled = [str(name) for name in files.tolist() if name]
     return bool(filled) and sum(name.lower().endswith(IMAGES) for name in filled) > len(filled) / 2
 
 
 def _time(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | None, Array]:
-    """The column of times, taken out of `left`, and the rows' times (N,) s: their numbers where no column is sound."""
+    """The column of times, removed from `left`, and the rows' times (N,) s: row numbers if no column is sound."""
     name, t = time_column(left)
     if name is None:
         notes.append("no column of times; t is the row's number, counted from 0")
@@ -86,25 +87,25 @@ def _time(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | No
 
 
 def time_column(numbers: Mapping[str, Array]) -> tuple[str | None, Array]:
-    """The first column that is a time by its name, and its times (N,) s; None where there is none."""
+    """The first column named as a time, and its times (N,) s; None if there is none."""
     name = next((name for name in numbers if _TIME.fullmatch(name)), None)
     return (None, np.empty(0)) if name is None else (name, numbers[name] * _scale(name))
 
 
 def label(name: str) -> bool:
-    """Whether a column counts or names its rows, by its own name."""
+    """Whether a column counts or labels its rows, by its name."""
     return _LABEL.fullmatch(name) is not None
 
 
 def _scale(name: str) -> float:
-    """Seconds in a unit of a column of times, by the end of its name."""
+    """Seconds per unit of a time column, by the end of its name."""
     match = _TIME.fullmatch(name)
     unit = (match[1] or "s").lower() if match else "s"
     return _UNITS.get(unit, 1.0)
 
 
 def _tracks(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Places (N,2) px of NAME_u and NAME_v, and their standard deviations, taken out of `left`."""
+    """Positions (N,2) px of NAME_u and NAME_v, and their standard deviations, removed from `left`."""
     axes: dict[str, dict[str, str]] = {}
     for column in left:
         if match := _PLACE.fullmatch(column):
@@ -123,7 +124,7 @@ def _tracks(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]
 
 
 def _std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
-    """Standard deviations (N,2) px from columns for each axis or one for both; NaN where not positive."""
+    """Standard deviations (N,2) px from one column per axis or one for both; NaN where not positive."""
     columns = {axis: left.pop(column) for axis, column in found.items()}
     both = columns.get("both")
     unknown = np.full(len(next(iter(columns.values()))), np.nan) if both is None else both
@@ -132,7 +133,7 @@ def _std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
 
 
 def _spaces(left: Mapping[str, Array]) -> list[str]:
-    """Columns of places and turns in space: NAME_x, NAME_y and NAME_z together, and quaternions beside them."""
+    """Columns of poses in space: NAME_x, NAME_y and NAME_z together, and quaternions beside them."""
     axes: dict[str, dict[str, str]] = {}
     for column in left:
         if match := _SPACE.fullmatch(column):
@@ -145,15 +146,15 @@ def _spaces(left: Mapping[str, Array]) -> list[str]:
 def _used(
     joints: Mapping[str, Array], tracks: Mapping[str, Array], images: Mapping[str, Array], time: str | None
 ) -> list[str]:
-    """What the columns in use are taken for; which joints may be in degrees."""
+    """The roles of the used columns; joints that may be in degrees."""
     uses = [f"joints: {', '.join(joints)}"] if joints else []
     uses += [f"tracks: {', '.join(tracks)}"] if tracks else []
     uses += [f"images: {', '.join(images)}"] if images else []
     uses += [f"time: {time}"] if time else []
-    found = [f"still poses, each by itself; {'; '.join(uses)}"]
+    found = [f"independent poses; {'; '.join(uses)}"]
     return found
 
 
 def in_degrees(joints: Mapping[str, Array]) -> list[str]:
-    """Joints whose values spread over more than two whole turns: such are degrees, or no joints."""
+    """Joints whose values span more than two turns: they are degrees, or not joints."""
     return [name for name, values in joints.items() if np.ptp(values[np.isfinite(values)]) > 4.0 * np.pi]

@@ -1,4 +1,4 @@
-"""A table of measured poses as a log: its rows as messages, so that whatever reads logs reads it."""
+"""A table of measured poses as a log: its rows become messages."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -29,7 +29,7 @@ class PoseLog:
     """A CSV, Parquet or YAML table of poses; see protocol.Log."""
 
     def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
-        """Read the table `source` (default: `path` itself) whole; LogError when it holds no poses."""
+        """Read the whole table `source` (default: `path`); LogError when it holds no poses."""
         source, self.path = source or path, path
         with source.open("rb") as stream:
             self.format = kind(path, stream.read(4)) or "csv"
@@ -43,7 +43,7 @@ class PoseLog:
             text = f'{", ".join(far)}: more than two turns; are these degrees? type: [body] unit = "deg"'
             self._add("warning", text)
         first = found.t.min()
-        # a stamp of zero means none, so times begin a second after it
+        # a stamp of zero means no stamp, so times begin a second after it
         t = found.t if first >= 1.0 else found.t - first + 1.0
         self._ns = np.rint(t * 1e9).astype(np.int64)
         self._outgoing = [*self._joints(found.joints), *self._tracks(found.tracks, found.std)]
@@ -57,7 +57,7 @@ class PoseLog:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """What was made of the columns, and what is wrong with the rows."""
+        """The roles of the columns, and what is wrong with the rows."""
         return tuple(dict.fromkeys(self._findings))
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
@@ -74,17 +74,17 @@ class PoseLog:
         return {topic.id: (self.start_ns, self.end_ns) for topic in self.topics}
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
     def __enter__(self) -> "PoseLog":
-        """The log itself."""
+        """Return the log."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Nothing stays open."""
+        """Do nothing: no file stays open."""
 
     def _add(self, severity: str, *texts: str) -> None:
-        """Findings; LogError at a loss where the log is read strictly."""
+        """Add findings; LogError for a loss if the log is read strictly."""
         if severity == "lost" and texts and self._strict:
             raise LogError(f"{self.path}: {texts[0]}; type the command without --strict to use the rest")
         self._findings += [Finding(severity, f"{self.path}: {text}") for text in texts]
@@ -109,7 +109,7 @@ class PoseLog:
         return Outgoing(topic, kind, definition(kind), self._ns, made.data, made.offset, made.length)
 
     def _files(self, number: int, files: Array) -> Iterator[Batch]:
-        """One batch per image; a file that is not there, or too large, is counted as lost."""
+        """One batch per image; a missing or too large file is counted as lost."""
         missing: list[str] = []
         for ns, name in zip(self._ns.tolist(), files.tolist(), strict=True):
             if not name:
@@ -124,7 +124,7 @@ class PoseLog:
             self._add("lost", f"{len(missing)} images cannot be read: {', '.join(missing[:3])}")
 
     def _image(self, name: str) -> Array | None:
-        """The bytes of an image beside the table, of another form than JPEG, PNG, WebP as PNG; None: unreadable."""
+        """The bytes of an image beside the table, converted to PNG unless JPEG, PNG or WebP; None: unreadable."""
         file = self.path.parent / name
         try:
             if not file.is_file() or not 0 < file.stat().st_size <= _LARGEST:
@@ -136,7 +136,7 @@ class PoseLog:
 
 
 def image_files(path: Path) -> tuple[Path, ...]:
-    """The images that a table of poses names, where they lie; none of any other file."""
+    """The image files that a table of poses names; none for any other file."""
     if not path.is_file() or (form := kind(path)) is None:
         return ()
     try:

@@ -1,4 +1,4 @@
-"""A table in a CSV, Parquet or YAML file -> columns of numbers or texts, with what could not be read counted."""
+"""Read a table from a CSV, Parquet or YAML file as columns of numbers or texts; unreadable parts are counted."""
 
 import csv
 from collections import Counter
@@ -26,9 +26,9 @@ _MISTYPED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """numbers {column: (N,) float64, NaN where empty} · texts {column: (N,) object} · how many rows · remarks.
+    """numbers {column: (N,) float64, NaN where empty} · texts {column: (N,) object} · number of rows · notes.
 
-    `lost`: remarks on rows that could not be read; `odd`: on cells that hold no number in a column of numbers.
+    `lost`: notes on unreadable rows; `odd`: on cells without a number in a column of numbers.
     """
 
     numbers: Mapping[str, Array]
@@ -39,19 +39,19 @@ class Table:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All columns."""
+        """The names of all columns."""
         return (*self.numbers, *self.texts)
 
 
 def kind(path: Path, first: bytes = b"") -> str | None:
-    """Which table a file holds by its first bytes and its name: csv, parquet or yaml; None for no table."""
+    """The format of a table by the file's first bytes and its name: csv, parquet or yaml; None for other files."""
     if first.startswith(b"PAR1"):
         return "parquet"
     return SUFFIXES.get(path.suffix.lower())
 
 
 def read(path: Path, form: str) -> Table:
-    """The table in a file of that form; LogError or FormatError says in one line why there is none."""
+    """Read the table in a file of that format; LogError or FormatError gives the reason if there is none."""
     size = path.stat().st_size
     if size > _MOST_BYTES[form]:
         raise LogError(f"{path}: a table of {size} bytes; at most {_MOST_BYTES[form]} are read")
@@ -72,7 +72,7 @@ def _csv(path: Path) -> Table:
 
 
 def _delimiter(path: Path) -> str:
-    """The separator that occurs most in the first line."""
+    """The most frequent separator in the first line."""
     with path.open(encoding="utf-8-sig") as stream:
         line = stream.readline(1 << 20)
     return max(",;\t", key=line.count)
@@ -93,7 +93,7 @@ def _header(names: list[str], path: Path) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """Some rows: per column numbers (n,) or None where most are texts, the texts (n,), how many rows were left out."""
+    """Some rows: per column numbers (n,), or None if most are texts, the texts (n,), number of rejected rows."""
 
     cells: Sequence[Array]
     short: int
@@ -101,7 +101,7 @@ class _Piece:
 
 
 def _blocks(header: Sequence[str], rows: Iterator[list[str]]) -> Iterator[_Piece]:
-    """Rows in blocks, so that texts of a long table are not all held at once; empty lines are passed over."""
+    """Rows in blocks, so that memory holds only part of a long table's texts; empty lines are skipped."""
     width, block, short, long, cells = len(header), list[list[str]](), 0, 0, 0
     for row in rows:
         if not any(row):
@@ -121,7 +121,7 @@ def _blocks(header: Sequence[str], rows: Iterator[list[str]]) -> Iterator[_Piece
 
 
 def _columns(block: list[list[str]], width: int) -> list[Array]:
-    """Cells of a block by column: floats (n,) where all filled ones are numbers, else texts (n,) as objects."""
+    """Cells of a block by column: floats (n,) if all filled ones are numbers, else texts (n,) as objects."""
     if not block:
         return [np.empty(0) for _ in range(width)]
     return [_numbers([cell.strip() for cell in column]) for column in zip(*block, strict=True)]
@@ -154,7 +154,7 @@ def _joined(header: Sequence[str], pieces: Iterator[_Piece], path: Path) -> Tabl
 
 
 def _typed(column: Sequence[Array]) -> tuple[Array, list[str]]:
-    """A column as numbers, with the cells that are none; as texts where most of it are."""
+    """A column as numbers, with its cells that are not numbers; as texts if most cells are texts."""
     if all(part.dtype != object for part in column):
         values = np.concatenate(column)
         wrong = [str(value) for value in values[np.isinf(values)].tolist()]
@@ -169,7 +169,7 @@ def _typed(column: Sequence[Array]) -> tuple[Array, list[str]]:
 
 
 def _text(cell: Any) -> str:
-    """A cell as text; an empty one, whatever its block made of it, is the empty text."""
+    """A cell as text; an empty one, however its block stores it, is the empty text."""
     return "" if isinstance(cell, float) and cell != cell else str(cell)
 
 
@@ -201,7 +201,7 @@ def _parquet(path: Path) -> Table:
 
 
 def _arrow(name: str, column: Any) -> Iterator[tuple[str, Array]]:
-    """A Parquet column as one of the table, a list of equally many numbers as several: name.0, name.1, ..."""
+    """A Parquet column as a table column; a list of fixed length as several: name.0, name.1, ..."""
     types: Any = import_module("pyarrow.types")
     if types.is_floating(column.type) or types.is_integer(column.type) or types.is_boolean(column.type):
         yield name, column.cast("float64").to_numpy()
@@ -215,7 +215,7 @@ def _arrow(name: str, column: Any) -> Iterator[tuple[str, Array]]:
 
 
 def _objects(cells: Sequence[Any]) -> Array:
-    """Cells (n,) as a column of a CSV would have them."""
+    """Cells (n,) as a CSV column would hold them."""
     plain = [np.nan if cell is None else cell for cell in cells]
     if all(isinstance(cell, int | float) for cell in plain):
         return np.array([_number(cell) for cell in plain])
