@@ -1,1 +1,5 @@
-"""What bodylog writes into a log, and reads back."""
+"""Write features and estimates into a log, and read them back.
+
+For use outside: `annotate.annotate`, `annotating` and `write`; `read_back.read_estimate`, `read_features`,
+`read_metadata`; `messages.from_*`.
+"""

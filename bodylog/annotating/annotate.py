@@ -1,4 +1,4 @@
-"""Write what we found beside what was recorded: the log's own bytes are copied as they are, ours follow."""
+"""Write features and estimates into a copy of a log: its own bytes are unchanged, the new messages follow."""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,12 +29,11 @@ def annotate(
     out: Path,
     only: Collection[str] | None = None,
 ) -> tuple[Finding, ...]:
-    """`out` becomes an MCAP with all that is in `source`, the messages given, and a metadata record `bodylog`.
+    """Write an MCAP `out` with all of `source`, the given messages, and a metadata record `bodylog`.
 
-    A chunked MCAP is copied bit for bit; any other log is rewritten, and so is one of which `only` some topics are
-    wanted. /bodylog/ topics of an earlier run are replaced.
-    Findings name topics that could not be carried over whole. UsageError if `out` is the source, LogError if the copy
-    does not hold what it should.
+    A chunked MCAP is copied byte for byte; other logs are rewritten, as is any log if `only` some topics are kept.
+    Topics of an earlier run are replaced. Findings name topics not carried over whole. UsageError if `out` is the
+    source, LogError if the copy fails verification.
     """
     with annotating(source, out, whole=only is None) as under_way:
         under_way.copy()
@@ -45,10 +44,10 @@ def annotate(
 
 @contextmanager
 def annotating(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -> Iterator["Annotation"]:
-    """`annotate` in steps: the source is read and, where it can stay as it is, copied while the messages are made.
+    """`annotate` in steps: the source is read and, if unchanged, copied while the messages are made.
 
-    `add` and `about` are to follow, once each; `copy` may come before, once a core is to spare: what takes no time to
-    copy waits for that. Nothing is left of `out` when the block fails.
+    Call `add` and `about` once each; `copy` may come before, when a core is free: short copies wait for that. An
+    exception leaves no `out`.
     """
     guard([source], [Output(out)])
     with replacing(out) as beside:
@@ -61,16 +60,16 @@ def annotating(source: Path, out: Path, whole: bool = True, limits: Input = LIMI
 
 
 class Annotation:
-    """An annotated log under way."""
+    """An annotated log in progress."""
 
     def __init__(self, source: Path, base: Prefix | None, copy: Copy, stream: BinaryIO, limits: Input) -> None:
-        """Of `base`, what stays of the source and is being copied; None when all is to be rewritten."""
+        """`base` is the part of the source that is copied; None to rewrite everything."""
         self.messages = 0
         self.copy, self.digest = copy.begin, copy.digest
         self._source, self._base, self._stream, self._limits = source, base, stream, limits
 
     def add(self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None) -> tuple[Finding, ...]:
-        """Our messages, behind all of the source's or `only` those of some topics; what could not be carried over."""
+        """Write messages after those of the source, or of `only` some topics; returns losses."""
         self._writer, kept, findings = self._behind(only)
         readable, more = rename_conflicting(outgoing, self._writer.contents.schemas.values())
         add(self._writer, readable)
@@ -78,7 +77,7 @@ class Annotation:
         return (*findings, *more)
 
     def about(self, metadata: Mapping[str, str]) -> None:
-        """How it was made, and the end of the file."""
+        """Write the metadata record and the end of the file."""
         self._writer.about(NAME, metadata)
         self._writer.finish()
 
@@ -92,7 +91,7 @@ class Annotation:
 
 
 def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> None:
-    """`out` becomes an MCAP of the messages given and a metadata record `bodylog`."""
+    """Write an MCAP `out` of the given messages and a metadata record `bodylog`."""
     with replacing(out) as beside:
         with beside.open("wb") as stream:
             writer = Writer(stream, Contents())
@@ -104,7 +103,7 @@ def write(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) 
 
 
 def add(writer: Writer, outgoing: Sequence[Outgoing], about: Mapping[str, Mapping[str, str]] | None = None) -> None:
-    """Topics with their messages in order of log time; `about`: metadata of some of them."""
+    """Write topics with their messages in order of log time; `about`: metadata of some of them."""
     extra = about or {}
     numbers = [
         writer.topic(o.topic, o.type, o.encoding, o.definition, o.definition_encoding, extra.get(o.topic, {}))
@@ -115,7 +114,7 @@ def add(writer: Writer, outgoing: Sequence[Outgoing], about: Mapping[str, Mappin
 
 
 def _base(source: Path) -> Prefix | None:
-    """What can be kept of `source` as it is; None when it must be rewritten."""
+    """The part of `source` that can be kept; None if it must be rewritten."""
     try:
         return reusable_prefix(source) if is_mcap(source) else None
     except FormatError:

@@ -1,4 +1,4 @@
-"""A log read once, in the background, while it is looked at: digested, and what stays of it copied."""
+"""Read a log once in the background to digest it and copy its unchanged part."""
 
 import fcntl
 import hashlib
@@ -16,14 +16,14 @@ from ..logs.episode_files import files_of
 _PIECE = 16 << 20
 _BLOCK = 4096
 _FICLONERANGE = 0x4020940D
-"""Linux's request that two files share a range of blocks until one of them is written to (btrfs, XFS, bcachefs, …)."""
+"""Linux ioctl for two files to share a range of blocks until one is written (btrfs, XFS, bcachefs, …)."""
 
 _LONG = 128 << 20
-"""Bytes that take about a tenth of a second: what is shorter can wait for a core that nobody else needs."""
+"""Bytes that take about a tenth of a second: shorter copies wait for a free core."""
 
 
 class Copy:
-    """The digest of `source` to come, and its first `end` bytes on their way to `target`, for as long as a `with`."""
+    """The digest of `source`, and a copy of its first `end` bytes to `target`, made within a `with` block."""
 
     def __init__(self, source: Path, target: Path | None = None, end: int = 0) -> None:
         """A short log is not copied before `begin` or `digest`; without `target` nothing is copied."""
@@ -34,26 +34,26 @@ class Copy:
             self.begin()
 
     def __enter__(self) -> "Copy":
-        """The copy itself, under way."""
+        """Start the copy."""
         try:
             self._digest = self._pool.submit(self._read)
-        except BaseException:  # told to stop while the thread begins: it would wait for ever
+        except BaseException:  # interrupted while the thread starts: it would wait forever
             self.__exit__()
             raise
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop after the piece at hand, if it is not done."""
+        """Stop after the current piece, if it is not done."""
         self._stopped.set()
         self.begin()
         self._pool.shutdown()
 
     def begin(self) -> None:
-        """Begin if that is still to come: from now on there is a core to spare."""
+        """Start now if still waiting: a core is free."""
         self._begun.set()
 
     def digest(self) -> str:
-        """Hex SHA-256 of the source, once it is read and copied; LogError when a copied one changed its size."""
+        """Hex SHA-256 of the source, after reading and copying; LogError when a copied file changed its size."""
         self.begin()
         return self._digest.result()
 
@@ -74,7 +74,7 @@ class Copy:
         return digest
 
     def _pass(self, target: "_Target | None") -> tuple[str, int]:
-        """The digest, and how many bytes there were; each piece is written while it is digested, but what is shared."""
+        """The digest and the number of bytes; each piece is written while it is digested, unless it is shared."""
         digest, read = hashlib.sha256(), 0
         shared = 0 if target is None else target.share(self._source, self._end)
         parts = files_of(self._source) if target is None else (self._source,)
@@ -90,7 +90,7 @@ class Copy:
 
 
 class _Target:
-    """A file written in the background and, where its disk can, past the page cache, which is left to what is read."""
+    """A file written in the background, past the page cache if its disk can, to leave the cache to readers."""
 
     def __init__(self, path: Path) -> None:
         self._plain = os.open(path, os.O_WRONLY)
@@ -102,7 +102,7 @@ class _Target:
         self._writing: Future[None] | None = None
 
     def share(self, source: Path, end: int) -> int:
-        """How many of the first `end` bytes this file now shares with `source`: whole blocks, where its disk can."""
+        """Share the first `end` bytes with `source` in whole blocks if the disk can; returns how many are shared."""
         size = end // _BLOCK * _BLOCK
         if sys.platform != "linux" or not size:
             return 0
@@ -114,24 +114,24 @@ class _Target:
         return size
 
     def write(self, piece: memoryview, at: int) -> None:
-        """Begin to write a piece, if it has any bytes, at byte `at` when the one before is written."""
+        """Start to write a piece, if not empty, at byte `at` after the previous one is written."""
         self.wait()
         self._writing = self._pool.submit(self._write, piece, at)
 
     def wait(self) -> None:
-        """Until all is written; OSError where it is not."""
+        """Wait until all is written; OSError if that fails."""
         if self._writing is not None:
             self._writing.result()
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._pool.shutdown()
         for handle in (self._plain, self._direct):
             if handle is not None:
                 os.close(handle)
 
     def _write(self, piece: memoryview, at: int) -> None:
-        """Whole blocks to the disk, what is over as in any other file."""
+        """Write whole blocks directly to the disk, the remainder through the cache."""
         whole = 0 if self._direct is None else len(piece) // _BLOCK * _BLOCK
         done = 0
         while done < len(piece):

@@ -1,4 +1,4 @@
-"""What an annotated log's metadata say of its estimate."""
+"""The metadata of an annotated log about its estimate."""
 
 import json
 from collections.abc import Mapping
@@ -18,7 +18,7 @@ from ..types import (
 
 
 def describe(estimate: Estimate) -> dict[str, str]:
-    """What of an estimate no topic carries, as entries for the metadata record; `read_estimate` reads them back."""
+    """The parts of an estimate without a topic, as entries of the metadata record; `read_estimate` reads them."""
     used = {sense: asdict(health) for sense, health in estimate.used.items()}
     findings = [asdict(finding) for finding in estimate.findings]
     return {
@@ -32,7 +32,7 @@ def describe(estimate: Estimate) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Declared:
-    """What `describe` wrote."""
+    """The parts of an estimate in the metadata record."""
 
     method: str
     used: Mapping[str, Health]
@@ -42,7 +42,7 @@ class Declared:
 
 
 def _health(found: Health) -> Health:
-    """The same; ValueError for counts that no log can have, TypeError for what is no number."""
+    """Validate health counts: ValueError for impossible counts, TypeError for what is not a number."""
     counts = (found.seen, found.used, *found.rejected.values())
     if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
         raise ValueError("how much was used is no count of messages")
@@ -50,7 +50,7 @@ def _health(found: Health) -> Health:
 
 
 def _finding(found: Finding) -> Finding:
-    """The same; ValueError for one that is no text."""
+    """Validate a finding; ValueError if its text is not a string."""
     if not isinstance(found.severity, str) or not isinstance(found.text, str):
         raise ValueError("a finding that is no text")
     return found
@@ -63,7 +63,7 @@ def _capabilities(found: Mapping[str, Any]) -> Capabilities:
 
 
 def declared(path: Path, metadata: Mapping[str, str]) -> Declared:
-    """What `describe` wrote, read back; LogError where it is damaged."""
+    """Read back the entries of `describe`; LogError if they are damaged."""
     try:
         return Declared(
             metadata.get("method", ""),
@@ -77,5 +77,5 @@ def declared(path: Path, metadata: Mapping[str, str]) -> Declared:
 
 
 def type_again(path: Path) -> str:
-    """The command that writes an estimate into a log anew."""
+    """The command that writes a new estimate into a log."""
     return f"type: bodylog estimate {path} --body body.npz -o OUT.mcap"

@@ -1,4 +1,4 @@
-"""What was seen and what was predicted, as foxglove_msgs/ImageAnnotations to be drawn over the picture."""
+"""Seen and predicted positions as foxglove_msgs/ImageAnnotations, drawn over the image."""
 
 from collections.abc import Mapping
 
@@ -31,7 +31,7 @@ def annotations(
 
 
 def _at(times: Array, track: Series, values: Array | None = None) -> Array:
-    """A track's values (n,D) on the common log times; NaN where it has none."""
+    """A track's values (n,D) at the common log times; NaN where it has none."""
     values = track.values if values is None else values
     out = np.full((len(times), values.shape[1]), np.nan)
     out[np.searchsorted(times, track.source_ns)] = values
@@ -44,10 +44,10 @@ def _ellipses(series: Series, cov: Array) -> Array:
 
 
 def _grouped(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloads:
-    """Frames showing the same parts have the same layout: one serialisation for each such group."""
+    """One serialisation per group of frames that show the same parts, and so have the same layout."""
     shown = np.column_stack([np.isfinite(values).all(1) for values in [*(c[2] for c in circles), *loops]])
     packed = np.packbits(shown, axis=1)
-    kind_of = packed.view(f"S{packed.shape[1]}")[:, 0]  # as one text each: rows of bits are slow to sort
+    kind_of = packed.view(f"S{packed.shape[1]}")[:, 0]  # as one text each: sorting rows of bits is slow
     parts = []
     for rows in (np.flatnonzero(kind_of == number) for number in np.unique(kind_of)):
         kind = shown[rows[0]]

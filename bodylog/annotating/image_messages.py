@@ -1,4 +1,4 @@
-"""A recording's pictures as ROS 2 messages: payloads pass undecoded wherever ROS 2 tools can read them."""
+"""A recording's images as ROS 2 messages: payloads that ROS 2 tools can read are not decoded."""
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -31,12 +31,12 @@ class Kind(NamedTuple):
     form: str
 
     def below(self, camera: str) -> "Kind":
-        """The same among another camera's topics."""
+        """The same under another camera's topics."""
         return self._replace(topic=self.topic.replace("/camera", camera, 1))
 
 
 class Picture(NamedTuple):
-    """One picture: what it is, when (s since start_ns), its payload in CDR."""
+    """One image: its kind, its time (s since start_ns), its payload in CDR."""
 
     kind: Kind
     t: float
@@ -49,10 +49,10 @@ _Convert = Callable[[bytes, int], bytes]
 
 
 def pictures(path: Path, recording: Recording, unread: dict[str, list[str]]) -> Iterator[Picture]:
-    """All pictures the recording accepts, camera by camera, in the order of its file; those of a video are made anew.
+    """All images that the recording accepts, camera by camera, in file order; those of a video are encoded.
 
-    `unread` {topic: reasons} takes why messages that contradict their definition are left out. The first camera's
-    topic is /camera/image, another's /NAME/image, or as compressed. LogError where that is the same.
+    `unread` {topic: reasons} gets the messages that contradict their definition. The first camera's topic is
+    /camera/image, another's /NAME/image, or as compressed. LogError if two are the same.
     """
     films = {"": recording.frames} if recording.frames is not None else {}
     for name, frames in (films | dict(recording.views)).items():

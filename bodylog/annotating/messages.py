@@ -1,4 +1,4 @@
-"""What we write into a log: features and estimates as ready messages, each beside the message that caused it."""
+"""Features and estimates as messages, each at the time of the message that caused it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -20,7 +20,7 @@ PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
 
 
 def from_features(features: Features, start_ns: int) -> list[Outgoing]:
-    """Tracks, sightings, strokes, touches and synchrony; the frame_id of what lies in a picture is its camera."""
+    """Tracks, sightings, strokes, touches and synchrony; the frame_id of image positions is the camera."""
     out = [from_track(name, track, start_ns, _frame(name, features)) for name, track in features.tracks.items()]
     for name in ("effector", "hand"):
         if name in features.tracks:
@@ -34,7 +34,7 @@ def from_features(features: Features, start_ns: int) -> list[Outgoing]:
 
 
 def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list[Outgoing]:
-    """Belief, covariance, errors, predictions, faults, and each camera's overlay of what was seen and predicted."""
+    """Belief, covariance, errors, predictions, faults, and each camera's overlay of seen and predicted positions."""
     joints = estimate.joints
     out = [
         from_joints(PREFIX + "joint_states", joints, start_ns, estimate.rate.values),
@@ -63,7 +63,7 @@ def _camera(name: str) -> str:
 
 
 def _frame(name: str, features: Features) -> str:
-    """The topic of a track's camera; "" where it is not known."""
+    """The topic of a track's camera; "" if unknown."""
     return features.cameras.get(_camera(name), "")
 
 
@@ -77,8 +77,8 @@ def _overlays(estimate: Estimate, tracks: Mapping[str, Series], start_ns: int) -
 
 
 def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:
-    """Joint angles (N,M) as sensor_msgs/JointState, with velocity when `rate` (N,M) rad/s is given."""
-    # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
+    """Joint angles (N,M) as sensor_msgs/JointState, with velocity if `rate` (N,M) rad/s is given."""
+    # NaN instead of an empty array: pybag cannot read a message that ends in an empty array.
     unknown = np.full(joints.values.shape, np.nan)
     fields: list[CdrField] = [
         *cdr.header(stamps(joints.t, start_ns)),
@@ -102,7 +102,7 @@ def stamps(t: Array, start_ns: int) -> Array:
 
 
 def from_track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
-    """Places (N,2) px of a track with their standard deviations as bodylog_msgs/Vector."""
+    """Positions (N,2) px of a track with their standard deviations as bodylog_msgs/Vector."""
     std = np.full_like(track.values, np.nan) if track.std is None else track.std
     data = np.hstack([track.values, std])
     return _vector(TRACK + escape(name), track, TRACK_NAMES, data, start_ns, frame)
@@ -145,7 +145,7 @@ def _scalar(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
 
 
 def _poses(topic: str, poses: Poses, start_ns: int) -> Outgoing:
-    """Poses with their covariance, its rows and columns in ROS's order: x, y, z, turns about x, y, z."""
+    """Poses with their covariance, rows and columns in ROS's order: x, y, z, rotations about x, y, z."""
     count = len(poses.t)
     cov = np.zeros((count, 36)) if poses.cov is None else poses.cov.reshape(count, 36)
     fields: list[CdrField] = [
@@ -156,7 +156,7 @@ def _poses(topic: str, poses: Poses, start_ns: int) -> Outgoing:
 
 
 def _strokes(features: Features, hand: Series, start_ns: int) -> Outgoing:
-    """Strokes with the delay of the touch they are paired with, each logged with the picture in which it began."""
+    """Strokes with the delay of the paired touch, each logged at the image in which it began."""
     delays = {pair.stroke: pair.delay for pair in features.synchrony}
     start, end = (np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end"))
     start_stamps = stamps(start, start_ns)

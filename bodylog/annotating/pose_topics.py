@@ -1,4 +1,4 @@
-"""Poses of a frame in another from a topic of stamped poses, with or without a covariance."""
+"""Poses of one frame in another from a topic of stamped poses, with or without a covariance."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from ..logs.formats import open_log
 from ..types import Poses
 
 TRUTH = "/truth/effector_pose"
-"""Where a log carries the effector's true poses in the robot's base."""
+"""Topic of the effector's true poses in the robot's base."""
 _PLAIN = "geometry_msgs/msg/PoseStamped"
 _COVARIANT = "geometry_msgs/msg/PoseWithCovarianceStamped"
 _AXES = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
@@ -21,14 +21,14 @@ _FIELDS = {_PLAIN: (*_HEADER, *(f"pose.{field}" for field in _AXES)), _COVARIANT
 
 
 def true_poses(path: Path, start_ns: int) -> Poses | None:
-    """The effector's true poses that a log carries, t in s since `start_ns`; None where it has none."""
+    """The effector's true poses in a log, t in s since `start_ns`; None without any."""
     with open_log(path) as log:
         topic = next((topic for topic in log.topics if topic.name == TRUTH and topic.type in _FIELDS), None)
         return None if topic is None else poses(columns(log, topic, _FIELDS[topic.type]), start_ns)
 
 
 def poses(found: Columns, start_ns: int) -> Poses | None:
-    """The poses of a topic in order of t; None where there are none, rows that are no numbers left out."""
+    """The poses of a topic in order of t, without rows that are not numbers; None without any."""
     rows, covs, stamps, logged, frames = [], [], [], [], list[str]()
     for part in found.parts:
         stamp, frame, *values = part.values

@@ -1,4 +1,4 @@
-"""Read back what we wrote: tracks and touches for another run, the estimate for scoring and reports."""
+"""Read annotations back: tracks and touches for another run, the estimate for scoring and reports."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -45,17 +45,17 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
     POSE: POSED,
     "sensor_msgs/msg/JointState": ("header.stamp", "name", "position", "velocity"),
 }
-"""Type -> the fields of it that are read back."""
+"""Type -> the fields to read back."""
 
 
 def _fields(topic: Topic) -> tuple[str, ...]:
-    """The fields of a topic; faults had no standard deviation once."""
+    """The fields of a topic; older faults have no standard deviation."""
     more = ("std",) if topic.type.endswith("/Fault") and b"float64 std" in topic.definition else ()
     return (*_FIELDS[topic.type], *more)
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """The metadata record `bodylog` of an annotated MCAP; LogError when there is none."""
+    """The metadata record `bodylog` of an annotated MCAP; LogError without one."""
     try:
         with RecordFile(path) as file:
             _, summary = file.summary()
@@ -64,12 +64,12 @@ def read_metadata(path: Path) -> dict[str, str]:
                 record = memoryview(file.read(listed[-1]["offset"], listed[-1]["length"]))
                 return dict(parse(METADATA, record[HEAD.size :]).fields["metadata"])
     except (FormatError, OSError):
-        pass  # no MCAP, or not a whole one: then it is none we wrote
+        pass  # not a whole MCAP, so not one that bodylog wrote
     raise LogError(f"{path}: no estimate in it, unless its end was cut off; {type_again(path)}")
 
 
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
-    """The estimate an annotated MCAP carries, t in s since `start_ns` (None: the log's own); LogError without one."""
+    """The estimate in an annotated MCAP, t in s since `start_ns` (None: the log's own); LogError without one."""
     with open_log(path) as log:
         stored = declared(path, read_metadata(path))
         table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
@@ -97,7 +97,7 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
 
 
 def read_features(log: Log, start_ns: int) -> Features | None:
-    """Tracks, strokes, touches and synchrony a log carries from an earlier run, without joints; None: it has none."""
+    """Tracks, strokes, touches and synchrony of an earlier run in a log, without joints; None without any."""
     names = {topic.name for topic in log.topics}
     if not any(name.startswith(TRACK) or name == PREFIX + "touch" for name in names):
         return None
@@ -111,7 +111,7 @@ def read_features(log: Log, start_ns: int) -> Features | None:
 
 
 class _Table:
-    """Columns of every topic of ours in a log."""
+    """Columns of every topic that bodylog wrote into a log."""
 
     def __init__(self, log: Log, start_ns: int, path: Path) -> None:
         topics = {t.id: t for t in log.topics if t.name.startswith(PREFIX) and t.type in _FIELDS}
@@ -130,7 +130,7 @@ class _Table:
         return Series(t, position, names, "rad", source_ns), Series(t, velocity, names, "rad/s", source_ns)
 
     def series(self, topic: str, unit: str) -> Series | None:
-        """A vector topic (N,D), or None where there is none."""
+        """A vector topic (N,D), or None if it is missing."""
         if topic not in self.columns:
             return None
         t, source_ns, (names, data, *_) = self._rows(topic)
@@ -144,7 +144,7 @@ class _Table:
         return {unescape(name[len(prefix) :]): s for name in names if (s := self.series(name, unit)) is not None}
 
     def tracks(self) -> dict[str, Series]:
-        """What was tracked: u, v and their standard deviations (N,4) px."""
+        """The tracks: u, v and their standard deviations (N,4) px."""
         found = self.under(TRACK, "px")
         for name, series in found.items():
             if len(series.names) != len(TRACK_NAMES):
@@ -152,7 +152,7 @@ class _Table:
         return {name: replace(series, values=believed(series.values)[0]) for name, series in found.items()}
 
     def aligned(self, name: str, joints: Series, width: int) -> Array:
-        """Values (N,width) that go with each row of `joints`; LogError when they do not."""
+        """Values (N,width) for each row of `joints`; LogError when they do not match."""
         t, _, values = self._rows(PREFIX + name)
         data: Array = values[-1].reshape(len(t), values[-1].size // max(1, len(t)))
         if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
@@ -187,13 +187,13 @@ class _Table:
         return tuple(sorted(found, key=lambda touch: (touch.onset, touch.strongest)))
 
     def cameras(self) -> dict[str, str]:
-        """The topics whose pictures the tracks are of, by the camera's name."""
+        """The image topics of the tracks, by camera name."""
         named = ((topic, part) for topic in self.columns if topic.startswith(TRACK) for part, _ in self._parts(topic))
         found = {unescape(topic[len(TRACK) :]).rpartition("/")[0]: part[-1][0] for topic, part in named}
         return {name: camera for name, camera in sorted(found.items()) if camera}
 
     def strokes(self) -> tuple[tuple[Stroke, ...], Iterator[int]]:
-        """Strokes in order, and the numbers of those a touch was paired with."""
+        """Strokes in order, and the numbers of those paired with a touch."""
         found = []
         for part, _ in self._parts(PREFIX + "stroke"):
             for stamp, lasting, u, v, to_u, to_v, delay in zip(*(column.tolist() for column in part), strict=True):
@@ -204,7 +204,7 @@ class _Table:
         return tuple(stroke for stroke, _ in found), paired
 
     def synchrony(self, touches: tuple[Touch, ...], paired: Iterator[int]) -> tuple[Synchrony, ...]:
-        """One per touch that has the same onset; touches have the `paired` strokes in their own order."""
+        """One per touch of the same onset; the `paired` strokes of touches are in their own order."""
         waiting: dict[int, list[int]] = {}
         for i, touch in reversed(list(enumerate(touches))):
             waiting.setdefault(round(touch.onset * 1e9), []).append(i)
@@ -227,7 +227,7 @@ class _Table:
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
 
     def effector(self) -> Poses | None:
-        """The effector's poses in the base, or None where there are none."""
+        """The effector's poses in the base, or None without any."""
         columns = self.columns.get(PREFIX + "effector_pose")
         return None if columns is None else poses(columns, self.start_ns)
 
@@ -239,7 +239,7 @@ class _Table:
         return [(part.values, columns.log_ns[part.rows]) for part in columns.parts] if columns else []
 
     def _rows(self, topic: str) -> tuple[Array, Array, tuple[Any, ...]]:
-        """t (N,), log times (N,) and the other fields of a topic whose names never change, in order of t."""
+        """t (N,), log times (N,) and the other fields of a topic with constant names, in order of t."""
         if topic not in self.columns:
             raise _absent(self.path)
         parts = self._parts(topic)
@@ -252,7 +252,7 @@ class _Table:
 
 
 def _track(found: Series) -> Series:
-    """u, v (N,2) px and their standard deviations out of a vector topic; unknown ones are None."""
+    """u, v (N,2) px and their standard deviations from a vector topic; unknown ones are None."""
     std = found.values[:, 2:4]
     known = std if np.isfinite(std).any() else None
     return Series(found.t, found.values[:, :2], ("u", "v"), "px", found.source_ns, known)

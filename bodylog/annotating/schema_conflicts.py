@@ -1,4 +1,4 @@
-"""A log may define our borrowed types in its own way, and readers that know types by name believe only one of two."""
+"""Rename message types that a log defines differently: readers that look up types by name accept only one."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -16,7 +16,7 @@ _READ = ("ros1msg", "ros2msg", "ros2idl")
 def rename_conflicting(
     outgoing: Sequence[Outgoing], schemas: Iterable[bytes]
 ) -> tuple[list[Outgoing], tuple[Finding, ...]]:
-    """The messages, those of a type the file's Schema records define otherwise under a name of ours; what was done."""
+    """The messages, renamed where the file's Schema records define their type differently; and findings."""
     theirs = _defined(schemas)
     conflicting = {o.topic for o in outgoing if o.type.startswith(_BORROWED) and _differs(o, theirs)}
     found = [_renamed(o) if o.topic in conflicting else o for o in outgoing]
@@ -35,7 +35,7 @@ def _defined(schemas: Iterable[bytes]) -> dict[str, object]:
             try:
                 types |= parse(fields["data"], fields["name"], fields["encoding"]).types
             except FormatError:
-                continue  # no reader gets a type out of it
+                continue  # no reader can parse it
     return types
 
 

@@ -1,1 +1,1 @@
-"""Files that are whole or absent, where outputs may go, what a file's numbers may be, and logs behind URLs."""
+"""Atomic files, checks of outputs, safe values from files, and logs behind URLs."""

@@ -1,4 +1,4 @@
-"""Files that are either whole or absent: written beside, synced, renamed."""
+"""Files that appear whole or not at all: written beside, synced, renamed."""
 
 import errno
 import mmap
@@ -13,16 +13,16 @@ from ..errors import LogError, OutputError, WriteError
 from . import temporary
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What no reading ends in."""
+"""Errors of writing that no reading raises."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """An empty file beside `path` to write to; on success it is synced and takes `path`'s place, else it is removed.
+    """An empty file beside `path` to write to; on success it is synced and replaces `path`, else it is removed.
 
-    Of a link, what it leads to is replaced, or made; who may read what is replaced may read what replaces it. What
-    killed runs left in that folder goes first. OutputError when `path` is in no folder, no file, or may not be written
-    to; WriteError where there is no room, or the disk fails.
+    A symlink's target is replaced, or created; permissions are kept. Left-overs of killed runs in the folder are
+    removed first. OutputError when `path` has no folder, is not a file, or is not writable; WriteError when the disk is
+    full or fails.
     """
     path = writable(path)
     try:
@@ -43,11 +43,11 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def writable(path: Path, folder: bool = False) -> Path:
-    """The file that an output names, behind links; OutputError where it can be none, or is protected.
+    """The file of an output, behind symlinks; OutputError if it is impossible or protected.
 
-    Of a `folder`, which may not be there yet, whether files may be written into it.
+    For a `folder`, which may not exist yet: whether files may be written into it.
     """
-    if path.is_symlink() and (folder or path.is_file() or not path.exists()):  # /dev/stdout leads to no name
+    if path.is_symlink() and (folder or path.is_file() or not path.exists()):  # /dev/stdout has no target path
         path = _behind(path)
     if folder:
         place = next(one for one in (path, *path.absolute().parents) if one.exists())
@@ -64,7 +64,7 @@ def writable(path: Path, folder: bool = False) -> Path:
 
 
 def _behind(link: Path) -> Path:
-    """What a link leads to; OutputError when that is a link again, without end."""
+    """A symlink's target; OutputError for an endless chain of links."""
     path = Path(os.path.realpath(link))
     if path.is_symlink():
         raise OutputError(f"{link}: is a link that leads back to itself; give another name with -o")
@@ -72,7 +72,7 @@ def _behind(link: Path) -> Path:
 
 
 def ensure_dir(path: Path) -> Path:
-    """`path` as a folder, made where it is not there yet; OutputError where it, or what it would be in, is a file."""
+    """`path` as a folder, created if missing; OutputError if it or its parent is a file."""
     try:
         Path(os.path.realpath(path)).mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError):
@@ -84,7 +84,7 @@ def ensure_dir(path: Path) -> Path:
 
 
 def sync(path: Path) -> None:
-    """Ask the kernel to put `path` (file or folder) on the disk."""
+    """Flush `path` (file or folder) to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -93,13 +93,13 @@ def sync(path: Path) -> None:
 
 
 PATIENCE = 20.0
-"""Seconds that what is to come through a pipe may take: nobody may write to it."""
+"""Seconds to wait for the content of a pipe: nobody may write to it."""
 
 
 def text(path: Path, most: int) -> str:
-    """What a file, or a pipe, says in UTF-8; OSError where that is more than `most` bytes, or does not come to its end.
+    """The UTF-8 text of a file or pipe; OSError beyond `most` bytes, or when it does not end.
 
-    A pipe that nobody writes to is waited for PATIENCE s.
+    Waits PATIENCE s for a pipe that nobody writes to.
     """
     data, until = bytearray(), time.monotonic() + PATIENCE
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
@@ -128,7 +128,7 @@ def is_archive(path: Path) -> bool:
 
 
 def require_regular(path: Path) -> None:
-    """LogError for a pipe or device: what it says is gone once it is read, and who opens it waits for who writes."""
+    """LogError for a pipe or device: it can be read only once, and opening it may block."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise LogError(f"{path}: is a pipe or device, and what is given here is read twice; save it to a file first")
 
@@ -144,10 +144,10 @@ def sha256(path: Path) -> str:
 
 
 def iter_mapped(path: Path, size: int) -> Iterator[memoryview]:
-    """The bytes of a file, or of a folder's files in name order, `size` at a time; of a file only the last is shorter.
+    """The bytes of a file, or of a folder's files in name order, `size` at a time; only a file's last is shorter.
 
-    They are where the kernel keeps the file, no copies; each begins at a page if `size` is a number of pages. What is
-    cut off the file meanwhile is missing, and so is what is put to its end.
+    Views of the page cache, without copies; each begins at a page if `size` is a number of pages. Bytes cut off or
+    appended meanwhile are missing.
     """
     require_regular(path)
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:

@@ -6,18 +6,18 @@ from pathlib import Path
 from ..errors import UsageError
 
 MOST = 100_000
-"""Episodes that a range may name."""
+"""The most episodes that a range may name."""
 _NAME = re.compile(r"(?P<base>.*)#(?P<first>\d{1,9})(?:-(?P<last>\d{1,9}))?", re.DOTALL)
 
 
 def split(path: Path) -> tuple[Path, int | None]:
-    """The dataset and the number of the episode that a name means; None: it names no single episode."""
+    """The dataset and episode number in a name; None if it names no single episode."""
     base, first, last = _parsed(path)
     return (base, first) if first is not None and first == last else (path, None)
 
 
 def base(path: Path) -> Path:
-    """What is on the disk under a name: the dataset of an episode, else the path itself."""
+    """The path on disk: an episode's dataset, else the path itself."""
     return split(path)[0]
 
 
@@ -27,7 +27,7 @@ def named(dataset: Path, number: int) -> Path:
 
 
 def expanded(path: Path) -> tuple[Path, ...]:
-    """The episodes that a range DATASET#A-B means, in order; any other name by itself."""
+    """The episodes of a range DATASET#A-B, in order; any other name unchanged."""
     dataset, first, last = _parsed(path)
     if first is None or last is None or first == last:
         return (path,)
@@ -37,7 +37,7 @@ def expanded(path: Path) -> tuple[Path, ...]:
 
 
 def _parsed(path: Path) -> tuple[Path, int | None, int | None]:
-    """Dataset, first and last episode; (path, None, None) where the name is a file's own, or there is no dataset."""
+    """Dataset, first and last episode; (path, None, None) for the name of a file, or without a dataset."""
     match = _NAME.fullmatch(path.name)
     if match is None or path.exists():
         return path, None, None

@@ -1,4 +1,4 @@
-"""The one guard of outputs: nothing that a command reads is ever written to, by whatever name it is given."""
+"""The guard of outputs: no command writes to anything that it reads, whatever name is used."""
 
 import os
 from collections.abc import Iterable, Iterator
@@ -9,33 +9,33 @@ from ..errors import UsageError
 from . import episodes
 
 Key = tuple[int, int]
-"""Device and inode: the same file or folder, whatever it is called, also where names ignore case."""
+"""Device and inode: the same for all names of a file or folder, also on case-insensitive disks."""
 
 METADATA = "metadata.yaml"
 RECORDED = (".db3", ".mcap", ".db3.zstd", ".mcap.zstd", ".db3.zst", ".mcap.zst")
-"""How the files of a rosbag2 folder end."""
+"""Suffixes of the files of a rosbag2 folder."""
 BESIDE = ("-wal", "-journal", "-shm")
-"""What SQLite keeps beside a .db3."""
+"""Files that SQLite keeps beside a .db3."""
 
 
 @dataclass(frozen=True)
 class Output:
-    """A place to write: a file, or with `folder` a folder that files are written into; the option that gave it."""
+    """An output: a file, or with `folder` a folder for files; and the option that named it."""
 
     path: Path
     option: str = "-o"
     folder: bool = False
 
     def __str__(self) -> str:
-        """As it was typed."""
+        """The output as typed."""
         return f"{self.option} {self.path}"
 
 
 def guard(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
-    """UsageError when an output is an input, lies inside one or holds one, or when two outputs are one.
+    """UsageError when an output is an input, lies inside one or contains one, or when two outputs are the same.
 
-    Compared by what is on the disk (links, hard links, case, mounts), not by name. An input that is a folder is
-    everything in it and everything its links lead to; a file of a rosbag2 folder brings the recording it is part of.
+    Paths are compared on disk (links, hard links, case, mounts), not by name. A folder as input includes its content
+    and targets of links in it; a file of a rosbag2 folder includes the whole recording.
     """
     outputs, inputs = list(outputs), list(inputs)
     for output in outputs:
@@ -50,7 +50,7 @@ def guard(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
 
 
 class _Place:
-    """An output as it lies on the disk."""
+    """An output's location on disk."""
 
     def __init__(self, output: Output) -> None:
         self._output, self._real = output, _behind(output.path)
@@ -75,7 +75,7 @@ class _Place:
 
 
 def key(path: Path) -> Key | None:
-    """What a name leads to; None when there is nothing."""
+    """Identity of a path's target; None if it does not exist."""
     try:
         found = os.stat(path)
     except (OSError, ValueError):
@@ -92,7 +92,7 @@ def _chain(path: Path) -> tuple[Path, ...]:
 
 
 def _links(folder: Path) -> Iterator[Key]:
-    """What the names in a folder lead to: an output may be written through a link, or to a file of several names."""
+    """Targets of the names in a folder: an output may be a link, or one of several names of a file."""
     try:
         names = list(folder.iterdir())
     except OSError:
@@ -101,7 +101,7 @@ def _links(folder: Path) -> Iterator[Key]:
 
 
 def _parts(given: Path) -> Iterator[Path]:
-    """An input, and what else is read with it."""
+    """An input, and everything that is read with it."""
     yield given
     if given.is_dir():
         yield from _inside(given)

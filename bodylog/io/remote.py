@@ -1,4 +1,4 @@
-"""Logs behind URLs (s3://, http://, file://, memory:// and whatever else fsspec knows): found, measured, fetched."""
+"""Logs behind URLs (s3://, http://, file://, memory:// and others of fsspec): list, measure, fetch."""
 
 import posixpath
 import re
@@ -15,13 +15,13 @@ _BLOCK = 4 << 20
 
 
 def is_url(text: str) -> bool:
-    """Whether this is a URL rather than a path."""
+    """Whether this is a URL and not a path."""
     scheme, colon, _ = text.partition("://")
     return bool(colon) and scheme.isalnum()
 
 
 def expand(url: str, suffixes: tuple[str, ...]) -> tuple[str, ...]:
-    """The URLs of the logs behind one: itself, or those its pattern or folder holds; LogError when there is none."""
+    """The URLs of logs under a URL: itself, or the matches of its pattern or folder; LogError if there is none."""
     with _store_errors(url):
         store, path = _store(url)
         if any(sign in path for sign in "*["):
@@ -45,7 +45,7 @@ def name_of(url: str) -> str:
 
 
 def file_behind(url: str) -> Path | None:
-    """The file on this machine that a URL names (file://, local://); None behind any other."""
+    """The local file of a URL (file://, local://); None for any other."""
     if url.partition("://")[0].lower() not in ("file", "local"):
         return None
     with _store_errors(url):
@@ -53,7 +53,7 @@ def file_behind(url: str) -> Path | None:
 
 
 def size(url: str) -> int:
-    """Bytes behind a URL; LogError when it does not say or cannot be reached."""
+    """Bytes behind a URL; LogError if unknown or unreachable."""
     with _store_errors(url):
         store, path = _store(url)
         found = store.info(path).get("size")
@@ -63,7 +63,7 @@ def size(url: str) -> int:
 
 
 def identity(url: str) -> str:
-    """A digest of what the store says of a file (size and tag or date): another once the file is another."""
+    """A digest of a remote file's metadata (size and tag or date): it changes with the file."""
     with _store_errors(url):
         store, path = _store(url)
         details = store.info(path)
@@ -74,7 +74,7 @@ def identity(url: str) -> str:
 
 
 def read_range(url: str, start: int, end: int) -> bytes:
-    """The bytes of a file from `start` to before `end`; the whole file from a server that knows no ranges."""
+    """The bytes of a file from `start` to before `end`; the whole file if the server does not support ranges."""
     with _store_errors(url):
         store, path = _store(url)
         return bytes(store.cat_file(path, start=start, end=end))
@@ -82,7 +82,7 @@ def read_range(url: str, start: int, end: int) -> bytes:
 
 @contextmanager
 def local(source: str, folder: Path) -> Iterator[Path]:
-    """A file or folder as a path: itself, or for a URL a copy in `folder` that is removed afterwards."""
+    """A local path for a file or folder: its own, or for a URL a copy in `folder` that is removed afterwards."""
     if not is_url(source):
         yield Path(source)
         return
@@ -94,7 +94,7 @@ def local(source: str, folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def errors_about(path: Path, url: str) -> Iterator[None]:
-    """Errors about a copy of what is behind a URL as errors about the URL."""
+    """Turn errors about a local copy into errors about its URL."""
     try:
         yield
     except BodylogError as err:
@@ -127,7 +127,7 @@ def _store(url: str) -> tuple[Any, str]:
 
 @contextmanager
 def _store_errors(url: str) -> Iterator[None]:
-    """Whatever a store's own library raises, as one line."""
+    """Turn any exception of a store's own library into one line."""
     try:
         yield
     except (LogError, UsageError):
@@ -136,6 +136,6 @@ def _store_errors(url: str) -> Iterator[None]:
         raise LogError(f"{url}: there is no such file; check the address") from None
     except ImportError as err:
         raise UsageError(f"{url}: {err}") from None
-    except Exception as err:  # each store has its own errors, with no common kind
+    except Exception as err:  # each store has its own exceptions, without a common base
         text = " ".join(str(err).split()) or type(err).__name__
         raise LogError(f"{url}: it cannot be read: {text}") from None

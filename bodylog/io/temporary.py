@@ -1,4 +1,4 @@
-"""Temporary files and folders: named like no other, locked while they live, removed whatever ends the process."""
+"""Temporary files and folders: unique names, locked while in use, removed however the process ends."""
 
 import _thread
 import fcntl
@@ -12,11 +12,11 @@ from pathlib import Path
 from ..runtime import signals
 
 PART = ".bodylog.part"
-"""How the names of what is half-written end."""
+"""Suffix of half-written files."""
 SCRATCH = "bodylog-"
-"""How the names of scratch folders begin."""
+"""Prefix of scratch folders."""
 FOREIGN_S = 86400.0
-"""What another machine left, whose locks may not be seen here, is removed after that long without a write."""
+"""Left-overs of another machine, whose locks may be invisible here, are removed after so many s without a write."""
 
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _live: set[Path] = set()
@@ -25,7 +25,7 @@ _registry = _thread.allocate_lock()
 
 @contextmanager
 def file(folder: Path) -> Iterator[Path]:
-    """An empty file in `folder`, locked; removed at the end if still there. What killed runs left goes first."""
+    """An empty, locked file in `folder`, removed at the end if it still exists; removes killed runs' left-overs first."""
     remove_stale(folder, f".*{PART}")
     with _claimed(lambda token: folder / f".{token}{PART}", _make_file) as path:
         yield path
@@ -33,7 +33,7 @@ def file(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def scratch(folder: Path | None = None) -> Iterator[Path]:
-    """An empty folder, locked, in `folder` or where temporary files go; removed at the end with what is in it."""
+    """An empty, locked folder in `folder` or the default place; removed at the end with its content."""
     if folder is None:
         folder = _scratches()
         remove_killed()
@@ -46,7 +46,7 @@ def scratch(folder: Path | None = None) -> Iterator[Path]:
 
 
 def remove_stale(folder: Path, pattern: str) -> None:
-    """Remove this user's files and folders of that pattern that nobody holds and nobody on another machine may hold."""
+    """Remove this user's files and folders of that pattern that no process holds, here or on another machine."""
     for left in folder.glob(pattern):
         with suppress(OSError), try_lock(left) as ours:
             if ours and _ours(left):
@@ -54,15 +54,15 @@ def remove_stale(folder: Path, pattern: str) -> None:
 
 
 def remove_killed(*folders: Path) -> None:
-    """Remove what processes that were killed left: half-written files in `folders`, and scratch folders."""
+    """Remove left-overs of killed processes: half-written files in `folders`, and scratch folders."""
     for folder in folders:
         remove_stale(folder, f".*{PART}")
-    remove_stale(_scratches(), f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users call their own folders so, too
+    remove_stale(_scratches(), f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users may have folders of this name
 
 
 @contextmanager
 def try_lock(path: Path) -> Iterator[bool]:
-    """Lock a file or folder as long as this process lives and the `with` lasts; False where it is another's."""
+    """Lock a file or folder for the `with` block, at most for this process's life; False if another holds it."""
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     try:
         yield _lock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -71,8 +71,8 @@ def try_lock(path: Path) -> Iterator[bool]:
 
 
 def sweep() -> None:
-    """Remove everything temporary of this process, for it ends: nothing further can be made."""
-    _registry.acquire(timeout=0.2)  # never given back
+    """Remove everything temporary of this process, which is ending: nothing more can be created."""
+    _registry.acquire(timeout=0.2)  # never released
     for path in tuple(_live):
         with suppress(OSError):
             _remove(path)
@@ -80,7 +80,7 @@ def sweep() -> None:
 
 @cache
 def machine() -> str:
-    """Eight hex digits that are the same for all whose locks are seen here: processes and containers of one kernel."""
+    """Eight hex digits that identify the kernel, and so all processes and containers whose locks are visible here."""
     with suppress(OSError):
         return _BOOT.read_text()[:8]
     from zlib import crc32
@@ -90,7 +90,7 @@ def machine() -> str:
 
 @contextmanager
 def _claimed(name: Callable[[str], Path], make: Callable[[Path], int | None]) -> Iterator[Path]:
-    """Something made and locked before anybody took it for a killed run's; known to `sweep` before it is there."""
+    """Create and lock something before anyone can mistake it for a left-over; registered for `sweep` before."""
     while True:
         path = name(f"{machine()}-{os.urandom(8).hex()}")
         with _registry:
@@ -114,14 +114,14 @@ def _claimed(name: Callable[[str], Path], make: Callable[[Path], int | None]) ->
 
 
 def _scratches() -> Path:
-    """The folder of scratch folders."""
+    """The parent of scratch folders."""
     from tempfile import gettempdir
 
     return Path(gettempdir())
 
 
 def _make_folder(path: Path) -> int | None:
-    """A handle on it; None where it was taken away before there was one."""
+    """An open handle of the new folder; None if it was removed first."""
     path.mkdir(0o700)
     with suppress(FileNotFoundError):
         return os.open(path, os.O_RDONLY)
@@ -140,7 +140,7 @@ def _same(path: Path, handle: int) -> bool:
 
 
 def _lock(handle: int, how: int) -> bool:
-    """Whether it is locked now; nothing is where files cannot be locked, so there nobody takes any away."""
+    """Whether it is now locked; always True where files cannot be locked, so nothing is removed there."""
     try:
         fcntl.flock(handle, how)
         return True
@@ -155,7 +155,7 @@ def _ours(path: Path) -> bool:
 
 
 def _remove(path: Path) -> None:
-    """Without a further import: while another thread is importing that would wait for it."""
+    """Remove without further imports, which would wait for a thread that is importing."""
     if path.is_dir() and not path.is_symlink():
         for base, folders, files in os.walk(path, topdown=False):
             for name in (*files, *(name for name in folders if os.path.islink(os.path.join(base, name)))):

@@ -1,4 +1,4 @@
-"""TOML files that people write, as plain values: none too long, too deep or never ending, no number beyond 64 bits."""
+"""Read TOML files written by people as plain values, with limits on length, depth and number size."""
 
 import re
 from pathlib import Path
@@ -9,14 +9,14 @@ from .atomic_files import text
 
 MOST_BYTES = 4 << 20
 DEEPEST = 32
-"""Parts of a key, and levels of tables and lists: each costs memory of its own before anything is known of it."""
+"""Parts of a key, and levels of tables and lists: each takes memory before it can be checked."""
 LARGEST = 2**63 - 1
 
 _TOKEN = re.compile(r"""(?s)[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?|\.|[ \t]++|.""")
 
 
 def read(path: Path) -> dict[str, Any]:
-    """What a TOML file, or a pipe, holds; ConfigError where it cannot be read, or is not sound TOML of that kind."""
+    """The content of a TOML file or pipe; ConfigError if it is unreadable, invalid or beyond the limits."""
     import tomllib
 
     try:
@@ -30,14 +30,14 @@ def read(path: Path) -> dict[str, Any]:
         found = tomllib.loads(content)
     except RecursionError:
         raise ConfigError(f"{path}: cannot be read as TOML: its tables or lists are too deep") from None
-    except ValueError as err:  # TOMLDecodeError is one; so are numbers of too many digits
+    except ValueError as err:  # covers TOMLDecodeError and numbers of too many digits
         raise ConfigError(f"{path}: cannot be read as TOML: {err}") from err
     _check(found, str(path), 0)
     return found
 
 
 def _longest_key(content: str) -> int:
-    """How many parts the longest dotted key has, or more: what stands in strings and comments counts as well."""
+    """An upper bound of the parts of the longest dotted key: it counts strings and comments too."""
     longest = parts = 0
     dotted = False
     for found in _TOKEN.finditer(content):
@@ -71,6 +71,6 @@ def _check(value: Any, where: str, depth: int) -> None:
 
 
 def shown(value: Any) -> str:
-    """A value as a message shows it, cut where it is long."""
+    """A value for a message, shortened if long."""
     text = repr(value)
     return text if len(text) <= 200 else f"{text[:200]}…"

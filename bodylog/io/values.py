@@ -1,4 +1,4 @@
-"""What a file says, checked where it enters: times and numbers in range, texts to be written, JSON not too deep."""
+"""Validate values from files: times and numbers in range, encodable texts, JSON of limited depth."""
 
 import json
 from typing import Any
@@ -7,16 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 LATEST_NS = 1 << 62
-"""ns, the year 2116: sums and differences of times up to here fit int64, and all that ROS can write lies below."""
+"""ns, the year 2116: sums and differences of times up to here fit int64, and ROS can write all times below."""
 
 DEEPEST = 64
-"""Lists and tables in one another: no message or header needs more, and recursion is safe so far."""
+"""Levels of lists and tables: no message or header needs more, and recursion is safe up to here."""
 
 _WIDEST = 1 << 63
 
 
 def times(ns: NDArray[Any]) -> NDArray[np.int64]:
-    """Log times (n,) as int64 ns; one that no clock shows (below 0 or beyond LATEST_NS) becomes 0, which dates nothing.
+    """Log times (n,) as int64 ns; times below 0 or beyond LATEST_NS become 0, which means unset.
 
     uint64 times may come as the int64 of the same bits.
     """
@@ -27,12 +27,12 @@ def times(ns: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def is_time(ns: int) -> bool:
-    """Whether a clock can show this log time (ns)."""
+    """Whether this log time (ns) is in a clock's range."""
     return 0 <= ns <= LATEST_NS
 
 
 def nanoseconds(seconds: float | str, rest: float | str) -> int:
-    """A stamp of seconds and nanoseconds in ns; 0 where it is none, as it is not finite or beyond LATEST_NS."""
+    """A stamp of seconds and nanoseconds in ns; 0 if it is not finite or beyond LATEST_NS."""
     try:
         found = int(seconds) * 1_000_000_000 + int(rest)
     except OverflowError:
@@ -41,7 +41,7 @@ def nanoseconds(seconds: float | str, rest: float | str) -> int:
 
 
 def number(value: float) -> float:
-    """A number as 64 bits hold it: whole ones beyond them as floats, NaN where that is too large as well."""
+    """A number in 64 bits: larger integers as floats, NaN if those overflow too."""
     if not isinstance(value, int) or -_WIDEST <= value < _WIDEST:
         return value
     try:
@@ -51,12 +51,12 @@ def number(value: float) -> float:
 
 
 def text(value: str) -> str:
-    """A text that can be written as UTF-8: what cannot (half a surrogate pair) stands as its escape."""
+    """A text that can be encoded as UTF-8: lone surrogates become escapes."""
     return value if value.isascii() else value.encode(errors="backslashreplace").decode()
 
 
 def read_json(data: str | bytes) -> Any:
-    """The JSON value in a text; ValueError where it is none, or more than DEEPEST lists lie in one another."""
+    """The JSON value in a text; ValueError if it is invalid, or nested deeper than DEEPEST."""
     try:
         value = json.loads(data)
     except RecursionError:
@@ -68,7 +68,7 @@ def read_json(data: str | bytes) -> Any:
 
 
 def _is_shallow(value: Any) -> bool:
-    """Whether lists and tables end within DEEPEST levels; level by level, so it takes no recursion."""
+    """Whether lists and tables end within DEEPEST levels; checked level by level, without recursion."""
     level = [value]
     for _ in range(DEEPEST + 1):
         inner = (item for one in level for item in (one.values() if isinstance(one, dict) else one))
@@ -79,11 +79,11 @@ def _is_shallow(value: Any) -> bool:
 
 
 FARTHEST = 1e9
-"""rad: no joint has turned further; a reading beyond is none."""
+"""rad: the largest credible joint angle; readings beyond are rejected."""
 
 
 def believed(values: NDArray[Any]) -> tuple[NDArray[Any], int]:
-    """Readings (N,D) with NaN for what none reads, beyond FARTHEST in any unit, and how many these were."""
+    """Readings (N,D) with NaN for those beyond FARTHEST in any unit, and how many these were."""
     beyond = np.abs(values) > FARTHEST
     count = int(beyond.sum())
     return (np.where(beyond, np.nan, values) if count else values), count

@@ -1,4 +1,4 @@
-"""The cameras robot.toml names: topics or videos, and what each is called."""
+"""The cameras that robot.toml names: topics or videos, and their names."""
 
 import re
 from pathlib import PurePath
@@ -11,7 +11,7 @@ _PICTURE = re.compile(r"(/(image\w*|compressed|raw))+$", re.IGNORECASE)
 
 
 def cameras(settings: Topics) -> dict[str, str]:
-    """What robot.toml names as cameras: the first by "camera", others by "camera/NAME"; ConfigError for equal names."""
+    """The cameras in robot.toml: the first as "camera", others as "camera/NAME"; ConfigError for equal names."""
     found: dict[str, str] = {}
     for source in settings.cameras:
         name = camera_name(source)
@@ -23,7 +23,7 @@ def cameras(settings: Topics) -> dict[str, str]:
 
 
 def camera_name(source: str) -> str:
-    """A camera's name: its topic without what only says that it is a picture, or its video's without the suffix."""
+    """A camera's name: its topic without generic words such as image, or its video's name without the suffix."""
     if is_video("camera", source):
         return PurePath(source).stem
     return _PICTURE.sub("", source).strip("/") or source.strip("/")

@@ -1,4 +1,4 @@
-"""Which clock dates a stream, and what to do with stamps that are out of order, doubled or years away."""
+"""Select the clock of a stream, and handle stamps that are out of order, duplicated or years off."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,16 +11,15 @@ _DAY = 86_400_000_000_000
 _YEAR = 366 * _DAY
 _FEW = 0.1
 BACK = 500_000_000
-"""ns: no transport delivers a message so long after its successors; a clock that says so ran backwards."""
+"""ns: no transport delays a message so long beyond its successors; the clock must have run backwards."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dated:
-    """One stream in time order: t_ns (m,) int64 · rows (m,) into what was given · which clock · rejected by reason.
+    """One stream in time order: t_ns (m,) int64 · rows (m,) into the input · clock used · rejected by reason.
 
-    offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header.
-    backwards: log times (b,) ns of messages whose time is not to be believed, as it ran backwards · falls: in the file,
-    the latest come first.
+    offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header. backwards: log
+    times (b,) ns of messages rejected because their clock ran backwards · falls: the file stores the latest first.
     """
 
     t_ns: Array
@@ -35,12 +34,12 @@ class Dated:
 
 
 def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = True) -> Dated:
-    """Order one stream by "header", "log" or "auto" time; of equal stamps the first is kept if `distinct`."""
+    """Order one stream by "header", "log" or "auto" time; the first of equal stamps is kept if `distinct`."""
     t_ns, back, clock = log_ns, np.zeros(len(log_ns), bool), "log"
     if stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns, log_ns))):
         if choice == "auto" and _falls_back(stamp_ns):
             back = runs_back(log_ns, stamp_ns)
-        # a clock that is wrong for many messages is right for none; one that is wrong for few is right for the rest
+        # a clock that is wrong for many messages is not used at all; one that is wrong for few is used for the rest
         if back.sum() <= _FEW * len(back):
             t_ns, clock = stamp_ns, "header"
     skipped = back.copy() if clock == "header" else np.zeros(len(back), bool)
@@ -63,13 +62,13 @@ def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = Tr
 
 
 def _falls_back(stamp_ns: Array) -> bool:
-    """Whether stamps (n,) fall in the file, too: those that rise there are not wrong where the log's clock falls."""
+    """Whether stamps (n,) fall in the file too: rising stamps are not wrong where the log's clock falls."""
     near = stamp_ns[_near(stamp_ns)]
     return bool((np.maximum.accumulate(near) - near).max(initial=0) > BACK)
 
 
 def runs_back(log_ns: Array, stamp_ns: Array) -> Array:
-    """Which messages (n,) a header clock that ran backwards has dated apart from most, seen from the log's clock."""
+    """Which messages (n,) got stamps apart from most when the header clock ran backwards relative to the log's."""
     near = np.flatnonzero(_near(stamp_ns))
     order = near[np.argsort(log_ns[near], kind="stable")]
     behind = np.maximum.accumulate(stamp_ns[order]) - stamp_ns[order]
@@ -81,30 +80,30 @@ def runs_back(log_ns: Array, stamp_ns: Array) -> Array:
 
 
 def repeats(t_ns: Array) -> Array:
-    """Which messages (n,) of a file in order of time, but where its clock was set back, fall among earlier ones."""
+    """Which messages (n,) of a time-ordered file overlap earlier ones, because its clock was set back."""
     near, again = np.flatnonzero(_near(t_ns)), np.zeros(len(t_ns), bool)
     t = t_ns[near]
     steps, behind = np.diff(t), np.maximum.accumulate(t) - t
     if behind.max(initial=0) <= BACK or np.mean(steps < 0) > _FEW or not (steps > 0).any():
         return again
-    # all that follows a latest message, until there is a later one
+    # all after the latest message so far, until a later one
     run = np.cumsum(behind == 0) - 1
     far = np.maximum.reduceat(behind, np.flatnonzero(np.diff(run, prepend=-1)))[run] > BACK
     order = np.argsort(t, kind="stable")
     between = np.full(len(t), np.iinfo(np.int64).max)
     between[order[1:-1]] = t[order[2:]] - t[order[:-2]]
-    # a part written late stands alone among its neighbours, one that was dated twice has others in between
+    # a part written late is alone in its time range, a part with doubled times has others between
     again[near] = far & (behind > 0) & (between < 1.5 * median(steps[steps > 0]))
     return again
 
 
 def falls(t_ns: Array) -> bool:
-    """Whether messages stand in the file from the latest to the earliest."""
+    """Whether the file stores messages from the latest to the earliest."""
     return len(t_ns) > 1 and bool(np.mean(np.diff(t_ns) < 0) > 1.0 - _FEW)
 
 
 def is_sound(stamp_ns: Array, log_ns: Array | None = None) -> bool:
-    """Whether header stamps can be used: mostly set, and moving, or told twice at about the same log time."""
+    """Whether header stamps are usable: mostly set, and moving, or duplicated at about the same log time."""
     if not len(stamp_ns) or np.mean(stamp_ns <= 0) > _FEW:
         return False
     different = np.count_nonzero(np.diff(np.sort(stamp_ns, kind="stable"))) + 1
@@ -112,7 +111,7 @@ def is_sound(stamp_ns: Array, log_ns: Array | None = None) -> bool:
 
 
 def _doubled(stamp_ns: Array, log_ns: Array) -> bool:
-    """Whether messages of one stamp come together, as those of two publishers do, and not one after the other."""
+    """Whether messages of one stamp arrive together, as from two publishers, and not one after the other."""
     order = np.lexsort((log_ns, stamp_ns))
     stamps, logged = stamp_ns[order], log_ns[order]
     first = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
@@ -121,9 +120,9 @@ def _doubled(stamp_ns: Array, log_ns: Array) -> bool:
 
 
 def _near(t_ns: Array) -> Array:
-    """True where a time belongs to the bulk: more than a day off, a tenth or less, or at time zero, does not.
+    """True where a time is within a day of the bulk, unless over a tenth are not; False at time zero.
 
-    More than a year off, nothing but the most does: no log lasts as long, and a belief is lost on the way.
+    Times over a year off are False unless most are: no log lasts that long.
     """
     order = np.argsort(t_ns, kind="stable")
     far = np.diff(t_ns[order]) > _DAY
@@ -141,13 +140,13 @@ def _offset(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[int | N
     if stamp_ns is None or not near.any():
         return None, None
     late = (log_ns - stamp_ns)[near]
-    # Relative to the first, or the float64 of clocks fifty years apart would round to 256 ns.
+    # Relative to the first: float64 would round differences of fifty years to 256 ns.
     low, middle, high = quantiles(late - late[0], (0.05, 0.5, 0.95))
     return int(late[0]) + round(middle), (high - low) / 1e9
 
 
 def quantiles(values: Array, wanted: Sequence[float]) -> list[float]:
-    """The quantiles of values (n,) as `np.quantile` has them, which imports more than it takes to read a small log."""
+    """The quantiles of values (n,) as in `np.quantile`, whose import takes longer than reading a small log."""
     ordered = np.sort(values)
     found = np.interp(np.multiply(wanted, len(ordered) - 1), np.arange(len(ordered)), ordered)
     return [float(value) for value in found]
@@ -159,7 +158,7 @@ def median(values: Array) -> float:
 
 
 def seconds(t_ns: Array, start_ns: int) -> Array:
-    """float64 seconds since start_ns, differenced in int64 first so that nanoseconds survive."""
+    """float64 seconds since start_ns; the int64 difference comes first, to keep nanoseconds."""
     return (t_ns - np.int64(start_ns)) / 1e9
 
 

@@ -1,4 +1,4 @@
-"""What of a dataset stays with its signals in the MCAP made of it: names, units, and topics that play no role."""
+"""Metadata that an MCAP keeps from a dataset: names, units, and topics without a role."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,9 +18,9 @@ Beside = tuple[Outgoing, Mapping[str, str]]
 
 
 def of_episode(path: Path, settings: Settings) -> tuple[Settings, list[Beside]]:
-    """The settings with all cameras of an episode of a dataset, and its topics that are neither joints nor images.
+    """The settings with all cameras of a dataset's episode, and its topics that are neither joints nor images.
 
-    Of any other log the settings alone; cameras that are named stay the only ones.
+    Other logs give only the settings; cameras named in the settings stay the only ones.
     """
     from ..logs.datasets.episode_log import EpisodeLog
 
@@ -51,7 +51,7 @@ def kept_metadata(recording: Recording) -> dict[str, dict[str, str]]:
 
 
 def joints_metadata(recording: Recording) -> dict[str, str]:
-    """The metadata of the joints' topic; the unit is that of the joints as they are read."""
+    """The metadata of the joints' topic, with the unit after conversion."""
     about = role_metadata(recording, "joints")
     if recording.joints is None or UNIT not in about:
         return about
@@ -59,6 +59,6 @@ def joints_metadata(recording: Recording) -> dict[str, str]:
 
 
 def role_metadata(recording: Recording, role: str) -> dict[str, str]:
-    """What the topic of a role says of the dataset it came from."""
+    """Metadata from the dataset on the topic of a role."""
     topic = next((topic for topic in recording.topics if topic.name == recording.roles.get(role)), None)
     return {} if topic is None else {k: v for k, v in topic.metadata.items() if k.startswith(_OURS)}

@@ -1,4 +1,4 @@
-"""A recorded log as rows of a dataset: the first camera's images are the rows, with the nearest reading of all else."""
+"""A recorded log as rows of a dataset: one row per image of the first camera, with the nearest other readings."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -25,7 +25,7 @@ STATE, ACTION, IMAGES = "observation.state", "action", "observation.images."
 
 @dataclass(frozen=True, eq=False)
 class Feature:
-    """Numbers of a dataset: values (N,K), names (K,), own times ns (N,) int64, declared dtype and unit, "" for none."""
+    """Numbers of a dataset: values (N,K), names (K,), own times ns (N,) int64, declared dtype and unit, "" if none."""
 
     values: Array
     names: tuple[str, ...]
@@ -36,9 +36,9 @@ class Feature:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera of a dataset: size (width, height) px, own times ns (N,) int64, and what gives an image for each row.
+    """A camera of a dataset: size (width, height) px, own times ns (N,) int64, and a function for its row images.
 
-    `unread`: which rows have no readable image and show the one before; known once they were asked for.
+    `unread`: rows without a readable image, which repeat the previous one; known once images were read.
     """
 
     size: tuple[int, int]
@@ -84,14 +84,14 @@ def rows(
 
 
 def nearest(of: Array, at: Array) -> Array:
-    """Which of the times `of` (n,), ascending, is nearest to each of `at` (m,); the earlier one where two are."""
+    """Index of the time in `of` (n,), ascending, nearest to each of `at` (m,); the earlier one of two equally near."""
     after = np.minimum(np.searchsorted(of, at), len(of) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(np.abs(at - of[before]) <= np.abs(of[after] - at), before, after)
 
 
 def _every_camera(path: Path, settings: Settings) -> Settings:
-    """The settings; where they name no camera, with all of the log's."""
+    """The settings; if they name no camera, with all of the log's."""
     if settings.topics.camera is not None:
         return settings
     with open_log(path, settings.input.strict, settings.input) as log:
@@ -110,7 +110,7 @@ def _ns(recording: Recording, frame: Frame) -> int:
 def _features(
     path: Path, recording: Recording, about: Mapping[str, str], findings: list[Finding]
 ) -> tuple[dict[str, Feature], str]:
-    """Signals of a log by the names of their features, and the first task that it tells."""
+    """Signals of a log by the names of their features, and its first task."""
     found: dict[str, Feature] = {}
     if recording.skin is not None:
         skin = recording.skin
@@ -135,7 +135,7 @@ def _features(
 
 
 def _joints(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Feature:
-    """The joints as their topic has them, where it is a single one that is read whole; else as they are read."""
+    """The joints as in their topic if it is the only one and is read whole; else as converted."""
     joints = recording.joints
     assert joints is not None
     ns, names = stamps(joints.t, recording.start_ns), joints.names
@@ -150,7 +150,7 @@ def _joints(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Fea
 
 
 def _numbers(log: OpenLog, topic: Topic) -> Feature | None:
-    """The joints or numbers of a topic, in order of time; None for one of another type, or of changing names."""
+    """The joints or numbers of a topic, in time order; None for another type, or for changing names."""
     fields = {JOINT_STATE: ("name", "position"), VECTOR: ("names", "data")}.get(topic.type)
     if fields is None:
         return None
@@ -168,14 +168,14 @@ def _numbers(log: OpenLog, topic: Topic) -> Feature | None:
 
 
 def _name(topic: Topic, taken: Mapping[str, Feature]) -> str:
-    """`action` for the first commands of joints, else observation.TOPIC."""
+    """`action` for the first joint commands, else observation.TOPIC."""
     if topic.type == JOINT_STATE and roles.is_wished(topic) and ACTION not in taken:
         return ACTION
     return f"observation.{topic.name.strip('/').replace('/', '.')}"
 
 
 def _chosen(path: Path, streams: Sequence[Array], start_ns: int, start: float | None, end: float | None) -> Array:
-    """The times of the rows: those of the first stream that has any."""
+    """The times of the rows: those of the first stream that is not empty."""
     first = next((ns for ns in streams if len(ns)), None)
     if first is None:
         raise LogError(f"{path}: neither joints nor images to make rows of; type: bodylog info {path}")
@@ -193,7 +193,7 @@ def _at(one: Feature, ns: Array) -> Feature:
 
 
 def _camera(name: str, recording: Recording) -> str:
-    """The name of a camera's feature: as the log's dataset called it, else after its topic."""
+    """The name of a camera's feature: as in the log's dataset, else from its topic."""
     known = dataset_metadata.role_metadata(recording, f"camera/{name}" if name else "camera").get(FEATURE)
     return known or f"{IMAGES}{(name or camera_name(recording.roles['camera'])).replace('/', '.')}"
 
@@ -201,7 +201,7 @@ def _camera(name: str, recording: Recording) -> str:
 def _view(
     path: Path, name: str, film: Callable[[], Iterator[Frame]], taken: Array, ns: Array, findings: list[Finding]
 ) -> View | None:
-    """A camera with an image for each row; None, and a remark, for one without readable images."""
+    """A camera with an image for each row; None, and a finding, without readable images."""
     size = next((found for frame in film() if (found := _size(frame)) is not None), None)
     if size is None:
         findings.append(Finding("lost", f"{path}: camera {name or 'camera'}: no image can be read; it is left out"))
@@ -221,7 +221,7 @@ def _size(frame: Frame) -> tuple[int, int] | None:
 def _images(
     film: Callable[[], Iterator[Frame]], which: Array, size: tuple[int, int], unread: set[int]
 ) -> Iterator[Array]:
-    """An image for each row; where it cannot be read the one before, black where there is none."""
+    """An image for each row; an unreadable one repeats the previous image, black if there is none."""
     frames, number = enumerate(film()), -1
     image: Array = np.zeros((size[1], size[0], 3), np.uint8)
     for row, wanted in enumerate(which.tolist()):
@@ -236,7 +236,7 @@ def _images(
 
 
 def _apart(path: Path, streams: Mapping[str, Feature | View], ns: Array) -> Iterator[Finding]:
-    """Streams whose readings were not taken when the rows were."""
+    """Streams whose times differ from the rows'."""
     far = {name: float(np.abs(one.ns - ns).max()) / 1e9 for name, one in streams.items()}
     off = [f"{name} up to {distance:.3g} s" for name, distance in far.items() if distance > 0]
     if off:
@@ -245,7 +245,7 @@ def _apart(path: Path, streams: Mapping[str, Feature | View], ns: Array) -> Iter
 
 
 def _rate(about: Mapping[str, str], ns: Array) -> float:
-    """Rows per second: as the dataset declared, else their median, to four digits."""
+    """Rows per second: as the dataset declares, else their median, to four digits."""
     try:
         declared = float(about.get("bodylog.fps", ""))
     except ValueError:

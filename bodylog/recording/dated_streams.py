@@ -1,4 +1,4 @@
-"""One dated stream per role: columns read in one pass, put on one clock, every message accounted for."""
+"""One stream per role on a common clock: columns read in one pass, every message accounted for."""
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -29,7 +29,7 @@ _JOINT_FIELDS = ("name", "position")
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """One role's messages, dated: values (m,D), log_ns (m,), and the counts behind its health."""
+    """One role's messages in time order: values (m,D), log_ns (m,), and the counts behind its health."""
 
     role: Role
     dated: Dated
@@ -50,9 +50,9 @@ class Stream:
 def read_streams(
     log: Source, found: Mapping[str, Role], settings: Settings, name: str
 ) -> tuple[dict[str, Stream], tuple[Finding, ...]]:
-    """The roles of a log that hold usable messages, and remarks on guesses that do not.
+    """The roles of a log with usable messages, and findings on guessed roles without any.
 
-    LogError when a role named in robot.toml holds none.
+    LogError when a role named in robot.toml has none.
     """
     alone = sum(role.role == "joints" for role in found.values()) < 2
     read = _columns(log, found, name)
@@ -63,7 +63,7 @@ def read_streams(
 
 
 def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
-    """The joints a JointState topic's first messages name; "" for each position without a name."""
+    """The joints in a JointState topic's first messages; "" for each position without a name."""
 
     def names(topic: Topic) -> tuple[str, ...]:
         try:
@@ -79,7 +79,7 @@ def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class _Beginning:
-    """A log's first batch of what is asked for."""
+    """The first batch of a log."""
 
     log: Log
 
@@ -122,7 +122,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     by_name = role.role in ("joints", "truth", "reference")
     dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
     values, idle, beyond, wraps = signal.values[dated.rows], 0, 0, dict[str, int]()
-    # what is true is told in rad or degrees, never in an encoder's counts
+    # true angles are in rad or degrees, never in encoder counts
     unit_text = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
     unit = joint_unit(role.topics[0].metadata, unit_text)
     if by_name:
@@ -167,7 +167,7 @@ def _empty(stream: Stream, settings: Settings, name: str) -> Finding:
 
 
 def _rising(found: dict[str, Stream]) -> dict[str, Stream]:
-    """Of streams whose times fall while others' rise, no message can be used; where all fall, the file is turned."""
+    """Reject streams whose times fall while others' rise; if all fall, the file is stored backwards."""
     falling = [role for role, stream in found.items() if stream.dated.falls]
     if len(falling) == len([stream for stream in found.values() if len(stream.rows)]):
         return found
@@ -184,7 +184,7 @@ def _without(stream: Stream) -> Stream:
 
 
 def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
-    """Bring streams whose clocks are more than a minute apart to the first one's, by way of their log times."""
+    """Shift streams whose clocks are over a minute apart to the first one's, through their log times."""
     behind = {role: (s.dated.offset_ns or 0) if s.dated.clock == "header" else 0 for role, s in found.items()}
     first = next(iter(behind.values()), 0)
     return {role: _shifted(stream, behind[role] - first) for role, stream in found.items()}
@@ -197,20 +197,20 @@ def _shifted(stream: Stream, by_ns: int) -> Stream:
 
 
 def series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
-    """A stream as the record other stages read."""
+    """A stream as the record for other stages."""
     if stream is None:
         return None
     return Series(seconds(stream.dated.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
 
 
 def health(stream: Stream) -> Health:
-    """What became of a stream's messages."""
+    """Counts of a stream's used and rejected messages."""
     used = sum(stream.counts) - sum(stream.rejected.values())
     return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.dated.t_ns))
 
 
 def stream_findings(stream: Stream) -> Iterator[Finding]:
-    """What there is to say about a stream: its clocks, and what was sorted, slow or rejected."""
+    """Findings on a stream: its clocks, and sorted, slow or rejected messages."""
     dated, name = stream.dated, f"{stream.role.role} {stream.role.topic}"
     if dated.offset_ns is not None:
         late = f"{dated.offset_ns / 1e9:.6g} s after the header's, 5 to 95 % within {dated.spread_s:.3g} s"
@@ -239,7 +239,7 @@ _NAMED = 4
 
 
 def _changing(stream: Stream) -> Iterator[str]:
-    """That a topic's messages do not all name the same joints, or not in one order, and what that may mean."""
+    """Findings on a topic whose messages do not name the same joints in one order, with likely causes."""
     if len(stream.sets) < 2:
         return
     some = "; ".join(f"{', '.join(one.names)} ({len(one.rows)} messages)" for one in stream.sets[:_NAMED])
@@ -252,7 +252,7 @@ def _changing(stream: Stream) -> Iterator[str]:
 
 
 def _vanishing(stream: Stream) -> Iterator[str]:
-    """Joints that say nothing at the beginning or the end of a topic that goes on."""
+    """Joints without readings at the beginning or the end of a topic that continues."""
     if stream.role.role not in ("joints", "truth", "reference") or len(stream.dated.t_ns) < 2:
         return
     t = seconds(stream.dated.t_ns, int(stream.dated.t_ns[0]))
@@ -268,7 +268,7 @@ def _vanishing(stream: Stream) -> Iterator[str]:
 
 
 def _backwards(stream: Stream) -> str:
-    """How many times ran backwards, where, and what was made of it."""
+    """Where a stream's times run backwards, and how they were handled."""
     dated = stream.dated
     first = min(int(stream.log_ns.min()), int(dated.backwards[0]))
     begin, end = ((int(ns) - first) / 1e9 for ns in (dated.backwards[0], dated.backwards[-1]))

@@ -1,4 +1,4 @@
-"""The camera's frames, told of while the log is read, or lazily and in time order; each holds its own bytes."""
+"""The camera's frames, passed on while the log is read, or read lazily in time order; each holds its own bytes."""
 
 import heapq
 from collections.abc import Callable, Collection, Iterator
@@ -18,24 +18,24 @@ from .clocks import seconds
 
 
 class FrameTap:
-    """A log whose camera's pictures are told of on their way to who reads its batches."""
+    """A log that passes its camera's images to a consumer while others read its batches."""
 
     def __init__(self, log: Log, topics: tuple[Topic, ...], watch: FrameConsumer, limits: Input) -> None:
-        """The camera's topics: one name, several ids where it has several schemas."""
+        """The camera's topics: one name, several ids if it has several schemas."""
         self._log, self._watch, self._count = log, watch, 0
         self._decoders = {topic.id: messages.decoder(topic, limits.max_image_mpx) for topic in topics}
         self._shrinks = {topic.id: topic.type in messages.COMPRESSED for topic in topics}
         self._numbers: dict[int, list[Array]] = {topic.id: [np.empty(0, np.int64)] for topic in topics}
 
     def batches(self, ids: Collection[int]) -> Iterator[Batch]:
-        """Those of the log."""
+        """Batches of the log."""
         for batch in self._log.batches(ids):
             if batch.topic_id in self._decoders:
                 self._tell(batch)
             yield batch
 
     def watched(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> ConsumedFrames:
-        """Of all told the frames, dated t_ns (n,): the messages rows (n,), counted through the topics in order."""
+        """The passed frames with times t_ns (n,): the messages rows (n,), counted through the topics in order."""
         numbers = np.concatenate([number for some in self._numbers.values() for number in some])
         return ConsumedFrames(seconds(t_ns, start_ns), source_ns, numbers[rows], self._watch)
 
@@ -56,10 +56,10 @@ def frames(
     t_ns: Array,
     start_ns: int,
 ) -> Callable[[], Iterator[Frame]]:
-    """A function that reads the log again and yields the frames dated t_ns (m,), which are the messages rows (m,).
+    """A function that reads the log again and yields the frames at t_ns (m,), which are the messages rows (m,).
 
-    Rows count through the topics in order, `counts` messages each. Messages that come early wait, so memory
-    grows with the disorder of the file, not with its length.
+    Rows count through the topics in order, `counts` messages each. Early messages are held back, so memory grows with
+    the disorder of the file, not with its length.
     """
     rank = np.full(sum(counts), -1)
     rank[rows] = np.arange(len(rows))
@@ -102,6 +102,6 @@ def _frames(
 
 
 def _decodes(batch: Batch, decode: Callable[[Payload, int], Array]) -> Iterator[Callable[[int], Array]]:
-    """What decodes each message of a batch, from bytes of its own unless the batch's stay."""
+    """A decoder for each message of a batch, on a copy of its bytes unless the batch's stay valid."""
     keep = is_mapped(batch.data)
     return (partial(decode, payload if keep else bytes(payload)) for payload in payloads(batch))

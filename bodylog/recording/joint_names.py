@@ -1,4 +1,4 @@
-"""What topics of joints are called, where robot.toml names several."""
+"""The names of joint topics, if robot.toml lists several."""
 
 import re
 
@@ -6,16 +6,16 @@ from ..errors import ConfigError
 
 _STATES = re.compile(r"(/joint_?states?)+$", re.IGNORECASE)
 JOINTS = "joints/"
-"""What a delay of one topic's joints is called by, before the topic's name: delay = {"joints/head" = 0.02}."""
+"""Prefix of one joint topic's delay, before the topic's name: delay = {"joints/head" = 0.02}."""
 
 
 def topic_name(topic: str) -> str:
-    """What a topic of joints is called: its name without what only says that it holds joint states."""
+    """A joint topic's name without generic words such as joint_states."""
     return _STATES.sub("", topic).strip("/") or topic.strip("/")
 
 
 def named(declared: str | tuple[str, ...] | None) -> dict[str, str]:
-    """Roles of the topics robot.toml names for joints: joints, and joints/NAME for those beside the first."""
+    """Roles of the joint topics in robot.toml: joints, and joints/NAME for those after the first."""
     found: dict[str, str] = {}
     for topic in (declared,) if isinstance(declared, str) else declared or ():
         name = topic_name(topic)

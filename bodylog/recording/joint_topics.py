@@ -1,4 +1,4 @@
-"""Joints of several topics as one signal: which are beside the first, what namesakes are called, how times merge."""
+"""Merge joints of several topics into one signal: further topics, unique names, common times."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -14,23 +14,23 @@ from .joint_names import JOINTS, topic_name
 
 
 def streams_of(streams: Mapping[str, Stream]) -> list[Stream]:
-    """The streams of joints, the first one first."""
+    """The streams of joints, the main one first."""
     return [stream for stream in streams.values() if stream.role.role == "joints"]
 
 
 def beside(streams: Mapping[str, Stream], settings: Settings) -> tuple[str, ...]:
-    """Joints of topics that nobody named, found beside the first."""
+    """Joints of further topics that were found without being configured."""
     found, guessed = streams_of(streams), settings.topics.joints is None
     return tuple(name for names in _names(found)[1:] for name in names) if guessed else ()
 
 
 def names(streams: Mapping[str, Stream]) -> tuple[str, ...]:
-    """All joints, by the names they have in the one signal."""
+    """All joints, by their names in the merged signal."""
     return tuple(name for some in _names(streams_of(streams)) for name in some)
 
 
 def _names(found: Sequence[Stream]) -> list[tuple[str, ...]]:
-    """Each stream's joints; what several have begins with its topic's name: left/elbow, right/elbow."""
+    """Each stream's joints; shared names begin with their topic's name: left/elbow, right/elbow."""
     counts: dict[str, int] = {}
     for stream in found:
         for name in stream.names:
@@ -39,9 +39,9 @@ def _names(found: Sequence[Stream]) -> list[tuple[str, ...]]:
 
 
 def series(streams: Mapping[str, Stream], settings: Settings, start_ns: int, what: str) -> Series | None:
-    """The joints (N,M) rad of all topics at all of their times, NaN where a topic has no reading; None without any.
+    """The joints (N,M) rad of all topics at all of their times, NaN where a topic has no reading; None without joints.
 
-    LogError when [body] joints names one that no topic has.
+    LogError when [body] joints names a missing joint.
     """
     found = streams_of(streams)
     _check(found, settings, what)
@@ -63,13 +63,13 @@ def series(streams: Mapping[str, Stream], settings: Settings, start_ns: int, wha
 
 
 def _one(stream: Stream, settings: Settings, start_ns: int) -> Series:
-    """A single topic's joints; `delay` takes what only this topic is late by."""
+    """A single topic's joints; `delay` corrects the delay of this topic alone."""
     t_ns = stream.dated.t_ns - round(1e9 * _delay(stream, settings))
     return Series(seconds(t_ns, start_ns), stream.values, stream.names, stream.unit, stream.log_ns)
 
 
 def unit(streams: Mapping[str, Stream]) -> str | None:
-    """The unit of the joints as they are read: rad, counts or unknown; None without joints."""
+    """The unit of the converted joints: rad, counts or unknown; None without joints."""
     found = streams_of(streams)
     return _unit(found) if found else None
 
@@ -80,7 +80,7 @@ def _unit(found: Sequence[Stream]) -> str:
 
 
 def _check(found: Sequence[Stream], settings: Settings, what: str) -> None:
-    """ConfigError for a delay of a topic of joints that there is not."""
+    """ConfigError for a delay of a missing joint topic."""
     given, there = settings.time.delay, [f"{JOINTS}{topic_name(stream.role.topic)}" for stream in found]
     asked = [key for key in given if key.startswith(JOINTS)] if isinstance(given, Mapping) else []
     if unknown := [key for key in asked if key not in there]:

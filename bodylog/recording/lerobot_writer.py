@@ -1,4 +1,4 @@
-"""Logs as a LeRobot dataset, v3.0 or v2.1: an episode of each, with every row's and image's own time."""
+"""Write logs as a LeRobot dataset, v3.0 or v2.1: one episode each, with the times of every row and image."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ _PATHS = {
 
 @dataclass
 class _Written:
-    """A dataset under way: its folder, form, codec, and what is known of its episodes so far."""
+    """A dataset in progress: its folder, form, codec, and its episodes so far."""
 
     folder: Path
     form: str
@@ -50,7 +50,7 @@ def write(
     logs: Sequence[Path], out: Path, settings: Settings, form: str = V3, how: str = "lossless",
     task: str | None = None, start: float | None = None, end: float | None = None,
 ) -> tuple[Finding, ...]:  # fmt: skip
-    """`out` becomes a LeRobot folder with an episode of each log; it is whole or absent.
+    """Write a LeRobot folder `out` with an episode per log; an exception leaves nothing.
 
     form: lerobot (v3.0) or lerobot-2.1 · how: lossless, h264 or av1 · start, end: s since the log's first joints.
     """
@@ -70,7 +70,7 @@ def write(
 
 
 def _place(out: Path) -> Path:
-    """The folder to make; UsageError where something is in its place."""
+    """The folder to make; UsageError if it exists."""
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UsageError(f"{out}: is there already; give the name of a new folder with -o")
     writable(out.absolute().parent, folder=True)
@@ -80,7 +80,7 @@ def _place(out: Path) -> Path:
 
 
 def _episode(done: _Written, found: Rows, log: Path) -> Sequence[Finding]:
-    """Write one episode's table and videos; what was found on the way."""
+    """Write one episode's table and videos; returns findings."""
     number, count = len(done.episodes), len(found.ns)
     columns, features = _columns(found), _declared(found, done.codec)
     if done.episodes and set(features) != set(done.features):
@@ -111,26 +111,26 @@ def _episode(done: _Written, found: Rows, log: Path) -> Sequence[Finding]:
 
 
 def _keys(form: str, number: int) -> dict[str, Any]:
-    """What the places of a path are filled with: one file for each episode."""
+    """The values for a path's placeholders: one file per episode."""
     if form == V21:
         return {"episode_chunk": number // _CHUNK, "episode_index": number}
     return {"chunk_index": number // _CHUNK, "file_index": number % _CHUNK}
 
 
 def _columns(found: Rows) -> dict[str, Array]:
-    """Features by name, (N,K) or (N,), and the times of those that were not taken when the rows were."""
+    """Features by name, (N,K) or (N,), and the times of those that differ from the rows'."""
     columns: dict[str, Array] = {}
     for name, one in found.features.items():
         values = _cast(one)
         columns[name] = values[:, 0] if values.shape[1] == 1 else values
     stamps = {name: one.ns for name, one in found.features.items()} | {n: one.ns for n, one in found.views.items()}
-    first = next(iter(stamps))  # whose times a reader takes for the rows'
+    first = next(iter(stamps))  # readers give it the times of the rows
     apart = {name: ns for name, ns in stamps.items() if name == first or not np.array_equal(ns, stamps[first])}
     return columns | {f"{name}{STAMP}": ns for name, ns in apart.items()}
 
 
 def _cast(one: Feature) -> Array:
-    """The values in their declared dtype where it holds them, else in float32 or float64 without loss."""
+    """The values in their declared dtype if it holds them, else in float32 or float64 without loss."""
     wanted = one.dtype or "float32"
     if wanted not in _WHOLE or np.isfinite(one.values).all():
         with np.errstate(over="ignore"):
@@ -170,7 +170,7 @@ def _video(
     done: _Written, name: str, view: View, t: Array, keys: Mapping[str, Any], row: dict[str, Any],
     stats: dict[str, dict[str, Any]], log: Path,
 ) -> list[Finding]:  # fmt: skip
-    """Write a camera's video; how exact it is, and which images were missing."""
+    """Write a camera's video; reports its error and missing images."""
     path = done.folder / _PATHS[done.form][1].format(**keys, video_key=name)
     path.parent.mkdir(parents=True, exist_ok=True)
     sampled = Sampled()
@@ -198,7 +198,7 @@ def _table(path: Path, columns: Mapping[str, Array]) -> None:
 
 
 def _meta(done: _Written) -> None:
-    """info.json, stats, and the lists of episodes and tasks."""
+    """Write info.json, stats, and the lists of episodes and tasks."""
     meta = done.folder / "meta"
     meta.mkdir()
     total, videos = len(done.episodes), sum(one["dtype"] == "video" for one in done.features.values())

@@ -1,4 +1,4 @@
-"""A log -> one Recording: roles, dated signals, lazy frames, and what became of every message."""
+"""Read a log into one Recording: roles, signals on one clock, lazy frames, and a count of every message."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
@@ -25,9 +25,9 @@ _VIEW = "camera/"
 def read(
     path: Path, settings: Settings, strict: bool = False, consumer: Callable[[], FrameConsumer] | None = None
 ) -> Recording:
-    """The recording in a log of any format; a role that is not there is None. LogError, FormatError as they come.
+    """Read the recording in a log of any format; a missing role is None. LogError, FormatError for unusable logs.
 
-    Who is `consumer` is told of the first camera's pictures on the way, unless the log may tell what they show.
+    `consumer` gets the first camera's images during reading, unless the log may already hold their tracks.
     """
     with open_log(path, strict, settings.input) as log:
         settings = _restored(log, settings)
@@ -69,7 +69,7 @@ def read(
 
 
 def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]:
-    """What is in a log, as plain values: topics, rates, roles, joint names, clocks, findings."""
+    """The content of a log as plain values: topics, rates, roles, joint names, clocks, findings."""
     with open_log(path, strict, settings.input) as log:
         settings = _restored(log, settings)
         streams: dict[str, Stream] = {}
@@ -97,7 +97,7 @@ def info(path: Path, settings: Settings, strict: bool = False) -> dict[str, Any]
 
 
 def _spans(log: Log, streams: Mapping[str, Stream]) -> dict[int, tuple[int, int]]:
-    """First and last log time (ns) by topic id: its own where that is known, else the log's."""
+    """First and last log time (ns) by topic id: its own if known, else the log's."""
     whole = dict.fromkeys((topic.id for topic in log.topics), (log.start_ns, log.end_ns))
     alone = {stream.role.topics[0].id: stream.log_ns for stream in streams.values() if len(stream.role.topics) == 1}
     return whole | {id_: (int(ns.min()), int(ns.max())) for id_, ns in alone.items()} | dict(log.spans())
@@ -149,7 +149,7 @@ def _films(
     settings: Settings,
     start_ns: int,
 ) -> dict[str, Callable[[], Iterator[Frame]]]:
-    """The pictures of every camera, by its role."""
+    """The images of every camera, by its role."""
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
     limits = replace(settings.input, strict=strict)
@@ -162,7 +162,7 @@ def _films(
 
 
 def _restored(log: Log, settings: Settings) -> Settings:
-    """The settings, and where they leave something to be guessed, what the run of ours was told that wrote the log."""
+    """The settings, with unset values from the bodylog run that wrote the log."""
     if not _is_ours(log):
         return settings
     from .saved_settings import restore_settings
@@ -187,7 +187,7 @@ def _watched(tap: camera.FrameTap | None, seen: Stream | None, start_ns: int) ->
 def _named(
     log: Log, path: Path, settings: Settings, streams: Mapping[str, Stream], start_ns: int, carried: Features | None
 ) -> dict[str, tuple[Series, Health]]:
-    """Tracks of topics and tables that [features] names, but those the log carries of an earlier run."""
+    """Tracks of topics and tables that [features] names, except those stored in the log by an earlier run."""
     known = () if carried is None else carried.tracks
     rest = {name: source for name, source in settings.features.items() if name not in known}
     if not any(isinstance(source, TopicSource | TableSource) for source in rest.values()):

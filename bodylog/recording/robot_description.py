@@ -1,4 +1,4 @@
-"""What a log says of its robot beside what it measured: its URDF, where frames are fixed, what its cameras are."""
+"""The robot description in a log: its URDF, fixed transforms, camera calibrations."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -16,7 +16,7 @@ from ..logs.protocol import Log
 from ..types import Array, Batch, Topic
 
 _MANY = 50
-"""Messages of fixed transforms that are looked at: several nodes may publish some."""
+"""Messages of fixed transforms to read: several nodes may publish some."""
 _TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _POSE = "transforms[:].transform."
 _FIELDS = {
@@ -51,7 +51,7 @@ class Described:
 
 
 def described(path: Path, limits: Input = LIMITS) -> Described:
-    """What a log of any format says of its robot; nothing where it is a table, or says nothing."""
+    """The robot description in a log of any format; empty for a table, or without one."""
     with open_log(path, limits=limits) as log:
         topics = {topic.id: topic for topic in log.topics if _kind(topic) is not None}
         found = _first(log, topics)
@@ -79,12 +79,12 @@ def _kind(topic: Topic) -> str | None:
 
 
 def _first(log: Log, topics: Mapping[int, Topic]) -> dict[int, Columns]:
-    """The first messages of some topics; the log is read no further than to these."""
+    """The first messages of some topics; reading stops there."""
     wanted = {id_: _MANY if _kind(topic) == "transforms" else 1 for id_, topic in topics.items()}
     left = {id_: min(count, max(topics[id_].messages, 1)) for id_, count in wanted.items()}
     decoders = {}
     for id_, topic in topics.items():
-        with suppress(BodylogError):  # a definition that cannot be read says nothing of the robot
+        with suppress(BodylogError):  # an unreadable definition describes nothing
             decoders[id_] = decoder(topic, _fields(topic))
     left = {id_: count for id_, count in left.items() if id_ in decoders}
     for batch in log.batches(tuple(left)) if left else ():
@@ -127,7 +127,7 @@ def _transforms(columns: Columns) -> dict[str, tuple[str, Array]]:
 
 
 def _rotation(quaternion: Array) -> Array:
-    """Rotation (3,3) of a quaternion x, y, z, w; NaN where it has no length."""
+    """Rotation (3,3) of a quaternion x, y, z, w; NaN if its length is zero."""
     with np.errstate(invalid="ignore", divide="ignore"):
         x, y, z, w = quaternion / np.linalg.norm(quaternion)
     return np.array(
@@ -140,7 +140,7 @@ def _rotation(quaternion: Array) -> Array:
 
 
 def _camera(columns: Columns) -> CameraInfo | None:
-    """The first message, where it is a camera that was calibrated."""
+    """The first message, if the camera is calibrated."""
     if not columns.parts:
         return None
     frame, width, height, model, matrix, distortion = (columns.column(name)[0] for name in columns.fields)

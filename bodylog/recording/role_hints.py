@@ -1,4 +1,4 @@
-"""What is said of the roles that were guessed: as robot.toml would name them, and what else could play them."""
+"""Findings on guessed roles: the lines for robot.toml that name them, and alternative topics."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -11,14 +11,14 @@ from .roles import RANKS, ROLES, Role, camera_rank, is_raw, joints_rank, problem
 
 
 def advice(found: Mapping[str, Role]) -> str:
-    """The roles as one line ready to paste into robot.toml."""
+    """The roles as one line for robot.toml."""
     paths = {role: [one.path for one in found.values() if one.role == role] for role in ROLES}
     lines = (f"{role} = {json.dumps(text if len(text) > 1 else text[0])}" for role, text in paths.items() if text)
     return f"topics = {{ {', '.join(lines)} }}"
 
 
 def unused_joints(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
-    """That a log has more joint states than those guessed to be the robot's, and what to type to use them."""
+    """Joint states besides those guessed to be the robot's, and what to type to use them."""
     others = sorted({topic.name for topic in topics if is_raw(topic) and joints_rank(topic) is not None})
     used = [role.topic for role in found.values() if role.role == "joints"]
     others = [name for name in others if used and name not in used]
@@ -30,7 +30,7 @@ def unused_joints(topics: Sequence[Topic], settings: Topics, found: Mapping[str,
 
 
 def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str, Role]) -> tuple[Finding, ...]:
-    """That a log has more cameras than the one guessed, or only such as are not read, and what to type."""
+    """Cameras besides the guessed one, or only unreadable ones, and what to type."""
     if not settings.cameras and "camera" not in found:
         unread = (topic for topic in topics if is_raw(topic) and messages.is_packets(topic))
         return tuple(Finding("warning", f"camera: {topic.name} holds {messages.PACKETS}") for topic in unread)
@@ -47,6 +47,6 @@ def unused_cameras(topics: Sequence[Topic], settings: Topics, found: Mapping[str
 
 
 def unreadable(topics: Sequence[Topic]) -> list[str]:
-    """Why topics that could play a role cannot: their definitions are broken."""
+    """Why topics with broken definitions cannot have a role."""
     likely = [topic for topic in topics if any(rank(topic) is not None for rank in RANKS.values())]
     return [why for topic in likely if (why := problem(topic)) is not None]

@@ -1,4 +1,4 @@
-"""Columns -> one signal: joints put in order by name, arrays side by side, whatever does not fit counted."""
+"""Columns to one signal: joints ordered by name, arrays side by side; what does not fit is counted."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,12 +13,12 @@ from ..types import Array
 
 _TURN = 2.0 * np.pi
 _NEAR = 1.0 / _TURN
-"""Turns, one radian, that a step may differ from a whole turn where a joint wraps around."""
+"""Turns, one radian, by which a step may differ from a whole turn when a joint wraps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Named:
-    """The messages, by their rows (k,), that name these joints in this order."""
+    """The messages, by their rows (k,), with these joints in this order."""
 
     names: tuple[str, ...]
     rows: Array
@@ -44,7 +44,7 @@ Block = tuple[Array, Array | None, tuple[Array | tuple[str, ...], ...]]
 
 
 def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str]) -> Iterator[Block]:
-    """The parts of several topics of one name, rows counted through all of them."""
+    """The parts of several topics of one name, with rows counted through all of them."""
     first = 0
     for some in columns:
         places = [some.fields.index(name) for name in fields]
@@ -59,7 +59,7 @@ def blocks(columns: Sequence[Columns], stamp: str | None, fields: Sequence[str])
 def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True) -> Signal:
     """Named joints (names, positions): values by name, NaN where a message lacks one or names it twice.
 
-    LogError when `every` wanted joint must be there and one is not, or when the joints have no names.
+    LogError when `every` wanted joint must exist and one does not, or when the joints have no names.
     """
     rejected: Counter[str] = Counter()
     good = []
@@ -68,7 +68,7 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
             wrong = "names that are no texts" if isinstance(positions, np.ndarray) else "positions that are no numbers"
             rejected[wrong] += len(rows)
             continue
-        positions = positions.reshape(len(rows), -1)  # of a single joint JSON gives one number a message
+        positions = positions.reshape(len(rows), -1)  # a single joint is one number per message in JSON
         if not names and positions.shape[1]:
             names = _nameless(positions.shape[1], wanted, what)
         if len(names) != positions.shape[1] or not names:
@@ -99,7 +99,7 @@ def _unfit(names: int, positions: int) -> str:
 
 
 def _without_duplicates(names: tuple[str, ...], positions: Array) -> tuple[tuple[str, ...], Array]:
-    """Without joints that one message names more than once: which of their positions it is, nobody knows."""
+    """Drop joints that one message names twice: which position is theirs is unknown."""
     if len(set(names)) == len(names):
         return names, positions
     kept = [place for place, name in enumerate(names) if names.count(name) == 1]
@@ -136,10 +136,10 @@ def _by_name(names: tuple[str, ...], positions: Array, order: tuple[str, ...]) -
 
 
 def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array]:
-    """Angles (N,D) rad as motions: without readings beyond FARTHEST, how many these were, and turns taken back (D,).
+    """Angles (N,D) rad unwrapped, without readings beyond FARTHEST; the number of these; turns removed (D,).
 
-    From one reading to the next no joint makes a whole turn, within a radian: it wraps around there. Independent poses
-    do not follow each other (`turn` None): their readings stay as they are. `turn`: one whole turn in the values' unit.
+    A step of a whole turn, within a radian, is a wrap. Independent poses (`turn` None) are not unwrapped. `turn`: one
+    turn in the values' unit.
     """
     values, beyond = believed(values)
     values, turns = values.copy(), np.zeros(values.shape[1], int)
@@ -155,7 +155,7 @@ def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array
 
 
 def array(found: Sequence[Block]) -> Signal:
-    """Arrays of numbers: as wide as most messages are, the others rejected, and all where none holds a number."""
+    """Arrays of numbers of the most common width; others are rejected, and all if none holds a number."""
     widths: Counter[int] = Counter()
     shaped, texts_ = [], 0
     for rows, stamps, (values,) in found:
@@ -178,7 +178,7 @@ def array(found: Sequence[Block]) -> Signal:
 
 
 def proximities(signal: Signal) -> Signal:
-    """The signal if all it says lies within 0..1, otherwise none of it."""
+    """The signal if all its values lie within 0..1, otherwise with all rejected."""
     values = signal.values
     if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))):
         return signal
@@ -187,7 +187,7 @@ def proximities(signal: Signal) -> Signal:
 
 
 def texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> Signal:
-    """Messages told apart by one text (an image's encoding); those `refused` gives a reason for are rejected."""
+    """Messages by one text (an image's encoding); those that `refused` gives a reason for are rejected."""
     rejected: Counter[str] = Counter()
     good = []
     for rows, stamps, (text,) in found:
@@ -217,9 +217,9 @@ def _joined(
 
 
 def merged(t_ns: Array, values: Array) -> tuple[Array, Array, int]:
-    """Rows to keep (n,) so that each stamp is there once · values (n,D) · how many messages told nothing new.
+    """Rows to keep (n,) with unique stamps · values (n,D) · how many messages added nothing.
 
-    What a later message of the same stamp knows and the first does not (the other half of the joints) fills its NaN.
+    Later messages of the same stamp (the other half of the joints) fill NaN of the first.
     """
     keep = np.concatenate([[True], np.diff(t_ns) != 0]) if len(t_ns) else np.ones(0, bool)
     if keep.all():

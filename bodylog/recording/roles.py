@@ -1,4 +1,4 @@
-"""Which topic is what: guessed from types, names and counts, or as robot.toml says."""
+"""Assign roles to topics: guessed from types, names and counts, or as in robot.toml."""
 
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -20,7 +20,7 @@ from .joint_names import topic_name
 ROLES = ("joints", "camera", "skin", "truth", "reference")
 _ANGLES = ("joints", "truth", "reference")
 _FEWEST = 10
-"""Messages below which a further topic of joints says too little to be joined."""
+"""A further joint topic with fewer messages is not merged."""
 _JOINTS = "sensor_msgs/msg/JointState"
 _ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
 _WISHED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint|(^|/)actions?(/|$)", re.IGNORECASE)
@@ -33,9 +33,9 @@ _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class Role:
-    """One role's source: the topic (several records when it has several schemas) and the field, "" for the message.
+    """One role's source: the topic (several records if it has several schemas) and the field, "" for the message.
 
-    `unsure`: guessed from a type that other things share, so that its values must look like the role's.
+    `unsure`: guessed from a generic type, so that its values must look like the role's.
     """
 
     role: str
@@ -46,7 +46,7 @@ class Role:
 
     @property
     def path(self) -> str:
-        """As it is written in robot.toml."""
+        """The source as written in robot.toml."""
         return f"{self.topic}.{self.field}" if self.field else self.topic
 
 
@@ -56,13 +56,13 @@ def roles(
     name: str,
     joints_of: Callable[[Topic], tuple[str, ...]] = lambda topic: (),
 ) -> dict[str, Role]:
-    """The roles that can be filled; LogError when robot.toml names a topic the log `name` does not have.
+    """Assign the roles that the topics can fill; LogError when robot.toml names a topic missing in the log `name`.
 
-    The reference, which only logs to learn from have, is left out where its topic is not there; the cameras where a log
-    has their tracks alone.
+    A missing reference topic is allowed, as only logs to learn from have one; so are missing cameras if the log holds
+    their tracks.
 
-    `joints_of` looks which joints a topic speaks of, where several could be the robot's: the one with the most of them
-    is, and those beside it whose names are others.
+    `joints_of` gives the joints of a topic, to decide between several: the one with the most is the robot's, with those
+    beside it whose joints differ.
     """
     found: dict[str, Role] = {}
     names = [topic.name for topic in topics]
@@ -83,14 +83,14 @@ def roles(
 
 
 def _declared(role: str, settings: Topics) -> Mapping[str, str | None]:
-    """What robot.toml names for a role: of cameras and joints there may be several."""
+    """The sources in robot.toml for a role: cameras and joints may have several."""
     if role == "camera":
         return cameras(settings)
     return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
 
 
 def _beside(first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> dict[str, Role]:
-    """Further topics of joints, the most frequent first, none of whose names occurs twice."""
+    """Further joint topics, the most frequent first, without repeated joint names."""
     ranked = [(rank, t) for t in topics if is_raw(t) and (rank := joints_rank(t)) is not None and rank[0]]
     if len({topic.name for _, topic in ranked}) < 2:
         return {}
@@ -107,14 +107,14 @@ def _beside(first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], t
 
 
 def _tracks_alone(topics: Sequence[Topic]) -> bool:
-    """Whether a log carries tracks of an earlier run without the pictures."""
+    """Whether a log carries tracks of an earlier run without the images."""
     return any(topic.name.startswith(TRACK) for topic in topics) and not any(
         camera_rank(topic) is not None for topic in topics
     )
 
 
 def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> Sequence[Topic]:
-    """The topics, less those joint states that are about as frequent as the best but speak of fewer joints."""
+    """The topics without joint states that are about as frequent as the best but name fewer joints."""
     ranks = {topic.name: rank for topic in topics if is_raw(topic) and (rank := joints_rank(topic)) is not None}
     most = max(ranks.values(), default=(0, 0))
     candidates = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
@@ -128,12 +128,12 @@ def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str
 
 
 def is_wished(topic: Topic) -> bool:
-    """Whether a topic of joints tells where they should be, by its name."""
+    """Whether a joint topic holds commands, by its name."""
     return _WISHED.search(topic.name) is not None
 
 
 def is_raw(topic: Topic) -> bool:
-    """Whether a topic holds messages that are not ours."""
+    """Whether a topic holds messages that bodylog did not write."""
     return topic.messages > 0 and not topic.name.startswith(PREFIX)
 
 
@@ -190,7 +190,7 @@ def _named(role: str, declared: str, topics: Sequence[Topic], name: str) -> Role
 
 
 def _mistaken(role: str, topic: Topic) -> bool:
-    """Whether a topic named for a role is of a type that another role reads whole, or a camera's without pictures."""
+    """Whether the topic's type belongs to another role, or a camera's topic has no images."""
     if role != "camera" or topic.type == _JOINTS:
         return topic.type in (*messages.COMPRESSED, *messages.RAW, *(() if role in _ANGLES else (_JOINTS,)))
     if topic.type in messages.COMPRESSED + messages.RAW or topic.encoding in ("json", "protobuf") or problem(topic):
@@ -200,7 +200,7 @@ def _mistaken(role: str, topic: Topic) -> bool:
 
 
 def joints_rank(topic: Topic) -> tuple[int, ...] | None:
-    """How likely a topic tells the robot's joints; None when it cannot."""
+    """How likely a topic holds the robot's joints; None if it cannot."""
     if topic.type != _JOINTS or _TRUTH.search(topic.name):
         return None
     return (not _WISHED.search(topic.name), topic.messages)
@@ -211,7 +211,7 @@ def _truth_rank(topic: Topic) -> tuple[int, ...] | None:
 
 
 def camera_rank(topic: Topic) -> tuple[int, ...] | None:
-    """How likely a topic shows the robot; None when it cannot."""
+    """How likely a topic shows the robot; None if it cannot."""
     if topic.type not in messages.COMPRESSED + messages.RAW or _DEPTH.search(topic.name):
         return None
     colour, grey = bool(_COLOUR.search(topic.name)), bool(_GREY.search(topic.name))
@@ -235,7 +235,7 @@ RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
 
 
 def _field(role: str, topic: Topic) -> str | None:
-    """The field a role reads when none was named: "" for whole messages, None when there is nothing to read."""
+    """The field that a role reads by default: "" for whole messages, None if there is nothing to read."""
     if role == "camera" or topic.type == _JOINTS:
         return ""
     if topic.encoding in ("json", "protobuf"):

@@ -1,4 +1,4 @@
-"""What an earlier run of ours was told of a log holds for the log it wrote, too, unless told otherwise."""
+"""Settings of the bodylog run that wrote a log; explicit settings take precedence."""
 
 from contextlib import suppress
 from dataclasses import replace
@@ -18,9 +18,9 @@ Section = TypeVar("Section", Topics, Body, Time)
 
 
 def restore_settings(log: Log, settings: Settings) -> Settings:
-    """The settings; what is at its default in [topics], [body] and [time] as the log's metadata record has it.
+    """Fill defaults in [topics], [body] and [time] from the log's metadata record.
 
-    So with [features] where there are none. Topics that the log does not have are left to be guessed.
+    [features] likewise if it is empty. Topics missing in the log stay unset.
     """
     saved: Any = {}
     with suppress(LogError, ValueError, KeyError):
@@ -37,7 +37,7 @@ def restore_settings(log: Log, settings: Settings) -> Settings:
 
 
 def _features(saved: Any) -> dict[str, Source]:
-    """The sources of [features] as a metadata record has them; none where one is damaged."""
+    """The sources of [features] in a metadata record; empty if one is damaged."""
     values = saved.get("features") if isinstance(saved, dict) else None
     with suppress(ConfigError):
         items = values.items() if isinstance(values, dict) else ()
@@ -57,7 +57,7 @@ def _there(text: Text, names: list[str]) -> bool:
 
 
 def _filled(section: Section, saved: dict[str, Text]) -> Section:
-    """The section with what is at its default replaced by what was said of it, where that is of its type."""
+    """The section with its defaults replaced by saved values of the right type."""
     hints, default = get_type_hints(type(section)), type(section)()
     at_default = [name for name in saved if name in hints and getattr(section, name) == getattr(default, name)]
     known: Any = {name: saved[name] for name in at_default if _fits(saved[name], hints[name])}

@@ -1,4 +1,4 @@
-"""Where a topic's messages carry the time they speak of."""
+"""Find the field with the timestamp of a topic's messages."""
 
 from ..errors import BodylogError
 from ..io.values import read_json
@@ -10,7 +10,7 @@ _ALONE = ("stamp", "timestamp")
 
 
 def stamp_field(topic: Topic) -> str | None:
-    """Message path of the stamp: header.stamp, or a time called stamp or timestamp; None when there is none."""
+    """Message path of the stamp: header.stamp, or a time called stamp or timestamp; None if there is none."""
     try:
         if topic.encoding == "json":
             return _in_schema(topic.definition)
@@ -24,7 +24,7 @@ def stamp_field(topic: Topic) -> str | None:
 def _in_schema(schema: bytes) -> str | None:
     try:
         properties = read_json(schema or b"{}").get("properties", {})
-    except (ValueError, AttributeError):  # no JSON, or no table
+    except (ValueError, AttributeError):  # not JSON, or not a table
         return None
     return next((name for name in _ALONE if name in properties), "header.stamp" if "header" in properties else None)
 

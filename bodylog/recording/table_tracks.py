@@ -1,4 +1,4 @@
-"""Tracks from a table beside the log: rows of time, u and v that a keypoint network or a person wrote."""
+"""Tracks from a table beside the log: rows of time, u and v from a keypoint network or a person."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,11 +13,11 @@ from ..sources import TableSource
 from ..types import Array, Health, Series
 
 EPOCH = 1e8
-"""s: a later time is counted from 1970, an earlier one from the log's first joints."""
+"""s: later times count from 1970, earlier ones from the log's first joints."""
 
 
 def tracks(log: Path, settings: Settings, start_ns: int, end_s: float) -> Iterator[tuple[str, tuple[Series, Health]]]:
-    """Every feature of [features] that a table has, t in s since start_ns; the log ends at end_s."""
+    """Every feature of [features] from a table, t in s since start_ns; the log ends at end_s."""
     read_: dict[Path, Table] = {}
     for name, source in settings.features.items():
         if isinstance(source, TableSource):
@@ -29,7 +29,7 @@ def tracks(log: Path, settings: Settings, start_ns: int, end_s: float) -> Iterat
 
 
 def _path(log: Path, name: str, source: TableSource) -> Path:
-    """The table, looked for as it is and beside the log."""
+    """The path of the table, as given or beside the log."""
     for path in (Path(source.table), log.parent / source.table):
         if path.is_file():
             return path
@@ -40,7 +40,7 @@ def _path(log: Path, name: str, source: TableSource) -> Path:
 def _track(
     path: Path, table: Table, name: str, source: TableSource, start_ns: int, end_s: float
 ) -> tuple[Series, Health]:
-    """One feature's places (N,2) px in order of time."""
+    """One feature's positions (N,2) px in time order."""
     places, std = _columns(path, table, name, source)
     column, t = time_column(table.numbers)
     if column is None:
@@ -48,7 +48,7 @@ def _track(
         text = "has no column of times (t, time, stamp, unix_s, stamp_ns, ...)"
         raise ConfigError(f"{path}: [features] {name}: the table {text}; its columns are {have}")
     absolute = np.nanmedian(t) > EPOCH if np.isfinite(t).any() else False
-    # whole seconds apart before they are subtracted, or microseconds of 1970 would be lost
+    # whole seconds are subtracted first, to keep the microseconds of times since 1970
     t = t - start_ns // 10**9 - start_ns % 10**9 / 1e9 if absolute else t
     dated = np.isfinite(t)
     order = np.flatnonzero(dated)[np.argsort(t[dated], kind="stable")]
@@ -71,7 +71,7 @@ def _track(
 
 
 def _columns(path: Path, table: Table, name: str, source: TableSource) -> tuple[Array, Array | None]:
-    """Places (N,2) px and their standard deviations: two columns, and one or two more for the latter."""
+    """Positions (N,2) px and their standard deviations: two columns, and one or two more for the latter."""
     wanted = source.columns or _own(table, name)
     if len(wanted) not in (2, 3, 4):
         raise ConfigError(f"{path}: [features] {name}: columns must name u and v, and one or two more for their std")
@@ -84,7 +84,7 @@ def _columns(path: Path, table: Table, name: str, source: TableSource) -> tuple[
 
 
 def _own(table: Table, name: str) -> tuple[str, ...]:
-    """NAME_u, NAME_v and their std; u and v where the table has no such columns."""
+    """NAME_u, NAME_v and their std; u and v if the table has no such columns."""
     there = set(table.numbers)
     for before in (f"{name}_", f"{name}.", ""):
         if {f"{before}u", f"{before}v"} <= there:

@@ -1,4 +1,4 @@
-"""A recording's signals as tables, one CSV or Parquet file per role; and what was found in it, as CSV files."""
+"""Export a recording's signals as tables, one CSV or Parquet file per role; and its features as CSV files."""
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -17,7 +17,7 @@ _ROWS = 65536
 
 
 def saver(form: str) -> Callable[[Mapping[str, Array], Path], None]:
-    """What writes a table to a file of that form; UsageError for an unknown one, or for Parquet without pyarrow."""
+    """A function that writes a table in that format; UsageError for an unknown one, or for Parquet without pyarrow."""
     if form not in FORMATS:
         raise UsageError(f"export as {form!r}: possible are {', '.join(FORMATS)}")
     return _csv if form == "csv" else _parquet()
@@ -26,7 +26,7 @@ def saver(form: str) -> Callable[[Mapping[str, Array], Path], None]:
 def export(recording: Recording, folder: Path, form: str, window: Window = ALWAYS) -> tuple[Path, ...]:
     """Write joints, truth and skin to folder/<role>.<form>, a row per message: stamp_ns, t (s), one column per name.
 
-    UsageError for an unknown form, or when Parquet is asked for and pyarrow is not installed.
+    UsageError for an unknown format, or for Parquet without pyarrow.
     """
     save = saver(form)
     ensure_dir(folder)
@@ -39,10 +39,10 @@ def export(recording: Recording, folder: Path, form: str, window: Window = ALWAY
 
 
 def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
-    """Write tracks_<name>.csv, strokes.csv and, where there was a skin, touches.csv and synchrony.csv to folder.
+    """Write tracks_<name>.csv, strokes.csv and, with a skin, touches.csv and synchrony.csv to folder.
 
-    Times in s since the log's start, places in px; what was not seen stays empty. What cannot stand in a file's name
-    is written %XX.
+    Times in s since the log's start, positions in px; unseen ones are empty. Characters not allowed in file names
+    become %XX.
     """
     tables = {f"tracks_{quote(name, safe='')}": _track(track) for name, track in features.tracks.items()}
     tables["strokes"] = _rows(
@@ -75,7 +75,7 @@ def _track(track: Series) -> dict[str, Array]:
 
 
 def _rows(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, Array]:
-    """Rows as columns, each value kept as it is."""
+    """Rows as columns, with unchanged values."""
     table = np.empty((len(rows), len(names)), dtype=object)
     for index, row in enumerate(rows):
         table[index] = row
@@ -93,7 +93,7 @@ def _table(series: Series) -> dict[str, Array]:
 
 
 def _csv(table: Mapping[str, Array], path: Path) -> None:
-    """Numbers as short as they read back exactly; NaN stays empty."""
+    """The shortest decimal numbers that read back exactly; NaN is empty."""
     with path.open("w", encoding="utf-8", newline="") as stream:
         stream.write(",".join(_quoted(name) for name in table) + "\n")
         for first in range(0, len(next(iter(table.values()))), _ROWS):

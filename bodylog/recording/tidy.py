@@ -1,4 +1,4 @@
-"""Any recorded log as one tidy MCAP: roles named alike, every message dated by the clock chosen for its stream."""
+"""Rewrite any recorded log as one tidy MCAP: standard topic names, every message at its stream's time."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -25,7 +25,7 @@ from .recording import read
 
 JOINTS, TRUTH, SKIN = "/joint_states", "/truth/joint_states", "/skin"
 Window = tuple[float, float]
-"""First and last time that is kept (s)."""
+"""First and last time to keep (s)."""
 
 ALWAYS: Window = (-np.inf, np.inf)
 
@@ -33,9 +33,9 @@ ALWAYS: Window = (-np.inf, np.inf)
 def ingest(
     path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None
 ) -> tuple[Finding, ...]:
-    """`out` becomes an MCAP of the log's signals and pictures from `start` to `end` (s since its first joints).
+    """Write an MCAP `out` of the log's signals and images from `start` to `end` (s since its first joints).
 
-    LogError when the log has neither signals nor pictures there, UsageError when `out` is the log.
+    LogError when the log has neither signals nor images there, UsageError when `out` is also the input.
     """
     guard([path], [Output(out)])
     settings, further = of_episode(path, settings)
@@ -80,18 +80,18 @@ def _left_out(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Findi
 
 
 def _unwritten(path: Path, early: int) -> tuple[Finding, ...]:
-    """What is said of messages dated before the clock's 0, which an MCAP cannot tell."""
+    """A finding on messages before time 0, which an MCAP cannot store."""
     text = "are dated before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
     return (Finding("warning", f"{path}: {early} messages {text}"),) if early else ()
 
 
 def outgoing(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
-    """The recording's signals within `window` as messages under their tidy names, logged when they were dated."""
+    """The recording's signals within `window` under tidy topic names, logged at their own times."""
     start_ns = recording.start_ns
     named = {role: cut(series, start_ns, window) for role, series in signals(recording).items()}
     out = [from_joints(topic, named[role], start_ns) for role, topic in _JOINTS.items() if role in named]
     out += [from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else []
-    # what a table of poses says of places is measured, not ours
+    # tracks in a table of poses are measured, not bodylog's
     places = recording.features.tracks if recording.poses and recording.features is not None else {}
     cuts = {name: cut(track, start_ns, window) for name, track in places.items()}
     return out + [from_track(name, track, start_ns, "") for name, track in cuts.items()]
@@ -107,7 +107,7 @@ def signals(recording: Recording) -> dict[str, Series]:
 
 
 def cut(series: Series, start_ns: int, window: Window) -> Series:
-    """The rows within `window`, logged when they were dated."""
+    """The rows within `window`, logged at their own times."""
     rows = (series.t >= window[0]) & (series.t <= window[1])
     t = series.t[rows]
     std = None if series.std is None else series.std[rows]
@@ -117,7 +117,7 @@ def cut(series: Series, start_ns: int, window: Window) -> Series:
 def _pictures(
     found: Iterable[Picture], start_ns: int, window: Window, writer: Writer, about: Mapping[str, Mapping[str, str]]
 ) -> tuple[int, int]:
-    """Write the pictures within `window`, about a chunk at a time; returns how many, and how many came before it.
+    """Write the images within `window`, about a chunk at a time; returns how many, and how many came before it.
 
     about {camera's topic without /image…: metadata}.
     """

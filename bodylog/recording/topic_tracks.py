@@ -1,4 +1,4 @@
-"""Tracks that another detector published: a place per message of a topic, by its type or by a message path."""
+"""Tracks published by another detector: one position per message of a topic, by its type or a message path."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +30,7 @@ ENDS: Sequence[tuple[str, ...]] = (
     (".data[0]", ".data[1]"),
     ("[0]", "[1]"),
 )
-"""How a path may end at a place: x and y, a point, a box's centre, four corners, or u, v and their std in an array."""
+"""Possible ends of a path: x and y, a point, a box's centre, four corners, or u, v and their std in an array."""
 BY_TYPE: Mapping[str, str] = {
     "apriltag_msgs/msg/AprilTagDetectionArray": ".detections[:]{id==7}.centre",
     "vision_msgs/msg/Detection2DArray": '.detections[:]{id=="hand"}.bbox.center',
@@ -38,15 +38,15 @@ BY_TYPE: Mapping[str, str] = {
     "foxglove_msgs/msg/ImageAnnotations": ".circles[0].position",
     "foxglove.ImageAnnotations": ".circles[0].position",
 }
-"""Types whose messages hold several places, and a path to one of them."""
+"""Types whose messages hold several positions, and a path to one of them."""
 
 Read = tuple[Series, Health]
 
 
 def track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns: int, late_ns: int) -> Read:
-    """A feature's places (N,2) px and what became of the messages; t in s since start_ns, `late_ns` for a log's clock.
+    """A feature's positions (N,2) px and the messages' health; t in s since start_ns, `late_ns` for log times.
 
-    LogError where the topic is not there or shows no place at all, ConfigError for a path that leads to none.
+    LogError if the topic is missing or has no position at all, ConfigError for a path without positions.
     """
     topic = _topic(log, name, source)
     ends, found = _read(log, topic, name, source)
@@ -79,7 +79,7 @@ def _topic(log: Log, name: str, source: TopicSource) -> Topic:
 
 
 def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple[str, ...], Columns]:
-    """The ends that lead to places and their columns; ConfigError with what to type where none does."""
+    """The path ends that give positions, and their columns; ConfigError with what to type if none does."""
     path = source.path or ""
     if not path and (several := BY_TYPE.get(topic.type)):
         reason = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"
@@ -107,7 +107,7 @@ def _is_numbers(values: tuple[Array | tuple[str, ...], ...]) -> bool:
 def _places(
     found: Columns, ends: tuple[str, ...], stamp: str | None
 ) -> tuple[Array, Array | None, Array, dict[str, int]]:
-    """Rows (n,), stamps (n,) or None, places (n,2 or 4), NaN where a message has none; and what was rejected."""
+    """Rows (n,), stamps (n,) or None, positions (n,2 or 4), NaN where a message has none; and rejection counts."""
     rows, stamps, places, rejected = [], [], list[Array](), Counter(found.rejected)
     first = int(stamp is not None)
     for part in found.parts:
@@ -135,7 +135,7 @@ def _flat(column: Array, count: int) -> Array:
 
 
 def _one(matches: Array, ends: tuple[str, ...]) -> Array | None:
-    """The place (n,2 or 4) of messages with that many matches (n,K,E): NaN for none, None for several."""
+    """The position (n,2 or 4) in messages with that many matches (n,K,E): NaN for none, None for several."""
     if matches.shape[1] > 1:
         return None
     width = 4 if len(ends) == 4 else 2
@@ -150,7 +150,7 @@ def _one(matches: Array, ends: tuple[str, ...]) -> Array | None:
 def tracks(
     log: Log, settings: Settings, start_ns: int, late_ns: int
 ) -> Iterator[tuple[str, Read]]:
-    """Every feature of [features] that a topic has."""
+    """Every feature of [features] from a topic."""
     for name, source in settings.features.items():
         if isinstance(source, TopicSource):
             try:

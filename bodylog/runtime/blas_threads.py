@@ -1,4 +1,4 @@
-"""Libraries on one thread, as numpy, scipy and OpenCV each bring threads that spin when idle; and who comes first."""
+"""One thread for libraries, as numpy, scipy and OpenCV each start threads that spin when idle; thread priority."""
 
 import os
 import sys
@@ -9,9 +9,9 @@ from importlib import import_module
 
 @contextmanager
 def one_thread(*needed: str) -> Iterator[None]:
-    """One BLAS thread meanwhile, as many as before afterwards: small matrices are faster so, and the bytes the same.
+    """One BLAS thread in the block, then as many as before: faster for small matrices, and reproducible bytes.
 
-    `needed` modules are imported first: their BLAS can be told only once it is loaded.
+    `needed` modules are imported first: BLAS can be limited only once it is loaded.
     """
     for name in needed:
         import_module(name)
@@ -23,7 +23,7 @@ def one_thread(*needed: str) -> Iterator[None]:
 
 @contextmanager
 def one_opencv() -> Iterator[None]:
-    """OpenCV on the threads that call it meanwhile, on its own as well afterwards: small pictures are faster so."""
+    """OpenCV on the calling threads in the block, then on its own threads again: faster for small images."""
     import cv2
 
     before = cv2.getNumThreads()
@@ -35,6 +35,6 @@ def one_opencv() -> Iterator[None]:
 
 
 def lower_priority() -> None:
-    """Let this thread, from now on, come after others: where cores are short, those go on whose work it cannot take."""
-    if sys.platform == "linux":  # elsewhere it would be the whole process
+    """Lower this thread's priority for its lifetime: if cores are short, other threads go first."""
+    if sys.platform == "linux":  # elsewhere it would affect the whole process
         os.nice(5)

@@ -1,4 +1,4 @@
-"""Memory the process got from the system stays with it: getting it anew costs as much as the arithmetic in it."""
+"""Keep freed memory in the process: requesting it again costs as much as the arithmetic in it."""
 
 import ctypes
 
@@ -7,9 +7,9 @@ _KEPT = 1 << 28
 
 
 def tune_malloc() -> None:
-    """Have the C library (glibc; others: nothing) give memory back only beyond 256 MB, whatever it was told before.
+    """Make the C library (glibc only) return memory only beyond 256 MB, whatever was set before.
 
-    One arena for all threads: what one frees the next takes, so they do not each fault in pages of their own.
+    One arena for all threads lets them reuse each other's memory instead of faulting in new pages.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

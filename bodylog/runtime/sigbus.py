@@ -1,4 +1,4 @@
-"""What is cut off a mapped file, or its disk cannot read, is taken for zeros; else the process would be killed."""
+"""Replace missing pages of a mapped file (truncated, or a disk error) by zeros instead of ending the process."""
 
 import ctypes
 import mmap
@@ -9,7 +9,7 @@ from typing import Any
 _AT, _CODE, _NO_SUCH_BYTE = 16, 8, 2
 _MASK = 128 // ctypes.sizeof(ctypes.c_ulong)
 _HANDLER = ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
-_FLAGS = 0x22 | 0x10  # private, of no file; in the place of what is there
+_FLAGS = 0x22 | 0x10  # private, anonymous, replacing the existing page
 _WITH_PLACE = 4
 
 
@@ -29,12 +29,12 @@ _pages: list[int] = []
 
 
 def zeroed_pages() -> int:
-    """How many pages of zeros were put in so far: what was read since there were fewer is not what was written."""
+    """How many pages were zeroed so far: if the number grew, data read meanwhile may be wrong."""
     return len(_pages)
 
 
 def install_sigbus_handler() -> None:
-    """Have this process survive that (Linux; elsewhere nothing)."""
+    """Let this process survive SIGBUS on mapped files (Linux only)."""
     if sys.platform != "linux" or _kept:
         return
     library = ctypes.CDLL(None)
@@ -50,7 +50,7 @@ def install_sigbus_handler() -> None:
         if code == _NO_SUCH_BYTE:
             mapped = library.mmap(page, mmap.PAGESIZE, mmap.PROT_READ, _FLAGS, -1, 0)
             _pages.append(page)
-        if mapped != page:  # another fault: as before, when it comes again at once
+        if mapped != page:  # another fault: it recurs at once, with the default action
             library.sigaction(number, ctypes.byref(before), None)
 
     _kept.append(_HANDLER(fill))

@@ -1,4 +1,4 @@
-"""Told to end by a signal: unwind, and where that takes too long, in a library's C code say, end all the same."""
+"""End the process on a signal: unwind, or exit anyway if that takes too long, as in a library's C code."""
 
 import _thread
 import atexit
@@ -11,20 +11,20 @@ from contextlib import suppress
 from typing import NoReturn
 
 GRACE = 1.2
-"""Seconds that unwinding may take, so that a command ends within 2 s."""
+"""Seconds for unwinding, so that a command ends within 2 s."""
 GRACE_OF_WORKERS = 0.6
-"""Seconds that a worker may take, so that who waits for it ends in time as well."""
+"""Seconds for a worker, so that its parent ends in time as well."""
 
 LAST = 0.4
 """Seconds that removing what is half-written may take after that."""
 
 
 class Stopped(SystemExit):
-    """The process was told to end; its code is 128 + the signal's number."""
+    """A signal asked the process to end; its code is 128 + the signal's number."""
 
 
 at_end: list[Callable[[], None]] = []
-"""What is done before a process ends that did not unwind; none may import anything."""
+"""Functions to run before a process ends without unwinding; none may import anything."""
 _heeded: set[int] = set()
 _received: list[int] = []
 _speaking = _thread.allocate_lock()
@@ -32,9 +32,9 @@ _cleaned: list[bool] = []
 
 
 def raise_on_signal(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
-    """Raise Stopped where one of these signals comes, and end the process `grace` s later if it is still there.
+    """Raise Stopped on these signals, and end the process `grace` s later if it still runs.
 
-    The second is a thread's: it needs no step of Python's in the main one. A `quiet` process says nothing of it.
+    A thread ends it, so that the main thread need not execute Python. A `quiet` process prints nothing.
     """
     if not _heeded:
         read, write = os.pipe()
@@ -49,12 +49,12 @@ def raise_on_signal(*numbers: int, grace: float = GRACE, quiet: bool = False) ->
 
 
 def received_signal() -> int:
-    """The signal that told this process to end; 0 for none."""
+    """The signal that asked this process to end; 0 for none."""
     return _received[0] if _received else 0
 
 
 def clean(quiet: bool = False) -> None:
-    """Remove what is half-written, and say so once."""
+    """Remove half-written files, and report it once."""
     for remove in at_end:
         remove()
     if not quiet and _speaking.acquire(blocking=False):
@@ -65,7 +65,7 @@ def clean(quiet: bool = False) -> None:
 
 
 def _leave(quiet: bool) -> None:
-    """Clean where the interpreter ends without unwinding.
+    """Clean up if the interpreter ends without unwinding.
 
     C code that prints an exception (PyErr_Print, called by NumPy's import_array while an extension is imported) ends
     the process if that exception is a SystemExit, as Stopped is: no `finally` runs.
@@ -82,7 +82,7 @@ def _stop(number: int, _: object) -> NoReturn:
 
 
 def _watch(read: int, grace: float, quiet: bool) -> NoReturn:
-    """Wait for one of the signals, which is written here as it comes, whatever the main thread does."""
+    """Wait for a signal's number in the pipe, whatever the main thread does."""
     number = 0
     while number not in _heeded:
         number = os.read(read, 1)[0]
@@ -91,7 +91,7 @@ def _watch(read: int, grace: float, quiet: bool) -> NoReturn:
 
 
 def end(number: int, quiet: bool) -> NoReturn:
-    """Remove what is half-written and end the process here and now with 128 + `number`."""
+    """Remove half-written files and end the process at once with 128 + `number`."""
     _received.append(number)
     _thread.start_new_thread(_exit, (128 + number, LAST))
     clean(quiet)
@@ -99,12 +99,12 @@ def end(number: int, quiet: bool) -> NoReturn:
 
 
 def _exit(code: int, seconds: float) -> NoReturn:
-    """End, after so long: a disk may be slow, and a terminal stopped."""
+    """End after some seconds: a disk may be slow, and a terminal stopped."""
     time.sleep(seconds)
     os._exit(code)
 
 
 def _unraisable(problem: "sys.UnraisableHookArgs") -> None:
-    """A destructor that is interrupted cannot raise, and is no news."""
+    """Ignore an interrupted destructor, which cannot raise."""
     if not isinstance(problem.exc_value, Stopped):
         sys.__unraisablehook__(problem)

@@ -1,4 +1,4 @@
-"""Worker processes: they leave interrupts to who started them, end as those do when told to, and never outlive them."""
+"""Worker processes: interrupts go to the parent, they end on its signal, and never outlive it."""
 
 import multiprocessing
 import os
@@ -13,7 +13,7 @@ from . import malloc
 from .signals import GRACE_OF_WORKERS, raise_on_signal
 
 PATIENCE = GRACE_OF_WORKERS + 0.3
-"""Seconds after which a worker that was told to end is killed."""
+"""Seconds after which a worker that ignores its signal is killed."""
 
 
 def ready() -> None:
@@ -25,7 +25,7 @@ def ready() -> None:
 
 
 def _end_with_parent() -> None:
-    """Told to end where the process is gone that started this one, killed say: nobody would take what it makes."""
+    """Ask the kernel to end this process when its parent is gone, for example killed."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()
@@ -34,7 +34,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold interrupts back while processes are started, which inherit that: they would not end in one line."""
+    """Block interrupts while processes are started, which inherit the block: they would print a traceback."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     try:
         yield
@@ -43,7 +43,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def stop(processes: list[BaseProcess]) -> None:
-    """Tell processes to end, and kill those that do not."""
+    """Terminate processes, and kill those that do not end."""
     for process in processes:
         process.terminate()
     until = monotonic() + PATIENCE
@@ -56,7 +56,7 @@ def stop(processes: list[BaseProcess]) -> None:
 
 @contextmanager
 def ended() -> Iterator[None]:
-    """Tell the processes started in a `with` to end where it fails, instead of waiting for what they do."""
+    """Terminate the processes started in a `with` block if it fails, instead of waiting for them."""
     before = multiprocessing.active_children()
     try:
         yield

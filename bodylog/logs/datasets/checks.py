@@ -15,19 +15,19 @@ from .episode_log import JOINTS, Camera, EpisodeLog, Signal
 from .lerobot_layout import Layout
 
 _BLACK = 20
-"""Grey levels: video's black is 16 (BT.601), and a covered sensor's noise a few levels more."""
+"""Grey levels: black in video is 16 (BT.601), and a covered sensor's noise a few levels more."""
 _BLOCK = 8
 """px: block size of a video codec."""
 _SAME = 4.0
-"""Grey levels that no block's mean differs by where the same image is coded again. Measured on an image repeated 60
-times: AV1 (crf 30) 0, H.264 (crf 23) 1; on a real MPEG-4 recording whose camera repeats images 2.5. A new image of that
-recording differs by 112 and more."""
+"""Grey levels: no block's mean differs by more when the same image is encoded again. Measured on an image repeated 60
+times: AV1 (crf 30) 0, H.264 (crf 23) 1; on a real MPEG-4 recording whose camera repeats images 2.5. A new image of
+that recording differs by at least 112."""
 _LONG_S, _MANY = 0.5, 5
-"""A camera is frozen, or black, where it is so for at least so long, and so many images."""
+"""Shortest time, and fewest images, for a camera to count as frozen or black."""
 _MOVED = 0.02
-"""Share of a joint's range that it must cross while a camera shows the same."""
+"""Share of its range that a joint must cross while a camera's image stays the same."""
 _GAP = 5.0
-"""Usual steps in time, beyond which there is a gap."""
+"""Median time steps beyond which there is a gap."""
 
 
 @dataclass

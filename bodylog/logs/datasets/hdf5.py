@@ -34,7 +34,7 @@ from .units import unit
 
 _MOST_ROWS, _MOST_VALUES = 1 << 24, 1 << 26
 _MOST_CHUNK = 256 << 20
-"""Bytes that HDF5 unpacks at once: one chunk of a dataset."""
+"""Bytes that HDF5 decompresses at once: one chunk of a dataset."""
 _ALOHA_HZ = 50.0
 """Rate of ALOHA's recordings (DT = 0.02 s in its constants); its files hold no times."""
 _ALOHA_ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")

@@ -35,7 +35,7 @@ from .units import unit
 _STATE = ("observation.state", "observation.qpos", "observation.joint_positions", "state")
 _ACTIONS = ("action", "actions")
 _STAMP = ".stamp_ns"
-"""Ends the names of features that hold the times of another feature (int64, ns): what `convert` writes."""
+"""Suffix of features that hold the times of another feature (int64, ns), as `convert` writes them."""
 _BOOKKEEPING = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
 _NUMBERS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
 _MOST_WIDE = 100_000

@@ -8,7 +8,7 @@ import numpy as np
 from ..records import Array
 
 _SAMPLE = 8
-"""px between those that an image's statistics are taken of."""
+"""px between the pixels used for an image's statistics."""
 
 
 def of_numbers(values: Array) -> dict[str, Any]:

@@ -1,7 +1,6 @@
 """A folder of tables, images and videos as a log, or a lone video: tables give images and frames their times.
 
-A table with a column of image files is a camera, one named like a video gives its frames' times, its numbers are
-joints.
+A table with a column of image files is a camera; one named like a video gives its frames' times; numbers are joints.
 """
 
 import re
@@ -28,7 +27,7 @@ _LARGEST = 64 << 20
 _MOST_FILES = 10_000
 _ENDINGS = ("", "_timestamps", "_times", ".timestamps", ".times", "_stamps")
 _PLACES = ("", "data", "images")
-"""Folders beside a table in which the images it names may lie."""
+"""Folders beside a table that may hold the images it names."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ _WORDS = {
 }  # fmt: skip
 _ENDING = re.compile(r"[._ (\[](?P<unit>[a-z]+)[)\]]?", re.IGNORECASE)
 _COUNTS = 4096
-"""Counts of one turn of the 12-bit encoders of Feetech STS and Dynamixel X servos: values run from 0 to 4095."""
+"""Counts per turn of the 12-bit encoders of Feetech STS and Dynamixel X servos: values run from 0 to 4095."""
 _ROUND = 1.05
 
 

@@ -25,8 +25,7 @@ _SPACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[xyz]|q[xyzw])", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """joints (names) · tracks {name: positions (N,2) px} · std {name: (N,2) px} · images {column: file names} · t (N,)
-    s.
+    """joints (names) · tracks {name: positions (N,2) px} · std {name: (N,2) px} · images {column: files} · t (N,) s.
 
     `time`: the column of times, None if rows are numbered · notes on the roles of the columns.
     """

@@ -15,13 +15,13 @@ from ..records import Array
 
 SUFFIXES = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".yaml": "yaml", ".yml": "yaml"}
 EMPTY = frozenset(("", "nan", "na", "n/a", "null", "none", "-"))
-"""Cells, in lower case, that hold nothing."""
+"""Cells, in lower case, that count as empty."""
 _MOST_BYTES = {"csv": 256 << 20, "parquet": 256 << 20, "yaml": 8 << 20}
 _MOST_CELLS = 1 << 26
 _MOST_COLUMNS = 10_000
 _BLOCK = 4096
 _MISTYPED = 0.5
-"""Share of a column's filled cells that must be numbers for it to be a column of numbers."""
+"""Share of a column's filled cells that must be numbers for a column of numbers."""
 
 
 @dataclass(frozen=True, eq=False)
