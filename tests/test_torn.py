@@ -67,7 +67,7 @@ def test_a_log_that_is_cut_while_it_is_read_is_refused_in_one_line(tmp_path: Pat
     cut = int(share * size)
     done = _run(READS, str(cut), "doctor", str(path))
     assert done.returncode == 65, done.stderr
-    said = f"had {size} bytes, but {cut} while it was read; give it once nobody writes to it any more"
+    said = f"had {size} bytes, but {cut} while it was read; give it when nobody writes to it"
     assert done.stderr == f"bodylog: {path}: {said}\n"
 
 

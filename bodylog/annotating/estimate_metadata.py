@@ -45,14 +45,14 @@ def _health(found: Health) -> Health:
     """Validate health counts: ValueError for impossible counts, TypeError for what is not a number."""
     counts = (found.seen, found.used, *found.rejected.values())
     if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
-        raise ValueError("how much was used is no count of messages")
+        raise ValueError("how much was used is not a number of messages")
     return found
 
 
 def _finding(found: Finding) -> Finding:
     """Validate a finding; ValueError if its text is not a string."""
     if not isinstance(found.severity, str) or not isinstance(found.text, str):
-        raise ValueError("a finding that is no text")
+        raise ValueError("a finding that is not text")
     return found
 
 

@@ -130,7 +130,7 @@ def is_archive(path: Path) -> bool:
 def require_regular(path: Path) -> None:
     """LogError for a pipe or device: it can be read only once, and opening it may block."""
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise LogError(f"{path}: is a pipe or device, and what is given here is read twice; save it to a file first")
+        raise LogError(f"{path}: is a pipe or device, and the input is read twice; save it to a file first")
 
 
 def sha256(path: Path) -> str:

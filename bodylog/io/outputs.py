@@ -46,7 +46,7 @@ def guard(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
     for first in outputs:
         for second in outputs:
             if first is not second and not first.folder and _behind(first.path) in _chain(_behind(second.path)):
-                raise UsageError(f"{second} is in the place of {first}; give each output a place of its own")
+                raise UsageError(f"{second} and {first} are the same; give each output its own path")
 
 
 class _Place:

@@ -21,7 +21,7 @@ def is_url(text: str) -> bool:
 
 
 def expand(url: str, suffixes: tuple[str, ...]) -> tuple[str, ...]:
-    """The URLs of logs under a URL: itself, or the matches of its pattern or folder; LogError if there is none."""
+    """The URLs of logs under a URL: itself, or the matches of its pattern or folder; LogError without any."""
     with _store_errors(url):
         store, path = _store(url)
         if any(sign in path for sign in "*["):
@@ -58,7 +58,7 @@ def size(url: str) -> int:
         store, path = _store(url)
         found = store.info(path).get("size")
     if found is None:
-        raise LogError(f"{url}: its server does not say how large it is; download it and give the file")
+        raise LogError(f"{url}: its server does not give its size; download it and give the file")
     return int(found)
 
 
@@ -112,7 +112,7 @@ def _fetch(url: str, path: Path) -> Path:
         with store.open(remote, "rb", block_size=_BLOCK, cache_type="readahead") as source, path.open("wb") as target:
             shutil.copyfileobj(source, target, _BLOCK)
     if path.stat().st_size != wanted:
-        raise LogError(f"{url}: {path.stat().st_size} bytes came, {wanted} were announced; try again")
+        raise LogError(f"{url}: {path.stat().st_size} bytes arrived, {wanted} were announced; try again")
     return path
 
 

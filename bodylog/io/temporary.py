@@ -25,7 +25,7 @@ _registry = _thread.allocate_lock()
 
 @contextmanager
 def file(folder: Path) -> Iterator[Path]:
-    """An empty, locked file in `folder`, removed at the end if it still exists; removes killed runs' left-overs first."""
+    """An empty, locked file in `folder`, removed at the end if it exists; removes killed runs' left-overs first."""
     remove_stale(folder, f".*{PART}")
     with _claimed(lambda token: folder / f".{token}{PART}", _make_file) as path:
         yield path

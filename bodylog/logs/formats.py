@@ -55,7 +55,7 @@ def _opened(path: Path, strict: bool, source: Path, limits: Input) -> Log:
 
 
 def _opener(path: Path, first: bytes) -> "Opener":
-    """The reader for a log that begins with these bytes; LogError when there is none."""
+    """The reader for a log that begins with these bytes; LogError for other files."""
     for magic, opener in FORMATS.items():
         if first.startswith(magic):
             return opener
@@ -130,7 +130,11 @@ def _episode(path: Path, first: bytes, strict: bool, limits: Input) -> Log:
 
     opener = kinds.of_file(first)
     if opener is None:
-        what = "is no dataset, so it has no episodes; leave out the #" if episodes.base(path) != path else "is no video"
+        what = (
+            "is not a dataset, so it has no episodes; leave out the #"
+            if episodes.base(path) != path
+            else "is not a video"
+        )
         raise LogError(f"{path}: {episodes.base(path)} {what}")
     return opener(path, strict, limits)
 
@@ -143,7 +147,7 @@ def _folder(path: Path, strict: bool, limits: Input) -> Log:
     if opener is not None:
         return opener(path, strict, limits)
     if episodes.base(path) != path:
-        raise LogError(f"{path}: {episodes.base(path)} is no dataset, so it has no episodes; leave out the #")
+        raise LogError(f"{path}: {episodes.base(path)} is not a dataset, so it has no episodes; leave out the #")
     return _rosbag2(path, strict, limits)
 
 

@@ -57,8 +57,8 @@ def span(found: Collection[int], diagnostics: Diagnostics) -> tuple[int, int]:
     sound = [ns for ns in found if is_time(ns)]
     if len(sound) < len(found):
         odd = next(ns for ns in found if not is_time(ns))
-        text = f"log times such as {odd} ns are none: those below 0 or beyond {LATEST_NS} ns are read as 0"
-        diagnostics.warn(f"{text}, and what they date is not used")
+        text = f"log times such as {odd} ns are invalid: those below 0 or beyond {LATEST_NS} ns are read as 0"
+        diagnostics.warn(f"{text}, and their messages are not used")
     return min(sound, default=0), max(sound, default=0)
 
 

@@ -17,7 +17,7 @@ def cameras(settings: Topics) -> dict[str, str]:
         name = camera_name(source)
         if name in found:
             both = f"{found[name]!r} and {source!r}"
-            raise ConfigError(f"[topics] camera: {both} would both be called {name!r}; leave one out")
+            raise ConfigError(f"[topics] camera: {both} both get the name {name!r}; leave one out")
         found[name] = source
     return {f"camera/{name}" if rank else "camera": source for rank, (name, source) in enumerate(found.items())}
 

@@ -178,12 +178,12 @@ def _chosen(path: Path, streams: Sequence[Array], start_ns: int, start: float | 
     """The times of the rows: those of the first stream that is not empty."""
     first = next((ns for ns in streams if len(ns)), None)
     if first is None:
-        raise LogError(f"{path}: neither joints nor images to make rows of; type: bodylog info {path}")
+        raise LogError(f"{path}: neither joints nor images for rows; type: bodylog info {path}")
     ns = np.unique(first)
     t = (ns - start_ns) / 1e9
     within = (t >= (-np.inf if start is None else start)) & (t <= (np.inf if end is None else end))
     if not within.any():
-        raise LogError(f"{path}: no rows in the time asked for; it has some from {t[0]:.3f} to {t[-1]:.3f} s")
+        raise LogError(f"{path}: no rows in the requested time; they exist from {t[0]:.3f} to {t[-1]:.3f} s")
     return np.asarray(ns[within])
 
 
@@ -221,7 +221,7 @@ def _size(frame: Frame) -> tuple[int, int] | None:
 def _images(
     film: Callable[[], Iterator[Frame]], which: Array, size: tuple[int, int], unread: set[int]
 ) -> Iterator[Array]:
-    """An image for each row; an unreadable one repeats the previous image, black if there is none."""
+    """An image for each row; an unreadable one repeats the previous image, black for the first."""
     frames, number = enumerate(film()), -1
     image: Array = np.zeros((size[1], size[0], 3), np.uint8)
     for row, wanted in enumerate(which.tolist()):

@@ -225,7 +225,7 @@ def stream_findings(stream: Stream) -> Iterator[Finding]:
     if stream.fallback:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
     if stream.beyond:
-        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {FARTHEST:g} are taken for none")
+        yield Finding("warning", f"{name}: {stream.beyond} readings beyond {FARTHEST:g} are rejected")
     yield from (Finding("warning", f"{name}: {text}") for text in (*_changing(stream), *_vanishing(stream)))
     for joint, count in stream.wraps.items():
         yield Finding("info", f"{name}: {joint} wraps around, {count} times; read as one motion, without whole turns")
@@ -234,7 +234,7 @@ def stream_findings(stream: Stream) -> Iterator[Finding]:
 
 
 _GONE, _RARE = 1.0, 10.0
-"""s, and usual steps, that a joint says nothing at an end of its topic after which it is said to be missing there."""
+"""Seconds, and median steps, without a reading at an end of its topic after which a joint counts as missing there."""
 _NAMED = 4
 
 
@@ -274,9 +274,9 @@ def _backwards(stream: Stream) -> str:
     begin, end = ((int(ns) - first) / 1e9 for ns in (dated.backwards[0], dated.backwards[-1]))
     text = f"times run backwards: {len(dated.backwards)} of {sum(stream.counts)} messages, {begin:.3f} to {end:.3f} s"
     if "time runs backwards" in dated.rejected:
-        return f"{text} after its first, are dated apart from the rest and left out"
-    insist = f'type [time] {stream.role.role} = "header" in robot.toml to insist on header time'
-    return f"{text} after its first, are dated apart from the rest by the header; log time is used instead, {insist}"
+        return f"{text} after its first, are far from the rest and left out"
+    insist = f'type [time] {stream.role.role} = "header" in robot.toml to use header time'
+    return f"{text} after its first, are far from the rest by the header; log time is used instead, {insist}"
 
 
 def _reasons(stream: Stream) -> str:

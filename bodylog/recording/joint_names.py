@@ -20,6 +20,6 @@ def named(declared: str | tuple[str, ...] | None) -> dict[str, str]:
     for topic in (declared,) if isinstance(declared, str) else declared or ():
         name = topic_name(topic)
         if any(topic_name(other) == name for other in found.values()):
-            raise ConfigError(f"[topics] joints: two topics would both be called {name!r}; leave one out")
+            raise ConfigError(f"[topics] joints: two topics both get the name {name!r}; leave one out")
         found[f"{JOINTS}{name}" if found else "joints"] = topic
     return found

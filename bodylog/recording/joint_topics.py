@@ -84,7 +84,7 @@ def _check(found: Sequence[Stream], settings: Settings, what: str) -> None:
     given, there = settings.time.delay, [f"{JOINTS}{topic_name(stream.role.topic)}" for stream in found]
     asked = [key for key in given if key.startswith(JOINTS)] if isinstance(given, Mapping) else []
     if unknown := [key for key in asked if key not in there]:
-        raise ConfigError(f"{what}: [time] delay: {unknown[0]!r} is none of {', '.join(there) or 'no joints'}")
+        raise ConfigError(f"{what}: [time] delay: {unknown[0]!r}; possible: {', '.join(there) or 'no joints'}")
 
 
 def _delay(stream: Stream, settings: Settings) -> float:

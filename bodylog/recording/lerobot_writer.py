@@ -72,7 +72,7 @@ def write(
 def _place(out: Path) -> Path:
     """The folder to make; UsageError if it exists."""
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
-        raise UsageError(f"{out}: is there already; give the name of a new folder with -o")
+        raise UsageError(f"{out}: already exists; give the name of a new folder with -o")
     writable(out.absolute().parent, folder=True)
     if not out.absolute().parent.is_dir():
         raise UsageError(f"{out}: there is no folder {out.parent}; type: mkdir -p {out.parent}")
@@ -85,7 +85,7 @@ def _episode(done: _Written, found: Rows, log: Path) -> Sequence[Finding]:
     columns, features = _columns(found), _declared(found, done.codec)
     if done.episodes and set(features) != set(done.features):
         odd = ", ".join(sorted(set(features) ^ set(done.features)))
-        raise FormatError(f"{log}: its streams are not those of the first log: {odd}; convert it by itself")
+        raise FormatError(f"{log}: its streams are not those of the first log: {odd}; convert it on its own")
     done.features, done.fps, done.robot = features, found.fps, found.robot
     keys = _keys(done.form, number)
     task = done.tasks.setdefault(found.task, len(done.tasks))
@@ -182,7 +182,7 @@ def _video(
     exact = "every image as in the log" if error == 0 else f"images differ by {error:.3g} grey levels (RMS)"
     findings = [Finding("info", f"{log}: {name}: {done.codec.encoder}, {exact}")]
     if view.unread:
-        text = f"{log}: {name}: {len(view.unread)} of {len(t)} images cannot be read and show the one before"
+        text = f"{log}: {name}: {len(view.unread)} of {len(t)} images cannot be read and repeat the previous one"
         findings.append(Finding("lost", text))
     return findings
 

@@ -65,7 +65,9 @@ def joints(found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, ev
     good = []
     for rows, stamps, (names, positions) in sorted(found, key=lambda block: int(block[0].min())):
         if not isinstance(names, tuple) or not isinstance(positions, np.ndarray):
-            wrong = "names that are no texts" if isinstance(positions, np.ndarray) else "positions that are no numbers"
+            wrong = (
+                "names that are not texts" if isinstance(positions, np.ndarray) else "positions that are not numbers"
+            )
             rejected[wrong] += len(rows)
             continue
         positions = positions.reshape(len(rows), -1)  # a single joint is one number per message in JSON
@@ -108,7 +110,7 @@ def _without_duplicates(names: tuple[str, ...], positions: Array) -> tuple[tuple
 
 def _nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[str, ...]:
     if wanted is None:
-        raise LogError(f"{what}: the {count} joints have no names; say in robot.toml: [body] joints = [{count} names]")
+        raise LogError(f"{what}: the {count} joints have no names; type in robot.toml: [body] joints = [{count} names]")
     if len(wanted) != count:
         text = f"[body] joints names {len(wanted)}; name all {count}"
         raise LogError(f"{what}: the {count} joints have no names, but {text}")
@@ -167,7 +169,7 @@ def array(found: Sequence[Block]) -> Signal:
             texts_ += len(rows)
     width = widths.most_common(1)[0][0] if widths else 0
     rejected = Counter({f"{w} values, not {width}": n for w, n in widths.items() if w != width})
-    rejected.update({"values that are no numbers": texts_} if texts_ else {})
+    rejected.update({"values that are not numbers": texts_} if texts_ else {})
     good = [(r, s, v) for r, s, v in shaped if v.shape[1] == width and width]
     if widths and not width:
         rejected["empty array"] = widths[0]
@@ -182,7 +184,7 @@ def proximities(signal: Signal) -> Signal:
     values = signal.values
     if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))):
         return signal
-    reason = {"values beyond 0..1 on a topic whose name speaks of no skin": len(signal.rows)}
+    reason = {"values beyond 0..1 on a topic whose name does not contain skin": len(signal.rows)}
     return Signal(signal.rows[:0], None, values[:0], signal.names, {**signal.rejected, **reason})
 
 

@@ -10,7 +10,7 @@ _ALONE = ("stamp", "timestamp")
 
 
 def stamp_field(topic: Topic) -> str | None:
-    """Message path of the stamp: header.stamp, or a time called stamp or timestamp; None if there is none."""
+    """Message path of the stamp: header.stamp, or a time called stamp or timestamp; None without one."""
     try:
         if topic.encoding == "json":
             return _in_schema(topic.definition)

@@ -81,7 +81,7 @@ def _left_out(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Findi
 
 def _unwritten(path: Path, early: int) -> tuple[Finding, ...]:
     """A finding on messages before time 0, which an MCAP cannot store."""
-    text = "are dated before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
+    text = "are before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
     return (Finding("warning", f"{path}: {early} messages {text}"),) if early else ()
 
 

@@ -79,7 +79,7 @@ def _topic(log: Log, name: str, source: TopicSource) -> Topic:
 
 
 def _read(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple[str, ...], Columns]:
-    """The path ends that give positions, and their columns; ConfigError with what to type if none does."""
+    """The path ends that give positions, and their columns; ConfigError, with advice, if none does."""
     path = source.path or ""
     if not path and (several := BY_TYPE.get(topic.type)):
         reason = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"

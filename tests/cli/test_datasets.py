@@ -63,7 +63,7 @@ def test_a_dataset_is_converted_and_comes_back(dataset, run_cli, tmp_path, capsy
     with logs.open(tmp_path / "new.mcap") as log:
         assert [topic.name for topic in log.topics] == ["/joint_states"]
     assert run_cli("convert", tmp_path / "run.mcap", "-o", tmp_path / "new", "--to", "lerobot") == 2
-    assert "is there already" in capsys.readouterr().err
+    assert "already exists" in capsys.readouterr().err
     assert run_cli("convert", dataset, "-o", dataset / "new", "--to", "lerobot") == 2
     assert run_cli("doctor", tmp_path / "new") == 0
 

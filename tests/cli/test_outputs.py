@@ -196,7 +196,7 @@ def test_two_outputs_are_not_one(tmp_path, capsys, run_cli, robot):
     out = tmp_path / "out"
     for folder in (out, out / "tables"):
         assert run_cli("ingest", robot / "reach.mcap", "-o", out, "--csv", folder) == 2
-        assert "in the place of -o" in capsys.readouterr().err and not out.exists()
+        assert "are the same; give each" in capsys.readouterr().err and not out.exists()
 
 
 @pytest.mark.parametrize("place", ["folder", "folder/", "pipe", "no/out.mcap", "out.mcap/", "loop", "/dev/full", "."])

@@ -382,7 +382,7 @@ def test_unknown_encapsulation_is_rejected():
     [
         ("positions", "has no field 'positions'; it has header, name, position"),
         ("header", "is a std_msgs/msg/Header; name one of stamp, frame_id"),
-        ("header.stamp[0]", "stamp is no array"),
+        ("header.stamp[0]", "stamp is not an array"),
         ("position.x", r"write position\[:\].x"),
     ],
 )

@@ -173,7 +173,7 @@ def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, kernel
 @pytest.mark.parametrize("done", ["nothing", "the messages alone"])
 def test_what_was_not_finished_takes_nobodys_place(tmp_path, log, done):
     with (
-        pytest.raises(LogError, match="not written soundly"),
+        pytest.raises(LogError, match="not written correctly"),
         annotate.annotating(log, tmp_path / "out.mcap") as under_way,
     ):
         if done != "nothing":

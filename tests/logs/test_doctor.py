@@ -37,7 +37,7 @@ def test_a_sound_log_has_no_finding(name: str) -> None:
         ("wrong_index.mcap", "gives offsets or log times that are not those of the messages"),
         ("wrong_statistics.mcap", "the statistics say message_count 99, the file holds 60"),
         ("wrong_summary_crc.mcap", "the summary is not used: its CRC is"),
-        ("chunk_claims_1_TB.mcap", "claim to hold 1099511627776"),
+        ("chunk_claims_1_TB.mcap", "declare 1099511627776 bytes"),
         ("cut_after_chunk.mcap", "the file ends without its footer"),
         ("wrong_index.bag", "the index of the chunk at byte 4117 is wrong"),
         ("killed.bag.active", "the bag was never closed"),

@@ -100,7 +100,7 @@ def test_cells_that_are_no_numbers_and_rows_that_do_not_fit_are_counted(tmp_path
     found = recording.read(path, Settings())
     assert found.joints.values.shape == (6, 2) and np.isnan(found.joints.values[:, 1]).sum() == 3
     said = _texts(path)
-    assert "column lift: 2 cells are no finite numbers, e.g. 'oops'" in said
+    assert "column lift: 2 cells are not finite numbers, e.g. 'oops'" in said
     assert "1 rows have more than 2 cells and are left out" in said and "1 rows have fewer than 2 cells" in said
     assert said.count("lost: ") == 2
     with pytest.raises(LogError, match="more than 2 cells"):

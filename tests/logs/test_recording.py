@@ -93,7 +93,7 @@ def test_halves_of_the_joints_in_turn_leave_nan_and_of_one_stamp_are_joined(tmp_
 def test_nameless_joints_need_names_and_as_many_as_there_are(tmp_path):
     rows = [(t, joint_state(t, (), (1.0, 2.0, 3.0))) for t, _ in moves(4)]
     log = write(tmp_path / "a.mcap", [joints("/j", rows)])
-    with pytest.raises(LogError, match=r"a.mcap: /j: the 3 joints have no names; say in robot.toml: \[body\] joints"):
+    with pytest.raises(LogError, match=r"a.mcap: /j: the 3 joints have no names; type in robot.toml: \[body\] joints"):
         read(log, PLAIN)
     with pytest.raises(LogError, match="names 2; name all 3"):
         read(log, settings(body=Body(joints=("a", "b"))))
@@ -323,7 +323,7 @@ def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
     depth = [(T0 + i * MS, compressed(T0 + i * MS, image, form="16UC1; compressedDepth png")) for i in range(3)]
     good = [(T0 + i * MS, compressed(T0 + i * MS, image)) for i in range(3, 8)]
     got = read(write(tmp_path / "a.mcap", [camera("/cam", [*depth, *good])]), PLAIN)
-    assert dict(got.health["/cam"].rejected) == {"compressedDepth holds depth, not a picture": 3}
+    assert dict(got.health["/cam"].rejected) == {"compressedDepth holds depth, not an image": 3}
     assert got.frames is not None and len(list(got.frames())) == 5
     only = write(tmp_path / "b.mcap", [camera("/cam", depth)])
     assert read(only, PLAIN).frames is None

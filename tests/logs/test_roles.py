@@ -155,7 +155,7 @@ def test_several_cameras_are_named_by_their_topics_and_the_first_is_the_camera()
     with pytest.raises(LogError, match="there is no topic '/top/image'; possible: /head/image_raw, /side/image_raw"):
         roles(topics(*CAMERAS), Topics(camera=("/side/image_raw", "/top/image")), "x.mcap")
     for again in ("/head/image_raw", "/side/image_raw", "/side/image_raw/compressed"), ("/side/image_raw", "/side"):
-        with pytest.raises(ConfigError, match="would both be called 'side'"):
+        with pytest.raises(ConfigError, match="both get the name 'side'"):
             roles(topics(*CAMERAS), Topics(camera=again), "x.mcap")
 
 
@@ -209,7 +209,7 @@ def test_a_video_in_packets_is_no_camera_and_what_to_do_about_it_is_said(kind):
     there = topics(("/joint_states", JOINTS), ("/cam", kind, 10, b"string format\nstring encoding\nuint8[] data\n"))
     (finding,) = unused_cameras(there, Topics(), roles(there, Topics(), "x.mcap"))
     assert finding.severity == "warning"
-    assert finding.text.startswith("camera: /cam holds a video's packets, not pictures")
+    assert finding.text.startswith("camera: /cam holds a video's packets, not images")
     with pytest.raises(LogError, match=rf"/cam is {kind} \(a video's packets, .* republish .* possible: none"):
         roles(there, Topics(camera="/cam"), "x.mcap")
 

@@ -146,7 +146,7 @@ def _joints(joints: Signal) -> Iterator[str]:
     if still:
         yield f"{joints.topic}: {', '.join(still)} {'is' if len(still) == 1 else 'are'} constant throughout"
     if missing := int((~np.isfinite(joints.values)).sum()):
-        yield f"{joints.topic}: {missing} of {joints.values.size} readings are no finite numbers"
+        yield f"{joints.topic}: {missing} of {joints.values.size} readings are not finite numbers"
     yield from _wraps(joints)
     steps = np.diff(joints.ns) / 1e9
     usual = float(np.median(steps)) if len(steps) else 0.0

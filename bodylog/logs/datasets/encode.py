@@ -95,10 +95,10 @@ def _error(path: Path, images: Images, pts: Array, size: tuple[int, int]) -> flo
     found = video.survey(path, size[0] * size[1] / 1e6)
     shown = np.rint(found.t * _TICKS).astype(np.int64)
     if len(shown) != len(pts) or np.abs(shown - pts).max(initial=0) > 1:
-        raise LogError(f"{path.name}: was not written soundly: {len(shown)} frames where {len(pts)} were written")
+        raise LogError(f"{path.name}: was not written correctly: {len(shown)} frames where {len(pts)} were written")
     total = 0.0
     for (number, image), wanted in zip(video.images(found), images(), strict=True):
         if image is None:
-            raise LogError(f"{path.name}: was not written soundly: frame {number} cannot be read back")
+            raise LogError(f"{path.name}: was not written correctly: frame {number} cannot be read back")
         total += float(np.mean((image.astype(np.int16) - wanted) ** 2.0)) if not np.array_equal(image, wanted) else 0.0
     return float(np.sqrt(total / max(len(pts), 1)))

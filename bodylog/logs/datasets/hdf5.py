@@ -110,7 +110,7 @@ def _times(found: Sets, rows: int, findings: list[Finding]) -> Array:
             ns = _ns(one[()], match[4])
             if ns is not None and (np.diff(ns) > 0).all():
                 return ns
-            findings.append(Finding("warning", f"{name} does not date every row later than the one before; not used"))
+            findings.append(Finding("warning", f"{name} does not rise in every row; not used"))
     if found.rate is not None:
         findings.append(Finding("info", f"no times; rows are dated at the {found.rate:g} Hz that the file states"))
     else:

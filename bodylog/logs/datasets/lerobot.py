@@ -48,7 +48,7 @@ def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> Ep
     if number is None:
         there = known.present()
         if not there:
-            raise LogError(f"{folder}: none of the {len(known.rows)} episodes it lists has its table there")
+            raise LogError(f"{folder}: none of the {len(known.rows)} episodes it lists has an existing table")
         number = there[0]
         if len(there) > 1:
             some = f"episode {number}, the first of {_ranges(there)}; for another, type: --episode {there[1]}"

@@ -94,13 +94,13 @@ class Layout:
 
         def filled(place: "re.Match[str]") -> str:
             if (value := values.get(place[1])) is None:
-                raise FormatError(f"{self.folder}/{INFO}: {key}: {place[0]} is none of {', '.join(values)}")
+                raise FormatError(f"{self.folder}/{INFO}: {key}: {place[0]}; possible: {', '.join(values)}")
             return f"{value:0{place[2]}d}" if place[2] and isinstance(value, int) else str(value)
 
         text = _PLACE.sub(filled, template)
         path = Path(text)
         if path.is_absolute() or ".." in path.parts or "{" in text or "\0" in text:
-            raise FormatError(f"{self.folder}/{INFO}: {key} = {template!r:.80} is no path within the dataset")
+            raise FormatError(f"{self.folder}/{INFO}: {key} = {template!r:.80} is not a path within the dataset")
         return self.folder / path
 
 
@@ -192,14 +192,14 @@ def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError:
-        raise FormatError(f"{path}: this is no UTF-8 text") from None
+        raise FormatError(f"{path}: this is not UTF-8 text") from None
 
 
 def _json(path: Path) -> Any:
     try:
         return read_json(_text(path))
     except ValueError as problem:
-        raise FormatError(f"{path}: this is no JSON: {problem}") from None
+        raise FormatError(f"{path}: this is not JSON: {problem}") from None
 
 
 def _lines(path: Path) -> Sequence[Mapping[str, Any]]:
@@ -210,8 +210,8 @@ def _lines(path: Path) -> Sequence[Mapping[str, Any]]:
             try:
                 row = read_json(line)
             except ValueError as problem:
-                raise FormatError(f"{path}: line {number_} is no JSON: {problem}") from None
+                raise FormatError(f"{path}: line {number_} is not JSON: {problem}") from None
             if not isinstance(row, dict):
-                raise FormatError(f"{path}: line {number_} is no JSON object")
+                raise FormatError(f"{path}: line {number_} is not a JSON object")
             found.append(row)
     return found

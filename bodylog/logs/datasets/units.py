@@ -45,7 +45,7 @@ class Unit:
         if self.name == "deg" and self.declared:
             return "info", f"joints: degrees, {self.why}; they are read as rad"
         if self.name == "counts":
-            advice = "they are kept as they are, so what is stated in rad is in counts"
+            advice = "they are kept as they are, so results in rad are in counts"
             return "warning", f"joints: encoder counts, {self.why}; {advice}"
         advice = 'if they are degrees, type: [body] unit = "deg"'
         return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {advice}"
@@ -76,7 +76,7 @@ def _guessed(values: Array) -> Unit:
         return Unit("rad", False, 2 * math.pi, seen)
     if low >= 0 and high > 360 and (known == np.round(known)).all():
         return Unit("counts", False, _turn("counts", values), f"whole numbers from {low:g} to {high:g}")
-    return Unit("unknown", False, None, f"values from {low:.4g} to {high:.4g} are no angles in rad")
+    return Unit("unknown", False, None, f"values from {low:.4g} to {high:.4g} are not angles in rad")
 
 
 def _turn(name: str, values: Array) -> float | None:

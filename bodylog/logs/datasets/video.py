@@ -84,7 +84,7 @@ def _decoded(video: Video, first: int) -> Iterator[tuple[int, Array]]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
-    """The container and its first video stream; LogError if there is none.
+    """The container and its first video stream; LogError without one.
 
     The file's first bytes select the format, so that FFmpeg reads no text as a list of other files or URLs.
     """

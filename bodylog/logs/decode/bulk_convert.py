@@ -31,7 +31,7 @@ def convert_same_layout(
     except KeyError as problem:
         raise FormatError(f"{kind} has a field of type {problem}") from None
     if len(first) > _LONGEST:
-        raise FormatError(f"{len(first)} bytes where at most {_LONGEST} can be told apart")
+        raise FormatError(f"{len(first)} bytes where at most {_LONGEST} are possible")
     same = (rows[:, settled] == rows[0, settled]).all(1)
     place = np.arange(len(first))
     probes = [_converted(rows[0], settled, digit, convert) for digit in (place & 255, ~place & 255, place >> 8)]

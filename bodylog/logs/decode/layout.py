@@ -32,7 +32,9 @@ def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, 
             _filter(definition, field, step)
             single = False
         elif field.size is None:
-            raise ConfigError(f"{definition.root}: {field.name or 'the message'} is no array; leave out the brackets")
+            raise ConfigError(
+                f"{definition.root}: {field.name or 'the message'} is not an array; leave out the brackets"
+            )
         else:
             single = single and is_index(step)
             field = Field(field.name, field.type, None)

@@ -78,5 +78,5 @@ def _store(topic: Topic, text: str) -> Any:
         store.register(types)
         store.get_msgdef(topic.type)
     except (TypesysError, *_TROUBLE) as problem:
-        raise FormatError(f"topic {topic.name}: the definition of {topic.type} is not one ({problem})") from None
+        raise FormatError(f"topic {topic.name}: the definition of {topic.type} is invalid ({problem})") from None
     return store

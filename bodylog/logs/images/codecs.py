@@ -36,10 +36,10 @@ def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_im
 def check_size(height: int, width: int, mpx: float) -> None:
     """FormatError, naming the setting, for an image without pixels, or with more than `mpx` million."""
     if height * width <= 0:
-        raise FormatError(f"a picture of {width} x {height} pixels")
+        raise FormatError(f"an image of {width} x {height} pixels")
     if height * width > mpx * 1e6:
         asked = f"type in robot.toml: [input] max_image_mpx = {math.ceil(height * width / 1e6)}"
-        raise FormatError(f"a picture of {width} x {height} pixels, more than {mpx:g} million; {asked}")
+        raise FormatError(f"an image of {width} x {height} pixels, more than {mpx:g} million; {asked}")
 
 
 def _jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
@@ -72,9 +72,9 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
         with _unheard() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
-        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes: {error.err}") from None
+        raise FormatError(f"a {form or 'compressed'} image of {len(data)} bytes: {error.err}") from None
     if image is None:
-        raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes cannot be decoded")
+        raise FormatError(f"a {form or 'compressed'} image of {len(data)} bytes cannot be decoded")
     return np.asarray(image)
 
 
@@ -101,9 +101,9 @@ def _check_png(data: memoryview, form: str) -> None:
         length, name = struct.unpack_from(">I4s", data, at) if at + 8 <= len(data) else (len(data), b"")
         end = at + 12 + length
         if end > len(data):
-            raise FormatError(f"a {form or 'compressed'} picture of {len(data)} bytes is cut off")
+            raise FormatError(f"a {form or 'compressed'} image of {len(data)} bytes is cut off")
         if name in _NEEDED and crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            raise FormatError(f"a {form or 'compressed'} picture whose chunk {name.decode()} fails its checksum")
+            raise FormatError(f"a {form or 'compressed'} image whose chunk {name.decode()} fails its checksum")
         at = end
 
 
@@ -127,7 +127,7 @@ def _size(begins: memoryview, form: str) -> tuple[int, int, bool]:
         if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
             return (*_webp_size(head), False)
     except (struct.error, IndexError):
-        raise FormatError(f"a {form or 'compressed'} picture whose header is cut off") from None
+        raise FormatError(f"a {form or 'compressed'} image whose header is cut off") from None
     raise FormatError(f"format {form!r} beginning with {head[:4].hex() or 'nothing'}; can read jpeg, png and webp")
 
 
@@ -136,7 +136,7 @@ def _jpeg_size(head: memoryview) -> tuple[int, int]:
     while True:
         marker, length = struct.unpack_from(">HH", head, pos)
         if marker < 0xFF00:
-            raise FormatError(f"a jpeg picture with {marker:04x} where a marker belongs")
+            raise FormatError(f"a jpeg image with {marker:04x} where a marker belongs")
         if 0xFFC0 <= marker <= 0xFFCF and marker not in (0xFFC4, 0xFFC8, 0xFFCC):
             height, width = struct.unpack_from(">HH", head, pos + 5)
             return height, width

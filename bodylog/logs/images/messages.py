@@ -22,7 +22,7 @@ _FFMPEG = "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"
 _VIDEO = ("foxglove_msgs/msg/CompressedVideo", "foxglove.CompressedVideo", _FFMPEG)
 _CODECS = re.compile(r"h\.?26[45]|hevc|avc1?|av1|vp[89]|mpeg-?[24]?", re.IGNORECASE)
 PACKETS = (
-    "a video's packets, not pictures; replay it through image_transport republish as CompressedImage, or save the video"
+    "a video's packets, not images; replay it through image_transport republish as CompressedImage, or save the video"
     ' beside the log: [topics] camera = "file.mp4"'
 )
 _RAW_FIELDS = ("height", "width", "encoding", "step", "data")
@@ -71,8 +71,8 @@ def refusal(topic: Topic, text: str) -> str | None:
     if topic.type in COMPRESSED and _CODECS.fullmatch(text.strip()):
         return f"format {text!r} is {PACKETS}"
     if topic.type in COMPRESSED:
-        return "compressedDepth holds depth, not a picture" if "compresseddepth" in text.lower() else None
-    return None if text in ENCODINGS else f"encoding {text!r} is none of {', '.join(ENCODINGS)}"
+        return "compressedDepth holds depth, not an image" if "compresseddepth" in text.lower() else None
+    return None if text in ENCODINGS else f"encoding {text!r}; possible: {', '.join(ENCODINGS)}"
 
 
 def is_packets(topic: Topic) -> bool:
@@ -142,12 +142,12 @@ def content(message: Mapping[str, Any]) -> bytes:
 def _compressed(message: Mapping[str, Any], k: int, mpx: float) -> Array:
     form = str(message.get("format", ""))
     if "compresseddepth" in form.lower():
-        raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not a picture")
+        raise FormatError(f"format {form!r} is compressedDepth, which holds depth, not an image")
     return decode_image(memoryview(message.get("data", b"")), form, k, mpx)
 
 
 def whole(message: Mapping[str, Any], name: str) -> int:
-    """A size in an image message, 0 if there is none of that name; FormatError if it is not a 32-bit number."""
+    """A size in an image message, 0 without that field; FormatError if it is not a 32-bit number."""
     value = message.get(name, 0)
     if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < 1 << 32:
         raise FormatError(f"{name} is {str(value)[:20]}; possible: 0 to {(1 << 32) - 1}")
@@ -157,7 +157,7 @@ def whole(message: Mapping[str, Any], name: str) -> int:
 def _raw(message: Mapping[str, Any], k: int, mpx: float) -> Array:
     height, width, name = whole(message, "height"), whole(message, "width"), str(message.get("encoding", ""))
     if name not in ENCODINGS:
-        raise FormatError(f"encoding {name!r} is none of {', '.join(ENCODINGS)}")
+        raise FormatError(f"encoding {name!r}; possible: {', '.join(ENCODINGS)}")
     encoding = ENCODINGS[name]
     check_size(height, width, mpx)
     data, line = message.get("data", b""), width * encoding.channels * encoding.size

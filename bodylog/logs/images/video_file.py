@@ -26,7 +26,7 @@ class Sidecar:
 
 
 def find(name: str, log: Path, rate: float | None) -> Sidecar:
-    """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own); LogError when there is none."""
+    """Find the video `name`, here or beside the log, at `rate` (1/s; None: its own); LogError if it is missing."""
     path = next((p for p in (Path(name), log.parent / name) if p.is_file()), None)
     if path is None:
         raise LogError(f"{log}: [topics] camera = {name!r}, but there is no such file, here or beside the log")
@@ -34,7 +34,9 @@ def find(name: str, log: Path, rate: float | None) -> Sidecar:
     own, length = capture.get(_property("FPS")), int(capture.get(_property("FRAME_COUNT")))
     capture.release()
     if not 0 < (rate or own) < 1e6:
-        raise LogError(f"{path}: the video says {rate or own} frames per second; say in robot.toml: [topics] rate = 30")
+        raise LogError(
+            f"{path}: the video declares {rate or own} frames per second; type in robot.toml: [topics] rate = 30"
+        )
     return Sidecar(path, rate or own, max(length, 0), _times(path, length) if rate is None else None)
 
 

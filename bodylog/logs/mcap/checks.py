@@ -1,4 +1,4 @@
-"""Compare what an MCAP declares with what it holds: statistics, indexes, CRCs, times, offsets."""
+"""Compare the declarations of an MCAP with its content: statistics, indexes, CRCs, times, offsets."""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -208,7 +208,7 @@ def _chunk_index(data: memoryview, fields: dict[str, Any], say: Say) -> None:
 def _points(data: memoryview, at: int, length: int, opcode: int, name: str, say: Say) -> None:
     inside = 0 <= at <= len(data) - HEAD.size
     if not inside or HEAD.unpack_from(data, at) != (opcode, length - HEAD.size):
-        say(name, f"{name} points to {length} bytes at byte {at}, which are no such record")
+        say(name, f"{name} points to {length} bytes at byte {at}, which are not such a record")
 
 
 def _group(data: memoryview, fields: dict[str, Any], say: Say) -> None:

@@ -73,7 +73,7 @@ def chunk_head(data: memoryview, start: int, cut: bool = False) -> tuple[int, in
     at = start + HEAD.size + CHUNK_HEAD.size + letters
     beyond = length > len(data) - start - HEAD.size
     if opcode != CHUNK or beyond != cut or letters > 16 or at + 8 > len(data):
-        raise FormatError(f"byte {start}: opcode {opcode} with {length} bytes is no whole chunk")
+        raise FormatError(f"byte {start}: opcode {opcode} with {length} bytes is not a whole chunk")
     packed = _U64.unpack_from(data, at)[0]
     if at + 8 + packed > start + HEAD.size + length:
         raise FormatError(f"byte {start}: a chunk of {length} bytes claims {packed} bytes of records")
@@ -136,7 +136,9 @@ def messages(content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagno
         found = indexed(content, [(0, len(content))], data, [chunk])
         if found is not None:
             return found
-        diagnostics.warn(f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were walked")
+        diagnostics.warn(
+            f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were read one by one"
+        )
     return _walked(content, chunk, diagnostics)
 
 
@@ -232,8 +234,8 @@ def following(data: memoryview, at: int, end: int) -> tuple[Array, int]:
     # Consecutive messages often have equal length: the guess is cheap, and saves the loop where it holds.
     most = min(_BLOCK, (end - at) // step, max(1, _BLOCK_BYTES // step))
     heads = np.ndarray((most,), _HEAD, data, at, (step,))
-    alike = (heads["opcode"] == MESSAGE) & (heads["size"] == length)
-    count = most if alike.all() else int(alike.argmin())
+    equal = (heads["opcode"] == MESSAGE) & (heads["size"] == length)
+    count = most if equal.all() else int(equal.argmin())
     if count >= _FEW:
         return at + step * np.arange(count), at + step * count
     return _one_after_another(data, at, end)

@@ -200,9 +200,9 @@ def gather(data: Array, offset: Array, length: Array) -> tuple[Array, Array]:
 
 def _copy(source: Array, where: Array, out: Array, to: Array, length: Array) -> None:
     """Copy pieces of `source` into `out`, all pieces of one length at once."""
-    alike = bool(len(length)) and length.min() == length.max()
-    for size in (length[:1] if alike else np.unique(length)).tolist():
-        rows = slice(None) if alike else np.flatnonzero(length == size)
+    equal = bool(len(length)) and length.min() == length.max()
+    for size in (length[:1] if equal else np.unique(length)).tolist():
+        rows = slice(None) if equal else np.flatnonzero(length == size)
         if size:
             _windows(out, size)[to[rows]] = _windows(source, size)[where[rows]]
 

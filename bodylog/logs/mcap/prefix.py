@@ -77,7 +77,7 @@ def _reusable_prefix(file: RecordFile, root: str | None) -> Prefix:
     for record, raw in records:
         summary.setdefault(record.opcode, []).append((record, raw))
     if root is not None and any(map(no_utf8, _named(file, start, [one for one, _ in records]))):
-        raise FormatError("a name in it is no UTF-8")
+        raise FormatError("a name in it is not UTF-8")
     file.prefetch(_heads(summary))
     parts = _parts(file.heads(start), summary)
     ours = _ours(summary, root)

@@ -120,7 +120,7 @@ def _holds(part: Chunk | Loose, wanted: frozenset[int] | None) -> bool:
 
 
 def _topics(survey: Survey, diagnostics: Diagnostics) -> tuple[tuple[Topic, ...], Array]:
-    """The topics, and a table (65536,) from channel id to topic id, -1 where there is none."""
+    """The topics, and a table (65536,) from channel id to topic id, -1 for undeclared channels."""
     topics, topic_of = Topics(), np.full(1 << 16, -1, np.int64)
     for channel, record in survey.channels.items():
         fields = record.fields

@@ -53,11 +53,11 @@ def survey_of(data: memoryview, diagnostics: Diagnostics) -> Survey:
             diagnostics.warn("the file ends inside its summary or footer; all data come before")
         elif last is None:
             diagnostics.add_loss(
-                len(data), 0, None, None, "the file ends without its footer: what came after is not there"
+                len(data), 0, None, None, "the file ends without its footer: data after that are missing"
             )
         _learn(data, survey, diagnostics)
     for channel in survey.counts.keys() - survey.channels.keys():
-        diagnostics.add_loss(-channel - 1, 0, survey.counts[channel], None, f"no record says what channel {channel} is")
+        diagnostics.add_loss(-channel - 1, 0, survey.counts[channel], None, f"no record declares channel {channel}")
     return survey
 
 

@@ -40,7 +40,7 @@ def footer_of(data: memoryview) -> Record | None:
 
 
 def section(data: memoryview) -> tuple[int, int] | None:
-    """Start and end of the summary section; None when there is none, FormatError when its CRC fails."""
+    """Start and end of the summary section; None without one, FormatError when its CRC fails."""
     footer = footer_of(data)
     if footer is None or not footer.fields["summary_start"]:
         return None
@@ -62,7 +62,7 @@ def records_of(data: memoryview, start: int, end: int) -> Iterator[Record]:
 
 
 def summary_of(data: memoryview) -> Summary | None:
-    """Parse the summary; None when there is none, FormatError when it is damaged or lists chunks that do not exist."""
+    """Parse the summary; None without one, FormatError when it is damaged or lists chunks that do not exist."""
     place = section(data)
     summary = _summary(data, *place) if place else None
     if summary is None or not (summary.records or summary.chunks):

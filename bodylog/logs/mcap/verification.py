@@ -11,6 +11,6 @@ def verify(beside: Path, expected: int, out: Path) -> None:
     try:
         found = count_messages(beside)
     except FormatError as problem:
-        raise LogError(f"{out}: was not written soundly ({problem}); is the disk full?") from None
+        raise LogError(f"{out}: was not written correctly ({problem}); is the disk full?") from None
     if found != expected:
         raise LogError(f"{out}: holds {found} messages where {expected} were written; is the disk full?")

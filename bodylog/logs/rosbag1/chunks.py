@@ -94,7 +94,7 @@ def messages(
     found = _indexed(content, data, indexes) if indexes else None
     if found is None:
         if indexes:
-            diagnostics.warn(f"the index of the chunk at byte {place} is wrong; its records were walked")
+            diagnostics.warn(f"the index of the chunk at byte {place} is wrong; its records were read one by one")
         return walked(content.data, 0, len(content), place, diagnostics)
     return found
 

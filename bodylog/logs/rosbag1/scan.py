@@ -25,7 +25,7 @@ def survey_of(data: memoryview, diagnostics: Diagnostics) -> BagSurvey:
         survey = BagSurvey()
         _scan(data, survey, diagnostics)
     for connection in survey.counts.keys() - survey.connections.keys():
-        why = f"no record says what connection {connection} is"
+        why = f"no record declares connection {connection}"
         diagnostics.add_loss(-connection - 1, 0, survey.counts[connection], None, why)
     return survey
 
@@ -34,7 +34,7 @@ def _indexed(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | None:
     header = record_at(data, len(MAGIC), len(data))
     at = header.number(b"index_pos", 8)
     if header.op != BAG_HEADER or at == 0:
-        diagnostics.warn("the bag was never closed: it has no index; its records were walked")
+        diagnostics.warn("the bag was never closed: it has no index; its records were read one by one")
         return None
     if not header.end <= at <= len(data):
         raise FormatError(f"it is declared to start at byte {at} of {len(data)}")

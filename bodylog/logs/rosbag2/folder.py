@@ -111,7 +111,7 @@ def members(path: Path, diagnostics: Diagnostics) -> list[Path]:
         return found
     others = [p for p in found if p not in listed]
     if missing > 0:
-        diagnostics.warn(f"{METADATA} names {missing} files that are not here; the log files that are here are read")
+        diagnostics.warn(f"{METADATA} names {missing} files that are missing; the existing log files are read")
         return sorted({*listed, *others}, key=_natural)
     if others:
         diagnostics.info(f"{METADATA} does not name {', '.join(p.name for p in others[:5])}; left out")

@@ -59,7 +59,7 @@ class Db3Log:
             self._topic_of[number] = topics.add(name, kind, encoding, definition, dialect, count, metadata)
         self.topics: tuple[Topic, ...] = topics.all()
         for number in counts.keys() - named.keys():
-            self._diagnostics.add_loss(-number, None, counts[number], None, f"no row says what topic {number} is")
+            self._diagnostics.add_loss(-number, None, counts[number], None, f"no row declares topic {number}")
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -40,7 +40,7 @@ class Allowance:
         """Count `size` unpacked bytes of `packed` bytes: FormatError for too large a one, LogError for the sum."""
         if size > self.single(packed):
             asked = f"type in robot.toml: [input] max_message_mb = {math.ceil(size / 1e6)}"
-            raise FormatError(f"{packed} packed bytes claim to hold {size}; to unpack them, {asked}")
+            raise FormatError(f"{packed} packed bytes declare {size} bytes; to unpack them, {asked}")
         self._packed, self._unpacked = self._packed + packed, self._unpacked + size
         self.check(self._packed, self._unpacked)
 

@@ -37,7 +37,7 @@ def check_untruncated(data: memoryview, path: Path, problem: BaseException | Non
         return
     if (left := data.obj.size()) < len(data):
         text = f"had {len(data)} bytes, but {left} while it was read"
-        raise LogError(f"{path}: {text}; give it once nobody writes to it any more") from problem
+        raise LogError(f"{path}: {text}; give it when nobody writes to it") from problem
 
 
 def advise_sequential(data: memoryview, start: int, end: int, alone: bool = False) -> None:

@@ -35,7 +35,7 @@ class RemoteMap(mmap.mmap):
                 if len(data) == len(self):
                     low, first, last = 0, 0, len(self) // _BLOCK
                 elif len(data) != high - low:
-                    raise OSError(f"{len(data)} bytes came where {high - low} were asked for")
+                    raise OSError(f"{len(data)} bytes arrived where {high - low} were asked for")
                 os.pwrite(self.handle, data, low)
                 self.missing.difference_update(range(first, last + 1))
 

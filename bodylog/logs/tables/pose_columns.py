@@ -86,7 +86,7 @@ def _time(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | No
 
 
 def time_column(numbers: Mapping[str, Array]) -> tuple[str | None, Array]:
-    """The first column named as a time, and its times (N,) s; None if there is none."""
+    """The first column named as a time, and its times (N,) s; None without one."""
     name = next((name for name in numbers if _TIME.fullmatch(name)), None)
     return (None, np.empty(0)) if name is None else (name, numbers[name] * _scale(name))
 

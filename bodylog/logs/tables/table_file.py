@@ -51,7 +51,7 @@ def kind(path: Path, first: bytes = b"") -> str | None:
 
 
 def read(path: Path, form: str) -> Table:
-    """Read the table in a file of that format; LogError or FormatError gives the reason if there is none."""
+    """Read the table in a file of that format; LogError or FormatError if it is invalid."""
     size = path.stat().st_size
     if size > _MOST_BYTES[form]:
         raise LogError(f"{path}: a table of {size} bytes; at most {_MOST_BYTES[form]} are read")
@@ -87,7 +87,7 @@ def _header(names: list[str], path: Path) -> list[str]:
     if len(names) > _MOST_COLUMNS:
         raise FormatError(f"{path}: {len(names)} columns; at most {_MOST_COLUMNS} are read")
     if twice := next((name for name, count in Counter(filter(None, names)).items() if count > 1), None):
-        raise FormatError(f"{path}: column {twice!r} is there {names.count(twice)} times; give each its own name")
+        raise FormatError(f"{path}: column {twice!r} occurs {names.count(twice)} times; give each a unique name")
     return names
 
 
@@ -146,10 +146,10 @@ def _joined(header: Sequence[str], pieces: Iterator[_Piece], path: Path) -> Tabl
             texts[name] = values
         else:
             numbers[name] = values
-            odd += [f"column {name}: {len(wrong)} cells are no finite numbers, e.g. {wrong[0]!r}"] if wrong else []
+            odd += [f"column {name}: {len(wrong)} cells are not finite numbers, e.g. {wrong[0]!r}"] if wrong else []
     short, long = sum(part.short for part in parts), sum(part.long for part in parts)
     lost = [f"{long} rows have more than {len(header)} cells and are left out"] if long else []
-    lost += [f"{short} rows have fewer than {len(header)} cells; what they lack is taken as empty"] if short else []
+    lost += [f"{short} rows have fewer than {len(header)} cells; missing cells are empty"] if short else []
     return Table(numbers, texts, sum(len(part.cells[0]) for part in parts), tuple(lost), tuple(odd))
 
 

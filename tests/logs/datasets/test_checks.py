@@ -76,7 +76,7 @@ def test_joints_that_are_constant_wrap_or_hold_no_numbers_are_named(tmp_path):
     found = " | ".join(texts(_dataset(tmp_path / "set", observation_state=q)))
     assert "/joint_states: gripper is constant throughout" in found
     assert "/joint_states: shoulder wraps around 1 times" in found and "elbow wraps" not in found
-    assert "1 of 180 readings are no finite numbers" in found
+    assert "1 of 180 readings are not finite numbers" in found
 
 
 def test_lengths_and_gaps_that_are_not_as_said_are_named(tmp_path):

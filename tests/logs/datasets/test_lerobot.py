@@ -87,7 +87,7 @@ def test_an_episode_is_named_by_its_number(old, tmp_path):
     assert episodes.expanded(Path(f"{old}#0-2")) == tuple(Path(f"{old}#{n}") for n in range(3))
     with pytest.raises(UsageError, match="a range runs from the smaller number"):
         episodes.expanded(Path(f"{old}#5-2"))
-    with pytest.raises(LogError, match=r"is no dataset, so it has no episodes"):
+    with pytest.raises(LogError, match=r"is not a dataset, so it has no episodes"):
         open_log(Path(f"{tmp_path}/run#2.mcap#1"))
 
 
@@ -227,7 +227,7 @@ def _edited(folder: Path, **more: object) -> Path:
 
 
 HOSTILE = {
-    "no JSON": (lambda f: (f / "meta/info.json").write_text("{"), "this is no JSON"),
+    "no JSON": (lambda f: (f / "meta/info.json").write_text("{"), "this is not JSON"),
     "no features": (lambda f: _edited(f, features=3), "no LeRobot info.json: features is int"),
     "another version": (lambda f: _edited(f, codebase_version="v1.6"), "codebase_version is 'v1.6'; v2.0, v2.1"),
     "no rate": (lambda f: _edited(f, fps=1e400), "fps is inf"),
@@ -237,7 +237,7 @@ HOSTILE = {
     "a cut table": (lambda f: _cut(f / "data/chunk-000/episode_000000.parquet", 0.5), "the table cannot be read"),
     "an empty table": (lambda f: (f / "data/chunk-000/episode_000000.parquet").write_bytes(b""), "cannot be read"),
     "no list": (lambda f: (f / "meta/episodes.jsonl").unlink(), "episodes.jsonl: there is no such file"),
-    "a broken list": (lambda f: (f / "meta/episodes.jsonl").write_text("[1]\n"), "line 1 is no JSON object"),
+    "a broken list": (lambda f: (f / "meta/episodes.jsonl").write_text("[1]\n"), "line 1 is not a JSON object"),
 }
 
 

@@ -155,7 +155,7 @@ def test_part_of_a_log_becomes_a_dataset(tmp_path):
         start = a["/joint_states"].header.stamp[0]
         taken = b["/cam/image"].header.stamp - start
         assert taken.min() >= 300_000_000 and taken.max() <= 600_000_000 and len(taken) == 10
-    with pytest.raises(LogError, match="no rows in the time asked for"):
+    with pytest.raises(LogError, match="no rows in the requested time"):
         pipeline.convert([log], tmp_path / "none", Settings(), "lerobot", start=50.0)
 
 
@@ -172,7 +172,7 @@ def test_what_cannot_become_a_dataset_is_refused_and_leaves_nothing(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()
     convert, settings = pipeline.convert, Settings()
-    with pytest.raises(UsageError, match="is there already; give the name of a new folder"):
+    with pytest.raises(UsageError, match="already exists; give the name of a new folder"):
         convert([log], tmp_path / "full", settings, "lerobot")
     with pytest.raises(UsageError, match="--codec x264: possible are lossless, h264, av1"):
         convert([log], tmp_path / "new", settings, "lerobot", "x264")
