@@ -133,7 +133,7 @@ def test_poses_stay_poses_in_the_mcap_that_ingest_writes(table, tmp_path):
         ("", "the file is empty"),
         ("\n\n", "no header"),
         ("0.1,0.2\n0.3,0.4\n", "it must name the columns"),
-        ("pan,pan\n1,2\n", "column 'pan' is there 2 times"),
+        ("pan,pan\n1,2\n", "column 'pan' occurs 2 times"),
         ("pan,lift\n", "the table has no rows"),
         ("pose,remark\n1,x\n", "no column is a joint"),
         ("pan\n\xff\xfe\n", "not a csv table"),
