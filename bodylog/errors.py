@@ -3,6 +3,7 @@
 BodylogError            1
 ├── UsageError          2    what was typed
 │   └── ConfigError     2    what robot.toml says
+├── PartError           3    part of the work was lost; what is done is kept
 ├── BoundError          4    a bound of --fail-if was broken
 ├── InputError          65   what was given cannot be used
 │   ├── LogError        65   a log: not one, empty, a role or field missing
@@ -28,6 +29,12 @@ class UsageError(BodylogError):
 
 class ConfigError(UsageError):
     """What robot.toml says makes no sense."""
+
+
+class PartError(BodylogError):
+    """Part of the work was lost; what is done is kept."""
+
+    exit_code = 3
 
 
 class BoundError(BodylogError):

@@ -4,12 +4,13 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..errors import UsageError
+from ..errors import PartError, UsageError
 from ..io.atomic_files import ensure_dir
 from ..io.temporary import remove_killed
 from ..runtime.workers import ended, ready, uninterrupted
@@ -143,7 +144,7 @@ def _finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
 
 
 def _worked(wish: Reproduction, name: str, seed: int) -> Trial:
-    """A trial in a worker, which ends when told to: the pool would take that for an answer and ask for the next."""
+    """Run a trial in a worker. SystemExit ends the process: the pool would take it for a result and send the next."""
     try:
         return trial(wish, name, seed)
     except SystemExit as ending:
@@ -151,6 +152,7 @@ def _worked(wish: Reproduction, name: str, seed: int) -> Trial:
 
 
 def _pooled(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
+    """Tasks as worker processes finish them; PartError when a worker is killed."""
     pool = ProcessPoolExecutor(wish.jobs, multiprocessing.get_context("spawn"), ready)
     try:
         with ended():
@@ -159,6 +161,11 @@ def _pooled(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
             for future in as_completed(futures):
                 future.result()
                 yield futures[future]
+    except BrokenProcessPool as problem:
+        raise PartError(
+            f"{wish.out}: a worker process was killed, perhaps for want of memory; finished runs are kept; "
+            "type the same command again with --jobs 1"
+        ) from problem
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
         remove_killed(wish.lab.folder, *{trial_path(wish, *task).parent for task in tasks})

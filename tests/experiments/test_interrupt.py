@@ -5,9 +5,12 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from bodylog.experiments import reproduce, run
+import pytest
+
+from bodylog.errors import PartError
+from bodylog.experiments import Reproduction, reproduce, run
 
 RUN = """
 import sys
@@ -43,3 +46,21 @@ def test_killed_and_started_again_it_ends_with_the_same_bytes(small, tmp_path):
     assert all(path.stat().st_mtime_ns == before for path, before in kept.items()), "recorded again"
     for name in ("index.html", "claims.json"):
         assert (tmp_path / name).read_bytes() == (whole.out / name).read_bytes()
+
+
+@dataclass(frozen=True)
+class KilledAtSeedOne(Reproduction):
+    """Seed 1 kills its worker, as the kernel does where memory ends."""
+
+    def run(self, name, seed):
+        if seed == 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return {"figures": {}, "panels": []}
+
+
+def test_a_killed_worker_ends_in_one_line_and_finished_runs_are_kept(tmp_path):
+    wish, finished = KilledAtSeedOne(tmp_path, jobs=1), []
+    with pytest.raises(PartError, match=r"^[^\n]*a worker process was killed[^\n]*; type the same command") as problem:
+        finished.extend(run._pooled(wish, [("E2", 0), ("E2", 1)]))
+    assert problem.value.exit_code == 3
+    assert run.trial_path(wish, "E2", 0).exists() and not run.trial_path(wish, "E2", 1).exists()
