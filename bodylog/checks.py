@@ -39,20 +39,20 @@ def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
         yield from image_files(log)
 
 
-def something_seen(log: Path, features: Features) -> None:
+def require_features(log: Path, features: Features) -> None:
     """LogError when there is nothing to extract."""
     if not features.tracks and not features.touches:
         raise LogError(f"{log}: neither camera nor skin gave anything to extract; type: bodylog info {log}")
 
 
-def teachable(log: Path, found: Features, settings: Settings) -> None:
+def require_trainable(log: Path, found: Features, settings: Settings) -> None:
     """LogError when a body cannot be learned from a log: no joints, no reference or feature where one is named."""
     if found.joints is None or not len(found.joints.t):
         raise LogError(f"{log}: no joint readings to learn from; type: bodylog info {log}")
-    if found.reference is None and (said := settings.topics.reference):
-        raise LogError(f'{log}: [topics] reference = "{said}", but it has no such topic; type: bodylog info {log}')
+    if found.reference is None and (topic := settings.topics.reference):
+        raise LogError(f'{log}: [topics] reference = "{topic}", but it has no such topic; type: bodylog info {log}')
     needed = {"effector", *settings.features} - {"hand"}
-    insist(log, {n: h for n, h in found.health.items() if feature_of(n) in needed}, found, settings)
+    require_tracks(log, {n: h for n, h in found.health.items() if feature_of(n) in needed}, found, settings)
 
 
 def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]:
@@ -62,31 +62,31 @@ def to_learn(features: Sequence[Features], settings: Settings) -> list[Features]
     names = {*tracks, *map(group_of, tracks), *map(feature_of, tracks)}
     if unknown := sorted(left - names):
         raise ConfigError(f"[fit] without: found {unknown[0]!r}, possible: {', '.join(tracks) or 'none, no track'}")
-    gone = {name for name in tracks if {name, group_of(name), feature_of(name)} & left}
+    dropped = {name for name in tracks if {name, group_of(name), feature_of(name)} & left}
     return [
         replace(
             one,
-            tracks={name: track for name, track in one.tracks.items() if name not in gone},
-            boards={name: board for name, board in one.boards.items() if not gone & set(board[0])},
+            tracks={name: track for name, track in one.tracks.items() if name not in dropped},
+            boards={name: board for name, board in one.boards.items() if not dropped & set(board[0])},
         )
         for one in features
     ]
 
 
-def insist(
+def require_tracks(
     log: Path, used_of: Mapping[str, Health], features: Features, settings: Settings, instead: str = ""
 ) -> None:
     """EvidenceError when a feature gave nothing though robot.toml names it or its camera: named is not guessed."""
-    said = {"effector": settings.colours.effector != Colours().effector}
-    said |= dict.fromkeys(settings.colours.markers, True)
-    said |= dict.fromkeys(settings.features, True)
+    configured = {"effector": settings.colours.effector != Colours().effector}
+    configured |= dict.fromkeys(settings.colours.markers, True)
+    configured |= dict.fromkeys(settings.features, True)
     some = {group_of(name) for name, used in used_of.items() if used.used}
     for name, used in used_of.items():
-        explicit = said.get(name.split("/")[-1], said.get(feature_of(name)))
+        explicit = configured.get(name.split("/")[-1], configured.get(feature_of(name)))
         if explicit is not None and group_of(name) not in some and (explicit or settings.topics.cameras):
             seen = f"{name}: nothing usable in {used.seen} pictures of the camera or feature that robot.toml names"
-            told = next((said.text for said in features.findings if said.text.startswith(f"{name}: ")), seen)
-            raise EvidenceError(f"{log}: {told}{instead.format(name)}")
+            reason = next((finding.text for finding in features.findings if finding.text.startswith(f"{name}: ")), seen)
+            raise EvidenceError(f"{log}: {reason}{instead.format(name)}")
 
 
 def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Features) -> tuple[Finding, ...]:
@@ -99,12 +99,12 @@ def same_camera(log: Path, learned: Iterable[str], read: Recording, features: Fe
     known, here = ([str(topic) for topic in topics] for topics in (learned, features.cameras.values()))
     if not known or not here or camera_name(known[0]) == camera_name(here[0]):
         return ()
-    said = f"camera: {here[0]} comes first here, {known[0]} where the body was learned"
+    text = f"camera: {here[0]} comes first here, {known[0]} where the body was learned"
     there = {camera_name(name) for name in (*here, *(topic.name for topic in read.topics))}
     if camera_name(known[0]) in there or camera_name(here[0]) in map(camera_name, known):
         advice = json.dumps(known if len(known) > 1 else known[0])
-        raise ModelError(f"{log}: {said}; type: [topics] camera = {advice}, for the log as it was recorded")
-    return (Finding("info", said),)
+        raise ModelError(f"{log}: {text}; type: [topics] camera = {advice}, for the log as it was recorded")
+    return (Finding("info", text),)
 
 
 def same_size(log: Path, learned: BodyModel, features: Features, settings: Settings) -> None:
@@ -121,16 +121,16 @@ def same_size(log: Path, learned: BodyModel, features: Features, settings: Setti
 
 
 @contextmanager
-def about(log: Path, findings: Iterable[Finding] = (), others: int = 0) -> Iterator[None]:
+def log_context(log: Path, findings: Iterable[Finding] = (), others: int = 0) -> Iterator[None]:
     """Whatever an input is refused for in a `with`, told of the log (and of how many others), with what that lost."""
     try:
         yield
     except InputError as problem:
         logs = f"{log} and {others} more" if others else f"{log}"
-        raise type(problem)(f"{logs}: {problem}{gone(log, findings)}") from problem
+        raise type(problem)(f"{logs}: {problem}{loss_note(log, findings)}") from problem
 
 
-def gone(log: Path, findings: Iterable[Finding]) -> str:
+def loss_note(log: Path, findings: Iterable[Finding]) -> str:
     """What of a log is gone or of no use, for the end of a refusal that this may explain."""
-    told = (f.text for f in findings if f.severity == "lost" or "no usable message" in f.text)
-    return "".join(f"; {text.removeprefix(f'{log}: ')}" for text in told)
+    texts = (f.text for f in findings if f.severity == "lost" or "no usable message" in f.text)
+    return "".join(f"; {text.removeprefix(f'{log}: ')}" for text in texts)

@@ -6,13 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .body_model import BodyModel
-from .checks import about, gone, same_camera, same_size
+from .checks import log_context, loss_note, same_camera, same_size
 from .default_features import of_body
 from .errors import EvidenceError, InputError, UsageError
 from .fault_findings import named
 from .observed import Progress
 from .pipeline import infer, observe
-from .scoring import judge
+from .scoring import score_estimate
 from .settings import Settings
 from .types import Features, Finding, Recording, Score
 
@@ -50,8 +50,8 @@ def compare(
     same_size(log, learned, features, settings)
     subsets, silent = choices.subsets(features, learned, settings.estimate)
     if not subsets:
-        told = f"it says nothing by any sense of {body}; type: bodylog info {log}"
-        raise EvidenceError(f"{log}: {told}{gone(log, read.findings)}")
+        why = f"it says nothing by any sense of {body}; type: bodylog info {log}"
+        raise EvidenceError(f"{log}: {why}{loss_note(log, read.findings)}")
     rows: list[Row] = []
     refused: dict[str, InputError | UsageError] = {}
     for asked in _asked(settings, subsets, silent):
@@ -63,9 +63,9 @@ def compare(
         if done is not None:
             done(rows[-1])
     if refused and not rows:
-        with about(log, read.findings):
+        with log_context(log, read.findings):
             raise next(iter(refused.values()))
-    return rows, (*read.findings, *features.findings, *cameras, *_remarks(rows, refused))
+    return rows, (*read.findings, *features.findings, *cameras, *_labelled(rows, refused))
 
 
 def _asked(
@@ -87,24 +87,24 @@ def _row(features: Features, learned: BodyModel, settings: Settings, read: Recor
 
     fewer, withheld = withhold(features)
     # first, so that the one that is timed finds everything imported and in memory
-    foretold = held_out(infer(fewer, learned, settings), withheld, learned)
+    heldout = held_out(infer(fewer, learned, settings), withheld, learned)
     started = time.process_time()
     found = infer(features, learned, settings)
     seconds = time.process_time() - started
     warnings = (*(f for f in found.findings if f.severity != "info"), *named(found.faults))
     asked = settings.estimate
-    return Row(asked.method, asked.senses or (), (*judge(found, read), *foretold), seconds, warnings)
+    return Row(asked.method, asked.senses or (), (*score_estimate(found, read), *heldout), seconds, warnings)
 
 
-def _remarks(rows: Sequence[Row], refused: Mapping[str, Exception]) -> list[Finding]:
+def _labelled(rows: Sequence[Row], refused: Mapping[str, Exception]) -> list[Finding]:
     """What was said of rows, each thing once, after the rows it was said of."""
-    said: dict[Finding, list[str]] = {}
+    labels_of: dict[Finding, list[str]] = {}
     for row in rows:
         for finding in row.findings:
-            said.setdefault(finding, []).append(_label(row.method, row.senses))
+            labels_of.setdefault(finding, []).append(_label(row.method, row.senses))
     for label, problem in refused.items():
-        said.setdefault(Finding("warning", str(problem)), []).append(label)
-    return [Finding(finding.severity, f"{'; '.join(labels)}: {finding.text}") for finding, labels in said.items()]
+        labels_of.setdefault(Finding("warning", str(problem)), []).append(label)
+    return [Finding(finding.severity, f"{'; '.join(labels)}: {finding.text}") for finding, labels in labels_of.items()]
 
 
 def _label(method: str, senses: Sequence[str]) -> str:

@@ -31,12 +31,12 @@ def of_body(learned: BodyModel, settings: Settings) -> Settings:
     """The settings; where they configure no feature, with the features and colours the body was learned with."""
     if not unconfigured(settings):
         return settings
-    said: Any = {}
+    stored: Any = {}
     with suppress(ValueError, KeyError, TypeError):
-        said = json.loads(learned.provenance["settings"])
+        stored = json.loads(learned.provenance["settings"])
     with suppress(ConfigError, AttributeError, TypeError):
-        features = {str(name): parse(str(name), value, "body") for name, value in said.get("features", {}).items()}
-        colours = said.get("colours", {})
+        features = {str(name): parse(str(name), value, "body") for name, value in stored.get("features", {}).items()}
+        colours = stored.get("colours", {})
         effector, hand = (check_colour(colours.get(key, default), key) for key, default in _DEFAULTS.items())
         named = colours.get("markers", colours.get("shapes", {}))  # older bodies: shapes
         markers = {str(name): check_colour(value, name) for name, value in named.items()}
@@ -57,17 +57,17 @@ def guessed(
 
     What moves as the joints do is followed then; the recording's settings name it.
     """
-    from .perception import instead
+    from .perception import find_alternative
 
     carried = read.tracks or (read.features and read.features.tracks)
-    other = instead(read, found, settings) if unconfigured(read.settings) and not carried else None
+    other = find_alternative(read, found, settings) if unconfigured(read.settings) and not carried else None
     if other is None:
         return read, found
-    chosen, remarks = _chosen(str(log), other.why, other.survey, settings)
+    chosen, findings = _chosen(str(log), other.why, other.survey, settings)
     if chosen.features:
         read = replace(read, settings=replace(read.settings, features=chosen.features), watched=None)
         found = look(read, chosen)
-    return read, replace(found, findings=(*remarks, *found.findings))
+    return read, replace(found, findings=(*findings, *found.findings))
 
 
 def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
@@ -76,14 +76,14 @@ def _chosen(log: str, why: str, survey: "Survey", settings: Settings) -> tuple[S
     others = _grouped([(one.name, one.why or "also moves as the joints do") for one in rest])
     default = f"effector: {settings.colours.effector} is not the arm's: {why}"
     if survey.arm is None:
-        said = f"{default}; nothing else moves as the joints do; in view: {others}; "
-        said += f"type: bodylog features {log} -o sheet.png"
-        return settings, (Finding("warning", said),)
+        text = f"{default}; nothing else moves as the joints do; in view: {others}; "
+        text += f"type: bodylog features {log} -o sheet.png"
+        return settings, (Finding("warning", text),)
     arm = survey.arm
-    said = f"{default}; {arm.name} is: in {arm.seen:.0%} of {survey.count} images, the joints explain "
-    said += f"{arm.explained:.0%} of its motion; ready for robot.toml: [features] {toml_line('effector', arm.source)}"
-    remarks = Finding("info", said), Finding("info", f"effector: not followed: {others}")
-    return replace(settings, features={"effector": arm.source}), remarks
+    text = f"{default}; {arm.name} is: in {arm.seen:.0%} of {survey.count} images, the joints explain "
+    text += f"{arm.explained:.0%} of its motion; ready for robot.toml: [features] {toml_line('effector', arm.source)}"
+    findings = Finding("info", text), Finding("info", f"effector: not followed: {others}")
+    return replace(settings, features={"effector": arm.source}), findings
 
 
 def _grouped(named: Sequence[tuple[str, str]]) -> str:

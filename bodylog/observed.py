@@ -17,10 +17,10 @@ def moving(read: Recording, settings: Settings, progress: Progress | None) -> Fe
     if read.features is None:
         return replace(perception.observe(read, settings, progress), cameras=_cameras(read))
     carried = Finding("info", "the log carries tracks of an earlier run, which are used; its pictures are not read")
-    remarks = (*read.features.findings, carried)
-    boards = perception.rigid(wanted(read.settings), read.features.tracks)
+    findings = (*read.features.findings, carried)
+    boards = perception.rigid_groups(wanted(read.settings), read.features.tracks)
     tracks, health = {**read.tracks, **read.features.tracks}, {**read.features.health, **read.track_health}
-    return replace(read.features, tracks=tracks, health=health, findings=remarks, boards=boards)
+    return replace(read.features, tracks=tracks, health=health, findings=findings, boards=boards)
 
 
 def still_poses(read: Recording, settings: Settings, progress: Progress | None) -> Features:

@@ -8,7 +8,16 @@ from typing import Any
 
 from . import change_findings, default_features, effector_poses
 from .body_model import BodyModel
-from .checks import about, distinct, insist, same_camera, same_size, something_seen, teachable, to_learn
+from .checks import (
+    distinct,
+    log_context,
+    require_features,
+    require_tracks,
+    require_trainable,
+    same_camera,
+    same_size,
+    to_learn,
+)
 from .errors import UsageError
 from .fault_findings import named, sightings, untold
 from .io.atomic_files import sha256
@@ -16,7 +25,7 @@ from .io.outputs import Output
 from .joints_only import joints_alone, without_body
 from .logs.limits import LIMITS, Input
 from .observed import Progress, moving, still_poses
-from .scoring import against, bounded, judge, with_true_poses
+from .scoring import against, bounded, score_estimate, with_true_poses
 from .settings import Settings, plain
 from .types import Estimate, Fault, Features, Finding, FrameConsumer, Health, Recording, Score
 from .written_messages import estimate_messages, feature_messages, provenance, topic_of
@@ -54,10 +63,10 @@ def observe(
     from . import perception
     from .recording import recording
 
-    def looking() -> FrameConsumer:
-        return perception.looking(settings, progress)
+    def searcher() -> FrameConsumer:
+        return perception.searcher(settings, progress)
 
-    read = recording.read(log, settings, settings.input.strict, looking)
+    read = recording.read(log, settings, settings.input.strict, searcher)
     look = still_poses if read.poses else moving
     found = look(read, settings, progress)
     if guess:
@@ -75,7 +84,7 @@ def extract(
     distinct([log], [Output(out), *folders("--csv", tables)], settings)
     with annotate.annotating(log, out, whole=False, limits=settings.input) as written:
         read, features = observe(log, settings, progress, guess=True)
-        something_seen(log, features)
+        require_features(log, features)
         roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
         kept = [topic for role in roles if (topic := topic_of(read, role)) is not None]
         lost = written.add(feature_messages(read, features), only=kept)
@@ -118,12 +127,12 @@ def fit(
     features = to_learn([found for _, found in observed], settings)
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
-        teachable(log, found, settings)
+        require_trainable(log, found, settings)
         remarks += same_camera(log, cameras, read, found)
     origin = provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
     findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
     robot, unfit = robot_model.robot(logs, features, settings)
-    with about(logs[0], findings, len(logs) - 1):
+    with log_context(logs[0], findings, len(logs) - 1):
         learned = camera_delay.learned(features, settings, origin, known, robot)
     learned = replace(learned, model=robot_model.based(learned.model, robot, features))
     tested, more = _tested(learned.model, test, settings, progress) if test else ((), ())
@@ -144,7 +153,7 @@ def _tested(
     for log, read, found in observed:
         remarks += same_camera(log, learned.provenance.get("cameras", ()), read, found)
     timely = [correction.earlier(found, correction.as_learned(learned)) for _, _, found in observed]
-    with about(logs[0], remarks, len(logs) - 1):
+    with log_context(logs[0], remarks, len(logs) - 1):
         scores, more = tested.score(learned, timely)
     return scores, (*remarks, *more)
 
@@ -169,7 +178,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         found = _estimated(log, read, features, learned, settings)
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
-        scores = judge(found, read)
+        scores = score_estimate(found, read)
         origin = provenance([(log, written.digest())], read.settings)
         written.about(
             origin | ({} if body is None else {"body_sha256": sha256(body)}) | estimate_metadata.describe(found)
@@ -181,10 +190,10 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
 
 def _estimated(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """`infer`, its refusals told of the log, with what that lost."""
-    with about(log, read.findings):
+    with log_context(log, read.findings):
         found = change_findings.compared(features, learned, infer(features, learned, settings), settings.estimate)
         found = effector_poses.added(learned, found)
-    insist(log, found.used, features, settings, "; or go on with the rest: --without {}")
+    require_tracks(log, found.used, features, settings, "; or go on with the rest: --without {}")
     return found
 
 
@@ -215,7 +224,7 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
     if truth is not None:
         read = against(truth, found, read, settings)
     remarks = (*read.findings, *named(found.faults), *untold(found, read.truth))
-    scores = judge(found, read)
+    scores = score_estimate(found, read)
     return Result(log, scores, found.used, remarks, dict(found.settings), found.faults, bounded(found, scores))
 
 

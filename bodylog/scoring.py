@@ -8,7 +8,7 @@ from .settings import Settings, Topics
 from .types import Estimate, Poses, Recording, Score, Series
 
 
-def judge(found: Estimate, read: Recording) -> tuple[Score, ...]:
+def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
     """Figures of merit; those against truth only where the recording carries it."""
     from .evaluation.scores import scores
 

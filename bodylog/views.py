@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .body_model import BodyModel
-from .checks import about, distinct
+from .checks import distinct, log_context
 from .default_features import toml_line
 from .errors import EvidenceError, FormatError, LogError
 from .io.atomic_files import ensure_dir, is_archive
@@ -20,7 +20,7 @@ from .io.temporary import scratch
 from .logs.topic_names import PREFIX
 from .observed import Progress
 from .pipeline import Result, doctor, folders, ingest, observe
-from .scoring import judge
+from .scoring import score_estimate
 from .settings import Settings, plain
 from .types import Estimate, Features, Finding, Recording
 from .written_messages import topic_of
@@ -41,11 +41,11 @@ def plot(source: Path, out: Path, settings: Settings, progress: Progress | None 
         from .body import storage
 
         learned = storage.load(source)
-        with about(source):
+        with log_context(source):
             figures.body_figure(learned, out, *_reprojected(learned))
         return Result(out)
     read, features = observe(source, settings, progress)
-    with about(source):
+    with log_context(source):
         figures.recording_figure(read, features, out)
     health = {**read.health, **features.health}
     return Result(out, (), health, (*read.findings, *features.findings), plain(settings))
@@ -78,10 +78,10 @@ def report(log: Path, out: Path, settings: Settings, figures: Path | None = None
     read, features = observe(log, settings)
     found = read_back.read_estimate(log, read.start_ns)
     shown = image_overlay.pictures(read, features, found)
-    page.write(out, found, features, read, judge(found, read), shown, read_back.read_metadata(log))
+    page.write(out, found, features, read, score_estimate(found, read), shown, read_back.read_metadata(log))
     if figures is not None:
         _figures(figures, read, features, found, shown)
-    return Result(out, judge(found, read), found.used, read.findings)
+    return Result(out, score_estimate(found, read), found.used, read.findings)
 
 
 def layout(log: Path, out: Path, settings: Settings) -> Result:
@@ -123,13 +123,13 @@ def _recorded(log: Path, source: Path, out: Path, settings: Settings) -> Result:
     from .report.viewers import rerun_process, rerun_recording
 
     read = recording.read(source, settings, settings.input.strict)
-    found, remarks = _estimate(log, source, read)
+    found, findings = _estimate(log, source, read)
     cameras = _cameras(source, read)
     drawn = partial(rerun_recording.write, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
     with errors_about(source, str(log)):
         unshown = rerun_process.recording(source, out, f"{log.name} {read.start_ns}", drawn)
-    findings = (*read.findings, *remarks, *_left_out(log, unshown, cameras))
-    return Result(out, () if found is None else judge(found, read), findings=findings)
+    findings = (*read.findings, *findings, *_left_out(log, unshown, cameras))
+    return Result(out, () if found is None else score_estimate(found, read), findings=findings)
 
 
 def _tidied(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
@@ -222,7 +222,7 @@ def features(log: Path, out: Path | None, settings: Settings, effector: tuple[fl
     if out is not None:
         distinct([log], [Output(out)], settings)
     read = recording.read(log, settings, settings.input.strict)
-    with about(log):
+    with log_context(log):
         found = survey(read, settings.colours.hand, effector)
         if not found.candidates:
             raise EvidenceError(f"no tag and no colour in {found.count} images; mount a printed tag: docs/recording.md")

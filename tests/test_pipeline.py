@@ -24,7 +24,7 @@ def test_what_is_read_is_never_written_to(out: str, tmp_path: Path) -> None:
     assert all(path.read_bytes() == b"precious" for path in (first, second, body))
 
 
-@pytest.mark.parametrize("stage", ["observe", "infer", "judge"])
+@pytest.mark.parametrize("stage", ["observe", "infer", "score_estimate"])
 @pytest.mark.parametrize("problem", [EvidenceError("no joints"), KeyboardInterrupt()])
 def test_an_estimate_that_ends_early_leaves_nothing(tmp_path, monkeypatch, arm, arm_body, stage, problem) -> None:
     def ends(*_: object) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..kinematics import chain, urdf
 from ..sim.arms import ARMS
-from ..sim.camera import Camera, ellipse_centre, look
+from ..sim.camera import Camera, ellipse_centre, look_at
 from ..types import Array, Features, Series
 from .lab import JOINTS, ObservedLog
 
@@ -37,7 +37,7 @@ def _steps() -> chain.Chain:
 def camera(size: tuple[int, int] = SIZE) -> Camera:
     """The simulator's head camera."""
     target = effector(np.array([ARM.home[:3]]))[0]
-    return look(target + np.array(ARM.camera), target + _ASIDE, size)
+    return look_at(target + np.array(ARM.camera), target + _ASIDE, size)
 
 
 def effector(x: Array) -> Array:

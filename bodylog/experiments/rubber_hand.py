@@ -12,7 +12,7 @@ import numpy as np
 
 from ..body_model import BodyModel
 from ..estimation.measurements.touch import LEAST
-from ..perception.touch.matching import judge as synchrony
+from ..perception.touch.matching import match_touches as synchrony
 from ..types import Array, Features
 from .beliefs import Belief, noisier, ours
 from .drawn import px_per_cm

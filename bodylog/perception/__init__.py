@@ -12,20 +12,22 @@ from .colours import colour_tracker
 from .points import points
 from .touch import detection, matching, strokes
 from .tracking.candidates import Candidate, Survey, survey
-from .tracking.frame_search import Looking, Seen
-from .tracking.unconfigured import instead
+from .tracking.frame_search import FrameSearcher, Seen
+from .tracking.unconfigured import find_alternative
 
-__all__ = ["Candidate", "Looking", "Survey", "instead", "looking", "observe", "rigid", "survey"]
+__all__ = [
+    "Candidate", "FrameSearcher", "Survey", "find_alternative", "observe", "rigid_groups", "searcher", "survey"
+]  # fmt: skip
 
 Progress = Callable[[int], None]
 """Told how many more pictures are done."""
 Frames = Callable[[], Iterator[Frame]]
 
 
-def looking(settings: Settings, progress: Progress | None = None) -> Looking:
+def searcher(settings: Settings, progress: Progress | None = None) -> FrameSearcher:
     """To watch a log's first camera while the log is read, so that `observe` need not read it again. ConfigError."""
     features = wanted(settings)
-    return colour_tracker.looking(_colours(features), progress, settings.colours.fast, tracking.trackers(features))
+    return colour_tracker.searcher(_colours(features), progress, settings.colours.fast, tracking.trackers(features))
 
 
 def observe(recording: Recording, settings: Settings, progress: Progress | None = None) -> Features:
@@ -40,12 +42,12 @@ def observe(recording: Recording, settings: Settings, progress: Progress | None 
         touches, health["touch"], felt = detection.touches(recording.skin, settings.skin)
         findings += felt
     seen: tuple[Stroke, ...] = strokes.strokes(tracks["hand"]) if "hand" in tracks else ()
-    pairs, remarks = matching.judge(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
-    boards = rigid(wanted(settings), tracks)
-    return Features(recording.joints, tracks, touches, seen, pairs, health, findings + remarks, size, boards=boards)
+    pairs, more = matching.match_touches(touches or (), seen, clock_offset=settings.synchrony.clock_offset)
+    boards = rigid_groups(wanted(settings), tracks)
+    return Features(recording.joints, tracks, touches, seen, pairs, health, findings + more, size, boards=boards)
 
 
-def rigid(features: Mapping[str, Source], tracks: Iterable[str]) -> dict[str, Board]:
+def rigid_groups(features: Mapping[str, Source], tracks: Iterable[str]) -> dict[str, Board]:
     """The rigid groups among the tracks, {feature or camera/feature: (track names, (K,3) m on the thing)}."""
     found: dict[str, Board] = {}
     cameras: dict[str, list[str]] = {}
@@ -65,15 +67,15 @@ def _tracks(
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...], tuple[int, int] | None]:
     """Tracks, health and findings of all cameras, and width and height (px) of the first one's pictures if known."""
     if recording.frames is None:
-        said = "camera: none in this log; no tracks but those that topics and tables have" if recording.tracks else (
+        text = "camera: none in this log; no tracks but those that topics and tables have" if recording.tracks else (
             "camera: none in this log; no tracks, no strokes"
         )
-        return {}, {}, (Finding("info", said),), None
+        return {}, {}, (Finding("info", text),), None
     features, watched = wanted(settings), recording.watched
-    if watched is not None and isinstance(watched.by, Looking):
+    if watched is not None and isinstance(watched.by, FrameSearcher):
         seen = watched.by.seen(watched)
     else:
-        seen = _look(recording.frames, features, settings, progress)
+        seen = _search(recording.frames, features, settings, progress)
     tracks, health, findings = _seen(seen, recording.frames, features, recording.joints)
     given = {name: source for name, source in features.items() if isinstance(source, PointSource)}
     followed = points.tracked(recording.frames, given, recording.name)
@@ -82,13 +84,14 @@ def _tracks(
     for camera, frames in recording.views.items():
         # touches are compared with the first camera's hand
         beside = {f"{camera}/{name}": source for name, source in features.items() if name != "hand"}
-        more = _seen(_look(frames, beside, settings, progress), frames, beside, recording.joints)
+        more = _seen(_search(frames, beside, settings, progress), frames, beside, recording.joints)
         tracks, health, findings = tracks | more[0], health | more[1], findings + more[2]
     return tracks, health, findings, seen.size
 
 
-def _look(frames: Frames, features: Mapping[str, Source], settings: Settings, progress: Progress | None) -> Seen:
-    return colour_tracker.look(frames, _colours(features), progress, settings.colours.fast, tracking.trackers(features))
+def _search(frames: Frames, features: Mapping[str, Source], settings: Settings, progress: Progress | None) -> Seen:
+    trackers = tracking.trackers(features)
+    return colour_tracker.search(frames, _colours(features), progress, settings.colours.fast, trackers)
 
 
 def _seen(seen: Seen, frames: Frames, features: Mapping[str, Source], joints: Series | None) -> colour_tracker.Tracks:

@@ -35,7 +35,7 @@ class Camera:
         return (self.width - 1) / 2, (self.height - 1) / 2
 
 
-def look(position: Array, target: Array, size: tuple[int, int]) -> Camera:
+def look_at(position: Array, target: Array, size: tuple[int, int]) -> Camera:
     """A camera at `position` that sees `target` in its centre, upright, 58 degrees wide."""
     ahead = (target - position) / np.linalg.norm(target - position)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -128,7 +128,7 @@ def card(picture: Array, depth: Array, box: tuple[int, int, int, int], distance:
     depth[top:bottom, left:right] = distance
 
 
-def grain(camera: Camera, rng: np.random.Generator) -> Array:
+def sensor_noise(camera: Camera, rng: np.random.Generator) -> Array:
     """Camera noise to crop from: larger than a picture, so that every crop differs; int8, 2 grey levels."""
     noise = rng.standard_normal((camera.height + 64, camera.width + 64, 3), dtype=np.float32)
     return np.asarray(np.rint(noise * _NOISE_GREY).astype(np.int8))

@@ -76,7 +76,7 @@ def side_items(stage: Stage) -> Iterator[Item]:
 
 def _film(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
     rng = stage.chance(view.stream)
-    wall, noise = cameras.background(view.camera, rng), cameras.grain(view.camera, rng)
+    wall, noise = cameras.background(view.camera, rng), cameras.sensor_noise(view.camera, rng)
     shot: _Shot | None = None
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
         t = stamps / 1e9

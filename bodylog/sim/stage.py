@@ -107,7 +107,7 @@ def open_stage(wish: Wish) -> Iterator[Stage]:
         link, effector = world.links.index("skin"), world.links.index("effector")
         target, rotation = places[effector], matrix(turns[effector])
         camera, side = (
-            cameras.look(target + place, target + _ASIDE, options.size) for place in (wish.arm.camera, wish.arm.side)
+            cameras.look_at(target + place, target + _ASIDE, options.size) for place in (wish.arm.camera, wish.arm.side)
         )
         mount = Mount(effector) if options.camera == "wrist" else None
         if mount is not None:

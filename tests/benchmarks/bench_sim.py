@@ -9,7 +9,7 @@ import numpy as np
 
 from bodylog.sim import record
 from bodylog.sim.arms import ARMS
-from bodylog.sim.camera import background, look
+from bodylog.sim.camera import background, look_at
 from bodylog.sim.world import World, open_world
 from tests.benchmarks.timing import side_by_side
 
@@ -25,7 +25,7 @@ def _frames(world: World) -> dict[str, Callable[[], object]]:
     """One picture by the renderer alone at full and half size, and ours."""
     arm = ARMS["ur5"]
     target = world.pose(np.array(arm.home))[0][world.links.index("effector")]
-    large, small = (look(target + np.array(arm.camera), target, size) for size in ((640, 480), (320, 240)))
+    large, small = (look_at(target + np.array(arm.camera), target, size) for size in ((640, 480), (320, 240)))
     wall = background(large, np.random.default_rng(0))
     return {
         "bare renderer 640x480": lambda: world._render(large),

@@ -68,7 +68,7 @@ def test_a_film_of_one_thing_is_seen_to_the_same_bytes_with_joints_and_without()
     wall = scenes.wall(rng)
     pictures = [scenes.jpeg(scenes.draw(wall, [Disc(*own, RADIUS)], rng)) for own in uv.tolist()]
     frames = scenes.frames(np.arange(60) / 10.0, pictures)
-    look, tracks = colour_tracker.look, colour_tracker.tracks
+    look, tracks = colour_tracker.search, colour_tracker.tracks
     one, other = (tracks(look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
                   for joints in (film.joints, None))  # fmt: skip
     assert one[0]["effector"].values.tobytes() == other[0]["effector"].values.tobytes()
@@ -79,8 +79,8 @@ def test_the_joints_explain_the_ball_and_no_foreign_thing() -> None:
     t = np.arange(200) / 10.0
     q = joint_motion.angles(film.joints, t)
     other = 100 + 50 * np.column_stack([np.sin(1.3 * t), np.cos(0.4 * t)])
-    assert joint_motion.explained(q, uv, 320.0) > 0.9
-    assert joint_motion.explained(q, other, 320.0) < 0.2
+    assert joint_motion.explained_share(q, uv, 320.0) > 0.9
+    assert joint_motion.explained_share(q, other, 320.0) < 0.2
     assert joint_motion.delay(film.joints, t, uv, 320.0) == 0.0
     later = np.column_stack([np.interp(t - 0.1, t, column) for column in uv.T])
     assert joint_motion.delay(film.joints, t[5:], later[5:], 320.0) == pytest.approx(0.1)

@@ -94,7 +94,7 @@ def test_a_picture_without_any_noise_is_as_exact() -> None:
     wall = scenes.wall(rng, 96, 96, contrast=0.0)
     for u, v in 48.0 + rng.uniform(-4.0, 4.0, (20, 2)):
         image = scenes.draw(wall, [Disc(u, v, 20.0)], rng, noise=0.0)
-        found = blob_measurement.look([image], [hsv_ranges.resolve("green", "it")])[0, 0, 0, :2]
+        found = blob_measurement.measured_blobs([image], [hsv_ranges.resolve("green", "it")])[0, 0, 0, :2]
         assert np.abs(found - (u, v)).max() < 0.05
 
 
@@ -298,7 +298,7 @@ def test_what_else_stands_in_the_surround_does_not_pull_the_centre() -> None:
         wall = scenes.wall(rng, contrast=4.0)
         wall[: round(v), round(u) - 8 : round(u) + 9] = 150.0
         image = scenes.draw(wall, [Disc(u, v, 9.0, scenes.RED)], rng)
-        errors.append(blob_measurement.look([image], [hsv_ranges.resolve("red", "it")])[0, 0, 0, :2] - (u, v))
+        errors.append(blob_measurement.measured_blobs([image], [hsv_ranges.resolve("red", "it")])[0, 0, 0, :2] - (u, v))
     assert np.abs(np.mean(errors, axis=0)).max() < 0.02
 
 

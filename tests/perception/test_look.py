@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.errors import LogError
 from bodylog.perception.colours import hsv_ranges
-from bodylog.perception.tracking.frame_search import Looking, Seen
+from bodylog.perception.tracking.frame_search import FrameSearcher, Seen
 from bodylog.types import Array, ConsumedFrames, Frame
 from tests.perception import scenes
 from tests.perception.scenes import Disc
@@ -17,7 +17,7 @@ GREEN = [hsv_ranges.resolve("green", "it")]
 
 
 def look(frames: Iterator[Frame], threads: int, number: Array | None = None) -> Seen:
-    with Looking(GREEN, None, False, threads) as told:
+    with FrameSearcher(GREEN, None, False, threads) as told:
         count = 0
         for frame in frames:
             told(frame)

@@ -30,10 +30,10 @@ def test_blobs_are_the_same(size: tuple[int, int]) -> None:
     rng, (width, height) = np.random.default_rng(size[0]), size
     discs = [scenes.Disc(0.3 * width, 0.4 * height, 11.0), scenes.Disc(0.7 * width, 0.5 * height, 9.0, scenes.RED)]
     picture = scenes.draw(scenes.wall(rng, width, height, 4.0), discs, rng)
-    expected = blob_measurement.look([picture], RANGES)
+    expected = blob_measurement.measured_blobs([picture], RANGES)
     for form, kept in _kept(picture).items():
         np.testing.assert_array_equal(kept, picture, form)
-        np.testing.assert_array_equal(blob_measurement.look([kept], RANGES), expected, form)
+        np.testing.assert_array_equal(blob_measurement.measured_blobs([kept], RANGES), expected, form)
     assert np.isfinite(expected[0, :, 0]).all() or min(size) < 90
 
 
@@ -73,7 +73,7 @@ def test_narrow_ranges_are_found_wherever_they_lie_among_the_colours(seed: int) 
         picture = scenes.draw(scenes.wall(rng, 160, 120, 4.0), [scenes.Disc(80, 60, 9.0, (b, g, r))], rng)
         low, high = (max(s - 30, 90), max(v - 30, 50)), (min(s + 30, 255), min(v + 30, 255))
         about = between(((h - 4) % 180, *low), ((h + 4) % 180, *high))
-        found = blob_measurement.look([picture], [about])[0, 0, 0]
+        found = blob_measurement.measured_blobs([picture], [about])[0, 0, 0]
         assert np.hypot(*(found[:2] - (80, 60))) < 0.5, (h, s, v)
 
 
@@ -85,5 +85,5 @@ def test_as_many_colours_as_are_wanted_are_told_apart() -> None:
     discs = [scenes.Disc(*at, 10.0, (b, g, r)) for at, (b, g, r) in zip(places, paints, strict=True)]
     picture = scenes.draw(scenes.wall(rng, 400, 240, 2.0), discs, rng, noise=0.5)
     wanted = [between(((h - 4) % 180, 90, 50), ((h + 4) % 180, 255, 255)) for h in hues]
-    found = blob_measurement.look([picture], wanted)[0, :, 0, :2]
+    found = blob_measurement.measured_blobs([picture], wanted)[0, :, 0, :2]
     assert np.abs(found - places).max() < 0.3

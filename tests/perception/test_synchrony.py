@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.errors import ConfigError
 from bodylog.perception import observe
-from bodylog.perception.touch.matching import judge
+from bodylog.perception.touch.matching import match_touches
 from bodylog.settings import Settings
 from bodylog.types import Stroke, Touch
 
@@ -31,7 +31,7 @@ def test_jitter_of_a_tenth_counts_as_synchronous_and_of_a_second_does_not(seed: 
     touches, rng = _touches(seed), np.random.default_rng(seed)
     for most, low, high in [(0.1, 0.75, 1.0), (1.0, 0.0, 0.25)]:
         delays = rng.uniform(0.0, most, len(touches))
-        found, _ = judge(touches, _strokes(touches, delays.tolist()))
+        found, _ = match_touches(touches, _strokes(touches, delays.tolist()))
         assert [pair.stroke for pair in found] == list(range(len(touches)))
         assert np.allclose([pair.delay for pair in found], delays)
         assert low < np.mean([pair.weight for pair in found]) <= high
@@ -40,7 +40,7 @@ def test_jitter_of_a_tenth_counts_as_synchronous_and_of_a_second_does_not(seed: 
 def test_one_frame_late_weighs_most_and_six_tenths_nothing() -> None:
     touches = _touches(0)
     for delay, low, high in [(0.0, 1.0, 1.0), (1 / 15, 0.8, 0.9), (0.6, 0.0, 0.1), (-0.6, 0.0, 0.1)]:
-        found, _ = judge(touches, _strokes(touches, [delay] * len(touches)))
+        found, _ = match_touches(touches, _strokes(touches, [delay] * len(touches)))
         assert all(low - 1e-9 <= pair.weight <= high + 1e-9 for pair in found)
 
 
@@ -48,34 +48,34 @@ def test_what_has_no_partner_is_alone_and_pairs_keep_their_order() -> None:
     touches = _touches(1, 6)
     strokes = _strokes(touches, [0.05] * 6)
     del strokes[2]
-    found, _ = judge(touches, [*strokes, Stroke(99.0, 99.5, (0.0, 0.0), (5.0, 5.0))])
+    found, _ = match_touches(touches, [*strokes, Stroke(99.0, 99.5, (0.0, 0.0), (5.0, 5.0))])
     assert [pair.stroke for pair in found] == [0, 1, None, 2, 3, 4]
     assert np.isnan(found[2].delay) and found[2].weight == 0.0
-    assert judge([], strokes)[0] == () and judge(touches, [])[0][0].stroke is None
+    assert match_touches([], strokes)[0] == () and match_touches(touches, [])[0][0].stroke is None
 
 
 def test_a_constant_latency_is_taken_off_only_when_asked() -> None:
     touches = _touches(2)
     late = _strokes(touches, [0.6] * len(touches))
-    kept, said = judge(touches, late)
+    kept, said = match_touches(touches, late)
     assert all(pair.weight < 0.1 for pair in kept)
     assert "0.600 s after the skin feels them" in said[0].text and "--clock-offset auto" in said[0].text
     for offset in ("auto", 0.6, "0.6"):
-        freed, _ = judge(touches, late, clock_offset=offset)
+        freed, _ = match_touches(touches, late, clock_offset=offset)
         assert all(abs(pair.delay) < 1e-9 and pair.weight > 0.99 for pair in freed)
 
 
 def test_unsteady_delays_are_no_clock_offset() -> None:
     touches = _touches(3)
     delays = np.random.default_rng(3).uniform(0.0, 1.0, len(touches))
-    found, said = judge(touches, _strokes(touches, delays.tolist()), clock_offset="auto")
+    found, said = match_touches(touches, _strokes(touches, delays.tolist()), clock_offset="auto")
     assert np.allclose([pair.delay for pair in found], delays)
     assert said[0].severity == "warning" and "none taken off" in said[0].text
 
 
 def test_an_offset_that_is_no_number_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"synchrony\.clock_offset: found 'soon'; possible: auto, or seconds"):
-        judge([], [], clock_offset="soon")
+        match_touches([], [], clock_offset="soon")
 
 
 @pytest.mark.parametrize(("log", "delay"), [("touch.mcap", 0.0), ("touch_async.mcap", 0.6)])

@@ -8,7 +8,7 @@ from bodylog.perception import tracking
 from bodylog.perception.tags import search, unknown
 from bodylog.perception.tags.codes import codes
 from bodylog.perception.tags.tags import TagTracker
-from bodylog.perception.tracking.frame_search import Looking
+from bodylog.perception.tracking.frame_search import FrameSearcher
 from bodylog.sources import DICTIONARIES, TagSource
 from bodylog.types import Array, ConsumedFrames, Frame
 from tests.perception import tag_scenes
@@ -129,7 +129,7 @@ def test_the_same_bytes_however_many_threads_decode() -> None:
     images, _ = _film(41, PLAIN, (160, 120))
 
     def looked(threads: int) -> bytes:
-        with Looking([], None, False, threads, tracking.trackers({"it": TagSource(7)})) as looks:
+        with FrameSearcher([], None, False, threads, tracking.trackers({"it": TagSource(7)})) as looks:
             for image in images:
                 looks(Frame(0.0, 0, lambda k, image=image: cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)))
         seen = looks.seen(ConsumedFrames(np.arange(41.0), np.arange(41), np.arange(41)[::-1], looks))

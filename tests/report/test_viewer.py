@@ -36,7 +36,7 @@ def seen(run_cli, annotated):
 
 def rerun(home, *arguments):
     """What Rerun's program says, in a home of its own where it counts nothing."""
-    rerun_process.hushed(home)
+    rerun_process.disable_analytics(home)
     command = [*rerun_process.PROGRAM, *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, env={"HOME": str(home)})
     assert done.returncode == 0, done.stderr
@@ -233,7 +233,7 @@ def test_what_rerun_refuses_is_one_line_and_leaves_nothing(tmp_path):
 
 @there
 def test_without_a_screen_the_error_says_what_to_type(annotated, run_cli, monkeypatch, capsys, tmp_path):
-    rerun_process.hushed(tmp_path)
+    rerun_process.disable_analytics(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)

@@ -27,7 +27,7 @@ def window(run_cli, robot, tmp_path):
     out, recorded = tmp_path / "out.mcap", tmp_path / "out.rrd"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", out) == 0
     assert run_cli("view", out, "-o", recorded) == 0
-    rerun_process.hushed(tmp_path)
+    rerun_process.disable_analytics(tmp_path)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

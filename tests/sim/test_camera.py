@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from bodylog.sim import camera as cameras
 
-CAMERA = cameras.look(np.array([0.2, -1.1, 0.4]), np.zeros(3), (320, 240))
+CAMERA = cameras.look_at(np.array([0.2, -1.1, 0.4]), np.zeros(3), (320, 240))
 GREEN = np.array(cameras.GREEN)
 
 
@@ -88,7 +88,7 @@ def test_nothing_else_is_green_or_red():
 
 def test_noise_differs_between_pictures_and_has_two_grey_levels():
     rng = np.random.default_rng(1)
-    noise = cameras.grain(CAMERA, rng)
+    noise = cameras.sensor_noise(CAMERA, rng)
     flat = np.full((240, 320, 3), 100, np.uint8)
     first, second = cameras.expose(flat, noise, rng).astype(float), cameras.expose(flat, noise, rng).astype(float)
     assert first.std() == pytest.approx(2.02, abs=0.03)

@@ -9,7 +9,7 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.sim.arms import ARMS
-from bodylog.sim.camera import FAR, ellipse_centre, look
+from bodylog.sim.camera import FAR, ellipse_centre, look_at
 from bodylog.sim.world import EFFECTOR_RADIUS, matrix, open_world
 
 pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
@@ -78,7 +78,7 @@ def test_pinhole_is_the_renderers(size):
         target = world.pose(np.array(arm.home))[0][effector]
         for _ in range(20):
             place = target + np.array([0.2, -1.1, -0.3]) + rng.normal(0, 0.02, 3)
-            camera = look(place, target + rng.normal(0, 0.1, 3), size)
+            camera = look_at(place, target + rng.normal(0, 0.1, 3), size)
             colour, depth = world._render(camera)
             rows, columns = np.nonzero((colour[..., 1] > 1.5 * colour[..., 0]) & (depth < FAR))
             centre = ellipse_centre(camera, target[None], EFFECTOR_RADIUS)[0]
@@ -92,7 +92,7 @@ def test_wide_pictures_show_the_same_arm():
     arm = ARMS["ur5"]
     with open_world(arm) as world:
         target = world.pose(np.array(arm.home))[0][world.links.index("effector")]
-        camera = look(target + arm.camera, target, (640, 480))
+        camera = look_at(target + arm.camera, target, (640, 480))
         wall = np.zeros((480, 640, 3), np.uint8)
         picture, depth = world.picture(camera, wall)
         colour, fine = world._render(camera)

@@ -18,11 +18,11 @@ _SMALLEST = 9
 _WHOLE = 0.935
 # what is done to a mask reaches 5 px: so many empty ones keep a window's neighbours out of it
 _GUARD = 5
-_ALIKE = 1.3
+_SIZE_RATIO = 1.3
 _PIXELS = 1 << 19
 
 
-def look(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
+def measured_blobs(images: Sequence[Array], ranges: Sequence[Range]) -> Array:
     """Blobs of each colour in images (H,W,3) BGR: (N,colours,PLACES,FIELDS) px, as `tables` gives them."""
     return tables(list(windows(dict(enumerate(images)), ranges)), len(images), ranges)
 
@@ -57,7 +57,7 @@ def _table(found: Sequence[Window], count: int, colour: Range) -> Array:
 def _by_picture(found: Sequence[Window], colour: Range) -> dict[int, list[list[float]]]:
     """FIELDS of the blob in each window, by picture."""
     rows: dict[int, list[list[float]]] = {}
-    for some in _alike(found):
+    for some in _by_size(found):
         for window, row in zip(some, _rows(some, colour).tolist(), strict=True):
             if isfinite(row[U]):
                 rows.setdefault(window.picture, []).append(row)
@@ -75,12 +75,12 @@ def enlarged(blobs: Array, scale: Array) -> Array:
     return whole
 
 
-def _alike(found: Sequence[Window]) -> list[list[Window]]:
+def _by_size(found: Sequence[Window]) -> list[list[Window]]:
     """Windows of like size together, no more than a sheet's worth."""
     sheets: list[list[Window]] = []
     least = 0
     for side, number in sorted((_side(window), number) for number, window in enumerate(found)):
-        if not sheets or side > _ALIKE * least or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
+        if not sheets or side > _SIZE_RATIO * least or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
             sheets.append([])
             least = side
         sheets[-1].append(found[number])

@@ -130,11 +130,11 @@ def _starts(t: Array, found: Array, moving: _Rows, q: Array, width: float) -> It
     for frames, table in linked(t, packed, width):
         if len(frames) >= _FEWEST:
             place = table[:, [U, V]]
-            share = joint_motion.explained(q[frames], place, width)
+            share = joint_motion.explained_share(q[frames], place, width)
             scored.append((share, _Rows(frames, 0 * frames, place, table[:, MASS])))
     for least in _RUNS:
-        if alike := [run for share, run in scored if share > least]:
-            yield _Rows(*(np.concatenate(columns) for columns in zip(*alike, strict=True)))
+        if runs := [run for share, run in scored if share > least]:
+            yield _Rows(*(np.concatenate(columns) for columns in zip(*runs, strict=True)))
     best = sorted(scored, key=lambda one: -one[0] * len(one[1].frame))
     yield from (run for share, run in best[:_SEEDS] if share)
     yield moving
@@ -145,7 +145,7 @@ def _follow(t: Array, rows: _Rows, still: Array, start: _Rows, q: Array, width: 
     allowed, chosen, last = rows.only(still < 0), start, -1
     usual = _usual(q, chosen, width)
     for _ in range(_ROUNDS):
-        place, spread = _foretold(t, chosen, usual, q, width)
+        place, spread = _predicted(t, chosen, usual, q, width)
         reach = np.hypot(2 * usual, spread)
         chosen = _nearest(allowed, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
         if len(chosen.frame) < _FEWEST:
@@ -159,13 +159,13 @@ def _follow(t: Array, rows: _Rows, still: Array, start: _Rows, q: Array, width: 
     if len(chosen.frame) < _FEWEST:
         return _nothing(q)
     for _ in range(2):
-        place, spread = _foretold(t, chosen, usual, q, width)
+        place, spread = _predicted(t, chosen, usual, q, width)
         reach = np.hypot(2 * usual, spread)
-        fitting = allowed.only(_alike(allowed, radius))
+        fitting = allowed.only(_of_predicted_size(allowed, radius))
         chosen = _nearest(fitting, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
     number = np.full(len(q), -1)
     number[chosen.frame] = chosen.which
-    share = joint_motion.explained(q[chosen.frame], chosen.place, width)
+    share = joint_motion.explained_share(q[chosen.frame], chosen.place, width)
     beyond = joint_motion.beyond_chance(q, chosen.frame, chosen.place, width)
     near = float(np.median(np.hypot(*(chosen.place - place[chosen.frame]).T)))
     return Choice(number, place, np.hypot(near, spread), radius, share, beyond, 0.0)
@@ -176,19 +176,19 @@ def _of_right_size(q: Array, chosen: _Rows) -> tuple[Array, _Rows]:
     radius = np.sqrt(chosen.area / np.pi)
     usual = float(np.median(radius))
     kept = np.flatnonzero(np.abs(radius / usual - 1) < 0.5)
-    foretold = np.full(len(q), usual)
+    predicted = np.full(len(q), usual)
     for _ in range(3):
         some = kept[joint_motion.thinned(len(kept), 300)]
         noise = np.full(len(some), 0.05 * usual)
         fitted = joint_motion.Regression.fit(q[chosen.frame[some]], radius[some, None], noise, 0.5 * usual)
-        foretold = np.maximum(fitted.predict(q)[0][:, 0], 0.3 * usual)
-        kept = np.flatnonzero(_alike(chosen, foretold))
+        predicted = np.maximum(fitted.predict(q)[0][:, 0], 0.3 * usual)
+        kept = np.flatnonzero(_of_predicted_size(chosen, predicted))
         if len(kept) < _FEWEST:
             break
-    return foretold, chosen.only(kept)
+    return predicted, chosen.only(kept)
 
 
-def _alike(rows: _Rows, radius: Array) -> Array:
+def _of_predicted_size(rows: _Rows, radius: Array) -> Array:
     """Which rows (R,) have the area that is foretold of their images by radius (N,) px."""
     return np.abs(rows.area / (np.pi * radius[rows.frame] ** 2) - 1) < _DIFFERENT
 
@@ -209,7 +209,7 @@ def _nothing(q: Array) -> Choice:
     return Choice(np.full(len(q), -1), np.full((len(q), 2), np.nan), unknown, unknown, 0.0, 0.0, 0.0)
 
 
-def _foretold(t: Array, chosen: _Rows, std: float, q: Array, width: float) -> tuple[Array, Array]:
+def _predicted(t: Array, chosen: _Rows, std: float, q: Array, width: float) -> tuple[Array, Array]:
     """Where the joints, and what they leave nearby in time, put the thing in each image: (N,2) px, spread (N,) px."""
     noise = np.full(len(chosen.frame), std)
     place, spread = joint_motion.regression(q[chosen.frame], chosen.place, noise, width).predict(q)

@@ -47,11 +47,11 @@ def windows(images: Mapping[int, Array], ranges: Sequence[Range]) -> Iterator[Wi
 
     At most CANDIDATES and FAINT ones of each colour in a picture, without the images: they may go once all are taken.
     """
-    alike: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
+    of_shape: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
     images = images if ranges else {}
     for picture, image in images.items():
-        alike.setdefault((image.shape, image.strides), []).append(picture)
-    for ((height, width, _), _), pictures in alike.items():
+        of_shape.setdefault((image.shape, image.strides), []).append(picture)
+    for ((height, width, _), _), pictures in of_shape.items():
         step = max(1, round(width / _COARSE_WIDTH))
         seen = _coarse([images[picture] for picture in pictures], step, tuple(ranges))
         for index in range(len(ranges)):

@@ -11,7 +11,7 @@ from ...settings import Colour
 from ...types import Array, ConsumedFrames, Finding, Frame, Health, Series
 from ..tracking import target_selection
 from ..tracking.contract import Tracker
-from ..tracking.frame_search import Looking, Seen
+from ..tracking.frame_search import FrameSearcher, Seen
 from . import clutter, overlap
 from .coarse_search import CANDIDATES
 from .hsv_ranges import Range, covered, hues, nearest, resolve
@@ -25,21 +25,21 @@ _SEVERAL = 0.02
 Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
 
-def looking(
+def searcher(
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None,
     fast: bool,
     trackers: Sequence[Tracker] = (),
-) -> Looking:
+) -> FrameSearcher:
     """To be told of pictures; `progress` is told how many more are done, `fast` looks at compressed ones at half scale.
 
     `trackers` look at the same pictures. Raises ConfigError for a colour that means nothing.
     """
     ranges = [resolve(colour, name) for name, colour in colours.items()]
-    return Looking(ranges, progress, fast, THREADS.get(), trackers)
+    return FrameSearcher(ranges, progress, fast, THREADS.get(), trackers)
 
 
-def look(
+def search(
     frames: Callable[[], Iterator[Frame]],
     colours: Mapping[str, Colour],
     progress: Callable[[int], None] | None = None,
@@ -49,12 +49,13 @@ def look(
     """What pictures show, which are looked at now, as by `looking`."""
     t: list[float] = []
     source_ns: list[int] = []
-    with looking(colours, progress, fast, trackers) as looks:
+    with searcher(colours, progress, fast, trackers) as searching:
         for frame in frames():
             t.append(frame.t)
             source_ns.append(frame.source_ns)
-            looks(frame)
-    return looks.seen(ConsumedFrames(np.array(t), np.array(source_ns, dtype=np.int64), np.arange(len(t)), looks))
+            searching(frame)
+    times = np.array(t), np.array(source_ns, dtype=np.int64)
+    return searching.seen(ConsumedFrames(*times, np.arange(len(t)), searching))
 
 
 def track(
@@ -64,7 +65,7 @@ def track(
     fast: bool = False,
 ) -> Tracks:
     """The `tracks` of a `look`."""
-    return tracks(look(frames, colours, progress, fast), frames, colours)
+    return tracks(search(frames, colours, progress, fast), frames, colours)
 
 
 def tracks(
@@ -93,8 +94,8 @@ def tracks(
         taken = {other for name, colour in colours.items() for other in covered(resolve(colour, name))}
         findings += [_unseen(name, colours[name], t.size, instead, taken) for name in unseen]
     if broken.any():
-        said = f"{int(broken.sum())} of {t.size} pictures could not be decoded"
-        findings.append(Finding("lost", f"{said}, the first for this: {_why(frames(), int(broken.argmax()))}"))
+        text = f"{int(broken.sum())} of {t.size} pictures could not be decoded"
+        findings.append(Finding("lost", f"{text}, the first for this: {_why(frames(), int(broken.argmax()))}"))
     return tracks, health, tuple(findings)
 
 
@@ -105,8 +106,8 @@ def _chosen(
     several = np.count_nonzero(np.isfinite(found[:, 1:, 0]).any(axis=1))
     choice = clutter.choose(t, found, joints, width) if several > _SEVERAL * len(t) else None
     if choice is None:
-        return target_selection.best(t, found[:, :CANDIDATES], width)
-    track, why = target_selection.best(t, overlap.settle(found, choice, frames, colour, width), width)
+        return target_selection.select_target(t, found[:, :CANDIDATES], width)
+    track, why = target_selection.select_target(t, overlap.settle(found, choice, frames, colour, width), width)
     why[(choice.number < 0) & np.isfinite(found[:, :, 0]).any(axis=1) & (why == target_selection.HIDDEN)] = (
         target_selection.FOREIGN
     )

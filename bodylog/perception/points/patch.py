@@ -22,7 +22,7 @@ class Laid(NamedTuple):
     """Where a patch lies: map (2,3) from px about its middle to px · alike: correlation, 0..1 · cov (2,2) px²."""
 
     map: Array
-    alike: float
+    correlation: float
     cov: Array
 
     @property
@@ -91,11 +91,11 @@ def lay(gray: Array, patch: Patch, begin: Array) -> Laid | None:
             break
     rest = levels - patch.columns @ found
     apart = levels - levels.mean()
-    alike = 1 - (rest @ rest) / max(float(apart @ apart), 1e-9)
+    correlation = 1 - (rest @ rest) / max(float(apart @ apart), 1e-9)
     variance = _EXCESS * (rest @ rest) / (len(rest) - 8) / found[6] ** 2
     shared = _FLOOR + _STRETCHED * float(np.abs(np.log(np.linalg.svd(map_[:, :2], compute_uv=False))).max())
     cov = map_[:, :2] @ (variance * patch.inverse[4:6, 4:6] + shared**2 * np.eye(2)) @ map_[:, :2].T
-    return Laid(map_, float(np.sqrt(max(alike, 0.0))), cov)
+    return Laid(map_, float(np.sqrt(max(correlation, 0.0))), cov)
 
 
 def drawn(patch: Patch, map_: Array) -> Array:

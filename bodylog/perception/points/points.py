@@ -96,11 +96,11 @@ class PointTracker:
         small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         for map_ in (self._shown.map, self._turned()):
             shown = cv2.resize(patch.drawn(self._patch, map_), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-            places, alike = _matches(small, np.asarray(shown))
-            if len(places) and alike[0] >= _CANDIDATE:
+            places, correlation = _matches(small, np.asarray(shown))
+            if len(places) and correlation[0] >= _CANDIDATE:
                 fits = [self._fitted(image, 2 * place + 0.5, map_, _FOUND) for place in places]
-                good = sorted((fit for fit in fits if fit), key=lambda fit: -fit.alike)
-                if len(good) > 1 and good[0].alike - good[1].alike < _APART and _far(good[0], good[1]):
+                good = sorted((fit for fit in fits if fit), key=lambda fit: -fit.correlation)
+                if len(good) > 1 and good[0].correlation - good[1].correlation < _APART and _far(good[0], good[1]):
                     return None, RIVAL
                 if good:
                     return good[0], ""
@@ -116,7 +116,7 @@ class PointTracker:
     def _fitted(self, image: Array, place: Array, map_: Array, least: float) -> Laid | None:
         laid = patch.lay(image, self._patch, np.column_stack([map_[:, :2], place]))
         near = laid is not None and np.linalg.norm(laid.uv - place) <= self._patch.half / 2
-        return laid if laid is not None and near and laid.alike >= least else None
+        return laid if laid is not None and near and laid.correlation >= least else None
 
 
 def _far(first: Laid, second: Laid) -> bool:
@@ -130,13 +130,13 @@ def _matches(image: Array, shown: Array) -> tuple[Array, Array]:
     height, width = shown.shape
     if image.shape[0] < height or image.shape[1] < width:
         return np.empty((0, 2)), np.empty(0)
-    alike = np.array(cv2.matchTemplate(np.ascontiguousarray(image), shown, cv2.TM_CCOEFF_NORMED))
+    correlation = np.array(cv2.matchTemplate(np.ascontiguousarray(image), shown, cv2.TM_CCOEFF_NORMED))
     places, values = [], []
     for _ in range(2):
-        v, u = np.unravel_index(np.argmax(alike), alike.shape)
+        v, u = np.unravel_index(np.argmax(correlation), correlation.shape)
         places.append((u + (width - 1) / 2, v + (height - 1) / 2))
-        values.append(float(alike[v, u]))
-        alike[max(0, v - height // 2) : v + height // 2 + 1, max(0, u - width // 2) : u + width // 2 + 1] = -1
+        values.append(float(correlation[v, u]))
+        correlation[max(0, v - height // 2) : v + height // 2 + 1, max(0, u - width // 2) : u + width // 2 + 1] = -1
     return np.array(places), np.array(values)
 
 

@@ -72,8 +72,9 @@ class CharucoTracker:
     def __init__(self, name: str, source: CharucoSource) -> None:
         """Nothing is loaded before the first frame."""
         self._name, self._source = name, source
-        alike = source.shape[1] % 2 == 1  # an odd number of rows begins and ends with a black square in both patterns
-        kinds = (False, True) if source.legacy is None and not alike else (bool(source.legacy),)
+        # an odd number of rows begins and ends with a black square in both patterns
+        same_pattern = source.shape[1] % 2 == 1
+        kinds = (False, True) if source.legacy is None and not same_pattern else (bool(source.legacy),)
         self._layouts = {legacy: layout(source, legacy) for legacy in kinds}
         self._votes = dict.fromkeys(self._layouts, 0)
         self._frames: list[Seen | None] = []
@@ -105,13 +106,13 @@ class CharucoTracker:
     def _findings(self, seen: int, count: int) -> tuple[Finding, ...]:
         if any(self._votes.values()):
             pattern = f", legacy = {str(self._legacy()).lower()}" if len(self._layouts) > 1 else ""
-            said = f"{self._name}: {seen} of the board's {count} corners seen{pattern}"
-            return (Finding("info", said),)
+            text = f"{self._name}: {seen} of the board's {count} corners seen{pattern}"
+            return (Finding("info", text),)
         if self._read:
             columns, rows = self._source.shape
             hint = f'; type: charuco = "{rows}x{columns}"' if rows != columns else ""
-            said = f"{self._name}: {self._read} markers were read, but not as on a {self._source.charuco} board{hint}"
-            return (Finding("warning", said),)
+            text = f"{self._name}: {self._read} markers were read, but not as on a {self._source.charuco} board{hint}"
+            return (Finding("warning", text),)
         return ()
 
     def _legacy(self) -> bool:

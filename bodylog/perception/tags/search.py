@@ -15,7 +15,7 @@ _HALF = 7.0
 """px: the same in the image at half size."""
 _BORDER = 0.65
 """Share of the border's cells that must be dark: OpenCV's 1 - maxErroneousBitsInBorderRate."""
-_ALIKE = 0.6
+_SIMILAR = 0.6
 """How alike bits and pattern must be at least, -1..1; of two patterns 3 of 16 bits apart the wrong one reaches 0.63."""
 _LIKELY = 0.5
 """The same before a quad is refined to its edges."""
@@ -94,7 +94,7 @@ def recognised(gray: Array, found: Refined, known: Codes, only: Array | None = N
     seen = codes.read(bits[rows], known, only)
     middle = (bits[rows].max(axis=1) + bits[rows].min(axis=1)) / 2
     dark = (border[rows] < middle[:, None]).mean(axis=1)
-    good = (seen.wrong <= known.correctable) & (dark >= _BORDER) & (seen.score >= _ALIKE)
+    good = (seen.wrong <= known.correctable) & (dark >= _BORDER) & (seen.score >= _SIMILAR)
     rows, tag, turn, score = rows[good], seen.tag[good], seen.turn[good], seen.score[good]
     order = (np.arange(4) - turn[:, None]) % 4
     corners = np.take_along_axis(found.quads[rows], order[..., None], 1)

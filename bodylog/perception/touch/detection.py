@@ -10,7 +10,7 @@ from ...types import Array, Finding, Health, Series, Touch
 
 _NEIGHBOUR = 2
 _PAUSE = 0.05
-_SILENCE = 0.25
+_GAP = 0.25
 _LISTED = 8
 
 Felt = tuple[tuple[Touch, ...] | None, Health, tuple[Finding, ...]]
@@ -35,21 +35,21 @@ def touches(skin: Series, settings: Skin) -> Felt:
     health = _health(skin.t, readable)
     if not level.size:
         return None, health, (Finding("warning", "skin: no readings; touch cannot be used"),)
-    gap = _silences(skin.t)
+    gap = _after_gaps(skin.t)
     active = _active(level, settings, gap)
-    dead, stuck = _dead(level), _stuck(active)
-    findings = (*_unreadable(readable), *_broken(level, dead, stuck))
-    if (dead | stuck).all():
+    dead, held = _dead(level), _held(active)
+    findings = (*_unreadable(readable), *_broken(level, dead, held))
+    if (dead | held).all():
         return None, health, findings
-    presses = _presses(skin.t, level, active & ~stuck, settings, gap)
+    presses = _presses(skin.t, level, active & ~held, settings, gap)
     found = [_touch(skin, level, group) for group in _groups(presses, settings.columns)]
     return tuple(sorted(found, key=lambda touch: (touch.onset, touch.strongest))), health, findings
 
 
-def _silences(t: Array) -> Array:
+def _after_gaps(t: Array) -> Array:
     """(N,) bool: a sample that follows a gap in the readings."""
     steps = np.diff(t, prepend=t[0])
-    return np.asarray(steps > max(_SILENCE, 5 * float(np.median(steps))))
+    return np.asarray(steps > max(_GAP, 5 * float(np.median(steps))))
 
 
 def _active(level: Array, settings: Skin, gap: Array) -> Array:
@@ -68,7 +68,7 @@ def _dead(level: Array) -> Array:
     return np.asarray((level == level[0]).all(axis=0) & (len(level) > 1))
 
 
-def _stuck(active: Array) -> Array:
+def _held(active: Array) -> Array:
     """(C,) bool: touched from the first sample to the last."""
     return np.asarray(active.all(axis=0) & (len(active) > 1))
 
@@ -150,20 +150,20 @@ def _unreadable(readable: Array) -> tuple[Finding, ...]:
     return (Finding("warning", f"skin: {share:.1%} of the readings are not numbers, taken as untouched"),)
 
 
-def _broken(level: Array, dead: Array, stuck: Array) -> tuple[Finding, ...]:
+def _broken(level: Array, dead: Array, held: Array) -> tuple[Finding, ...]:
     """What is to be said of cells that cannot feel."""
     cells = level.shape[1]
     if dead.all() and (level == level[0, 0]).all():
         text = f"skin: all {cells} cells read {level[0, 0]:g} from first to last; touch cannot be used"
         return (Finding("warning", f"{text}; type: --without touch"),)
-    if (dead | stuck).all():
+    if (dead | held).all():
         text = f"skin: none of {cells} cells ever changes between touched and not; touch cannot be used"
         return (Finding("warning", f"{text}; type: --without touch"),)
     found = []
-    if (dead & ~stuck).any():
-        found.append(Finding("warning", f"skin: {_listed(dead & ~stuck)} never change their reading: dead"))
-    if stuck.any():
-        found.append(Finding("warning", f"skin: {_listed(stuck)} read touched from first to last: stuck, left out"))
+    if (dead & ~held).any():
+        found.append(Finding("warning", f"skin: {_listed(dead & ~held)} never change their reading: dead"))
+    if held.any():
+        found.append(Finding("warning", f"skin: {_listed(held)} read touched from first to last: stuck, left out"))
     return tuple(found)
 
 

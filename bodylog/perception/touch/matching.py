@@ -15,10 +15,10 @@ _STEADY = 0.05
 _NOTABLE = 0.05
 _ENOUGH = 3
 
-Judged = tuple[tuple[Synchrony, ...], tuple[Finding, ...]]
+Matches = tuple[tuple[Synchrony, ...], tuple[Finding, ...]]
 
 
-def judge(touches: Sequence[Touch], strokes: Sequence[Stroke], clock_offset: float | str = 0.0) -> Judged:
+def match_touches(touches: Sequence[Touch], strokes: Sequence[Stroke], clock_offset: float | str = 0.0) -> Matches:
     """One Synchrony per touch, in order, with f_t of the delay left after the clocks' offset (s) is taken off.
 
     `clock_offset` "auto" takes off the log's own median delay where its spread is small; ConfigError otherwise.

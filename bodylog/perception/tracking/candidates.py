@@ -69,7 +69,7 @@ def survey(recording: Recording, hand: Colour, effector_uv: tuple[float, float] 
     shown = set(joint_motion.thinned(len(t), _SHOWN).tolist())
     found, seen, images, width = list[Array](), list[Array](), dict[int, Array](), 0
     for index, (_, image) in enumerate(picked()):
-        found.append(blob_measurement.look([image], ranges)[0])
+        found.append(blob_measurement.measured_blobs([image], ranges)[0])
         seen.append(_centres(image, tags))
         width = max(width, image.shape[1])
         if index in shown:
@@ -104,7 +104,7 @@ def _colour(one: Range, found: Array, t: Array, recording: Recording, width: flo
     low, high = one.parts[0][0], one.parts[-1][1]
     choice = clutter.choose(t, found, recording.joints, width) if np.isfinite(found[:, 1:, 0]).any() else None
     if choice is None:
-        track = target_selection.best(t, found[:, :CANDIDATES], width)[0][:, :2]
+        track = target_selection.select_target(t, found[:, :CANDIDATES], width)[0][:, :2]
     else:
         track = np.where(choice.number[:, None] >= 0, found[np.arange(len(t)), choice.number, :2], np.nan)
     q = joint_motion.angles(recording.joints, t, 0.0 if choice is None else choice.delay)
@@ -120,21 +120,22 @@ def _candidate(
 ) -> Candidate:
     there = np.flatnonzero(np.isfinite(track[:, 0]))
     strays = float(np.hypot(*track[there].std(axis=0))) if there.size else 0.0
-    share = joint_motion.explained(q[there], track[there], width) if there.size else 0.0
+    share = joint_motion.explained_share(q[there], track[there], width) if there.size else 0.0
     few = f"seen in {there.size} of {len(track)} images, {_FEWEST} are needed" if there.size < _FEWEST else ""
-    said = why or few or foreign(q, there, track[there], width)
-    return Candidate(name, kind, source, there.size / len(track), strays, share, said, track)
+    reason = why or few or why_not_arm(q, there, track[there], width)
+    return Candidate(name, kind, source, there.size / len(track), strays, share, reason, track)
 
 
-def foreign(q: Array, frames: Array, place: Array, width: float) -> str:
+def why_not_arm(q: Array, frames: Array, place: Array, width: float) -> str:
     """Why a thing seen at places (n,2) px in some images (n,) is not the arm's, by the joints' angles q (N,M)."""
     if not q.shape[1]:
         return "no joint moves"
-    if joint_motion.stands(place, width):
+    if joint_motion.stands_still(place, width):
         return "it stands still while the joints move"
     if joint_motion.beyond_chance(q, frames, place, width) >= clutter.EXPLAINED:
         return ""
-    return f"it does not move as the joints do: they explain {joint_motion.explained(q[frames], place, width):.0%}"
+    share = joint_motion.explained_share(q[frames], place, width)
+    return f"it does not move as the joints do: they explain {share:.0%}"
 
 
 def _rank(one: Candidate, effector_uv: tuple[float, float] | None) -> tuple[float, bool, bool, float, float]:

@@ -46,11 +46,11 @@ class Seen(NamedTuple):
 Take = tuple[int, list[Frame]]
 """Pictures in order, and how many such lists came before."""
 
-Look = tuple[list[Window], list[tuple[int, int, int]]]
+SearchResult = tuple[list[Window], list[tuple[int, int, int]]]
 """What some pictures show; of each its width and height in px as looked at (0: undecodable), how often it is shrunk."""
 
 
-class Looking:
+class FrameSearcher:
     """To be told of pictures one by one, within a `with`: this thread and `threads` - 1 others look at them.
 
     No more than a few wait, and the same bytes come of them whichever thread takes which: what is measured together
@@ -72,7 +72,7 @@ class Looking:
         self._begun, self._others = ExitStack(), list[Future[None]]()
         self._ready, self._told, self._over = Condition(), list[Frame](), False
         self._waiting, self._takes = deque[Take](), 0
-        self._sheets: dict[int, dict[int, Look]] = {}
+        self._sheets: dict[int, dict[int, SearchResult]] = {}
         self._measured: dict[int, tuple[Array, Array]] = {}
 
     def __enter__(self) -> Self:
@@ -101,8 +101,8 @@ class Looking:
 
     def seen(self, watched: ConsumedFrames) -> Seen:
         """What the frames among the pictures show."""
-        for sheet, looks in self._sheets.items():
-            self._measured[sheet] = _measured(looks, self._ranges)
+        for sheet, results in self._sheets.items():
+            self._measured[sheet] = _measured(results, self._ranges)
         parts = [_measured({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
         found, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
         first = next(((width, height) for width, height, _ in sizes[:1].tolist() if width), None)
@@ -128,7 +128,7 @@ class Looking:
             if other.done():
                 other.result()
         if mine:
-            self._look(*mine)
+            self._search(*mine)
 
     def _work(self) -> None:
         """Look at pictures until there will be no more."""
@@ -138,12 +138,12 @@ class Looking:
                 if not self._waiting:
                     return
                 number, frames = self._waiting.popleft()
-            self._look(number, frames)
+            self._search(number, frames)
 
-    def _look(self, number: int, frames: Sequence[Frame]) -> None:
+    def _search(self, number: int, frames: Sequence[Frame]) -> None:
         """Look at pictures; who brings the last look of a sheet measures it."""
         grays: list[Array | None] | None = [] if self._trackers else None
-        found = _look(frames, self._ranges, self._fast, 0 if number else 1, grays)
+        found = _search(frames, self._ranges, self._fast, 0 if number else 1, grays)
         if grays is not None:
             self._in_order.put(number, grays)
         sheet = number // _SHEET
@@ -156,9 +156,9 @@ class Looking:
             self._measured[sheet] = _measured(whole, self._ranges)
 
 
-def _look(
+def _search(
     frames: Sequence[Frame], ranges: Sequence[Range], fast: bool, whole: int, grays: list[Array | None] | None
-) -> Look:
+) -> SearchResult:
     """What some pictures show, the first so many looked at whole also when in haste; `grays` gets them in gray."""
     found: list[Window] = []
     images: dict[int, Array] = {}
@@ -183,11 +183,11 @@ def _decoded(frame: Frame, scale: int) -> Array | None:
     return None
 
 
-def _measured(looks: Mapping[int, Look], ranges: Sequence[Range]) -> tuple[Array, Array]:
+def _measured(results: Mapping[int, SearchResult], ranges: Sequence[Range]) -> tuple[Array, Array]:
     """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,3) of looks by their number."""
     found: list[Window] = []
     sizes: list[tuple[int, int, int]] = []
-    for _, (windows, measured) in sorted(looks.items()):
+    for _, (windows, measured) in sorted(results.items()):
         found += [window._replace(picture=window.picture + len(sizes)) for window in windows]
         sizes += measured
     return blobs.tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(-1, 3)

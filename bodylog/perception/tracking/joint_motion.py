@@ -52,8 +52,8 @@ def angles(joints: Series | None, t: Array, delay: float = 0.0) -> Array:
     """Angles (N,M) rad of the joints that move, `delay` s before t (N,); M is 0 where no joint moves."""
     if joints is None or len(t) < 2:
         return np.zeros((len(t), 0))
-    heard = [(joints.t[there], column[there]) for column in joints.values.T if (there := np.isfinite(column)).any()]
-    columns = [np.interp(t - delay, at, angle) for at, angle in heard]
+    readings = [(joints.t[there], column[there]) for column in joints.values.T if (there := np.isfinite(column)).any()]
+    columns = [np.interp(t - delay, at, angle) for at, angle in readings]
     return np.array([column - column.mean() for column in columns if _moves(column)]).reshape(-1, len(t)).T
 
 
@@ -64,12 +64,12 @@ def _moves(angle: Array) -> bool:
     return variance > _FAR**2 or (variance > _MOVES**2 and steadily)
 
 
-def explained(q: Array, y: Array, width: float) -> float:
+def explained_share(q: Array, y: Array, width: float) -> float:
     """The share (0..1) of the variance of places y (n,2) px that angles q (n,M) explain in held-out blocks of time.
 
     0 where the samples are too few, no joint moves, or the thing stands still.
     """
-    if len(y) < _FEWEST or not q.shape[1] or stands(y, width):
+    if len(y) < _FEWEST or not q.shape[1] or stands_still(y, width):
         return 0.0
     rest, centred = residuals(q, y, width), y - np.median(y, axis=0)
     # a sample counts at most as much as the usual one: a few foreign places must not decide
@@ -78,7 +78,7 @@ def explained(q: Array, y: Array, width: float) -> float:
     return float(np.clip(1 - lost.sum() / max(float(total.sum()), 1e-9), 0.0, 1.0))
 
 
-def stands(y: Array, width: float) -> bool:
+def stands_still(y: Array, width: float) -> bool:
     """Whether places y (n,2) px are those of a thing that stands: light and compression move it a little."""
     return float(np.hypot(*y.std(axis=0))) < max(1.0, _STILL * width)
 
@@ -89,8 +89,8 @@ def beyond_chance(q: Array, frames: Array, y: Array, width: float) -> float:
     Angles of other times explain the rest as well: a slow path is a smooth function of any slow angles.
     """
     shifts = [round(len(q) * part) for part in (0.25, 0.5, 0.75)]
-    chance = max(explained(np.roll(q, shift, axis=0)[frames], y, width) for shift in shifts)
-    return max(0.0, (explained(q[frames], y, width) - chance) / (1 - min(chance, 0.99)))
+    chance = max(explained_share(np.roll(q, shift, axis=0)[frames], y, width) for shift in shifts)
+    return max(0.0, (explained_share(q[frames], y, width) - chance) / (1 - min(chance, 0.99)))
 
 
 def residuals(q: Array, y: Array, width: float) -> Array:

@@ -40,7 +40,7 @@ class _Run:
         return np.array(self.rows)
 
 
-def best(t: Array, found: Array, width: float) -> tuple[Array, Array]:
+def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
     """u, v, std_u, std_v (N,4) px of the target among found (N,candidates,FIELDS), NaN where unsure; why (N,) str."""
     track = np.full((len(t), 4), np.nan)
     why = np.full(len(t), HIDDEN, dtype=object)
@@ -99,9 +99,9 @@ def _alone(t: Array, found: Array, reach: float) -> list[int]:
     """For each frame (n,), up to which one each shows a single blob that goes on where the one before was."""
     place, mass, border = found[:, 0, [U, V]], found[:, 0, MASS], found[:, 0, BORDER] == 1
     step, grown = np.hypot(*np.diff(place, axis=0).T), mass[1:] / mass[:-1]
-    alike = border[1:] | border[:-1] | (grown > 1 / _RESIZED) & (grown < _RESIZED)
+    similar = border[1:] | border[:-1] | (grown > 1 / _RESIZED) & (grown < _RESIZED)
     single = np.isfinite(found[:, :, U]).sum(axis=1) == 1
-    follows = single[1:] & single[:-1] & alike & (step <= reach) & (np.diff(t) <= _PATIENCE)
+    follows = single[1:] & single[:-1] & similar & (step <= reach) & (np.diff(t) <= _PATIENCE)
     breaks = np.append(np.flatnonzero(~follows) + 1, len(t))
     return list(breaks[np.searchsorted(breaks, np.arange(len(t)), side="right")].tolist())
 
@@ -111,8 +111,8 @@ def _nearest(runs: list[_Run], taken: set[int], row: list[float], reach: float) 
     for run in runs:
         last = run.rows[-1]
         distance = hypot(row[U] - last[U], row[V] - last[V])
-        alike = row[BORDER] or last[BORDER] or 1 / _RESIZED < row[MASS] / last[MASS] < _RESIZED
-        if distance <= best_distance and alike and id(run) not in taken:
+        similar = row[BORDER] or last[BORDER] or 1 / _RESIZED < row[MASS] / last[MASS] < _RESIZED
+        if distance <= best_distance and similar and id(run) not in taken:
             best_run, best_distance = run, distance
     return best_run
 

@@ -15,20 +15,20 @@ _RARELY = 0.05
 _CLEARLY = 0.5
 
 
-class Instead(NamedTuple):
+class Alternative(NamedTuple):
     """Why the effector's track is not the arm's, and what else there is to see."""
 
     why: str
     survey: Survey
 
 
-def instead(recording: Recording, features: Features, settings: Settings) -> Instead | None:
+def find_alternative(recording: Recording, features: Features, settings: Settings) -> Alternative | None:
     """What else a recording shows where the effector's track is not the arm's; None where it may be."""
     effector, size = features.effector, features.picture_size
     if effector is None or size is None or not (why := _foreign(recording, effector, size[0])):
         return None
     try:
-        return Instead(why, candidates.survey(recording, settings.colours.hand))
+        return Alternative(why, candidates.survey(recording, settings.colours.hand))
     except InputError:
         return None
 
@@ -42,6 +42,6 @@ def _foreign(recording: Recording, track: Series, width: float) -> str:
     if len(frames) < max(1.0, _RARELY * len(track.t)):
         return f"seen in {len(frames)} of {len(track.t)} images"
     some = frames[joint_motion.thinned(len(frames), _ENOUGH)]
-    if len(some) < _FEWEST or joint_motion.explained(q[some], track.values[some], width) > _CLEARLY:
+    if len(some) < _FEWEST or joint_motion.explained_share(q[some], track.values[some], width) > _CLEARLY:
         return ""
-    return candidates.foreign(q, some, track.values[some], width)
+    return candidates.why_not_arm(q, some, track.values[some], width)

@@ -73,7 +73,7 @@ def estimate_figure(estimate: Estimate, truth: Series | None, recorded: Series |
     """Draw each joint's belief with its 2-sigma band, truth and encoder, its error; sense errors; free energy."""
     names = estimate.joints.names[:_ROWS]
     panels: list[Panel] = [partial(belief, estimate, m, truth, recorded) for m in range(len(names))]
-    panels += [partial(errors, sense, heard) for sense, heard in estimate.errors.items() if len(heard.t)]
+    panels += [partial(errors, sense, residuals) for sense, residuals in estimate.errors.items() if len(residuals.t)]
     panels.append(partial(free_energy, estimate))
     real = truth if truth is not None and set(names) & set(truth.names) else None
     with figure(out, 13.0 if real else 9.0, 0.6 + 1.75 * len(panels)) as drawing:

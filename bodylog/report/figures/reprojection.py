@@ -88,10 +88,10 @@ def sheets(features: Features, estimate: Estimate) -> tuple[Sheet, ...]:
     return tuple(found)
 
 
-def zeros(told: Any) -> tuple[Zero, ...]:
+def zeros(entries: Any) -> tuple[Zero, ...]:
     """The zeros of a mapping {joint: {value, std, unit, confused_with}} as a file has it; what is none is left out."""
     found = []
-    for joint, one in list(told.items())[:_ZEROS] if isinstance(told, Mapping) else ():
+    for joint, one in list(entries.items())[:_ZEROS] if isinstance(entries, Mapping) else ():
         value, std = (one.get("value"), one.get("std")) if isinstance(one, Mapping) else (None, None)
         if isinstance(std, int | float) and isfinite(std) and (value is None or _number(value)):
             others = one.get("confused_with")
@@ -108,8 +108,8 @@ def section(drawn: Sequence[Sheet], offsets: Sequence[Zero]) -> str:
     key = "dot: measured · violet: by kinematics alone · yellow: with the process; lines lead from measured to expected"
     shown = f'<h2>Reprojection</h2>\n<p class="soft">{key}</p>\n<div>\n{body}\n</div>{left}'
     rows = [(zero.joint, *zero.shown) for zero in offsets]
-    told = table("Zeros of the joints", ("joint", "offset", ""), rows)
-    return "\n".join(part for part in (shown if drawn else "", told) if part)
+    listed = table("Zeros of the joints", ("joint", "offset", ""), rows)
+    return "\n".join(part for part in (shown if drawn else "", listed) if part)
 
 
 def _figure(sheet: Sheet) -> str:

@@ -44,10 +44,10 @@ def write(
         beside.write_text(page, encoding="utf-8", newline="\n")
 
 
-def _plots(points: int, remarks: Sequence[str]) -> str:
+def _plots(points: int, lines: Sequence[str]) -> str:
     marked = "Ground orange: touch felt, violet: stroke seen; red line: a fault begins. "
     kept = f"Lines keep at most {points} points: the lowest and highest of every stretch and its gaps; "
-    return "<h2>Over time</h2>\n" + plots((f"{marked}{kept}bands are never narrower than the whole ones.", *remarks))
+    return "<h2>Over time</h2>\n" + plots((f"{marked}{kept}bands are never narrower than the whole ones.", *lines))
 
 
 def _gallery(pictures: Sequence[Picture]) -> str:

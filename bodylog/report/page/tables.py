@@ -33,11 +33,11 @@ def header(recording: Recording, estimate: Estimate, scores: Sequence[Score]) ->
     """Which log, when, how long, by which method, and the scores as cards."""
     facts = [_when(recording.start_ns), f"{recording.duration_s:.2f} s", recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
-    said = escaped(" · ".join(facts))
+    line = escaped(" · ".join(facts))
     whole = [score for score in scores if not split(score.name)[1]][:_ROWS]
     cards = "".join(f"<div><b>{escaped(_quantity(x))}</b>{escaped(x.name)}</div>" for x in whole)
     shown = f'\n<div class="cards">{cards}</div>' if cards else ""
-    return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{said}</p>{shown}'
+    return f'<h1>{escaped(recording.name)}</h1>\n<p class="soft">{line}</p>{shown}'
 
 
 def score_table(scores: Sequence[Score]) -> str:

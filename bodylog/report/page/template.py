@@ -35,14 +35,14 @@ def document(title: str, body: str, groups: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
-def plots(remarks: Sequence[str] = ()) -> str:
+def plots(notes: Sequence[str] = ()) -> str:
     """Where panels that share one time axis are drawn, with what moves them, and remarks below."""
-    said = "".join(f"<p>{escaped(remark)}</p>" for remark in remarks)
+    paragraphs = "".join(f"<p>{escaped(note)}</p>" for note in notes)
     return (
         '<section>\n<div class="bar"><button type="button">whole log</button><output></output>'
         f'<span class="soft">{_HELP}</span></div>\n'
         '<noscript><p class="warning">The plots need JavaScript; the tables do not.</p></noscript>\n'
-        f'<div class="panels"></div>\n<div class="soft">{said}</div>\n</section>'
+        f'<div class="panels"></div>\n<div class="soft">{paragraphs}</div>\n</section>'
     )
 
 

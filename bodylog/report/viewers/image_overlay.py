@@ -101,10 +101,10 @@ def _picture(camera: str, t: float, image: Array, features: Features, estimate: 
     seen, hand = _at(features.tracks.get(name), t), _at(features.tracks.get(f"{at}hand"), t)
     mean, row = _at(estimate.predicted.get(name), t), _nearest(estimate.predicted.get(name), t)
     cov = estimate.predicted_cov[name][row] if row is not None and name in estimate.predicted_cov else None
-    said = f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
+    caption = f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
     if seen is not None and mean is not None:
-        said += f" · {np.hypot(*(seen - mean)):.1f} px apart"
-    return Picture(t, _enlarged(image, seen, mean, cov, hand), said)
+        caption += f" · {np.hypot(*(seen - mean)):.1f} px apart"
+    return Picture(t, _enlarged(image, seen, mean, cov, hand), caption)
 
 
 def _enlarged(image: Array, seen: Array | None, mean: Array | None, cov: Array | None, hand: Array | None) -> Array:

@@ -53,11 +53,11 @@ def show(recorded: Path) -> None:
     """Open a window on a recording and wait until it is closed; UsageError where there is no display."""
     done = subprocess.run([*PROGRAM, str(recorded)], capture_output=True, text=True)
     if done.returncode:
-        said = _last(done.stderr).rpartition(": ")[2]  # before that stand places in its own source
-        raise UsageError(f"view: Rerun could not open a window ({said}); type: bodylog view LOG -o out.rrd")
+        text = _last(done.stderr).rpartition(": ")[2]  # before that stand places in its own source
+        raise UsageError(f"view: Rerun could not open a window ({text}); type: bodylog view LOG -o out.rrd")
 
 
-def hushed(home: Path) -> None:
+def disable_analytics(home: Path) -> None:
     """Tell a Rerun whose home this is to count nobody's files."""
     settings = home / ".config" / "rerun" / "analytics.json"
     settings.parent.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def hushed(home: Path) -> None:
 
 def _run(arguments: Sequence[str], home: Path, source: Path) -> dict[str, str]:
     """One command of Rerun in a home of its own; why by entity what it passed by."""
-    hushed(home)
+    disable_analytics(home)
     command, alone = [*PROGRAM, *arguments], {"HOME": str(home)}
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, env=alone)
@@ -79,12 +79,12 @@ def _run(arguments: Sequence[str], home: Path, source: Path) -> dict[str, str]:
     return {found[1] or found[2]: found[3] for found in passed if found}
 
 
-def _last(said: str) -> str:
+def _last(text: str) -> str:
     """The last error, or else the last line, Rerun spoke of."""
-    lines = [line.strip() for line in _plain(said).splitlines() if line.strip()]
+    lines = [line.strip() for line in _plain(text).splitlines() if line.strip()]
     return ([_WHERE.sub("", line) for line in lines if " ERROR " in line] or lines or ["it said nothing"])[-1]
 
 
-def _plain(said: str) -> str:
+def _plain(text: str) -> str:
     """Without colours."""
-    return re.sub(r"\x1b\[[0-9;]*m", "", said)
+    return re.sub(r"\x1b\[[0-9;]*m", "", text)

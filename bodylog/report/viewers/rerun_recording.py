@@ -118,8 +118,8 @@ def _points(stream: Any, camera: Camera, name: str, track: Series, colour: tuple
 
     seen = np.isfinite(track.values).all(axis=1)
     columns = rerun.Points2D.columns(positions=track.values[seen] + CORNER)
-    look = rerun.Points2D.from_fields(colors=[colour], radii=rerun.Radius.ui_points(4.0))
-    path = _in_picture(stream, camera, name, look)
+    style = rerun.Points2D.from_fields(colors=[colour], radii=rerun.Radius.ui_points(4.0))
+    path = _in_picture(stream, camera, name, style)
     stream.send_columns(path, [_times(track.source_ns)], columns.partition(seen.astype(np.int64)))
 
 
@@ -134,11 +134,11 @@ def _ellipses(stream: Any, camera: Camera, name: str, track: Series, cov: Array)
     stream.send_columns(path, [_times(track.source_ns)], columns.partition(known.astype(np.int64)))
 
 
-def _in_picture(stream: Any, camera: Camera, name: str, look: Any) -> str:
+def _in_picture(stream: Any, camera: Camera, name: str, style: Any) -> str:
     import rerun
 
     path = _path(*_topic(camera.topic), name)
-    stream.log(path, look, static=True)
+    stream.log(path, style, static=True)
     if camera.frame_id:
         stream.log(path, rerun.CoordinateFrame(f"{camera.frame_id}{_PLANE}"), static=True)
     return path
@@ -191,10 +191,10 @@ def events(features: Features | None, estimate: Estimate | None) -> list[Event]:
 def _touches(features: Features) -> Iterator[Event]:
     pairs = {pair.touch: pair for pair in features.synchrony}
     for i, touch in enumerate(features.touches or ()):
-        said = f"touch of cells {', '.join(map(str, touch.cells[:8]))}"
+        text = f"touch of cells {', '.join(map(str, touch.cells[:8]))}"
         if i in pairs:
-            said += f", seen {pairs[i].delay:+.3f} s later, synchrony {pairs[i].weight:.2f}"
-        yield touch.source_ns, "INFO", said
+            text += f", seen {pairs[i].delay:+.3f} s later, synchrony {pairs[i].weight:.2f}"
+        yield touch.source_ns, "INFO", text
 
 
 def _faults(estimate: Estimate) -> Iterator[Event]:
