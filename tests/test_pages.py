@@ -1,5 +1,6 @@
 """Links, snippets and commands of every page: links lead somewhere, settings are accepted, commands run."""
 
+import json
 import re
 import shlex
 import shutil
@@ -30,7 +31,7 @@ NOT_RUN = {
     r"https?://|s3://": "no network: tests/test_stores.py reads logs behind URLs",
     r"bodylog reproduce": "takes minutes: tests/experiments runs it with few seeds",
     r"bodylog view \S+$": "opens a window",
-    r"bodylog compare run": "takes seconds: README.md and docs/tutorial.md compare other logs",
+    r"bodylog compare": "takes seconds: the test of README's figures below and docs/tutorial.md run it",
     r"--duration 40": "takes a minute: docs/tutorial.md records a shorter log",
 }
 """Commands that are parsed only, by pattern, and why."""
@@ -158,3 +159,26 @@ def _try(line: str, run_cli) -> None:
 def _extras(line: str) -> None:
     known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     assert {name for words in re.findall(r"\[([\w,]+)\]", line) for name in words.split(",")} <= set(known)
+
+
+def test_figures_of_the_readme_are_those_of_its_command(run_cli, tmp_path, capsys):
+    arm, body = ROOT / "fixtures" / "arm", tmp_path / "arm.npz"
+    assert run_cli("fit", arm / "explore.mcap", "-o", body) == 0
+    capsys.readouterr()
+    assert run_cli("compare", arm / "reach.mcap", "--body", body, "--json") == 0
+    rows = {(row["method"], *row["senses"]): row["scores"] for row in _rows(json.loads(capsys.readouterr().out))}
+    senses = (("encoders",), ("encoders", "vision"))
+    order = [(method, *some) for method in ("laplace", "smoother") for some in senses]
+    errors = [rows[order[0]]["rmse/encoders"], *(rows[key]["rmse/joint"] for key in order)]
+    covered = [rows[key]["coverage_2sigma/joint"] for key in order]
+    for name, found in (("error, rad", errors), ("inside 2σ, %", covered)):
+        (line,) = re.findall(rf"^\| {name} \|(.*)\|$", PAGES["README.md"], re.MULTILINE)
+        assert [float(cell) for cell in re.findall(r"[\d.]+", line)] == pytest.approx(found, rel=0.02)
+
+
+def _rows(found: object) -> list[dict]:
+    """The list of rows in what compare prints as JSON, however deep it lies."""
+    if isinstance(found, list) and found and isinstance(found[0], dict) and "method" in found[0]:
+        return found
+    inner = found.values() if isinstance(found, dict) else found if isinstance(found, list) else ()
+    return next((rows for one in inner if (rows := _rows(one))), [])
