@@ -1,4 +1,4 @@
-"""The documentation is run, not believed."""
+"""The tutorial runs, and generated pages and the repository's own files are current."""
 
 import os
 import re
@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 from bodylog_cli.commands import bodylog
+from ruamel.yaml import YAML
 
+from bodylog import __version__
 from docs.generate_cli import page
 
 ROOT = Path(__file__).parents[1]
@@ -39,6 +41,35 @@ def test_every_topic_that_is_written_stands_in_the_page_on_formats():
     page = (ROOT / "docs" / "formats.md").read_text()
     topics = re.findall(r'PREFIX \+ "(\w+)', (ROOT / "bodylog" / "annotating" / "messages.py").read_text())
     assert len(topics) > 10 and not {topic for topic in topics if f"/bodylog/{topic}" not in page}
+
+
+def test_the_readme_has_at_most_100_lines():
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 100
+
+
+def test_the_citation_names_this_version():
+    citation = YAML(typ="safe").load(ROOT / "CITATION.cff")
+    assert {"cff-version", "message", "title", "authors"} <= set(citation)
+    assert citation["version"] == __version__
+    (paper,) = citation["references"]
+    assert paper["year"] == 2018 and [author["family-names"] for author in paper["authors"]] == ["Lanillos", "Cheng"]
+
+
+def test_issue_forms_ask_for_what_info_prints():
+    for name in ("bug", "robot"):
+        form = YAML(typ="safe").load(ROOT / ".github" / "ISSUE_TEMPLATE" / f"{name}.yml")
+        labels = [field["attributes"]["label"] for field in form["body"]]
+        assert "bodylog info --json LOG" in labels
+
+
+def test_workflows_run_commands_that_exist():
+    targets = set(re.findall(r"^([\w$(/).-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for path in (ROOT / ".github" / "workflows").glob("*.yml"):
+        jobs = YAML(typ="safe").load(path)["jobs"].values()
+        lines = [step["run"] for job in jobs for step in job["steps"] if "run" in step]
+        made = {line.split()[1].replace(".venv", "$(VENV)") for line in lines if line.startswith("make ")}
+        assert made and made <= targets
+        assert all((ROOT / script).is_file() for line in lines for script in re.findall(r"tests/\w+\.py", line))
 
 
 def test_tutorial_runs_word_for_word(tmp_path):
