@@ -83,6 +83,18 @@ def test_settings_on_a_page_are_accepted(page, tmp_path):
 
 
 @pytest.mark.parametrize("page", PAGES)
+def test_options_and_settings_in_the_text_exist(page):
+    text = FENCE.sub("", PAGES[page])
+    for command, rest in re.findall(r"`bodylog (\w+)([^`]*)`", text):
+        options = commands.commands[command].params
+        known = {"--help", *(name for option in options for name in (*option.opts, *option.secondary_opts))}
+        assert set(re.findall(r"(?<!\S)--?[a-z][\w-]*", rest)) <= known, command
+    sections = dict(re.findall(r"^## \[(\w+)\]\n(.*?)(?=^## |\Z)", PAGES["docs/settings.md"], re.M | re.S))
+    for section, key in re.findall(r"`\[(\w+)\] (\w+)", text):
+        assert f"| `{key}` |" in sections[section], f"[{section}] {key}"
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_python_on_a_page_is_run_by_a_test(page):
     assert page in RUN_ELSEWHERE or not _blocks(page, "python")
 
