@@ -1,9 +1,9 @@
-# make demo   record, learn, estimate, evaluate; make test   everything CI runs; make soak   long runs; make bench   speed; make site   the pages
+# make demo   record, learn, estimate, evaluate; make test   everything CI runs; make soak   long runs; make bench   speed; make validation   the tables of errors; make site   the pages
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test test-all lint soak bench wheel docs site clean
+.PHONY: demo test test-all lint soak bench validation wheel docs site clean
 
 $(VENV)/installed: pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -47,6 +47,10 @@ soak: $(VENV)/installed
 bench: $(VENV)/installed
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test,bench]'
 	$(BIN)/python -m tests.benchmarks
+
+# Every table of figures in docs/validation.md and docs/learning.md that a script makes. Half an hour of one core.
+validation: $(VENV)/installed
+	$(BIN)/python -m tests.validation
 
 # The wheel, built and used where nothing of the checkout can be seen.
 wheel: $(VENV)/installed

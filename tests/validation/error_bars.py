@@ -7,21 +7,13 @@ from tests.estimation import conftest as worlds
 from tests.validation import figures, logs
 
 METHODS = ("laplace", "smoother")
-RECORDED = {
-    "recorded exploration": "explore.mcap",
-    "recorded reach, 20 s": "reach.mcap",
-    "recorded reach, 12 s": "reach.bag",
-    "recorded, pan's encoder drifting": "drift.mcap",
-    "recorded still arm": "touch.mcap",
-}
+RECORDED = {"recorded exploration": "explore.mcap", "recorded reach, 20 s": "reach.mcap"}
 
 
 def table():
     """Rows by kind of log, columns by method."""
     kinds = [(name, list(each())) for name, each in KINDS.items()]
-    if logs.recorded_body() is not None:
-        body = logs.recorded_body()
-        kinds += [(name, [(log, body)]) for name, file in RECORDED.items() if (log := logs.recorded(file))]
+    kinds += [(name, [recorded(file)]) for name, file in RECORDED.items()]
     head = ("log", *(f"`{method}`: RMSE, mrad; NEES of pan, lift, elbow; within 2 σ" for method in METHODS))
     return figures.table(head, [row(name, pairs) for name, pairs in kinds])
 
@@ -34,6 +26,11 @@ def row(name, pairs):
         cover = 100.0 * np.mean([run.coverage for run in runs])
         cells.append(f"{figures.mrad(runs)}; {figures.mean_nees(runs)}; {cover:.1f} %")
     return (f"{name} ({len(pairs)})" if len(pairs) > 1 else name, *cells)
+
+
+def recorded(file):
+    """A recorded log, and the body learned from the recorded exploration."""
+    return logs.recorded(file), logs.recorded_body()
 
 
 def reaches(cameras=1, count=20):

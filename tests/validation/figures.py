@@ -45,9 +45,9 @@ class Found:
 def found(log, body, method="laplace", delay="auto", **settings):
     """The estimate of a log, judged by its truth."""
     made = estimate(log.features, body, Estimation(method=method, **settings), delay)
-    names = log.truth.names  # pan, lift, elbow, whatever the body's order
+    names = [name for name in log.truth.names if name in made.joints.names]  # pan, lift, elbow
     columns = [made.joints.names.index(name) for name in names]
-    error = made.joints.values[:, columns] - at_times(log.truth, list(names), made.joints.t)
+    error = made.joints.values[:, columns] - at_times(log.truth, names, made.joints.t)
     return Found(made.joints.t, error, np.sqrt(np.einsum("nii->ni", made.cov))[:, columns], made.faults)
 
 

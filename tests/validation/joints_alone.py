@@ -10,14 +10,12 @@ from tests.estimation.test_least import white
 from tests.validation import error_bars, figures, logs
 
 COUNT = 5
-RECORDED = {"recorded reach, 20 s": "reach.mcap", "recorded reach, 12 s": "reach.bag",
-            "recorded exploration": "explore.mcap"}  # fmt: skip
 
 
 def table():
     """A row for each kind of log; RMSE and NEES of three joints by method and way of solving."""
     kinds = [(f"{name} ({COUNT})", [each(seed) for seed in range(COUNT)]) for name, each in KINDS.items()]
-    kinds += [(name, [(log, logs.recorded_body())]) for name, file in RECORDED.items() if (log := logs.recorded(file))]
+    kinds += [(name, [error_bars.recorded(file)]) for name, file in error_bars.RECORDED.items()]
     columns = [f"`{method}`: {way}" for method in error_bars.METHODS for way in ("sweeps", "banded")]
     rows = [(name, *(cell(pairs, *how) for how in WAYS)) for name, pairs in kinds]
     return figures.table(("log: RMSE, mrad; NEES", *columns), rows)

@@ -1,7 +1,7 @@
 """Logs with truth: the simulator's motions before its two cameras, drawn without a renderer; and the recorded arm.
 
 A track's error is a smooth function of the place in the image, as perception's is: images px apart correlate by
-exp(−2 px) (docs/method.md), so a still target errs by one amount.
+exp(−2 px) (docs/validation.md), so a still target errs by one amount.
 """
 
 from dataclasses import replace
@@ -28,8 +28,7 @@ FALL = 2.0
 """1/px: how fast the correlation of a track's errors falls with distance."""
 WAVES = 400
 TRACKS = ("effector", "side/effector")
-ROOT = Path(__file__).parents[2]
-FOLDERS = (ROOT / "fixtures" / "arm", ROOT.parent / "shared" / "logs" / "arm")
+RECORDED = Path(__file__).parents[2] / "fixtures" / "arm"
 
 
 @cache
@@ -74,22 +73,15 @@ def learned(seed, cameras=1, seconds=40.0):
 
 @cache
 def recorded(name):
-    """A recorded log of an independent simulated arm: what perception finds, and the truth; None where it is absent."""
-    path = next((folder / name for folder in FOLDERS if (folder / f"{name}.truth.npz").exists()), None)
-    if path is None:
-        return None
-    read, features = pipeline.observe(path, Settings())
-    with np.load(path.with_name(f"{name}.truth.npz")) as true:
-        t, x, start = true["t"], true["x"], int(true["T0"])
-    truth = Series(t + (start - read.start_ns) * 1e-9, x, JOINTS, "rad", ns(t) + start)
-    return Heard(features, truth)
+    """A recorded log of fixtures/arm: what perception finds, and the truth it carries."""
+    read, features = pipeline.observe(RECORDED / name, Settings())
+    return Heard(features, read.truth)
 
 
 @cache
 def recorded_body():
-    """The body learned from the recorded exploration; None where it is absent."""
-    explored = recorded("explore.mcap")
-    return None if explored is None else body.learn([explored.features], Settings(), {}).model
+    """The body learned from the recorded exploration."""
+    return body.learn([recorded("explore.mcap").features], Settings(), {}).model
 
 
 def ns(t):

@@ -9,11 +9,11 @@ from bodylog.io.temporary import scratch
 from bodylog.settings import Colours, Settings
 from tests.validation import figures
 
-SECONDS, SMALL, LARGE = 8.0, (320, 240), (640, 480)
+SECONDS, SMALL, LARGE = 16.0, (320, 240), (640, 480)
 KINDS = {
-    "babble, 320 × 240": ("babble", SMALL, 2),
-    "reach, 320 × 240": ("reach", SMALL, 2),
-    "touch (a hand beside a still effector), 320 × 240": ("touch", SMALL, 2),
+    "babble, 320 × 240": ("babble", SMALL, 3),
+    "reach, 320 × 240": ("reach", SMALL, 3),
+    "touch (a hand beside a still effector), 320 × 240": ("touch", SMALL, 3),
     "babble, 640 × 480": ("babble", LARGE, 1),
 }
 

@@ -1,11 +1,8 @@
-"""How sure joints' zeros are, and how often they are right, by what sees the arm: the table of docs/learning.md.
-
-    python -m tests.benchmarks.bench_offsets --draws 40
+"""How sure joints' zeros are, and how often they are right, by what sees the arm.
 
 Each draw is an exploration of 15 s of its own by an arm of four joints, with 0.5° to 5° on one joint's readings.
 """
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -21,6 +18,7 @@ from bodylog.kinematics.rotations import exponential, inverse, transform
 from bodylog.types import Features, Series
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS
+from tests.validation import figures
 
 PIXEL, ENCODER, DEGREE = 0.2, 0.001, np.radians(1.0)
 HALF = 0.04
@@ -35,17 +33,15 @@ KINDS = {
 }
 
 
-def main() -> None:
-    """Print one row for each kind of sense."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--draws", type=int, default=40)
-    parser.add_argument("--kind", type=int, choices=range(len(KINDS)), help="Only this row.")
-    given = parser.parse_args()
-    print(f"| seen | median σ of {', '.join(JOINTS)} | within 2σ: of the joint put off | of all joints |")
-    print("|---|---|---|---|")
-    for k, (name, kind) in enumerate(KINDS.items()):
-        if given.kind in (None, k):
-            print(_row(name, [draw(seed, *kind) for seed in range(given.draws)]), flush=True)
+COUNT = 40
+"""Draws of a kind."""
+
+
+def table():
+    """One row for each kind of sense."""
+    head = ("seen", f"median σ of {', '.join(JOINTS)}", "within 2σ: of the joint put off", "of all joints")
+    rows = [_row(name, [draw(seed, *kind) for seed in range(COUNT)]) for name, kind in KINDS.items()]
+    return figures.table(head, rows)
 
 
 def draw(seed: int, points: np.ndarray, known: bool, cameras: int) -> tuple[int, float, tuple[Offset, ...]]:
@@ -110,11 +106,11 @@ def _learned(found: Features, hints: dict[str, CameraHint]) -> tuple[Offset, ...
     return offsets(made.rig, both.theta, std * (both.root @ both.root.T) * std[:, None])
 
 
-def _row(name: str, found: list[tuple[int, float, tuple[Offset, ...]]]) -> str:
+def _row(name: str, found: list[tuple[int, float, tuple[Offset, ...]]]) -> tuple[str, ...]:
     sizes = [np.median([one[m].std if one[m].identifiable else np.inf for _, _, one in found]) for m in range(4)]
-    told = ", ".join("–" if np.isinf(one) else f"{np.degrees(one):.2f}°" for one in sizes)
+    stds = ", ".join("–" if np.isinf(one) else f"{np.degrees(one):.2f}°" for one in sizes)
     put, every = list(_within(found, True)), list(_within(found, False))
-    return f"| {name} | {told} | {sum(put)} of {len(put)} | {sum(every)} of {len(every)} |"
+    return name, stds, f"{sum(put)} of {len(put)}", f"{sum(every)} of {len(every)}"
 
 
 def _within(found: list[tuple[int, float, tuple[Offset, ...]]], put: bool) -> Iterator[bool]:
@@ -122,7 +118,3 @@ def _within(found: list[tuple[int, float, tuple[Offset, ...]]], put: bool) -> It
         for m, zero in enumerate(one):
             if zero.identifiable and (m == joint or not put):
                 yield abs(zero.value + (size if m == joint else 0.0)) <= 2.0 * zero.std
-
-
-if __name__ == "__main__":
-    main()

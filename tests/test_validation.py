@@ -1,0 +1,42 @@
+"""Every table of figures on docs/validation.md is made by a script that is kept, and the page names it."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from tests.validation import __main__ as validation
+
+PAGES = {path.name: path.read_text(encoding="utf-8") for path in (validation.ROOT / "docs").glob("*.md")}
+
+
+@pytest.mark.parametrize("name", validation.NAMES)
+def test_each_script_has_its_table_on_one_page(name):
+    begin, end = validation.marks(name)
+    (page,) = (text for text in PAGES.values() if begin in text)
+    part = page.split(begin)[1].split(end)[0]
+    assert part.strip().splitlines()[0].startswith("| ")
+    assert part.rstrip().endswith(f"`python -m tests.validation {name}`")
+
+
+def test_the_page_has_no_table_that_no_script_makes():
+    text = PAGES["validation.md"]
+    for name in validation.NAMES:
+        begin, end = validation.marks(name)
+        if begin in text:
+            text = text.split(begin)[0] + text.split(end)[1]
+    assert "\n|" not in text and "<!--" not in text
+
+
+def test_a_table_is_written_between_its_markers_and_nowhere_else(tmp_path, monkeypatch):
+    begin, end = validation.marks("healthy")
+    (tmp_path / "docs").mkdir()
+    pages = {name: Path(tmp_path / "docs" / name) for name in ("one.md", "other.md")}
+    pages["one.md"].write_text(f"before\n{begin}old\n{end}after\n")
+    pages["other.md"].write_text("healthy\n")
+    monkeypatch.setattr(validation, "ROOT", tmp_path)
+    validation.write("healthy", "| a |\n|---|\n| 1 |\n")
+    text = pages["one.md"].read_text()
+    part = r"\n\| a .*`python -m tests.validation healthy`\n\n"
+    assert re.fullmatch(rf"before\n{begin}{part}{end}after\n", text, re.DOTALL)
+    assert pages["other.md"].read_text() == "healthy\n"
