@@ -28,9 +28,9 @@ def main() -> None:
     if unknown := sorted(set(wish.names) - set(NAMES)):
         parser.error(f"{', '.join(unknown)}: no such table; possible: {', '.join(NAMES)}")
     for name in wish.names or NAMES:
-        begun = time.process_time()
+        started = time.process_time()
         part = importlib.import_module(f"tests.validation.{name}").table()
-        print(f"\n{name}, {time.process_time() - begun:.0f} CPU s\n\n{part}", flush=True)
+        print(f"\n{name}, {time.process_time() - started:.0f} CPU s\n\n{part}", flush=True)
         if not wish.print:
             write(name, part)
 

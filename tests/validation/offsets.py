@@ -92,8 +92,8 @@ def _explored(
 
 def _learned(found: Features, hints: dict[str, CameraHint]) -> tuple[Offset, ...]:
     """The joints' zeros as `fit --urdf` learns them."""
-    heard = joints([found], None)
-    shown = gathered([found], list(found.tracks), heard, 1, 2000)
+    read = joints([found], None)
+    shown = gathered([found], list(found.tracks), read, 1, 2000)
     tracks = {}
     for name, one in shown.items():
         camera, _, marker = name.rpartition("/")
@@ -101,7 +101,7 @@ def _learned(found: Features, hints: dict[str, CameraHint]) -> tuple[Offset, ...
     links = find(urdf.parse(ARM, "arm.urdf"), JOINTS, {}, tracks, hints, 5.0 * DEGREE)
     made = links.calibrated
     each = enumerate(shown.items())
-    parts = {name: residual(made.rig, k, made.theta, one, made.weights[k], heard, 0) for k, (name, one) in each}
+    parts = {name: residual(made.rig, k, made.theta, one, made.weights[k], read, 0) for k, (name, one) in each}
     both, std = together(made.rig, made.theta, parts), made.rig.prior[1]
     return offsets(made.rig, both.theta, std * (both.root @ both.root.T) * std[:, None])
 
