@@ -29,14 +29,14 @@ def test_the_page_has_no_table_that_no_script_makes():
 
 
 def test_a_table_is_written_between_its_markers_and_nowhere_else(tmp_path, monkeypatch):
-    begin, end = validation.marks("healthy")
+    begin, end = validation.marks("delay")
     (tmp_path / "docs").mkdir()
     pages = {name: Path(tmp_path / "docs" / name) for name in ("one.md", "other.md")}
     pages["one.md"].write_text(f"before\n{begin}old\n{end}after\n")
     pages["other.md"].write_text("healthy\n")
     monkeypatch.setattr(validation, "ROOT", tmp_path)
-    validation.write("healthy", "| a |\n|---|\n| 1 |\n")
+    validation.write("delay", "| a |\n|---|\n| 1 |\n")
     text = pages["one.md"].read_text()
-    part = r"\n\| a .*`python -m tests.validation healthy`\n\n"
+    part = r"\n\| a .*`python -m tests.validation delay`\n\n"
     assert re.fullmatch(rf"before\n{begin}{part}{end}after\n", text, re.DOTALL)
     assert pages["other.md"].read_text() == "healthy\n"
