@@ -1,5 +1,6 @@
 """Every table of figures on docs/validation.md is made by a script that is kept, and the page names it."""
 
+import importlib
 import re
 from pathlib import Path
 
@@ -12,6 +13,7 @@ PAGES = {path.name: path.read_text(encoding="utf-8") for path in (validation.ROO
 
 @pytest.mark.parametrize("name", validation.NAMES)
 def test_each_script_has_its_table_on_one_page(name):
+    assert callable(importlib.import_module(f"tests.validation.{name}").table)
     begin, end = validation.marks(name)
     (page,) = (text for text in PAGES.values() if begin in text)
     part = page.split(begin)[1].split(end)[0]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bodylog import body, pipeline
-from bodylog.experiments.lab import JOINTS, Heard
+from bodylog.experiments.lab import JOINTS, ObservedLog
 from bodylog.settings import Body, Settings
 from bodylog.sim.arms import ARMS
 from bodylog.sim.plan import Request
@@ -54,7 +54,7 @@ def drawn(scenario, seed, seconds=None, cameras=1, plan=None):
         tracks[name] = Series(frames, seen, ("u", "v"), "px", ns(frames), np.full(seen.shape, PIXEL_STD))
     joints = Series(t, read, ARM.joints, "rad", ns(t))
     truth = Series(t, angles[:, :3], JOINTS, "rad", ns(t))
-    return Heard(Features(joints, tracks, None, (), (), {}, (), SIZE), truth)
+    return ObservedLog(Features(joints, tracks, None, (), (), {}, (), SIZE), truth)
 
 
 def perceived(places, rng):
@@ -75,7 +75,7 @@ def learned(seed, cameras=1, seconds=40.0):
 def recorded(name):
     """A recorded log of fixtures/arm: what perception finds, and the truth it carries."""
     read, features = pipeline.observe(RECORDED / name, Settings())
-    return Heard(features, read.truth)
+    return ObservedLog(features, read.truth)
 
 
 @cache
@@ -91,7 +91,7 @@ def ns(t):
 
 def of(world):
     """A drawn world of the tests as a log."""
-    return Heard(world.features, world.truth)
+    return ObservedLog(world.features, world.truth)
 
 
 def with_motion(draw, motion, *args, **options):

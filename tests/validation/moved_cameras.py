@@ -30,7 +30,7 @@ def rows(moves, px):
         back, ignored, still = [], [], []
         for seed, world in enumerate(worlds[:JUDGED]):
             log = logs.of(world)
-            knocked = logs.Heard(moved(log.features, px, seed), log.truth)
+            knocked = logs.ObservedLog(moved(log.features, px, seed), log.truth)
             back.append(figures.found(knocked, world.body, method))
             still.append(figures.found(log, world.body, method))
             with pytest.MonkeyPatch.context() as patch:

@@ -10,7 +10,11 @@ from tests.validation import figures
 
 POSES, PIXEL, WRONG = 120, 0.3, 0.03
 """Poses of a set, px of noise, and by what share a joint reads too little."""
-KINDS = {"lift reads 3 % too little": (1, 40), "elbow reads 3 % too little": (2, 40), "all scales are right": (None, 20)}
+KINDS = {
+    "lift reads 3 % too little": (1, 40),
+    "elbow reads 3 % too little": (2, 40),
+    "all scales are right": (None, 20),
+}
 
 
 def table():
