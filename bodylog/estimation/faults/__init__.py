@@ -1,1 +1,1 @@
-"""The ways a sensor fails, one file each: found, named, and taken out of what is heard."""
+"""Detectors of sensor faults, one file per kind: they name a fault and remove or correct its readings."""

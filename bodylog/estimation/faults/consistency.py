@@ -1,4 +1,4 @@
-"""What the log itself says against an estimate, without any truth: readings far from where they were expected."""
+"""Consistency of an estimate with its own log, without ground truth: readings far from their predictions."""
 
 from collections.abc import Iterator
 
@@ -8,13 +8,13 @@ from ...settings import Estimation
 from ...types import Estimate, Finding
 
 FAR, SHARE, FEWEST = 3.0, 0.05, 20
-"""Standard deviations that few readings are off, the share of readings above which it is said, of how many at least."""
+"""Gate in standard deviations, share of readings beyond it that gives a warning, and fewest readings judged."""
 NOISY = 0.1
-"""rad: an encoder that scatters more is hardly one."""
+"""rad: an encoder with more noise than this gets a warning."""
 
 
 def doubts(found: Estimate, settings: Estimation) -> Iterator[Finding]:
-    """A warning for each sense whose readings were not foretold as well as the error bars say, or scatter widely."""
+    """Yield a warning for each sense whose residuals exceed its error bars, and for each very noisy encoder."""
     learned = found.settings.get("encoder", found.settings.get("sigma_encoders"))
     for name, variance in zip(found.joints.names, learned if isinstance(learned, list) else (), strict=False):
         if settings.precision == "auto" and settings.preset != "paper" and variance > NOISY**2:
@@ -31,7 +31,7 @@ def doubts(found: Estimate, settings: Estimation) -> Iterator[Finding]:
 
 
 def _advice(found: Estimate, settings: Estimation, sense: str) -> str:
-    """What this may come of, and what to type."""
+    """Likely cause, and what to type."""
     if not found.can.moves:
         return f"{found.method} holds the arm still and takes out no encoder that lies; type --method laplace"
     if settings.precision != "auto":

@@ -1,4 +1,4 @@
-"""What a detector of faults is: one function from measurements to a verdict."""
+"""The interface of a fault detector: one function from measurements to a verdict."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from ..measurements.records import Evidence
 
 
 class Verdict(NamedTuple):
-    """The measurements without what is faulty, the faults, remarks, and what was weighed for and against in nats."""
+    """The measurements without faulty ones, the faults found, remarks, and the hypotheses compared (nats)."""
 
     evidence: Evidence
     faults: tuple[Fault, ...] = ()
@@ -18,4 +18,4 @@ class Verdict(NamedTuple):
 
 
 Detector = Callable[[Evidence, BodyModel], Verdict]
-"""One way a sensor fails."""
+"""A detector of one kind of fault."""

@@ -1,4 +1,4 @@
-"""Encoders that died, by their own readings alone: silent to the end, or fallen to exactly zero and staying there."""
+"""Dead encoders, found in their own readings: silent until the end, or dropped to exactly zero for good."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from .frozen import repeats
 from .jumping import jumps
 
 DEAD, LONGER = 1.0, 2.0
-"""s: an encoder silent for longer at the end of a log is dead, unless it was silent for half as long before."""
+"""s: shortest silence at the end of a log of a dead encoder, and the multiple of its longest earlier silence."""
 
 
 def silent(t: Array, y: Array) -> float | None:
-    """Time of the last word of an encoder that spoke and then fell silent for good; y (N,) rad at t (N,) s."""
+    """Time (s) of the last reading of an encoder that is silent from then on, or None; y (N,) rad at t (N,) s."""
     heard = np.flatnonzero(np.isfinite(y))
     if not len(heard):
         return None
@@ -20,7 +20,7 @@ def silent(t: Array, y: Array) -> float | None:
 
 
 def fallen(t: Array, y: Array) -> list[tuple[int, int]]:
-    """Stretches [begin, end) of readings y (N,) rad at t (N,) s that repeat exactly zero, where no joint came there."""
+    """Return stretches [begin, end) of readings y (N,) rad at t (N,) s that jump to exactly zero and stay there."""
     zeros = [(begin, end) for begin, end in repeats(t, y) if y[begin] == 0.0 and begin > 0]
     at = {k for k, _ in jumps(t, y)} if zeros else set[int]()
     return [run for run in zeros if run[0] in at]

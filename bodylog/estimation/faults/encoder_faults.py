@@ -1,6 +1,6 @@
-"""Encoders that lie outright: frozen, dead or jumping ones, found in their own readings, named and set right.
+"""Encoder faults that show in the readings alone: frozen, dead and jumping encoders.
 
-Each kind is told in a file of its own. What readings alone do not prove is left to the other senses (`bias`).
+Each kind has a file of its own. Offsets, which need the other senses, are found by `bias`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,7 +19,7 @@ from .stalled import stalled
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Encoders that are frozen, dead or jumping; readings of another function of the angle have no whole turns."""
+    """Detect frozen, dead and jumping encoders; whole turns are unwrapped only where encoders read angles."""
     if evidence.encoders is None:
         return Verdict(evidence)
     angles = "encoders" not in body.senses
@@ -31,10 +31,10 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
 def screen(
     encoders: Encoders, names: tuple[str, ...], sightings: Sequence[Sighting] = (), angles: bool = True
 ) -> tuple[Encoders, tuple[Fault, ...]]:
-    """The encoders with frozen or dead stretches silenced and jumps taken back, and the faults (size 0 but for jumps).
+    """Remove frozen and dead stretches, undo jumps, and return the encoders and faults (size 0 except for jumps).
 
-    An encoder that repeats exactly zero is dead, and not even its first zero is sound. `sightings` tell which of those
-    that repeat moved meanwhile. What are no `angles` has no whole turns.
+    An encoder that repeats exactly zero is dead from its first zero on. `sightings` show which joints moved while their
+    encoders repeated a reading. Whole turns are unwrapped only for `angles`.
     """
     values, found = encoders.values.copy(), list[Fault]()
     for joint, begin, end in stalled(encoders, sightings):
@@ -56,19 +56,19 @@ def screen(
 
 
 def _still(t: Array, y: Array) -> list[tuple[str, int, int]]:
-    """Kind and stretch [begin, end) of readings y (N,) at t (N,) that are none, in order."""
+    """Return the kind and stretch [begin, end) of faulty repeats in readings y (N,) at t (N,), in order."""
     found = {end: (*_kind(y, begin), end) for begin, end in frozen(t, y)}
     found |= {end: ("dead", begin, end) for begin, end in fallen(t, y)}
     return sorted(found.values(), key=lambda run: run[1])
 
 
 def _kind(y: Array, begin: int) -> tuple[str, int]:
-    """What an encoder that stands still from the second of equal readings y (N,) on is, and from when on."""
+    """Kind of fault of an encoder y (N,) that repeats itself from index `begin` on, and the first faulty index."""
     return ("dead", begin - 1) if y[begin] == 0.0 else ("frozen", begin)
 
 
 def turns(encoders: Encoders, names: tuple[str, ...]) -> Iterator[Finding]:
-    """A remark for each encoder that counts within one turn: its angle goes on beyond."""
+    """Yield a remark for each encoder that wraps at a whole turn and is unwrapped."""
     for name, column in zip(names, encoders.values.T, strict=True):
         apart = np.abs(turned(column) - column) > 1.0
         if apart.any():

@@ -1,4 +1,4 @@
-"""Encoder offsets: whether the log asks for one, whose it is, and since when it drifts."""
+"""Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -14,52 +14,52 @@ from ..noise.quantisation import grain
 from .offset_score import promise
 
 GAIN = 20.0
-"""Nats of evidence that one more offset must win."""
+"""Nats of evidence that each further offset must win."""
 MOST = 2000
-"""Instants by which a fault's size is told, at most."""
+"""Most instants used for the size of a fault."""
 EITHER = " or "
-"""Between the names of joints of which one lies, it cannot be told which."""
+"""Separator between names of joints when the faulty one cannot be identified."""
 SIGMAS, LEAST = 4.0, 0.01
-"""An offset is a fault when it is this many of its standard deviations, and this many rad, from where it began."""
+"""An offset is a fault when it exceeds this many of its standard deviations and this many rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A problem, its nats, and of each joint with an offset (by number) those whose offset does nearly as well."""
+    """A problem, its cost (nats), and, by joint number, the joints whose offset explains nearly as much."""
 
     problem: Problem
     nats: float
     rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     def of(self, problem: Problem) -> "Chosen":
-        """The same of another problem."""
+        """Return a copy with another problem."""
         return replace(self, problem=problem)
 
 
 def suspects(problem: Problem, solved: Solution) -> Array:
-    """Encoders (M,) bool whose lie would, to first order, explain GAIN nats of the log: a sound one costs no more."""
+    """Encoders (M,) bool whose offset would, to first order, explain GAIN nats of the log."""
     gain, offset, var = promise(problem, solved, WALKS[0])
     certain = _certain(offset, var, least(problem.evidence.encoders))
     return np.asarray((gain > GAIN) & certain.any(axis=0) & (_given(problem) == 0))
 
 
 def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
-    """The problem with an offset for each encoder whose lie explains GAIN nats of the log; `cost` in nats.
+    """Return the problem with an offset for each encoder where that wins GAIN nats; `cost` gives nats.
 
-    suspected (M,) bool: the encoders asked first, at least one.
+    suspected (M,) bool: the encoders tried first, at least one.
     """
     first = cost(problem)
     found = _added(Chosen(problem, nats(solved) if np.isinf(first) else first), suspected, cost)
     if found.problem is problem:
         return found
-    # pictures taken for blurred on the lie's account are as sharp as perception says
+    # images that looked blurred because of the offset regain the std that perception states
     precision = found.problem.precision
     sharp = replace(found.problem, precision=replace(precision, scale=dict.fromkeys(precision.scale, 1.0)))
     return found if sharp.precision.scale == precision.scale or cost(sharp) >= found.nats else found.of(sharp)
 
 
 def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
-    """The same with one offset after the other while each wins GAIN nats, and how fast it wanders as the log has it."""
+    """Add one offset after the other while each wins GAIN nats, and choose its random walk by evidence."""
     while suspected.any():
         drift = _given(found.problem)
         asked = np.flatnonzero(suspected)
@@ -70,21 +70,22 @@ def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) ->
             return found
         near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + GAIN]
         ways = [_wandering(found.problem, j, float(costs[asked == j][0]), cost) for j in near]
-        # before a further offset is asked for: one that wanders too freely leaves others to be found
+        # the walk is chosen before a further offset is tried: one that wanders too freely hides others
         least = min(nats for nats, _ in ways)
-        # of those that cannot be told apart the one that wanders least: others follow what the body model errs
+        # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
         alike = [
             (_given(way)[j], nats, j, way) for j, (nats, way) in zip(near, ways, strict=True) if nats < least + GAIN
         ]
         _, nats, joint, chosen = min(alike, key=lambda one: one[:3])
         found = Chosen(chosen, nats, {**found.rivals, joint: tuple(sorted(j for *_, j, _ in alike if j != joint))})
-        # with one lie out of the way, any other may show
+        # once one offset is modelled, another may show
         suspected = _given(found.problem) == 0
     return found
 
 
 def _wandering(problem: Problem, joint: int, least: float, cost: Callable[[Problem], float]) -> tuple[float, Problem]:
-    """Nats, and the problem, with an offset of a joint that wanders as the log has it; by the first walk `least`."""
+    """Cost (nats) and problem with the best random walk of one joint's offset; `least` is the cost of the first walk.
+    """
     own = np.arange(len(problem.start)) == joint
     ways = [with_drift(problem, np.where(own, walk, _given(problem))) for walk in WALKS]
     costs = [least, *(cost(way) for way in ways[1:])]
@@ -92,22 +93,22 @@ def _wandering(problem: Problem, joint: int, least: float, cost: Callable[[Probl
 
 
 def _given(problem: Problem) -> Array:
-    """Walks (M,) rad²/s of the offsets allowed so far."""
+    """Random walks (M,) rad²/s of the offsets in the problem so far."""
     return np.zeros(len(problem.start)) if problem.precision.drift is None else np.asarray(problem.precision.drift)
 
 
 def nats(solution: Solution) -> float:
-    """Free energy of a whole filtered log."""
+    """Free energy (nats) of a whole filtered log."""
     return float(solution.fold.unfold(solution.trace.nats).sum())
 
 
 def with_drift(problem: Problem, drift: Array) -> Problem:
-    """The problem with offsets that wander as `drift` (M,) rad²/s says; 0 for none."""
+    """Return the problem with random walks `drift` (M,) rad²/s of encoder offsets; 0 for no offset."""
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 
 def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> Array | None:
-    """Walks (M,) rad²/s given before any evidence: to all when `on`, under `auto` to encoders that jumped."""
+    """Random walks (M,) rad²/s set without evidence: for all joints if `on`, for encoders that jumped if `auto`."""
     jumped = {fault.name for fault in known if fault.kind == "jumping"}
     if setting == "on" or (setting == "auto" and jumped):
         return np.array([WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names])
@@ -115,9 +116,9 @@ def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> A
 
 
 def least(encoders: Encoders | None) -> Array | float:
-    """Offsets (M,) rad that may be faults at least: a sound encoder is off by half the step it counts in.
+    """Smallest offsets (M,) rad that count as faults: sound encoders are off by half a step of their counts.
 
-    One that never moved is taken to count in the steps of the others.
+    An encoder that never moved is assumed to have the largest step of the others.
     """
     if encoders is None:
         return LEAST
@@ -128,16 +129,16 @@ def least(encoders: Encoders | None) -> Array | float:
 
 
 def _certain(offset: Array, var: Array, least: Array | float) -> Array:
-    """Where offsets (N,M), of variances (N,M), are faults, which are no smaller than `least` (M,) rad."""
+    """Where offsets (N,M) with variances (N,M) are significant and at least `least` (M,) rad."""
     return np.asarray(np.abs(offset) > np.maximum(least, SIGMAS * np.sqrt(var)))
 
 
 def faults(
     problem: Problem, names: tuple[str, ...], offset: Array, var: Array, known: tuple[Fault, ...]
 ) -> tuple[Fault, ...]:
-    """Drifting encoders from offsets and their variances (N,M): since when they are certainly off, and by how much.
+    """Return drifting encoders, since when and how far, from offsets and their variances (N,M).
 
-    Where another joint's offset does nearly as well both are named, with no size.
+    Where another joint's offset explains nearly as much, both are named and the size is NaN.
     """
     t, walks = problem.timeline.t, _given(problem)
     found, certain = [], _certain(offset, var, least(problem.evidence.encoders))
@@ -155,7 +156,7 @@ def faults(
 
 
 def _size(t: Array, offset: Array, var: Array, walk: float) -> float:
-    """The largest offset (rad) by the whole log, of filtered ones (N,) with variances at t (N,) s."""
+    """Largest smoothed offset (rad) from filtered ones (N,) with variances (N,) at t (N,) s."""
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST)).astype(int))
     grown = walk * np.diff(t[some])
     back = var[some][:-1] / np.maximum(var[some][:-1] + grown, np.finfo(float).tiny)

@@ -1,4 +1,4 @@
-"""Pictures that stand still while the encoders move: a camera that repeats its last one lies."""
+"""Frozen cameras: images repeat while the encoders show motion."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,14 +11,14 @@ from ..measurements.records import Encoders, Evidence, Sighting
 from .contract import Verdict
 
 LASTING = 0.5
-"""s: a track that repeats one place exactly for longer may be that of a camera that stands still."""
+"""s: shortest stretch of exactly repeated positions that may be a frozen camera."""
 FRAMES, PARTS, SIGMAS, LEAST = 5, 8, 6.0, 1.0
-"""Frames in a row at least, parts of a row in which encoders are averaged, and how far what is seen must have moved
-between two of them, whichever encoder is left out: standard deviations of these averages, and px."""
+"""Fewest frames of a stretch, parts in which encoders are averaged, and the least predicted motion between two parts
+with any one encoder held still: standard deviations of these averages, and px."""
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Tracks without places repeated exactly while by the encoders what is seen moved."""
+    """Remove track positions that repeat exactly while the encoders predict motion."""
     if evidence.encoders is None or "encoders" in body.senses:
         return Verdict(evidence)
     used, sightings, faults = dict(evidence.used), list[Sighting](), list[Fault]()
@@ -34,7 +34,7 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
 
 
 def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]:
-    """Places (N,D) with those repeated wrongly, but the first of each run, as not seen."""
+    """Return positions (N,D) with false repeats as NaN, the first of each stretch kept, and the faults."""
     seen = np.flatnonzero(np.isfinite(sighting.values).all(axis=1))
     values, found = sighting.values.copy(), []
     for begin, end in _repeats(sighting.t[seen], sighting.values[seen]):
@@ -46,7 +46,7 @@ def _moving(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]
 
 
 def _repeats(t: Array, places: Array) -> Sequence[tuple[int, int]]:
-    """Stretches [begin, end) of places (N,D) that are the same to the last bit, for long."""
+    """Return long stretches [begin, end) of bitwise equal positions (N,D)."""
     if len(t) < FRAMES:
         return ()
     new = np.flatnonzero(np.append(True, (np.diff(places, axis=0) != 0.0).any(axis=1)))
@@ -55,11 +55,11 @@ def _repeats(t: Array, places: Array) -> Sequence[tuple[int, int]]:
 
 
 def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> float:
-    """How far (px) by the encoders what is seen moved between two parts of a stretch; 0 where not certainly."""
+    """Largest motion (px) that the encoders predict between two parts of a stretch; 0 if not significant."""
     inside = (encoders.t >= begin) & (encoders.t <= end)
     values = encoders.values[inside]
     for joint in np.flatnonzero(~np.isfinite(values).any(axis=0)):
-        # one that says nothing meanwhile speaks of no motion
+        # an encoder without readings in the stretch shows no motion: hold its last value
         before = encoders.values[: np.searchsorted(encoders.t, begin), joint]
         values[:, joint] = before[np.isfinite(before)][-1:] if np.isfinite(before).any() else np.nan
     averaged = _averaged(encoders.t[inside], values, np.linspace(begin, end, PARTS + 1))
@@ -67,16 +67,16 @@ def _moved(sighting: Sighting, encoders: Encoders, begin: float, end: float) -> 
         return 0.0
     means, std = averaged
     noise = 2.0 * np.square(sighting.model.predict(means)[1] * std).sum(axis=(1, 2)).max()
-    # one encoder against the pictures may lie itself
+    # a single encoder against the images may itself be faulty
     without = [np.where(alone, means[0], means) for alone in np.eye(means.shape[1]) > 0]
     apart = min(_spread(sighting.model.predict(some)[0]) for some in without)
     return apart if apart > max(SIGMAS * float(np.sqrt(noise)), LEAST) else 0.0
 
 
 def _averaged(t: Array, values: Array, edges: Array) -> tuple[Array, Array] | None:
-    """Means (P,M) of each encoder's readings (N,M) between P+1 edges, s, and the std (M,) of one; None where too few.
+    """Means (P,M) of readings (N,M) between P+1 edges (s), and std (M,) of one mean; None if readings are too few.
 
-    Encoders of several topics speak at times of their own: where one is silent its value is NaN.
+    Encoders of several topics have stamps of their own; elsewhere their value is NaN.
     """
     part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, len(edges) - 2)
     means, std = np.empty((len(edges) - 1, values.shape[1])), np.empty(values.shape[1])
@@ -92,5 +92,5 @@ def _averaged(t: Array, values: Array, edges: Array) -> tuple[Array, Array] | No
 
 
 def _spread(places: Array) -> float:
-    """The largest distance between two of the places (N,D)."""
+    """Largest distance between two positions (N,D)."""
     return float(np.linalg.norm(places[:, None] - places[None], axis=2).max())

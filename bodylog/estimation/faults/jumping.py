@@ -1,26 +1,25 @@
-"""Encoders that jump, by their own readings alone: their level shifts as no joint moves."""
+"""Jumping encoders, found in their own readings: the level shifts faster than a joint can move."""
 
 import numpy as np
 
 from ...types import Array
 
 JUMP, LEAST = 12.0, 0.01
-"""Standard deviations of the readings' scatter, and rad, by which the level must shift from one reading to the next."""
+"""Smallest jump in standard deviations of the readings' steps, and in rad."""
 LEVEL = 5
-"""Readings on each side of a jump that say how far it went."""
+"""Readings on each side of a jump that give its size."""
 PAUSE = 3.0
-"""Median steps in time: what an encoder reads after a longer silence may be where the joint has moved meanwhile."""
+"""Median steps in time: after a longer gap the joint may have moved to the new reading."""
 FASTEST = 1000.0
-"""rad/s²: no joint comes from one level to another between two readings with more, a third of it at a metre being what
-the fastest parallel robots pull (15 g at 0.5 m); below, it may have moved there."""
+"""rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
 HELD, OFTEN = 0.1, 3
-"""s for which a driver may hold a reading before the next, at most, and how many longer steps show that it does."""
+"""s: longest time for which a driver may hold a reading, and steps needed to recognise that it does."""
 TURN, BESIDE = 2.0 * np.pi, 0.5
-"""rad: a shift within BESIDE of a whole turn is how a joint that turns on is counted, and no fault."""
+"""rad: a shift within BESIDE of a whole turn is a wrapped angle, not a fault."""
 
 
 def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
-    """Where the level of y (N,) rad at t (N,) s shifts for good (first index after), and by how much (rad)."""
+    """Return first index after each lasting shift in level of y (N,) rad at t (N,) s, and its size (rad)."""
     known = np.flatnonzero(np.isfinite(y))
     v, found = y[known], []
     if len(v) < 4 * LEVEL:
@@ -42,7 +41,7 @@ def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
 
 
 def turned(y: Array) -> Array:
-    """Readings y (N,) rad, NaN where silent, without whole turns by which they step from one to the next."""
+    """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
     known = np.isfinite(y)
     steps = np.diff(y[known], prepend=y[known][:1])
     whole = np.abs(np.abs(steps) - TURN) < BESIDE
@@ -52,7 +51,7 @@ def turned(y: Array) -> Array:
 
 
 def _held(steps: Array, t: Array) -> float:
-    """For how long (s) the driver holds a reading, by steps (N-1,) rad between readings at t (N,) s; or 0."""
+    """Time (s) for which the driver holds a reading, from steps (N-1,) rad at t (N,) s; 0 if it does not."""
     sizes = np.abs(steps)
     moved = np.flatnonzero(sizes > 1.5 * sizes[sizes > 0.0].min(initial=np.inf))
     if 2 * np.count_nonzero(steps) > len(steps) or len(moved) <= OFTEN:
@@ -61,7 +60,7 @@ def _held(steps: Array, t: Array) -> float:
 
 
 def _scatter(steps: Array) -> float:
-    """Robust standard deviation of steps (N,) rad; where most are none, as a coarse encoder's, the others' size."""
+    """Robust std of steps (N,) rad; for coarse encoders, whose median step is 0, the median nonzero step."""
     if scatter := 1.4826 * float(np.median(np.abs(steps - np.median(steps)))):
         return scatter
     moved = np.abs(steps[steps != 0.0])

@@ -1,9 +1,9 @@
-"""A camera that moved: from some time on all it shows is displaced by the same pixels, whatever the joints do.
+"""A moved camera: from some time on, everything it shows is displaced by the same pixels.
 
-Encoders' means foretell places; what a track's curve shows beyond them, r (R,) px, is normal with covariance C: noise,
-the model's error (correlated by posture), and offsets of all encoders that wander. A displacement Δ ~ N(0, σ²I) from
-the k-th mean on, each k as likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), with A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r. It must
-win against no displacement, against encoders that all wander, and against any one that wanders far.
+Means of encoder readings predict positions. The residuals r (R,) px of a track's curve are normal with covariance C:
+noise, model error (correlated by posture), and wandering offsets of all encoders. A displacement Δ ~ N(0, σ²I) from the
+k-th mean on, with all k equally likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r.
+It must win against no displacement, against encoders that all wander, and against one encoder that wanders far.
 """
 
 from collections.abc import Sequence
@@ -23,26 +23,26 @@ from .threshold import NATS
 PIXELS = ("u", "v")
 """Outputs of a track in the image."""
 SIZE = 30.0
-"""px: how far a camera that moved may well have moved."""
+"""px: prior standard deviation of a camera's displacement."""
 MOST = 160
-"""Means of encoders at most, evenly spread: the cost goes with their third power."""
+"""Most means of encoder readings, evenly spread: the cost grows with their third power."""
 OFFSET, LASTING, WALKS = 0.01, 1e-7, (1e-4, 1e-3)
-"""rad: how far off encoders may be · rad²/s: how fast that wanders of sound ones, and of ones that drift."""
+"""rad: prior std of encoder offsets · rad²/s: random walk of sound encoders, and of drifting ones."""
 FAR, FAST = 0.3, 1e-2
-"""rad, rad²/s: the same of one encoder that is faulty outright."""
+"""rad, rad²/s: the same for one faulty encoder."""
 LATE = 2e-3
-"""s: how late a camera may still be once its delay is taken off."""
+"""s: std of the delay left after correction."""
 GATE, BESIDE = 5.0, 5
-"""Standard deviations beyond which a row counts less, as in the filter, and how many neighbours it is held against."""
+"""Standard deviations beyond which a row counts less, as in the filter, and the width of its median window."""
 POOR = 4.0
-"""Squares of what moves leave, over their variances, at most: 1 where all is as stated, more where models misfit."""
+"""Largest mean square of whitened residuals after the displacements; 1 where all noise is as stated."""
 MOVES = 3
-"""Times at most that one camera is found to have moved."""
+"""Most displacements of one camera."""
 
 
 @dataclass(frozen=True, eq=False)
 class Moved:
-    """Since t (s): the displacement (2,) px and its covariance (2,2); nats won, over none and over any encoder."""
+    """A displacement (2,) px since t (s), its covariance (2,2), and the nats won against all other explanations."""
 
     t: float
     size: Array
@@ -53,7 +53,8 @@ class Moved:
 @dataclass(frozen=True, eq=False)
 class _Rows:
     """Rows of all tracks at t (R,) s: track and output (R,) · postures x (R,M) · r (R,) px · jac (R,M) · noise (R,)
-    px², encoder variance (R,M) rad² of the means, model variance (R,) px² · speed (R,) px/s · reach (R,M) rad."""
+    px², encoder variance (R,M) rad² of the means, model variance (R,) px² · speed (R,) px/s · reach (R,M) rad.
+    """
 
     t: Array
     track: Array
@@ -69,9 +70,9 @@ class _Rows:
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Tracks put back where the camera would show them had it not moved; their model variance grows by what is unsure.
+    """Undo camera displacements in the tracks; the uncertainty of each is added to the model's variance.
 
-    An encoder that reads another function of the angle tells nothing of this.
+    Without effect if encoders read another function of the angle.
     """
     if evidence.encoders is None or "encoders" in body.senses:
         return Verdict(evidence)
@@ -96,7 +97,7 @@ def _fault(name: str, found: Moved) -> Fault:
 
 
 def anchored(sighting: Sighting, moved: Moved) -> Sighting:
-    """The sighting without the displacement since the camera moved."""
+    """Return the sighting with the displacement subtracted from its time on."""
     off = (sighting.t >= moved.t)[:, None] * moved.size
     before = np.zeros_like(sighting.values) if sighting.displaced is None else sighting.displaced
     unsure = Unsure(sighting.model, np.diag(moved.cov))
@@ -104,14 +105,14 @@ def anchored(sighting: Sighting, moved: Moved) -> Sighting:
 
 
 class Unsure:
-    """A forward model of more variance, (D,) unit²; all else is as the plain one has it."""
+    """A forward model with added variance (D,) unit²; otherwise the plain model."""
 
     def __init__(self, plain: ForwardModel, more: Array) -> None:
-        """Of a plain model."""
+        """Wrap a plain model."""
         self._plain, self._more = plain, more
 
     def __getattr__(self, name: str) -> Any:
-        """What the plain model says of itself."""
+        """An attribute of the plain model."""
         if name.startswith("__") or name == "_plain":
             raise AttributeError(name)
         return getattr(self._plain, name)
@@ -122,15 +123,15 @@ class Unsure:
         return self._plain.outputs
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D)."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D)."""
         mean, jac, var = self._plain.predict(x)
         return mean, jac, var + self._more
 
 
 def displaced(encoders: Encoders, seen: Sequence[Sighting]) -> list[Moved]:
-    """The displacements of one camera's tracks that win NATS, in order of time, or the likeliest if none does.
+    """Return the displacements of one camera's tracks that win NATS, by time, or else the most likely one.
 
-    Empty where too little is seen to say.
+    Empty where too little is seen.
     """
     found = [(s, curve) for s in seen if (curve := drawn(encoders, s, MOST // len(seen))) is not None]
     rows = _rows(found) if found else None
@@ -145,13 +146,13 @@ def displaced(encoders: Encoders, seen: Sequence[Sighting]) -> list[Moved]:
 
 
 def _weighed(rows: _Rows) -> Array:
-    """The covariance (R,R) with rows counting less that are far from their neighbours, whatever explains these."""
+    """Covariance (R,R) with variance added to rows far from the median of their neighbours."""
     cov, far = _covariance(rows), np.zeros(len(rows.t))
     spread = np.sqrt(np.diag(cov))
     for track, output in {*zip(rows.track.tolist(), rows.output.tolist(), strict=True)}:
         own = np.flatnonzero((rows.track == track) & (rows.output == output))
         if len(own) >= BESIDE:
-            # a median keeps a step where it is
+            # a median preserves a step
             beside = np.lib.stride_tricks.sliding_window_view(np.pad(rows.r[own], BESIDE // 2, "edge"), BESIDE)
             far[own] = np.abs(rows.r[own] - np.median(beside, axis=1)) / (GATE * spread[own])
     cov[np.diag_indices_from(cov)] += rows.noise * (np.maximum(far, 1.0) ** 2 - 1.0)
@@ -159,7 +160,7 @@ def _weighed(rows: _Rows) -> Array:
 
 
 def _moves(rows: _Rows, cov: Array) -> list[Moved]:
-    """One move after the other while each wins NATS, those before found again beside it; the likeliest if none does."""
+    """Add displacements while each wins NATS, re-estimating the others each time; else the most likely one."""
     moves = [_next(rows, cov, [])]
     while moves[-1].nats > NATS and len(moves) < MOVES:
         more = [*moves, _next(rows, cov, moves)]
@@ -172,22 +173,22 @@ def _moves(rows: _Rows, cov: Array) -> list[Moved]:
 
 
 def _next(rows: _Rows, cov: Array, others: list[Moved]) -> Moved:
-    """The likeliest move beside others, and the nats it wins."""
+    """The most likely displacement given the others, and the nats it wins."""
     left = _left(rows, others)
     found = _likeliest(replace(rows, r=left), cov, np.eye(2)[rows.output], SIZE)
     return replace(found, nats=_cost(left, cov) - found.nats)
 
 
 def _left(rows: _Rows, moves: list[Moved]) -> Array:
-    """What moves leave (R,) px."""
+    """Residuals (R,) px after the displacements."""
     return np.asarray(rows.r - sum(one.size[rows.output] * (rows.t >= one.t) for one in moves))
 
 
 def _beyond_encoders(rows: _Rows, cov: Array, moves: list[Moved]) -> float:
-    """Nats by which moves explain the rows better than encoders that wander, all or one by far, or one that steps.
+    """Nats won against the best alternative: all encoders wander, one wanders far, or one steps.
 
-    −∞ where more than noise is left: an encoder that went far off is not linear any more. As one step is as simple as
-    one move, the first move alone must win against that.
+    −∞ where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as simple
+    as one displacement, so it is compared with the first displacement alone.
     """
     joints, none = range(rows.x.shape[1]), _cost(rows.r, cov)
     white = np.linalg.solve(np.linalg.cholesky(cov), _left(rows, moves))
@@ -220,12 +221,12 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
 
 
 def _covariance(rows: _Rows) -> Array:
-    """Covariance (R,R) px² of r where no camera moved and encoders are sound."""
+    """Covariance (R,R) px² of r with a fixed camera and sound encoders."""
     same = (rows.track[:, None] == rows.track) & (rows.output[:, None] == rows.output)
     apart = np.square((rows.x[:, None] - rows.x) / rows.reach).sum(axis=2)
     model = np.sqrt(rows.model)
     cov = same * model[:, None] * model * np.exp(-0.5 * apart)
-    # the same means of encoders foretell all that is seen at one time
+    # rows of one time share the same means of encoder readings
     cov += (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
     cov += LATE**2 * rows.speed[:, None] * rows.speed
     cov += sum(_wandering(rows, joint, OFFSET, LASTING) for joint in range(rows.x.shape[1]))
@@ -234,16 +235,16 @@ def _covariance(rows: _Rows) -> Array:
 
 
 def _wandering(rows: _Rows, joint: int, offset: float, walk: float) -> Array:
-    """What an encoder adds (R,R) px² that is off by `offset` (rad, one deviation) at first and wanders (rad²/s)."""
+    """Covariance (R,R) px² added by an encoder offset of std `offset` (rad) that wanders by `walk` (rad²/s)."""
     since = rows.t - rows.t.min()
     lean = rows.jac[:, joint]
     return np.asarray(lean[:, None] * lean * (offset**2 + walk * np.minimum(since[:, None], since)))
 
 
 def _likeliest(rows: _Rows, cov: Array, basis: Array, wide: float) -> Moved:
-    """The likeliest step along a basis (R,D), one of D ~ N(0, wide²), and when.
+    """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
 
-    `nats` is the cost, −ln p (nats) of all rows, over all times of a step.
+    Its `nats` is the cost, −ln p of all rows, averaged over all times of a step.
     """
     times, d = np.unique(rows.t), basis.shape[1]
     chol = np.linalg.cholesky(cov)
@@ -258,19 +259,19 @@ def _likeliest(rows: _Rows, cov: Array, basis: Array, wide: float) -> Moved:
     logdet = 2.0 * float(np.log(np.diag(chol)).sum())
     cost = _scaled(square, len(r)) + 0.5 * logdet
     best = int(cost.argmin())
-    # each time is as likely
+    # all times are equally likely
     total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
     return Moved(float(times[best]), size[best], np.linalg.inv(info[best]), total)
 
 
 def _cost(r: Array, cov: Array) -> float:
-    """−ln p (nats) of rows r (R,) without a displacement, but for what all hypotheses share."""
+    """−ln p (nats) of rows r (R,) without a displacement, up to a constant of all hypotheses."""
     chol = np.linalg.cholesky(cov)
     white = np.linalg.solve(chol, r)
     return float(_scaled(np.array(white @ white), len(r)) + np.log(np.diag(chol)).sum())
 
 
 def _scaled(square: Array, count: int) -> Array:
-    """−ln p (nats) by the whitened rows' squares, where all may be noisier than stated: at the likeliest scale ≥ 1."""
+    """−ln p (nats) from squared whitened residuals, at the most likely common noise scale ≥ 1."""
     scale = np.maximum(square / count, 1.0)
     return np.asarray(0.5 * (square / scale + count * np.log(scale)))

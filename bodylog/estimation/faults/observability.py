@@ -1,4 +1,4 @@
-"""Joints, and stretches of a log, that no encoder speaks of: what pictures alone tell of them is said to be little."""
+"""Warnings for joints and stretches without encoder readings, where images alone may not determine the angles."""
 
 from collections.abc import Iterator, Sequence
 
@@ -12,18 +12,18 @@ from ..measurements.records import Encoders, Evidence, Sighting
 from .contract import Verdict
 
 LONG = 1.0
-"""s: encoders that say nothing for longer are silent."""
+"""s: shortest gap in an encoder's readings that counts as silence."""
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """What images alone tell of joints that no encoder speaks of, ever or for long."""
+    """Warn where images must determine joints that have no encoder readings, ever or for long."""
     return Verdict(evidence, (), tuple(silences(body.joints, evidence.encoders, evidence.sightings)))
 
 
 def silences(
     names: tuple[str, ...], encoders: Encoders | None, heard: Sequence[Sighting]
 ) -> Iterator[Finding]:
-    """Warnings where pictures give fewer numbers than there are joints no encoder speaks of, ever or for long."""
+    """Yield warnings where images give fewer numbers than there are joints without encoder readings."""
     mute = silent(names, encoders)
     seen = sum(sighting.values.shape[1] for sighting in heard if sighting.name != "touch")
     if 0 < seen < len(mute):
@@ -47,7 +47,7 @@ def silences(
 
 
 def _silent_from(frames: Array, known: Array) -> Iterator[str]:
-    """When an encoder heard at known (N,) s was silent for long though there were frames (F,) s."""
+    """Yield the long silences of an encoder with readings at known (N,) s during which there are frames (F,) s."""
     for k in np.flatnonzero(np.diff(known) > LONG):
         if _between(frames, known[k], known[k + 1]):
             yield f"{known[k]:.3f} to {known[k + 1]:.3f} s"

@@ -1,7 +1,7 @@
-"""What an offset of each encoder would explain, to first order at the belief at hand: cheap enough to ask of every log.
+"""Score test for encoder offsets: the evidence an offset would win, to first order, at the cost of one pass.
 
-A belief that knows of no offset b has innovations ν + Ψ b (Friedland 1969, "Treatment of bias in recursive
-filtering"), where Ψ follows from the filter's own covariances. So ν is a regression on b.
+Innovations of a filter without an offset b are ν + Ψ b (Friedland 1969, "Treatment of bias in recursive filtering"),
+where Ψ follows from the filter's covariances. So b is found by regression of ν on Ψ.
 """
 
 from dataclasses import dataclass
@@ -17,19 +17,19 @@ from ..measurements.timeline import spans
 from ..noise.correlated_noise import counts
 
 CLIP = 4.0
-"""Standard deviations: no innovation counts for more, lest single blunders accuse an encoder."""
+"""Standard deviations at which innovations are clipped, so that single blunders do not look like an offset."""
 FAR = 0.3
-"""rad: angles closer than this share so much of a model's error that it passes for a lie, which lasts as well."""
+"""rad: within this distance errors of the body model are correlated, and look like an offset."""
 SPAN = 0.5
-"""s over which an offset is taken for constant."""
+"""s over which an offset is taken as constant."""
 PASSES, STILL = 8, 0.05
-"""Passes over all stretches at most, and how little a stretch's start may still move, per unit of offset."""
+"""Most passes over all segments, and the change of a segment's start, per unit of offset, that ends them."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Frames:
-    """One track's F sightings: at which events (F,), J (D,M,F), S⁻¹ (D,D,F) of the innovation, S⁻¹ν (D,F) clipped,
-    information (M,M,F) as gated.
+    """F sightings of a track: events (F,), J (D,M,F), S⁻¹ (D,D,F) of the innovation, S⁻¹ν (D,F) clipped, information
+    (M,M,F) after gating.
     """
 
     events: Array
@@ -40,9 +40,9 @@ class _Frames:
 
 
 def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
-    """Nats (M,) that an offset of each encoder, wandering by `walk` rad²/s, would win; 0 where nothing is looked at.
+    """Nats (M,) that an offset of each encoder with random walk `walk` rad²/s would win; 0 without images.
 
-    With what that offset would be over spans of the log (S,M) rad, and its variance (S,M).
+    Also returns that offset over spans of the log (S,M) rad, and its variance (S,M).
     """
     tracks = [_frames(problem, solved, k) for k in range(len(problem.evidence.sightings))]
     visual = [track for track, s in zip(tracks, problem.evidence.sightings, strict=True) if s.name != "touch"]
@@ -59,7 +59,7 @@ def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Arr
 
 
 def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
-    """What the sightings of one track said to the belief."""
+    """Innovations of one track's sightings and their information."""
     readings, trace = solved.readings, solved.trace
     seen: Array = np.all(np.isfinite(problem.evidence.sightings[track].values), axis=1)
     events = problem.timeline.sightings[track][seen]
@@ -79,25 +79,25 @@ def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
 
 
 def _at(solved: Solution, a: Array, events: Array) -> Array:
-    """Folded a (L,…,C) at the given events: (…,F)."""
+    """Values of folded a (L,…,C) at the given events: (…,F)."""
     return np.ascontiguousarray(np.moveaxis(solved.fold.pick(a, events), 0, -1))
 
 
 def _inverse(s: Array) -> Array:
-    """Of symmetric s (2,2,F)."""
+    """Inverse of symmetric s (2,2,F)."""
     (a, b), (_, c) = s
     return np.asarray(np.stack([c, -b, -b, a]).reshape(s.shape) / (a * c - b * b))
 
 
 def _common(solved: Solution, track: int, seen: Array) -> Array:
-    """What the model's error adds to variances (D,F), so that frames of like postures say of a lie no more than one."""
+    """Variance (D,F) added for correlated model error, so that frames of like postures count as one."""
     points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
     alike = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / FAR))
     return np.asarray((model * (2.0 * alike - 2.0)[:, None]).T)
 
 
 def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
-    """How far (L,M,M,C) the belief before each instant is from the truth, per unit of each encoder's offset."""
+    """Derivative (L,M,M,C) of the predicted belief at each instant with respect to each encoder's offset."""
     readings, trace, fold = solved.readings, solved.trace, solved.fold
     gated = raised(readings.encoder_var, _spread(solved), trace.encoder_d**2)
     told = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
@@ -105,7 +105,7 @@ def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
     np.einsum("liic->lic", stiff)[:] = told
     for track in tracks:
         fold.put(stiff, track.events, fold.pick(stiff, track.events) + np.moveaxis(track.stiff, -1, 0))
-    # what merely reminds of habits has no offset
+    # pseudo-readings of the posture prior have no offset
     lied = np.where(np.isfinite(trace.encoder_d), told, 0.0)
     shift, begin = np.empty_like(stiff), _follows(lied)
     for _ in range(PASSES):
@@ -117,7 +117,7 @@ def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
 
 
 def _follows(lied: Array) -> Array:
-    """A first guess (2M,M,C) of the shift where stretches start: by all the offset, of encoders that speak."""
+    """First guess (2M,M,C) of the derivative at the start of segments: 1 for encoders with readings."""
     _, m, c = lied.shape
     begin = np.zeros((2 * m, m, c))
     begin[np.arange(m), np.arange(m), 1:] = np.any(lied > 0, axis=(0, 2), keepdims=True)[0]
@@ -127,7 +127,8 @@ def _follows(lied: Array) -> Array:
 def _follow(
     shift: Array, moved: Array, dt: Array, stiff: Array, lied: Array, p: Array
 ) -> Array:  # fmt: skip
-    """Carry `moved` (2M,M,C), angles and rates per unit of offset, through all stretches and into `shift`; the end."""
+    """Propagate derivatives `moved` (2M,M,C) of angles and rates through all segments, filling `shift`; return the end.
+    """
     m = lied.shape[1]
     own = np.arange(m)
     for i, step in enumerate(dt):
@@ -141,7 +142,7 @@ def _follow(
 
 
 def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
-    """Ψᵀ S⁻¹ ν (E,M) and the diagonal of Ψᵀ S⁻¹ Ψ (E,M) of all that encoders said."""
+    """Ψᵀ S⁻¹ ν (E,M) and the diagonal of Ψᵀ S⁻¹ Ψ (E,M) from all encoder readings."""
     d, m = solved.trace.encoder_d, shift.shape[1]
     heard, std = np.isfinite(d), np.sqrt(_spread(solved))
     psi = (np.eye(m)[..., None] - shift) * np.where(heard, 1.0 / std, 0.0)[:, :, None]
@@ -151,9 +152,9 @@ def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
 
 
 def _scatter(solved: Solution) -> Array:
-    """How many times their variance each encoder's innovations scatter (M,), 1 at least.
+    """Ratio (M,), at least 1, of each encoder's innovation scatter to its stated variance.
 
-    A smoother's way forth lags behind the arm, which passes for an offset unless what is said counts so much less.
+    A smoother's forward pass lags behind the arm, which would look like an offset without this factor.
     """
     d = np.nan_to_num(solved.trace.encoder_d)
     heard = np.isfinite(solved.trace.encoder_d).sum(axis=(0, 2))
@@ -167,7 +168,7 @@ def _spread(solved: Solution) -> Array:
 
 
 def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
-    """As `promise`: an offset filtered by itself over spans of what scores (E,M) with weights (E,M) say of it."""
+    """Filter each offset over spans from scores (E,M) and weights (E,M); returns as `offset_score` does."""
     starts = np.unique(np.searchsorted(t, spans(t, SPAN)))
     steps = np.diff(t[starts], append=t[-1])
     score, weight = np.add.reduceat(score, starts), np.add.reduceat(weight, starts)

@@ -1,4 +1,4 @@
-"""Whether encoders speak of the angles the body was learned at, and in its unit."""
+"""Whether encoder readings lie in the range, and have the unit, that the body was learned with."""
 
 from collections.abc import Iterator
 
@@ -11,17 +11,17 @@ from ..measurements.records import Evidence
 from .contract import Verdict
 
 BESIDE = 0.5
-"""rad, or share of what was explored, by which readings may lie beyond it."""
+"""rad, or share of the explored range, by which readings may lie beyond it."""
 TURN = 2.0 * np.pi
 
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
-    """Readings beyond what was explored, of silenced encoders too: they say where the belief starts."""
+    """Check the range of all readings, unused encoders included: they give the initial belief."""
     return Verdict(evidence, (), tuple(checked(evidence.read, body)) if len(evidence.read) else ())
 
 
 def checked(readings: Array, body: BodyModel) -> Iterator[Finding]:
-    """A warning for each joint whose readings (N,M) rad are mostly beyond what was explored; ModelError for degrees."""
+    """Yield a warning for each joint whose readings (N,M) rad are mostly out of range; ModelError for degrees."""
     known = [getattr(model, "samples", np.empty((0, len(body.joints)))) for model in body.senses.values()]
     if "encoders" in body.senses or not len(explored := np.concatenate([np.empty((0, len(body.joints))), *known])):
         return
@@ -40,7 +40,7 @@ def checked(readings: Array, body: BodyModel) -> Iterator[Finding]:
 
 
 def _within(told: Array, low: float, high: float) -> bool:
-    """Whether half of what is told (N,) is about what was explored; so it is where nothing is told."""
+    """Whether at least half of the finite values (N,) lie near the explored range; True if there are no values."""
     told, beside = told[np.isfinite(told)], max(BESIDE, BESIDE * (high - low))
     return not len(told) or bool(np.mean((told >= low - beside) & (told <= high + beside)) >= 0.5)
 

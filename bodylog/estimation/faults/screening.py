@@ -1,4 +1,4 @@
-"""Every detector of faults, one line each, and one pass of all of them over what was measured."""
+"""The table of fault detectors, and one pass of all of them over the measurements."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -17,18 +17,18 @@ DETECTORS: Mapping[str, Detector] = {
     "frozen_camera": frozen_camera.detect,
     "moved_camera": moved_camera.detect,
 }
-"""In this order: each judges by what those before it left."""
+"""In this order: each sees what the ones before it left."""
 POSES = {name: DETECTORS[name] for name in ("out_of_range", "frozen_camera")}
-"""Of poses that no motion joins: what goes by the readings before and after does not count."""
+"""Detectors for still poses; those that compare consecutive readings do not apply."""
 
 
 def screened(
     features: Features, body: BodyModel, settings: Estimation, whole: bool = True, repairs: bool = True,
     detectors: Mapping[str, Detector] = DETECTORS,
 ) -> Evidence:  # fmt: skip
-    """The evidence the settings ask for, gathered and screened once; EvidenceError where a named sense says nothing.
+    """Gather the measurements that the settings ask for and run all detectors; EvidenceError if a named sense is empty.
 
-    `whole`: all frames of one touch count as one sighting. Without `repairs` faults of encoders are named, but their
+    `whole`: all frames of one touch count as one sighting. Without `repairs`, encoder faults are named, but the
     readings stay as they were.
     """
     gathered = gather(features, body, settings, whole)

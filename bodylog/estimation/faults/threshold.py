@@ -1,5 +1,5 @@
-"""How much evidence a hypothesis must win before it is chosen, the same for all."""
+"""The evidence that a hypothesis must win before it is chosen, one number for all."""
 
 NATS = 20.0
-"""Nats by which a hypothesis must explain a log better than the simpler one. Beyond chance there is what a model leaves
-out: on 100 healthy drawn logs the hypothesis that a camera moved won 8 nats at most."""
+"""Nats by which a hypothesis must explain a log better than the simpler one. The margin covers model errors: on 100
+healthy drawn logs the hypothesis of a moved camera won at most 8 nats."""

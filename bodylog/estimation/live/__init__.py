@@ -1,1 +1,1 @@
-"""The filter beside a robot: the batch filter's steps, fed as readings come."""
+"""The live filter: the batch filter's steps, run as readings arrive."""

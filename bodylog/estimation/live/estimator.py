@@ -1,4 +1,4 @@
-"""The filter beside a live robot: one step per instant, the same belief as the batch filter's."""
+"""The live filter: one step per instant, with the same belief as the batch filter."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -26,17 +26,17 @@ from .inputs import Angles, Incoming, Place, Tell, Told, finite
 from .replay_buffer import Instant, Recent, State
 
 GIVEN = Estimation(precision="model", bias="off")
-"""What a filter can do that does not know the future."""
+"""Settings of a filter without knowledge of the future."""
 LAG = 0.5
-"""s: how late a reading may come."""
+"""s: the longest delay of a reading."""
 
 
 @dataclass(frozen=True, eq=False)
 class Belief:
     """At t (s): angles x (M,) rad · rates (M,) rad/s · cov (M,M) rad² of the angles · encoders' bias (M,) rad or None.
 
-    free_energy (nats) of what was told, given what was known · errors {sense: (D,) standard deviations} of that instant
-    · lost: joints (M,) bool of which nothing was known any more before what was told, or None.
+    free_energy (nats) of the readings given the earlier ones · errors {sense: (D,) standard deviations} of that instant
+    · lost: joints (M,) bool that were re-initialised at that instant, or None.
     """
 
     t: float
@@ -50,16 +50,16 @@ class Belief:
 
 
 class Estimator:
-    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
+    """A filter fed as readings arrive: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
         self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, tell: Tell = np.asarray,
         learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
-        """A filter for `body` with the senses, start and bias of `settings`; what comes up to `lag` s late is heard.
+        """A filter for `body` with the senses, start and bias of `settings`; readings may be up to `lag` s late.
 
-        `tell` makes angles of what encoders read · `learned`: the settings of an estimate, whose variances are used.
-        UsageError for settings that need the whole log, and for variances that are not this body's.
+        `tell` converts encoder readings to angles · `learned`: settings of an estimate, whose variances are used.
+        UsageError for settings that need the whole log, and for variances of another body.
         """
         settings = settings or GIVEN
         _needs_no_log(settings, body)
@@ -76,20 +76,20 @@ class Estimator:
 
     @property
     def used(self) -> Mapping[str, Health]:
-        """What became of what was told, by sense."""
+        """Counts of used and rejected readings, by sense."""
         return self._incoming.used
 
     def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> Belief:
-        """The belief after all that is told until t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
+        """The belief after all readings up to t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
 
-        None, or NaN, is what was not heard. What is told may come out of order by up to `lag` s; the belief is about
-        the latest instant. UsageError or ModelError for what is not the body's. LogError until all joints were told:
-        what was told until then is heard then.
+        None, or NaN, is a missing reading. Readings may arrive out of order by up to `lag` s; the belief is about the
+        latest instant. UsageError or ModelError for readings that do not fit the body. LogError until every joint has
+        been read once; earlier readings are then applied together.
         """
         return self._tell([(finite(t), joints, places)])
 
     def _tell(self, parts: Sequence[tuple[float, Angles | None, Mapping[str, Place | None]]]) -> Belief:
-        """The same of what one call tells of several times (s): each is a time, joints and places."""
+        """The belief after readings of several times (s): each a time, joints and places."""
         told = [(t, self._incoming.read(joints, places)) for t, joints, places in parts]
         if self._recent is None:
             self._waiting += told
@@ -120,7 +120,7 @@ class Estimator:
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost)
 
     def _begin(self, readings: Sequence[Array]) -> Recent:
-        """No instant yet, and what is known before the first; `readings` (M,) rad of this call."""
+        """An empty buffer with the initial belief; `readings` (M,) rad of this call."""
         names, given, precision = self._body.joints, self._settings.start, self._precision
         for angles in readings:
             self._first = np.where(np.isfinite(self._first), self._first, angles)
@@ -148,7 +148,7 @@ class Estimator:
 
 
 class Steady(NamedTuple):
-    """Variances as plain floats: process (M), drift (M, or none), encoders' (M)."""
+    """Variances as plain floats: process (M), drift (M, or empty), encoders' (M)."""
 
     process: list[float]
     drift: list[float]
@@ -157,7 +157,7 @@ class Steady(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Filter:
-    """From one instant to the next."""
+    """One step of the filter."""
 
     motion: Motion
     steady: Steady
@@ -169,11 +169,11 @@ class _Filter:
     models: Mapping[str, ForwardModel]
 
     def hear(self, before: State, at: Instant) -> State:
-        """The state after an instant, from the one before it."""
+        """The state after an instant, from the state before it."""
         return self._by_encoders(before, at) or self._by_all(before, at)
 
     def _by_encoders(self, before: State, at: Instant) -> State | None:
-        """The same where encoders alone speak of a belief that all of them bore out of late; else None."""
+        """The fast step for encoders alone, if all of them recently confirmed the belief; else None."""
         t = at.t
         if at.places or self.habit is not None or not t - before.oldest <= SILENCE:
             return None
@@ -188,7 +188,7 @@ class _Filter:
         try:
             z, p, nats, d = scalar_steps.heard(z, p, said, encoder)
         except ArithmeticError:
-            return None  # which says so in full
+            return None  # the full step reports the error
         uneven = before.uneven + 1
         if uneven >= EVEN:
             scalar_steps.even(p)
@@ -223,7 +223,7 @@ class _Filter:
         return PendingFrame(self.models[name], t, place, self.scale.get(name, 1.0) * var, self.like[name], LastFrame())
 
     def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
-        """Angles and variances (M,) rad², with a reminder of where joints without an encoder are wont to be."""
+        """Angles and variances (M,) rad², with pseudo-readings of the posture prior for joints without an encoder."""
         if self.habit is None or dt == 0.0:
             return x, self.encoder_var
         own = self.habit.joints
@@ -231,7 +231,7 @@ class _Filter:
 
 
 def _needs_no_log(settings: Estimation, body: BodyModel) -> None:
-    """UsageError for settings that ask for what only a whole log can tell."""
+    """UsageError for settings that need the whole log."""
     able = tuple(name for name, method in METHODS.items() if method.live)
     possible = {"method": able, "precision": ("model",), "bias": ("off", "on")}
     for name, values in possible.items():

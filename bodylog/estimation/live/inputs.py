@@ -1,4 +1,4 @@
-"""What a live filter is told: angles by joint, places by track; checked, counted, and what of it is to be heard."""
+"""Readings given to a live filter: angles by joint, positions by track; checked, counted and filtered."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,27 +15,27 @@ from ..measurements.track import pixel_variance
 from ..noise import typed
 
 Angles = Sequence[float] | Array | Mapping[str, float]
-"""rad, in the body's order, or by joint; NaN, or a joint left out, was not read."""
+"""rad, in the body's order, or by joint; NaN, or a joint left out, is a missing reading."""
 Place = Sequence[float] | Array
-"""(u, v) or (u, v, std_u, std_v) px; NaN was not seen."""
+"""(u, v) or (u, v, std_u, std_v) px; NaN is not seen."""
 
 Tell = Callable[[Array], Array]
-"""The angles (M,) rad that readings (M,) tell."""
+"""Converts readings (M,) to angles (M,) rad."""
 
 
 @dataclass(frozen=True, eq=False)
 class Told:
-    """Angles (M,) rad, NaN where there is none, or None · places {track: (u, v) px and its variance (2,) px²}."""
+    """Angles (M,) rad, NaN where missing, or None · places {track: (u, v) px and its variance (2,) px²}."""
 
     angles: Array | None
     places: Mapping[str, tuple[Array, Array]]
 
 
 class Incoming:
-    """The senses of a body, those of them that are to be heard, and what became of each one's messages."""
+    """The senses of a body, which of them are used, and counts of each one's readings."""
 
     def __init__(self, body: BodyModel, settings: Estimation, tell: Tell) -> None:
-        """UsageError for senses in the settings that the body has not."""
+        """UsageError for senses in the settings that the body lacks."""
         visual = {name: model for name, model in body.senses.items() if name != "encoders"}
         touch = {"touch": visual["effector"]} if "effector" in visual else {}
         wanted = chosen(visual, body, settings)
@@ -49,7 +49,7 @@ class Incoming:
         self._counts: dict[str, dict[str, int]] = {}
 
     def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Told:
-        """What is told as arrays; UsageError or ModelError when it cannot be that of this body."""
+        """Convert readings to arrays; UsageError or ModelError where they do not fit the body."""
         angles = None if joints is None else self._angles(joints)
         return Told(angles, {name: self._place(name, told) for name, told in places.items() if told is not None})
 
@@ -75,7 +75,7 @@ class Incoming:
         return place, pixel_variance(std, self.models[name], fallback) if given is None else np.full(2, given)
 
     def accept(self, t: float, told: Told, late: bool) -> Told:
-        """Of what is told of the time t (s) that which is to be heard; the rest is counted by its reason."""
+        """Keep the readings of time t (s) that may be used; count the others by reason."""
         places = {
             name: (value, var)
             for name, (value, var) in told.places.items()
@@ -107,7 +107,7 @@ class Incoming:
 
     @property
     def used(self) -> dict[str, Health]:
-        """What became of each sense's messages."""
+        """Counts of used and rejected readings, by sense."""
         return {
             sense: Health(sum(counts.values()), counts.get("", 0), {why: n for why, n in counts.items() if why})
             for sense, counts in self._counts.items()
@@ -115,7 +115,7 @@ class Incoming:
 
 
 def finite(t: float) -> float:
-    """A time (s); UsageError when it is none."""
+    """Return a time (s) as float; UsageError unless it is finite."""
     if not isinstance(t, int | float | np.number) or not isfinite(t):
         raise UsageError(f"t: {t!r} found, a finite time in s is possible")
     return float(t)

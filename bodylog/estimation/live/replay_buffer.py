@@ -1,4 +1,4 @@
-"""The last instants of a live filter, so that what comes late is heard where it belongs."""
+"""The last instants of a live filter: late readings are inserted at their time and later ones re-applied."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -13,11 +13,11 @@ from .inputs import Told
 
 @dataclass(eq=False, slots=True)
 class State:
-    """After an instant t (s; −∞ before the first): z (K), p (K,K) as lists, what was heard last · the instant's nats.
+    """After an instant t (s; −∞ before the first): z (K), p (K,K) as lists, the acquisition state · the instant's nats.
 
-    borne (M) s: when each encoder bore the belief out last; oldest (s): the least of these, −∞ while joints are
-    adrift · uneven: instants since rounding's asymmetry was taken out of p · errors
-    {sense: standard deviations} of what was heard then · lost (M,) bool: joints the belief began anew with then.
+    borne (M) s: time at which each encoder last confirmed the belief; oldest (s): the least of these, −∞ while joints
+    are adrift · uneven: instants since p was made symmetric · errors {sense: standard deviations} of this instant ·
+    lost (M,) bool: joints re-initialised at it.
     """
 
     t: float
@@ -34,7 +34,7 @@ class State:
 
 @dataclass(eq=False)
 class Instant:
-    """What is heard at t (s): angles (M,) rad, NaN where silent, or None, and places; and the state after."""
+    """Readings of time t (s): angles (M,) rad, NaN where missing, or None, and places; and the state after them."""
 
     t: float
     after: State | None = None
@@ -42,7 +42,7 @@ class Instant:
     places: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def add(self, told: Told) -> None:
-        """Hear this, too."""
+        """Add readings of the same time."""
         if self.angles is None or told.angles is None:
             self.angles = told.angles if self.angles is None else self.angles
         else:
@@ -54,7 +54,7 @@ class Recent:
     """The instants of the last `lag` seconds, and the state before them."""
 
     def __init__(self, base: State, lag: float, hear: Callable[[State, Instant], State]) -> None:
-        """None yet; `hear` makes the state after an instant from the one before."""
+        """An empty buffer; `hear` gives the state after an instant from the one before."""
         self._base, self._lag, self._hear = base, lag, hear
         self._instants: list[Instant] = []
 
@@ -64,17 +64,17 @@ class Recent:
         return self._after(len(self._instants))
 
     def _after(self, count: int) -> State:
-        """The state after so many of the instants."""
+        """The state after the first `count` instants."""
         after = self._instants[count - 1].after if count else self._base
         assert after is not None
         return after
 
     def late(self, t: float) -> bool:
-        """Whether t (s) is before all that can be heard again."""
+        """Whether t (s) is before all instants that can be recomputed."""
         return t <= self._base.t
 
     def add(self, t: float, told: Told) -> tuple[State, State, float]:
-        """Hear what is told at t (s), and all since then again: the states after t and now, and the nats it cost."""
+        """Insert readings at t (s) and recompute all later instants: the states after t and now, and the nats added."""
         index = self._index(t)
         self._instants[index].add(told)
         before = self._after(index)
@@ -89,7 +89,7 @@ class Recent:
         return then, before, nats
 
     def _index(self, t: float) -> int:
-        """Which instant is at t (s), a new one if there was none."""
+        """Index of the instant at t (s), inserted if missing."""
         index = len(self._instants)
         while index and self._instants[index - 1].t >= t:
             index -= 1
@@ -98,7 +98,7 @@ class Recent:
         return index
 
     def _forget(self, until: float) -> None:
-        """Instants before `until` (s), though never the last."""
+        """Drop instants before `until` (s), except the last."""
         old = 0
         while old < len(self._instants) - 1 and self._instants[old].t < until:
             old += 1

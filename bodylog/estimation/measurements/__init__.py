@@ -1,1 +1,1 @@
-"""What the log's senses measured, in the body's own terms: records, gathering, touch, and the timeline of instants."""
+"""What each sense measured: records, gathering from features, one file per sense, and the timeline."""

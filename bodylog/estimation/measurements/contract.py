@@ -1,4 +1,4 @@
-"""What a sense is: one file that says which measurements of it there are, and reads them with a model of each."""
+"""The interface of a sense: one file that lists its measurements and reads them."""
 
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
@@ -9,24 +9,25 @@ from .records import Sighting
 
 
 class Measured(NamedTuple):
-    """Measurements of one name (t (N,) · values (N,D) · cov (N,D,D) or var (N,D) · model), and what became of them."""
+    """Measurements of one name (t (N,) · values (N,D) · cov (N,D,D) or var (N,D) · model), and counts of what was used.
+    """
 
     sighting: Sighting
     health: Health
 
 
 class Sense(Protocol):
-    """One kind of sense, with as many rows D as it likes; `Sighting.model` predicts g (D), J (D,M), variance (D)."""
+    """One kind of sense, with any number of rows D; `Sighting.model` predicts g (D), J (D,M), variance (D)."""
 
     @property
     def group(self) -> str:
-        """The group of senses it belongs to: vision or touch."""
+        """The group it belongs to: vision or touch."""
 
     def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
-        """What of it these features have and this body predicts."""
+        """Names of its measurements that the features contain and the body predicts."""
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool) -> Measured:
-        """The measurements of that name; `whole`: those of one event count as one."""
+        """Read the measurements of one name; `whole`: those of one event count as one."""
 
 
 Senses = Mapping[str, Sense]

@@ -1,4 +1,4 @@
-"""What each sense said, in the body's own terms: encoder rows by joint name, sightings by track, what was left out."""
+"""Measurements of all senses: encoder rows by joint name, sightings by track, and counts of what was left out."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -18,13 +18,13 @@ SENSES: Mapping[str, Sense] = {
     "track": Track(),
     "touch": Touch(),
 }
-"""Senses beside the encoders, in the order in which they are gathered."""
+"""Senses other than encoders, in the order of gathering."""
 FIRST = "camera"
-"""Name of the first camera, whose tracks are named plainly."""
+"""Name of the first camera, whose tracks have no prefix."""
 
 
 def gather(features: Features, body: BodyModel, settings: Estimation, whole: bool = True) -> Evidence:
-    """The evidence the settings ask for, as measured; `whole`: all frames of one touch count as one sighting."""
+    """Gather the measurements that the settings ask for; `whole`: all frames of one touch count as one sighting."""
     visual = {name: track for name, track in features.tracks.items() if name in body.senses}
     wanted, joints = chosen(visual, body, settings), features.joints
     encoders, used = _encoders(joints, body.joints, wanted)
@@ -39,11 +39,11 @@ def gather(features: Features, body: BodyModel, settings: Estimation, whole: boo
 
 
 def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Estimation) -> Evidence:
-    """The evidence of the senses that measured anything; EvidenceError where a named one, or all, did not."""
+    """Keep the senses with measurements; EvidenceError where a named one, or every one, has none."""
     used, encoders = evidence.used, evidence.encoders
     wanted = chosen([name for name in features.tracks if name in body.senses], body, settings)
     findings = _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
-    # touches out of time are a result, not a lack: they are heard, for what little they weigh
+    # touches out of time are a result: they stay, with their small weights
     heard = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
     if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
         raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
@@ -51,12 +51,12 @@ def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Est
 
 
 def silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
-    """Joints no encoder speaks of."""
+    """Joints without any encoder reading."""
     return [n for j, n in enumerate(names) if encoders is None or not np.isfinite(encoders.values[:, j]).any()]
 
 
 def chosen(visual: Iterable[str], body: BodyModel, settings: Estimation) -> set[str]:
-    """Joints, tracks out of `visual` and touch that the settings let be heard; UsageError for a name that is none."""
+    """Joints, tracks of `visual` and touch that the settings select; UsageError for an unknown name."""
     groups = {"encoders": list(body.joints), "vision": list(visual), "touch": ["touch"]}
     singles = {*body.joints, *body.senses}
     for name in (*(settings.senses or ()), *settings.without):
@@ -75,7 +75,7 @@ def _encoders(
     if joints is None:
         return None, {"encoders": Health(0, 0)}
     values = joints.values[:, columns(joints, names)].astype(float)
-    # a row of another topic's joints alone is no reading of these
+    # rows that hold only joints of other topics are no readings of these
     ours = np.isfinite(values).any(axis=1) | ~np.isfinite(joints.values).any(axis=1)
     joints, values = _rows(joints, ours), values[ours]
     silent = [index for index, name in enumerate(names) if name not in wanted]
@@ -98,12 +98,12 @@ def _rows(series: Series, chosen: Array) -> Series:
 
 
 def camera(track: str) -> str:
-    """The name of a track's camera."""
+    """Name of a track's camera."""
     return track.rpartition("/")[0] or FIRST
 
 
 def columns(joints: Series, names: tuple[str, ...]) -> list[int]:
-    """Where the joints of these names stand in a series; ModelError where one is missing."""
+    """Column numbers of joints in a series; ModelError for a missing joint."""
     missing = [name for name in names if name not in joints.names]
     if missing:
         raise ModelError(
@@ -114,7 +114,7 @@ def columns(joints: Series, names: tuple[str, ...]) -> list[int]:
 
 
 def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
-    """First finite reading (M,) of each joint, used or not: where the belief starts."""
+    """First finite reading (M,) of each joint, used or not: the initial belief."""
     first = np.full(len(names), np.nan)
     if joints is not None:
         for index, column in enumerate(joints.values[:, columns(joints, names)].T):
@@ -126,7 +126,7 @@ def _first(joints: Series | None, names: tuple[str, ...]) -> Array:
 def _check(
     used: Mapping[str, Health], named: tuple[str, ...], features: Features, silent: Sequence[str], wanted: set[str]
 ) -> tuple[Finding, ...]:
-    """EvidenceError for a named sense, or joint, that is empty; a finding for a guessed one."""
+    """EvidenceError for a named sense or joint without measurements; a warning for others."""
     visual = {name for name in used if name not in ("encoders", "touch")}
     late = "touch" in used and "not synchronous" in used["touch"].rejected
     for name in named:
@@ -155,7 +155,7 @@ def _words(health: Health) -> str:
 
 
 def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> Array:
-    """Mean (M,) rad the belief starts from: as set, or the first readings."""
+    """Initial mean (M,) rad: as set, or the first readings."""
     if settings.start is not None:
         if len(settings.start) != len(names):
             raise UsageError(f"start: {len(settings.start)} angles given, the body has {len(names)} joints")

@@ -1,4 +1,4 @@
-"""Joints recorded outside of the limits that a URDF gives them."""
+"""Joint readings outside the limits of a URDF."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,14 +10,16 @@ from ...types import Array, Finding, Series
 from .joints_alone import NAMED, STEP
 
 TURN = 2.0 * np.pi
-"""rad: no joint with limits in radians is a whole turn beyond them; its readings are degrees or ticks."""
+"""rad: a revolute joint so far beyond its limits reads degrees or ticks."""
 MOST = 0.99
-"""Quantile of how far readings lie beyond limits by which units are judged: single wild readings decide nothing."""
+"""Quantile of the excess by which units are judged, so that single wild readings decide nothing."""
 
 
 @dataclass(frozen=True)
 class _Outside:
-    """A joint's readings beyond its limits: how many of how many, by how much at most and by MOST, since when (s)."""
+    """A joint's readings beyond its limits: count, readings in all, largest and MOST quantile of the excess, first time
+    (s).
+    """
 
     name: str
     limits: Limits
@@ -29,15 +31,15 @@ class _Outside:
 
     @property
     def of_another_unit(self) -> bool:
-        """Whether it lies further beyond its limits than they lie apart."""
+        """Whether the excess is larger than the range between the limits."""
         return self.typical > self.limits.upper - self.limits.lower
 
 
 def outside(joints: Series, limits: Mapping[str, Limits], source: str) -> Iterator[Finding]:
-    """Which joints read outside of their limits (rad, m), how often and by how much; `source`: where these are from.
+    """Yield remarks on joints that read outside their limits (rad, m); `source`: where the limits are from.
 
-    No joint is accused where units or zeros are others than the URDF's: where one is a whole turn beyond its limits, or
-    where most joints lie beyond theirs.
+    Where units or zeros differ from the URDF's, no joint gets a warning. They differ if one joint is a whole turn
+    beyond its limits, or if most joints are beyond theirs.
     """
     columns = dict(zip(joints.names, joints.values.T, strict=True))
     known = [_outside(name, limits[name], joints.t, columns[name]) for name in columns if name in limits]

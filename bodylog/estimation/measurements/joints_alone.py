@@ -1,4 +1,4 @@
-"""Joints by their sensors alone, where no body was learned: how they are read, and what is odd about it."""
+"""Joints without a learned body: a body of encoders alone, and remarks on the quality of their readings."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,19 +10,19 @@ from ...types import Finding, Series
 from .track import ascending
 
 STEP = 2.0 * np.pi / 4096.0
-"""rad: the step of a 12-bit encoder, which one that never moves is taken for."""
+"""rad: the step of a 12-bit encoder, assumed for one that never moves."""
 PROCESS = 1.0
-"""rad²/s³ of joints that never move; that of others is learned."""
+"""rad²/s³: process noise of joints that never move; others learn theirs."""
 PAUSE, LONG = 20.0, 0.5
-"""Median steps in time, and s, beyond which a pause between readings is named."""
+"""Median steps in time, and s: a longer gap between readings is reported."""
 OFTEN = 0.5
-"""Share of readings that repeat the one before, from which on it is said."""
+"""Share of repeated readings that is reported."""
 NAMED = 3
-"""Joints or times that one remark names."""
+"""Joints or times named in one remark."""
 
 
 def joints_body(joints: Series, wanted: tuple[str, ...] | None) -> BodyModel:
-    """A body of joints that speak, or of those wanted, without a model of any sense; UsageError for an unknown one."""
+    """A body of all joints with readings, or those wanted, without other senses; UsageError for an unknown joint."""
     heard = [name for name, y in zip(joints.names, joints.values.T, strict=True) if np.isfinite(y).any()]
     if unknown := [name for name in wanted or () if name not in heard]:
         raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(heard)}; type: bodylog info LOG")
@@ -32,14 +32,14 @@ def joints_body(joints: Series, wanted: tuple[str, ...] | None) -> BodyModel:
 
 
 def unlearned_body(cameras: Sequence[str]) -> Iterator[Finding]:
-    """That there is no body, and which cameras are not used for it."""
+    """Yield the remark that no body is used, and which cameras are ignored."""
     unused = f"; {', '.join(cameras)} not looked at: type --body body.npz, which fit writes" if cameras else ""
     text = f"no --body: the joints' own sensors alone, which show no lasting offset{unused}"
     yield Finding("warning" if cameras else "info", text)
 
 
 def readings(joints: Series) -> Iterator[Finding]:
-    """What joints' stamps and readings show of themselves: steps back, repeats, pauses, joints that say nothing."""
+    """Yield remarks on stamps and readings: steps back, repeats, gaps, joints without readings."""
     yield from _stamps(joints)
     repeats = {n: np.diff(y) == 0.0 for n, y in zip(joints.names, joints.values.T, strict=True)}
     share = {name: float(np.mean(same)) for name, same in repeats.items() if len(same)}

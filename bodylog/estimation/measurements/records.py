@@ -1,4 +1,4 @@
-"""The records of what each sense measured, shared by whatever gathers, screens and uses it."""
+"""Records of measurements, shared by gathering, screening and estimation."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -11,9 +11,9 @@ from ...types import Array, Fault, Finding, Health, Hypothesis
 
 @dataclass(frozen=True, eq=False)
 class Encoders:
-    """Encoder rows: t (N,) s strictly rising · values (N,M) rad, NaN where silent · source_ns (N,).
+    """Encoder rows: t (N,) s strictly rising · values (N,M) rad, NaN where missing · source_ns (N,).
 
-    relative: each reading's variance (N,M) over its encoder's, None where they are all alike.
+    relative: variance (N,M) of each reading over its encoder's, None where all are 1.
     """
 
     t: Array
@@ -24,12 +24,12 @@ class Encoders:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """What one sense measured: t (N,) s · values, var (N,D) unit, unit² · source_ns · the model that predicts it.
+    """Measurements of one sense: t (N,) s · values, var (N,D) unit, unit² · source_ns · the model that predicts them.
 
-    D is any number of rows, the same for all of one sense. cov (N,D,D) unit²: where the rows of one measurement err
-    together, with `var` its diagonal; None where each errs by itself. displaced (N,D): what was taken off the values
-    because the camera had moved. common: share of the model's variance that comes
-    of exploring encoders' errors, which all tracks' models learn.
+    D is any number of rows, the same for all of one sense. cov (N,D,D) unit²: covariance of the rows, with `var` its
+    diagonal; None where rows are independent. displaced (N,D): displacement of a moved camera, already subtracted from
+    the values. common: share of the model's variance that comes from the exploration's encoder errors, common to all
+    tracks.
     """
 
     name: str
@@ -45,10 +45,10 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """Everything heard: `encoders` also when unused (then all NaN), for their clock; `first` (M,) rad, NaN if none.
+    """All measurements. `encoders` stay when unused (all NaN), for their clock; `first` (M,) rad, NaN if unknown.
 
-    faults: sensors that lied, which are not used where they did · hypotheses: what was weighed · read (N,M) rad: what
-    the encoders read, also those that are not to be used · joints: their names (M,).
+    faults: sensors with faults, whose readings are removed · hypotheses: alternatives compared · read (N,M) rad: all
+    encoder readings, unused ones included · joints: their names (M,).
     """
 
     encoders: Encoders | None

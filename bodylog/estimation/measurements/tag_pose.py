@@ -1,8 +1,8 @@
-"""A tag's pose in the camera, six rows at once: where its centre is (m) and its rotation vector, from corners and size.
+"""A tag's pose in the camera as six rows, position (m) and rotation vector (rad), from its corners and size.
 
 Four corners u (8,) of a tag of known size give the pose p that projects onto them, by Gauss–Newton; with A = ∂u/∂p and
-A⁺ its pseudo-inverse weighted by W = Σᵤ⁻¹, the pose has covariance (AᵀWA)⁻¹, whose rows err together. What predicts the
-corners of a body predicts the pose: g(x) is the pose of the predicted corners, J = A⁺ Jᵤ, of variance diag(A⁺ Vᵤ A⁺ᵀ).
+A⁺ its pseudo-inverse weighted by W = Σᵤ⁻¹, the pose has covariance (AᵀWA)⁻¹, with correlated rows. A body that predicts
+the corners predicts the pose: g(x) is the pose of the predicted corners, J = A⁺ Jᵤ, with variance diag(A⁺ Vᵤ A⁺ᵀ).
 """
 
 from collections.abc import Sequence
@@ -20,16 +20,16 @@ from .records import Sighting
 ROWS = ("x", "y", "z", "rx", "ry", "rz")
 """m, and rad."""
 STEPS, STILL = 30, 1e-10
-"""Gauss–Newton steps at most, and how small the last is, m and rad."""
+"""Most Gauss–Newton steps, and the size of the last one (m and rad)."""
 SURE = 20.0
-"""Nats by which a pose must explain its corners better than its mirror image about the line of sight does."""
+"""Nats by which a pose must explain its corners better than its mirror image about the line of sight."""
 
 
 @dataclass(frozen=True, eq=False)
 class PoseModel:
-    """Predicts the pose of a tag whose corners `models` (4) predict.
+    """Predicts the pose of a tag whose four corners `models` predict.
 
-    points (4,3) m on the tag · lens (6,) as `kinematics.camera` has it.
+    points (4,3) m on the tag · lens (6,) as in `kinematics.camera`.
     """
 
     models: tuple[ForwardModel, ...]
@@ -43,11 +43,11 @@ class PoseModel:
 
     @property
     def reach(self) -> Array:
-        """Angles (M,) or () rad within which the model errs alike."""
+        """Correlation length (M,) or () rad of the model's errors."""
         return np.asarray(np.min([np.asarray(getattr(model, "reach", np.inf)) for model in self.models], axis=0))
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """At x (N,M) rad: mean (N,6) m and rad · Jacobian (N,6,M) · variance (N,6), sensor noise excluded."""
+        """Predict at x (N,M) rad: mean (N,6) m and rad · Jacobian (N,6,M) · variance (N,6), sensor noise excluded."""
         corners, slopes, spreads = zip(*(model.predict(x) for model in self.models), strict=True)
         u, jac, var = (np.stack(parts, axis=1) for parts in (corners, slopes, spreads))
         poses, gains = zip(*(self._solved(one) for one in u), strict=True)
@@ -56,14 +56,14 @@ class PoseModel:
         return np.array(poses), slope, np.einsum("npk,nk->np", np.square(gain), var.reshape(len(x), 8))
 
     def _solved(self, corners: Array) -> tuple[Array, Array]:
-        """The pose (6,) of corners (4,2) px and A⁺ (6,8)."""
+        """The pose (6,) of corners (4,2) px, and A⁺ (6,8)."""
         found = solved(corners, np.ones(8), self.points, self.lens)
         return found.pose, found.gain
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A pose (6,) · what pixels of the corners move it by, A⁺ (6,8) · its covariance (6,6) · half the squares left."""
+    """A pose (6,) · its derivative by the corners' pixels, A⁺ (6,8) · covariance (6,6) · half the squared residuals."""
 
     pose: Array
     gain: Array
@@ -72,10 +72,10 @@ class Solved:
 
 
 class TagPose:
-    """The sense: a tag of four corner tracks NAME.0 to NAME.3 on a board, before a camera with a lens."""
+    """A tag with four corner tracks NAME.0 to NAME.3 on a board, seen by a camera with a lens."""
 
     def __init__(self, lens: Array) -> None:
-        """A camera of numbers lens (6,): ln f (px), ln of fv over fu, centre (px), k1, k2."""
+        """Take lens (6,): ln f (px), ln of fv over fu, centre (px), k1, k2."""
         self._lens = lens
 
     @property
@@ -84,12 +84,12 @@ class TagPose:
         return "vision"
 
     def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
-        """Tags, all of whose corners are seen and predicted."""
+        """Tags whose corners are all seen and predicted."""
         boards = features.boards.items()
         return tuple(name for name, (tracks, _) in boards if len(tracks) == 4 and set(tracks) <= set(body.senses))
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
-        """The poses of a tag (N,6) and their covariance (N,6,6); NaN where corners are unseen or tell of two poses."""
+        """Read poses (N,6) and covariances (N,6,6) of a tag; NaN where corners are unseen or the pose is ambiguous."""
         tracks, points = features.boards[name]
         seen = [features.tracks[track] for track in tracks]
         corners, var = np.stack([one.values for one in seen], axis=1), _variances(seen, tracks, body)
@@ -106,7 +106,7 @@ class TagPose:
 
 
 def _variances(seen: Sequence[Series], tracks: Sequence[str], body: BodyModel) -> Array:
-    """Variances (N,8) px² of the corners: as stated and beyond, else as learned."""
+    """Variances (N,8) px² of the corners: stated std plus the learned excess, else as learned."""
     parts = []
     for one, name in zip(seen, tracks, strict=True):
         learned = np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
@@ -125,12 +125,12 @@ def unmistakable(corners: Array, var: Array, points: Array, lens: Array) -> Solv
 
 
 def solved(corners: Array, var: Array, points: Array, lens: Array) -> Solved:
-    """The pose that projects points (4,3) m onto corners (4,2) px of variances (8,)."""
+    """The pose that projects points (4,3) m onto corners (4,2) px with variances (8,)."""
     return _descended(corners, var, points, lens, *_start(corners, points, lens))
 
 
 def _descended(corners: Array, var: Array, points: Array, lens: Array, at: Array, turn: Array) -> Solved:
-    """Gauss–Newton from a place (3,) m and a rotation (3,3)."""
+    """Gauss–Newton from a position (3,) m and a rotation (3,3)."""
     for _ in range(STEPS):
         image, slope = _projected(points, lens, at, turn)
         left, scaled = (corners - image).ravel(), slope / var[:, None]
@@ -140,7 +140,7 @@ def _descended(corners: Array, var: Array, points: Array, lens: Array, at: Array
         if np.abs(step).max() < STILL:
             break
     vector = logarithm(turn)
-    # from turns of the rotation to its vector
+    # from a small rotation to a change of the rotation vector
     local = np.eye(6)
     local[3:, 3:] = np.linalg.inv(left_jacobian(vector))
     cov = local @ np.linalg.inv(information) @ local.T
@@ -149,7 +149,7 @@ def _descended(corners: Array, var: Array, points: Array, lens: Array, at: Array
 
 
 def _projected(points: Array, lens: Array, at: Array, turn: Array) -> tuple[Array, Array]:
-    """Where the points are seen (4,2) px, and how that moves (8,6) with the place and turns of the tag."""
+    """Image points (4,2) px and their derivatives (8,6) by the tag's position and rotation."""
     arms = points @ turn.T
     image, by_point, _ = project(arms + at, lens)
     slope = np.concatenate([by_point, by_point @ -skew(arms)], axis=2)
@@ -157,7 +157,7 @@ def _projected(points: Array, lens: Array, at: Array, turn: Array) -> tuple[Arra
 
 
 def _start(corners: Array, points: Array, lens: Array) -> tuple[Array, Array]:
-    """A place (3,) m and rotation (3,3) by the homography of the tag's plane, distortion left out."""
+    """Position (3,) m and rotation (3,3) from the homography of the tag's plane, without distortion."""
     focal = np.exp(lens[0]) * np.array([1.0, np.exp(lens[1])])
     flat, plane = (corners - lens[2:4]) / focal, points[:, :2]
     rows = [
@@ -171,7 +171,7 @@ def _start(corners: Array, points: Array, lens: Array) -> tuple[Array, Array]:
 
 
 def _mirrored(pose: Array) -> tuple[Array, Array]:
-    """The place and rotation of the pose whose normal is mirrored about the line of sight."""
+    """Position and rotation of the pose whose normal is mirrored about the line of sight."""
     at, turn = pose[:3], exponential(pose[3:])
     sight = at / np.linalg.norm(at)
     return at, (2.0 * np.outer(sight, sight) - np.eye(3)) @ turn @ np.diag([-1.0, -1.0, 1.0])

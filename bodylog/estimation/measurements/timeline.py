@@ -1,4 +1,4 @@
-"""All times of a log in one order: what is heard at each instant, and when the belief is asked for."""
+"""The time axis of a log: the measurements of each instant, and the output times."""
 
 from dataclasses import dataclass
 
@@ -9,18 +9,18 @@ from ...types import Array
 from .records import Evidence
 
 FASTEST = 100.0
-"""Hz: encoders faster than this are all heard, but the belief is written on a grid of this rate."""
+"""Hz: encoders faster than this are all used, but the output is on a grid of this rate."""
 
 INSTANTS, EACH = 300_000, 10.0
-"""A grid of more instants than this, and of more for each stamp, spans silence: time and memory for nothing."""
+"""A grid of more instants than this, and of more per stamp than this, mostly covers silence and is refused."""
 
 SAME = 1e-6
-"""s: an output time closer than this to a stamp is that stamp."""
+"""s: an output time closer than this to a stamp is moved to that stamp."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Instants t (E,) s · events of encoder rows (N,), of sightings' rows (F,), of outputs (O,) · source_ns (O,)."""
+    """Instants t (E,) s · instants of encoder rows (N,), of sightings' rows (F,), of outputs (O,) · source_ns (O,)."""
 
     t: Array
     encoders: Array
@@ -30,7 +30,7 @@ class Timeline:
 
 
 def timeline(evidence: Evidence, rate: float | None) -> Timeline:
-    """Union of all stamps and output times; equal times become one instant, so simultaneous senses have no order."""
+    """Union of all stamps and output times; equal times are one instant, so simultaneous senses have no order."""
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
     wanted = output_times(evidence, rate)
     t = union(clock, *(s.t for s in evidence.sightings), wanted)
@@ -56,7 +56,7 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
 
 
 def _check_grid(rate: float, t: Array) -> None:
-    """UsageError for a grid of `rate` (Hz) that is far longer than the stamps t (N,) s would need."""
+    """UsageError for a grid of `rate` (Hz) with far more instants than the stamps t (N,) s."""
     count = (t[-1] - t[0]) * rate
     if count > max(INSTANTS, EACH * len(t)):
         at = int(np.diff(t).argmax()) if len(t) > 1 else 0
@@ -67,29 +67,26 @@ def _check_grid(rate: float, t: Array) -> None:
 
 
 def union(*clocks: Array) -> Array:
-    """All times (E,) of clocks that each ascend, once."""
-    # merges what is in order already, which np.unique sorts anew
+    """Distinct times (E,) of ascending clocks, in order."""
+    # a stable sort merges ordered runs; np.unique would sort from scratch
     t = np.sort(np.concatenate(clocks), kind="stable")
     return t[np.append(True, t[1:] != t[:-1])] if len(t) else t
 
 
 def spans(t: Array, width: float) -> Array:
-    """Starts (B,) s of spans `width` s long, counted from the first of t (N,) s, which ascend, that hold one of these.
-
-    Silence takes none, however long it is.
-    """
+    """Starts (B,) s of the spans of `width` s, counted from t[0], that contain any of ascending t (N,) s."""
     return np.asarray(t[:1] + width * np.unique(np.floor((t - t[:1]) / width)))
 
 
 def snapped(grid: Array, t: Array) -> Array:
-    """Grid times (O,) s moved onto a stamp of t that is the same but for rounding: its reading is heard by then."""
+    """Grid times (O,) s moved onto a stamp of t that is the same up to rounding."""
     right = np.minimum(np.searchsorted(t, grid), len(t) - 1)
     near = np.where(np.abs(t[right] - grid) <= np.abs(t[np.maximum(right - 1, 0)] - grid), right, right - 1)
     return np.where(np.abs(t[near] - grid) < SAME, t[near], grid)
 
 
 def _heard(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:
-    """Log time (E,) of the last message heard by each instant."""
+    """Log time (E,) of the last message up to each instant."""
     latest = np.full(len(t), np.iinfo(np.int64).min)
     if evidence.encoders is not None:
         latest[encoders] = evidence.encoders.source_ns

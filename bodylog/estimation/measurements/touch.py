@@ -1,4 +1,4 @@
-"""Touch as a sighting: while the skin is stroked in time with what is seen, the hand is at the effector."""
+"""Touch as a sighting: while skin and image are stroked in synchrony, the stroking hand is at the effector."""
 
 import numpy as np
 
@@ -9,13 +9,13 @@ from .records import Sighting
 from .track import ascending
 
 LEAST = 1e-9
-"""A touch of smaller weight says nothing at all."""
+"""A touch with less weight is ignored."""
 COUNTS = 1e-3
-"""A touch of smaller weight, under a thousandth of a synchronous one, is heard but not counted as used."""
+"""A touch with less weight, a thousandth of a synchronous one, is used but not counted as used."""
 
 
 class Touch:
-    """The sense: while the skin is touched in time with what is seen, the hand is at the effector."""
+    """The sense of touch: a synchronous stroke locates the effector at the hand that strokes it."""
 
     @property
     def group(self) -> str:
@@ -27,7 +27,7 @@ class Touch:
         return ("touch",) if "effector" in body.senses else ()
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
-        """Where touch says the effector is."""
+        """Read the effector's positions by touch."""
         t, values, var, source_ns, count = sightings(features, body, whole)
         seen = 0 if features.touches is None else len(features.touches)
         paired = sum(bool(np.isfinite(pair.delay)) and pair.weight <= COUNTS for pair in features.synchrony)
@@ -39,11 +39,11 @@ class Touch:
 
 
 def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[Array, Array, Array, Array, int]:
-    """Where touch says the effector is: t (K,) s · values (K,2) px · variance (K,2) px² · source_ns (K,); touches used.
+    """Effector by touch: t (K,) s · values (K,2) px · variance (K,2) px² · source_ns (K,); touches used.
 
-    ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or, of a cell whose place
-    beside the effector the body knows, about that place. A hand strokes along the limb, so the frames of one touch err
-    together: `whole` makes all of them count as one sighting.
+    ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or about the learned
+    position of the touched cell. A hand strokes along the limb, so errors of one touch's frames are correlated: `whole`
+    makes all of them count as one sighting.
     """
     nothing = np.empty(0), np.empty((0, 2)), np.empty((0, 2)), np.empty(0, np.int64), 0
     hand = features.hand
@@ -69,7 +69,7 @@ def sightings(features: Features, body: BodyModel, whole: bool = True) -> tuple[
 
 
 def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
-    """Where a cell is seen beside the effector (u, v) px, and the variance px² about there."""
+    """A cell's position relative to the effector (u, v) px, and its variance px²."""
     if cell not in body.cells:
         return 0.0, 0.0, 1.0 / (2.0 * body.touch.b1)
     u, v, spread = body.cells[cell]
@@ -77,7 +77,7 @@ def _place(body: BodyModel, cell: int) -> tuple[float, float, float]:
 
 
 def weights(features: Features, t: Array) -> Array:
-    """Synchrony weight (K,) of the touch under way at each time, 0 where there is none."""
+    """Synchrony weight (K,) of the touch at each time t (K,) s, 0 without a touch."""
     weight = np.zeros(len(t))
     for pair in features.synchrony:
         touch = (features.touches or ())[pair.touch]

@@ -1,4 +1,4 @@
-"""A point that moves with the arm, as images show it: two rows, u and v in px."""
+"""A point on the arm tracked in images: two rows, u and v in px."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from .records import Sighting
 
 
 class Track:
-    """The sense: every track of the features that the body predicts."""
+    """The sense of vision: every track of the features that the body predicts."""
 
     @property
     def group(self) -> str:
@@ -17,11 +17,11 @@ class Track:
         return "vision"
 
     def names(self, features: Features, body: BodyModel) -> tuple[str, ...]:
-        """The tracks, in the order the log has them."""
+        """The tracks, in the log's order."""
         return tuple(name for name in features.tracks if name in body.senses)
 
     def read(self, name: str, features: Features, body: BodyModel, whole: bool = True) -> Measured:
-        """The places of a track; NaN where it was not seen."""
+        """Read the positions of a track; NaN where it was not seen."""
         track = features.tracks[name]
         rising = ascending(track.t)
         seen: Array = np.all(np.isfinite(track.values), axis=1)
@@ -43,12 +43,12 @@ def ascending(t: Array) -> Array:
 
 
 def gap(t: Array) -> float:
-    """The longest time (s) between two of t (N,) s."""
+    """Longest time (s) between neighbours of t (N,) s."""
     return float(np.diff(t).max()) if len(t) > 1 else 0.0
 
 
 def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
-    """Variance px² by the word of std (…,D) and what learning found beyond it, or `fallback` (D,) without a word."""
+    """Variance px²: stated std (…,D) squared plus the model's learned excess, or `fallback` (D,) without a std."""
     if std is None:
         return fallback
     beyond = getattr(model, "noise", 0.0)
@@ -56,7 +56,7 @@ def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> A
 
 
 def _common(model: ForwardModel, noise: Array) -> float:
-    """Share of a model's variance that encoders' errors brought in, of its samples' noise; pixels have `noise` (D,)."""
+    """Share of a model's variance that comes from encoder errors in exploration; `noise` (D,) px² is the pixels'."""
     spread = float(np.mean(getattr(model, "spread", 0.0)))
     pixels = float(np.mean(noise - getattr(model, "noise", 0.0)))
     return max(1.0 - pixels / spread, 0.0) if spread > 0.0 else 0.0

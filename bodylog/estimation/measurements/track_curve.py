@@ -1,4 +1,4 @@
-"""A track as a curve through its pictures, beside what the means of encoders' readings foretell of it."""
+"""A track as an interpolated curve, beside the positions that means of encoder readings predict."""
 
 from dataclasses import dataclass, replace
 
@@ -9,27 +9,27 @@ from .records import Encoders, Sighting
 from .timeline import spans
 
 MOST, FEWEST = 600, 20
-"""Means at most, evenly spread, and at least."""
+"""Most means, evenly spread, and fewest."""
 BEND, BENDS = 8.0, 12
-"""s between bends of an encoder's offset, and how many at most."""
+"""s between knots of an encoder's offset, and the most knots."""
 BLUNDER = 10.0
-"""Median distances from where its neighbours have it beyond which a picture is left out."""
+"""Median residuals against neighbours beyond which a frame is left out."""
 BLUR, SLOW, GAP = 0.1, 0.08, 3.5
-"""Share of noise in the track's speed above which pictures are averaged in pairs, s apart at most; largest gap bridged,
-in median steps."""
+"""Share of noise in the track's speed above which frames are averaged in pairs, their longest interval (s), and the
+largest gap to interpolate, in median steps."""
 COARSE = 0.25
-"""s: pictures farther apart draw no curve."""
+"""s: frames farther apart are not interpolated."""
 ASIDE = 1e-3
-"""s: joints whose mean times differ by more did not speak together."""
+"""s: joints whose mean times differ by more were not read together."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Places (N,2) px at t (N,) s, a step apart, and what encoders' B means foretell beside them.
+    """Positions (N,2) px at t (N,) s with a median step (s), and the predictions of B means of encoder readings.
 
-    at (B,) s · angles x (B,M) · places foretold (B,2) · noise (B,2) px² of encoders and pictures ·
-    root (B,2,2) of the inverse of that and the model's variance · rooted J·offset (B,2,P) · blur (B,): a place's own
-    noise in units of all · encoder (B,M) rad²: the variance of the means.
+    at (B,) s · angles x (B,M) · predicted positions (B,2) · noise (B,2) px² of encoders and images · root (B,2,2):
+    square root of the inverse of noise and model variance · offsets (B,2,P): root times J by offset · blur (B,): share
+    of a position's own noise · encoder (B,M) rad²: variance of the means.
     """
 
     t: Array
@@ -47,7 +47,8 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Regression at R instants t: misfit (R,2) on slopes (R,2,1+P), and what noise adds to the first's sums (R,)."""
+    """A regression at R instants t: misfit (R,2) on slopes (R,2,1+P), and noise terms of the first slope's sums (R,).
+    """
 
     t: Array
     misfit: Array
@@ -61,7 +62,7 @@ class Rows:
 
 
 def compared(curve: Curve, late: float) -> Rows:
-    """What a curve that is so late (s) leaves to explain."""
+    """Residuals and slopes of a curve delayed by `late` s."""
     place, slope, value, speed, sound = places(curve, late)
     blur = curve.blur
     misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.foretold - place, slope))
@@ -71,15 +72,17 @@ def compared(curve: Curve, late: float) -> Rows:
 
 
 def places(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array]:
-    """Places (B,2) px and speeds (B,2) px/s of a curve that is so late (s), as `_cubic` has both, and where it has."""
+    """Positions (B,2) px and speeds (B,2) px/s of a curve delayed by `late` s, their weights, and where they are valid.
+    """
     at, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
     near = curve.places[at[:, None] + np.arange(4)]
     return np.einsum("bk,bkd->bd", value, near), np.einsum("bk,bkd->bd", speed, near), value, speed, sound
 
 
 def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]:
-    """The cubic through t (N,) at times (B,): its first of four neighbours, what each counts there (B,4), in speed
-    (B,4) per s, and where no two are farther apart than `gap`."""
+    """Cubic through t (N,) at times (B,): first of four neighbours, their weights (B,4) in value and in speed (per s),
+    and whether all gaps between them are below `gap`.
+    """
     i = np.clip(np.searchsorted(t, at, "right") - 1, 1, len(t) - 3)
     h = t[i + 1] - t[i]
     before, after, s = h / (t[i + 1] - t[i - 1]), h / (t[i + 2] - t[i]), (at - t[i]) / h
@@ -94,11 +97,11 @@ def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]
 
 
 def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
-    """The curve of a track, beside `most` means of what encoders read; None where either has too little."""
+    """The curve of a track beside at most `most` means of encoder readings; None where either is too short."""
     t, places, var = _sound(seen)
     if len(t) < FEWEST or len(encoders.t) < FEWEST or (step := float(np.median(np.diff(t)))) > COARSE:
         return None
-    # a little more than a step, so that a reading or a picture does not always fall beside the same one
+    # slightly more than a step, so that readings and frames do not stay in phase
     at, x, count = _means(encoders, max(step, 1.0001 * float(np.median(np.diff(encoders.t)))), most)
     if len(at) < FEWEST:
         return None
@@ -113,7 +116,7 @@ def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(np.clip(np.ptp(encoders.t) / BEND, 1, BENDS)))
     bends = np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0]))
     offsets = np.einsum("bde,bem,bk->bdmk", root, jac, bends).reshape(len(at), 2, -1)
-    # what is stated may hold a model's misfit, what scatters a jerk of the arm: a picture's own noise is below either
+    # stated variance may include a model's misfit, scatter the arm's jerk: a frame's own noise is below both
     blur = np.einsum("bdd,d->b", inverse, np.minimum(var, _scatter(places)))
     curve = Curve(t, places, step, at, x, foretold, noise, root, offsets, blur, encoder)
     while curve.step < SLOW and len(curve.t) >= 2 * FEWEST and _blurred(curve):
@@ -122,7 +125,7 @@ def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
 
 
 def _sound(seen: Sighting) -> tuple[Array, Array, Array]:
-    """Times (N,), places (N,2) and their typical variance (2,) without repeated pictures and single blunders."""
+    """Times (N,), positions (N,2) and typical variance (2,), without repeated frames and single blunders."""
     shown = np.flatnonzero(np.isfinite(seen.values).all(axis=1))
     shown = shown[np.append(True, (np.diff(seen.values[shown], axis=0) != 0.0).any(axis=1))[: len(shown)]]
     t, places = seen.t[shown], seen.values[shown]
@@ -135,7 +138,8 @@ def _sound(seen: Sighting) -> tuple[Array, Array, Array]:
 
 
 def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
-    """Mean times (B,), angles (B,M) and number (B,M) of readings in spans `width` s long, in which all joints spoke."""
+    """Mean times (B,), angles (B,M) and counts (B,M) of readings in spans of `width` s in which all joints were read.
+    """
     begins = spans(encoders.t, width)
     begins = begins[:: max(1, -(-len(begins) // most))]
     low, high = np.searchsorted(encoders.t, begins), np.searchsorted(encoders.t, begins + width)
@@ -153,22 +157,22 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
 
 
 def _scatter(values: Array) -> Array:
-    """Variance (M,) of the noise of values (N,M) in the middle of the log, by how their third differences scatter."""
+    """Noise variance (M,) of values (N,M) in the middle of the log, from their third differences."""
     middle = max(0, (len(values) - 10 * MOST) // 2)
-    # readings of several topics stand in rows of their own, with NaN between them
+    # readings of several topics are in separate rows, with NaN between them
     columns = [column[np.isfinite(column)] for column in values[middle : middle + 10 * MOST].T]
     jerks = [np.median(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
     return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)
 
 
 def _blurred(curve: Curve) -> bool:
-    """Whether noise makes up too much of the curve's speed."""
+    """Whether noise is too large a share of the curve's speed."""
     rows = compared(curve, 0.0)
     return bool(rows.own.sum() > BLUR * np.square(rows.slopes[..., 0]).sum())
 
 
 def _paired(curve: Curve) -> Curve:
-    """The curve with pictures averaged in pairs."""
+    """The curve with frames averaged in pairs."""
     even = len(curve.t) // 2 * 2
     near = np.diff(curve.t[:even])[::2] < 1.5 * curve.step
     t, places = (0.5 * (part[:even:2] + part[1:even:2])[near] for part in (curve.t, curve.places))

@@ -1,1 +1,1 @@
-"""Still poses: each is estimated by itself, since none says anything of the motion to the next."""
+"""Still poses without motion between them: each one is estimated separately."""

@@ -1,7 +1,7 @@
-"""What still poses tell of their encoders: each one's noise, and whether one is off in all poses alike.
+"""Encoder noise and constant encoder offsets, learned from still poses.
 
-Linearised at the angles found, what places say beyond the encoders, ν = y − g(x̂) − J (z − x̂), is normal about −J b with
-covariance C = J Σ Jᵀ + R: Σ the encoders' variances, b their offsets. Both are what makes all ν likeliest.
+Linearised at the angles found, the residuals ν = y − g(x̂) − J (z − x̂) are normal with mean −J b and covariance C = J
+Σ Jᵀ + R, for encoder variances Σ and offsets b. Both maximise the likelihood of all ν.
 """
 
 from dataclasses import dataclass, replace
@@ -13,26 +13,26 @@ from ..faults.threshold import NATS
 from .solve import Poses, Solved, solved
 
 WIDE = 0.05
-"""rad: how noisy encoders are held to be while it is not known how noisy they are."""
+"""rad: initial std of encoder noise."""
 TURNS = 3
 HOPE = -3.0
-"""Nats: an offset that promises less with the noise as it is, which may have grown for it, is not tried."""
+"""Nats: an offset that wins less with the noise as it is, which may have grown because of it, is not tried."""
 WIDTH = 2.0
-"""Of the logarithm of an encoder's standard deviation: how far from the body's it may well be."""
+"""Prior std of the logarithm of an encoder's std, about the body's."""
 PRIOR = 0.3
-"""rad: how large an offset may well be."""
+"""rad: prior std of an offset."""
 APART = 5.0
-"""Nats by which an encoder's offset must explain more than any other's to be laid to it."""
+"""Nats by which an encoder's offset must explain more than any other's to be attributed to it."""
 SIGMAS, LEAST = 4.0, 0.01
-"""An offset is a fault when it is this many of its standard deviations and this many rad."""
+"""An offset is a fault when it exceeds this many of its standard deviations and this many rad."""
 FEWEST = 3
-"""Poses with encoders and places, at least, to learn the encoders' noise from."""
+"""Fewest poses with encoders and positions from which encoder noise is learned."""
 _LOWEST = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Encoding:
-    """variance (M,) rad² · offset (M,) rad and its variance (M,) rad², 0 where none was asked for · free (M,) bool."""
+    """variance (M,) rad² · offset (M,) rad and its variance (M,) rad², 0 where fixed · free (M,) bool."""
 
     variance: Array
     offset: Array
@@ -43,7 +43,7 @@ class Encoding:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """ν (P,K), Jacobian (P,K,M), variance R (P,K), infinite where nothing was seen, all at the poses that have both."""
+    """ν (P,K), Jacobian (P,K,M) and variance R (P,K), infinite where unseen, at the poses that have both."""
 
     nu: Array
     jac: Array
@@ -51,7 +51,7 @@ class _Rows:
 
 
 def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bias: str) -> Encoding:
-    """Variances from `known` (M,) rad² where `noise`; offsets as `bias` (auto, on, off) lets them be asked for."""
+    """Learn variances from `known` (M,) rad² if `noise`, and offsets as `bias` (auto, on, off) allows."""
     m = len(known)
     found = Encoding(known, np.zeros(m), np.zeros(m), np.full(m, bias == "on"))
     whole = np.flatnonzero(np.isfinite(poses.z).all(axis=1) & np.isfinite(poses.y).any(axis=1))
@@ -69,7 +69,7 @@ def learned(poses: Poses, known: Array, names: tuple[str, ...], noise: bool, bia
 
 
 def _rows(poses: Poses, at: Solved, whole: Array) -> _Rows:
-    """What places say beyond the encoders at the poses `whole` (P',), outliers' variances raised."""
+    """Residuals against the encoders at the poses `whole` (P'), with outliers' variances raised."""
     seen = np.isfinite(poses.y)
     var = np.where(seen, at.var / np.maximum(at.weight, 1e-12), np.inf)
     nu = at.r - np.einsum("pkm,pm->pk", at.jac, np.nan_to_num(poses.z) - at.x)
@@ -79,9 +79,9 @@ def _rows(poses: Poses, at: Solved, whole: Array) -> _Rows:
 def _chosen(
     rows: _Rows, known: Array, names: tuple[str, ...], noise: bool, bias: str, begin: list[Array]
 ) -> Encoding:
-    """Noise and offsets of greatest evidence; with `auto` one offset after the other while each wins NATS.
+    """Noise and offsets of greatest evidence; with `auto`, one offset after the other while each wins NATS.
 
-    The search for the noise begins at each of `begin`. Tried are the offsets that promise something where noise stays.
+    The search for the noise starts at each of `begin`. Offsets are tried that win evidence at the present noise.
     """
     free, findings = np.full(len(known), bias == "on"), list[Finding]()
     value, log_var = _best(rows, known, free, noise, begin)
@@ -105,13 +105,13 @@ def _chosen(
 
 
 def _promise(rows: _Rows, log_var: Array, free: Array, joint: int) -> float:
-    """Nats of evidence that one more offset wins while the noise stays as it is."""
+    """Nats of evidence that one more offset wins at the present noise."""
     more = free | (np.arange(len(free)) == joint)
     return _evidence(log_var, rows, more)[0] - _evidence(log_var, rows, free)[0]
 
 
 def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array]) -> tuple[float, Array]:
-    """The greatest evidence (nats) with offsets `free` (M,), and ln of the encoders' variances (M,) it is had with."""
+    """Greatest evidence (nats) with offsets `free` (M,), and the ln variances (M,) of encoders where it is reached."""
     from scipy.optimize import minimize
 
     first = np.log(known)
@@ -130,7 +130,8 @@ def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array
 
 
 def _evidence(log_var: Array, rows: _Rows, free: Array) -> tuple[float, Array]:
-    """ln density (nats) of all ν, offsets integrated out, and its gradient in ln of the encoders' variances (M,)."""
+    """ln density (nats) of all ν with offsets integrated out, and its gradient in ln of the encoders' variances (M,).
+    """
     variance = np.exp(log_var)
     inner = _inner(rows, variance)
     a, w, constant = inner
@@ -144,7 +145,7 @@ def _evidence(log_var: Array, rows: _Rows, free: Array) -> tuple[float, Array]:
     count = int(free.sum())
     value += 0.5 * float(score[free] @ cov[chosen] @ score[free])
     value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + PRIOR**2 * info[chosen])[1])
-    # with offsets ν + J b takes ν's place; their spread adds to what C⁻¹ takes off
+    # with offsets, ν + J b replaces ν, and their spread adds to C⁻¹'s trace
     moved = w + np.einsum("pij,j->pi", a, offset)
     spread = np.einsum("pij,jk,pik->pi", a, cov, a)
     slope = 0.5 * variance * (np.square(moved) + spread - np.einsum("pmm->pm", a)).sum(axis=0)
@@ -169,7 +170,7 @@ def _inner(rows: _Rows, variance: Array) -> tuple[Array, Array, float]:
 def _offsets(
     rows: _Rows, variance: Array, free: Array, inner: tuple[Array, Array, float] | None = None
 ) -> tuple[Array, Array]:
-    """Offsets (M,) rad and their covariance (M,M), 0 but for the free ones."""
+    """Offsets (M,) rad and their covariance (M,M), 0 except for the free ones."""
     a, w, _ = inner or _inner(rows, variance)
     offset, cov = np.zeros(len(free)), np.zeros((len(free), len(free)))
     if free.any():
@@ -180,7 +181,7 @@ def _offsets(
 
 
 def faults(names: tuple[str, ...], found: Encoding, since: float) -> tuple[Fault, ...]:
-    """Encoders that are certainly off in all poses."""
+    """Encoders with a significant offset in all poses."""
     std = np.sqrt(found.offset_var)
     certain = found.free & (np.abs(found.offset) > np.maximum(LEAST, SIGMAS * std))
     return tuple(

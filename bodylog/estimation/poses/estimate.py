@@ -1,4 +1,4 @@
-"""The estimate of a table of still poses: no motion joins them, so each is a belief of its own."""
+"""The estimate of a table of still poses, each a separate belief."""
 
 from dataclasses import replace
 
@@ -16,9 +16,9 @@ from .solve import Poses, Solved, gathered, solved
 
 
 def estimate(features: Features, body: BodyModel, settings: Estimation, can: Capabilities) -> Estimate:
-    """Every pose's angles (P,M) rad and covariance from its own encoders and places.
+    """Estimate every pose's angles (P,M) rad and covariance from its own encoders and positions.
 
-    UsageError for a method that needs motion; EvidenceError where nothing was read.
+    UsageError for a method that needs motion; EvidenceError without readings.
     """
     if can.from_paper:
         possible = "laplace, smoother or ekf, which are the same for poses"
@@ -62,9 +62,9 @@ def _written(
 
 
 def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
-    """Covariance (P,M,M) of the angles, with what the offsets' own uncertainty adds: dx/db = −Λ⁻¹ Σ⁻¹.
+    """Covariance (P,M,M) of the angles, including the offsets' uncertainty: dx/db = −Λ⁻¹ Σ⁻¹.
 
-    All tracks of a pose err alike by what the poses they were learned from are off by, so that adds to it, too.
+    Errors in the poses that the tracks were learned from are common to all tracks, so they add to it, too.
     """
     std = np.array(body.provenance.get("pose_std", [0.0] * at.x.shape[1]), float)
     if std.shape != at.x.shape[1:]:
@@ -77,10 +77,10 @@ def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
 def _foretold(
     poses: Poses, at: Solved, sighting: Sighting, columns: slice
 ) -> tuple[Series, Series, Array]:
-    """A track's errors, predicted places and their covariance (P,2,2), each pose's by all that was read but this track.
+    """A track's leave-one-out errors, predicted positions and their covariance (P,2,2) at each pose.
 
-    With H = J P Jᵀ, R the noise and r the residual, the one left out has the residual R (R − H)⁻¹ r, of covariance
-    R (R − H)⁻¹ R (Rasmussen & Williams 5.12 for one block).
+    With H = J P Jᵀ, R the noise and r the residual, the one left out has the residual R (R − H)⁻¹ r, of covariance R (R
+    − H)⁻¹ R (Rasmussen & Williams 5.12 for one block).
     """
     jac, r = at.jac[:, columns], at.r[:, columns]
     noise = np.einsum("pk,kl->pkl", at.var[:, columns], np.eye(r.shape[1]))
@@ -98,7 +98,7 @@ def _foretold(
 
 
 def _encoder_errors(poses: Poses, found: Encoding, at: Solved) -> Array:
-    """Each reading (P,M) against what all others of its pose say, in standard deviations; NaN where silent."""
+    """Leave-one-out error (P,M) of each reading, in standard deviations; NaN where missing."""
     heard = np.isfinite(poses.z)
     weighed = found.variance / np.maximum(at.encoder_weight, 1e-12)
     inside = np.einsum("pmm->pm", at.cov)

@@ -1,7 +1,7 @@
-"""Still poses: each pose's angles from its own encoders and places, without motion; robust Gauss–Newton, all at once.
+"""Angles of still poses by robust Gauss–Newton, each from its own encoders and positions, all vectorised.
 
-The minimised cost of a pose is ½ Σ ρ(d) over what is read, d in standard deviations: d² within GATE, 2 GATE² ln beyond,
-so that an outlier pulls the less the farther it is (the weight of a row is 1, then GATE²/d²).
+The cost of a pose is ½ Σ ρ(d) over its readings, d in standard deviations: d² within GATE, 2 GATE² ln beyond, so that
+outliers lose influence with distance (the weight of a row is 1, then GATE²/d²).
 """
 
 from collections.abc import Sequence
@@ -19,17 +19,18 @@ STEPS = 60
 RESTING = 1e-7
 """Standard deviations: a smaller step ends the search for a pose."""
 LEAST_SPAN = 0.1
-"""rad: what is explored of a joint counts as at least so wide where it is what is known of it beforehand."""
+"""rad: smallest prior width of a joint's explored range."""
 GUESSES, CANDIDATES = 4, 400
-"""Postures among those explored from which a pose without all encoders is sought, and how many are weighed."""
+"""Explored postures at which the search starts for poses without all encoders, and how many are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """P poses: t (P,) s · source_ns · encoders z (P,M) rad, NaN if silent · places y, var (P,K) of all tracks, px, px².
+    """P poses: t (P,) s · source_ns · encoders z (P,M) rad, NaN if missing · positions y, var (P,K) of all tracks, px,
+    px².
 
-    Beforehand an angle is held to be `centre` (M,) within `span` (M,) rad, where the body's tracks were learned, or
-    what the encoders read where it has none. rows {sighting: its columns of K}.
+    The prior of an angle is `centre` (M,) with std `span` (M,) rad: the range in which the body's tracks were learned,
+    or else the range of encoder readings. rows {sighting: its columns of K}.
     """
 
     t: Array
@@ -43,7 +44,7 @@ class Poses:
     span: Array
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """At x (P,M) rad: places (P,K) · Jacobian (P,K,M) · variance (P,K), the model's and the sighting's."""
+        """Predict at x (P,M) rad: positions (P,K) · Jacobian (P,K,M) · the model's variance (P,K)."""
         parts = [sighting.model.predict(x) for sighting in self.sightings]
         if not parts:
             return np.empty((len(x), 0)), np.empty((len(x), 0, x.shape[1])), np.empty((len(x), 0))
@@ -54,8 +55,8 @@ class Poses:
 @dataclass(frozen=True, eq=False)
 class Solved:
     """At each pose: x (P,M) rad · cov (P,M,M) · residuals (P,K), Jacobian (P,K,M), variance (P,K), weights 0..1 of the
-    places · what encoders say beyond x, e (P,M) rad, and their weights · cost (P,), nats: minus the logarithm of the
-    density of what was read.
+    positions · encoder residuals e (P,M) rad and their weights · cost (P,), nats: minus the log density of the
+    readings.
     """
 
     x: Array
@@ -70,7 +71,7 @@ class Solved:
 
 
 def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: BodyModel) -> Poses:
-    """What was read in every pose, by its time."""
+    """Collect the readings of every pose, by time."""
     clocks = [s.t for s in sightings] + ([] if encoders is None else [encoders.t])
     t = union(*clocks)
     m, sources = len(body.joints), np.zeros(len(t), np.int64)
@@ -93,7 +94,7 @@ def gathered(encoders: Encoders | None, sightings: Sequence[Sighting], body: Bod
 
 
 def solved(poses: Poses, encoder: Array, offset: Array, start: Array | None = None) -> Solved:
-    """Every pose's likeliest angles with encoder variances (M,) rad² and offsets (M,) rad, from x (P,M) if given."""
+    """Most likely angles of every pose for encoder variances (M,) rad² and offsets (M,) rad, from x (P,M) if given."""
     if start is not None:
         return descended(poses, encoder, offset, start)
     z = poses.z - offset
@@ -117,7 +118,7 @@ def part(poses: Poses, chosen: Array) -> Poses:
 
 
 def merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
-    """The solution with the rows' replaced by those chosen (bool) of another."""
+    """The solution with `rows` replaced by those chosen (bool) of another."""
     columns = {}
     for name in Solved.__dataclass_fields__:
         values = getattr(whole, name).copy()
@@ -127,7 +128,7 @@ def merged(whole: Solved, some: Solved, rows: Array, chosen: Array) -> Solved:
 
 
 def guesses(poses: Poses, encoder: Array, offset: Array) -> Array:
-    """Explored postures (G,P,M) rad that come nearest to what was read in each pose."""
+    """Explored postures (G,P,M) rad nearest to the readings of each pose."""
     known = [s.model.samples for s in poses.sightings if hasattr(s.model, "samples")]
     x = np.concatenate(known)
     x = x[np.unique(np.linspace(0, len(x) - 1, min(len(x), CANDIDATES)).round().astype(int))]
@@ -144,7 +145,7 @@ def guesses(poses: Poses, encoder: Array, offset: Array) -> Array:
 
 
 def descended(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
-    """Gauss–Newton, damped pose by pose where a step does not lower the cost at the variances where it began."""
+    """Gauss–Newton with damping for each pose, raised where a step does not lower the cost at fixed variances."""
     now, damp = _at(poses, encoder, offset, x), np.full(len(x), 1e-6)
     active = np.ones(len(x), bool)
     for _ in range(STEPS):
@@ -163,7 +164,7 @@ def descended(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
 
 
 def _step(poses: Poses, encoder: Array, offset: Array, now: Solved, damp: Array) -> Array:
-    """The Gauss–Newton step (P,M), damped along the posterior's own axes (Levenberg–Marquardt)."""
+    """The Gauss–Newton step (P,M), damped along the posterior's axes (Levenberg–Marquardt)."""
     heard = np.isfinite(poses.z)
     pull = np.einsum("pkm,pk->pm", now.jac, now.weight * np.where(np.isfinite(poses.y), now.r, 0.0) / now.var)
     pull += np.where(heard, now.encoder_weight * (poses.z - offset - now.x) / encoder, 0.0)
@@ -191,14 +192,14 @@ def _at(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
 
 
 def _misfit(poses: Poses, encoder: Array, at: Solved, var: Array) -> Array:
-    """Half the robust squares (P,) of all that was read, with the places' variances (P,K)."""
+    """Half the robust squares (P,) of all readings, with the positions' variances (P,K)."""
     away = (at.x - poses.centre) / poses.span
     read = costs(np.abs(at.r) / np.sqrt(var)).sum(axis=1) + costs(np.abs(at.e) / np.sqrt(encoder)).sum(axis=1)
     return np.asarray(read + 0.5 * np.square(away).sum(axis=1))
 
 
 def weights(d: Array) -> Array:
-    """How much a row counts that is d standard deviations off: 1 within the gate, GATE²/d² beyond."""
+    """Weight of a row d standard deviations off: 1 within the gate, GATE²/d² beyond."""
     return np.asarray(np.minimum(1.0, np.square(GATE / np.maximum(d, 1e-12))))
 
 

@@ -1,4 +1,4 @@
-"""Pictures dated as the encoders are: what a camera is late by is measured, said and taken off, or heard as given."""
+"""Camera delays: image timestamps are corrected to the encoders' clock, by given or measured delays."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,21 +16,22 @@ from ..measurements.track import ascending, pixel_variance
 from .regression import FARTHEST, Delay, measured
 
 GAIN, FURTHER = 8.0, 3.0
-"""Nats of evidence that a delay must win, four standard errors where many parts of the log tell of it; a further
-camera's less, as cameras of one robot seldom are late alone."""
+"""Nats of evidence for a delay (four standard errors where many parts of the log agree), and for a further camera's
+once one camera is late."""
 LEAST = 1e-3
-"""s: a lesser delay is left alone; most cameras expose for longer."""
+"""s: a smaller delay is ignored; most cameras expose for longer."""
 SURE = 4.0
-"""Standard errors within which a camera that is not as late as when its body was learned may not be late at all."""
+"""Standard errors within which a camera that lost its learned delay counts as not delayed."""
 ENOUGH = 60.0
-"""s of the log, from its middle, that are asked first."""
+"""s in the middle of the log that are tried first."""
 JOINTS = "joints"
 
 
 @dataclass(frozen=True, eq=False)
 class Dated:
-    """Features dated earlier by `delays` (s, by camera; those that are none left out), how sure those are that were
-    measured (s), and remarks."""
+    """Features with `delays` (s, by camera; zeros left out) subtracted, standard errors (s) of the measured ones, and
+    remarks.
+    """
 
     features: Features
     delays: Mapping[str, float]
@@ -40,10 +41,10 @@ class Dated:
 
 
 def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> Dated:
-    """Features with each camera's delay taken off: as `given` {camera: s}, none if "off", else as the log has it.
+    """Subtract each camera's delay: as `given` {camera: s}, none if "off", else measured from the log.
 
-    Where the log does not contradict, a camera is as late as when the body was learned. UsageError for a name that is
-    no camera's, ModelError for a body that holds no delays where it should.
+    Unless the log contradicts it, a camera keeps the delay of the body's exploration log. UsageError for an unknown
+    camera, ModelError for a body with invalid delays.
     """
     names, learned = cameras([*features.tracks, *body.senses]), as_learned(body)
     fixed = named(given, names)
@@ -53,7 +54,7 @@ def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] 
     for name, rest in rests.items():
         if telling(rest, gain=gain) and name not in fixed:
             own = delays[name] + rest.seconds
-            # a camera that is no longer late is better known by that than by the log
+            # a camera without its learned delay more likely has none than the measured rest
             anew = not delays[name] or abs(own) > SURE * rest.std_error
             delays[name], errors[name] = (own, rest.std_error) if anew else (0.0, 0.0)
     weighed = tuple(
@@ -66,35 +67,36 @@ def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] 
 
 
 def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
-    """What is not to be measured (s), of the joints and cameras there are; UsageError for a name that is none."""
+    """Delays (s) of joints and cameras that are given, not measured; UsageError for an unknown name."""
     known = (JOINTS, *names)
     if isinstance(given, str):
         return {} if given == "auto" else dict.fromkeys(known, 0.0)
-    given = {name: late for name, late in given.items() if not name.startswith(f"{JOINTS}/")}  # one topic's, by logs/
+    # delays of single topics are applied in recording/
+    given = {name: late for name, late in given.items() if not name.startswith(f"{JOINTS}/")}
     if unknown := [name for name in given if name not in known]:
         raise UsageError(f"delay: {unknown[0]!r} is none of {', '.join(known)}; type --delay {known[-1]}=0.05")
     return dict(given)
 
 
 def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
-    """The cameras of tracks and senses, the first of which is called camera."""
+    """Names of the cameras of tracks and senses; the first one is called camera."""
     return tuple(dict.fromkeys(camera(name) for name in tracks if name != "encoders"))
 
 
 def telling(delay: Delay, least: float = LEAST, gain: float = GAIN) -> bool:
-    """Whether a delay wins more than `gain` nats, and is longer than `least` s."""
+    """Whether a delay wins more than `gain` nats and exceeds `least` s."""
     return delay.nats > gain and abs(delay.seconds) > least
 
 
 def earlier(features: Features, delays: Mapping[str, float]) -> Features:
-    """The features with each camera's tracks, and the joints, dated so much (s) earlier."""
+    """Subtract delays (s) from the times of each camera's tracks and of the joints."""
     tracks = {name: _earlier(track, delays.get(camera(name), 0.0)) for name, track in features.tracks.items()}
     joints = None if features.joints is None else _earlier(features.joints, delays.get(JOINTS, 0.0))
     return replace(features, tracks=tracks, joints=joints)
 
 
 def late(features: Features, body: BodyModel) -> dict[str, Delay]:
-    """How late each camera dates its pictures beside the encoders, where the log can tell."""
+    """Measure each camera's delay relative to the encoders, where the log determines it."""
     if features.joints is None or not len(features.joints.t):
         return {}
     begin, end = np.nanmin(features.joints.t), np.nanmax(features.joints.t)
@@ -105,7 +107,7 @@ def late(features: Features, body: BodyModel) -> dict[str, Delay]:
 
 
 def _late(features: Features, body: BodyModel, begin: float, end: float) -> dict[str, Delay]:
-    """The same from what is dated from begin to end."""
+    """Delays from the readings and images between begin and end (s)."""
     encoders, seen = heard(features, body, begin, end)
     found = {} if encoders is None else {name: measured(encoders, tracks) for name, tracks in seen.items()}
     return {name: delay for name, delay in found.items() if delay is not None}
@@ -114,7 +116,7 @@ def _late(features: Features, body: BodyModel, begin: float, end: float) -> dict
 def heard(
     features: Features, body: BodyModel, begin: float = -np.inf, end: float = np.inf
 ) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:
-    """Encoders, but those that lie, and each camera's tracks dated from begin to end; None where they are not all."""
+    """Sound encoder readings and each camera's tracks between begin and end; None if a joint is missing."""
     joints, seen = features.joints, dict[str, list[Sighting]]()
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
@@ -130,7 +132,7 @@ def heard(
 
 
 def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
-    """An estimate from the `timely` features with what it says of pictures dated as these are stamped in `features`."""
+    """Return an estimate from the `timely` features with the images' original timestamps of `features`."""
 
     def stamped(told: Mapping[str, Series]) -> dict[str, Series]:
         tracks, stamps = timely.tracks, features.tracks
@@ -140,9 +142,9 @@ def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimat
 
 
 def unsure(found: Estimate, timely: Dated) -> Estimate:
-    """An estimate whose error bars know how sure the delays are: so much later, or earlier, the arm is elsewhere.
+    """Add the uncertainty of measured delays to the covariance: a delay shifts the estimate along its rate.
 
-    Cameras are measured by the same encoders, so that one is off as another.
+    All cameras are measured against the same encoders, so their errors are correlated.
     """
     if not timely.errors:
         return found
@@ -154,8 +156,7 @@ def unsure(found: Estimate, timely: Dated) -> Estimate:
 def told(
     delays: Mapping[str, float], errors: Mapping[str, float], rests: Mapping[str, Delay], fixed: Mapping[str, float]
 ) -> Iterator[Finding]:
-    """What is to be said of delays taken off, a warning where they were measured, and of `fixed` ones that, by the
-    `rests`, the log contradicts."""
+    """Yield a warning for each measured delay, and for each `fixed` one that the log contradicts (`rests`)."""
     for name in (name for name in {**delays, **rests} if name != JOINTS):
         delay, rest = delays.get(name, 0.0), rests.get(name)
         if name in fixed and rest is not None and telling(rest):
@@ -180,7 +181,7 @@ def _earlier(series: Series, delay: float) -> Series:
 
 
 def _stamped(series: Series, timely: Series | None, track: Series | None) -> Series:
-    """What is said at some of the times of `timely`, at those that `track` has in their place."""
+    """The series with the times of `timely` replaced by those of `track`."""
     if timely is None or track is None or timely is track:
         return series
     order = np.argsort(timely.t, kind="stable")
@@ -188,7 +189,7 @@ def _stamped(series: Series, timely: Series | None, track: Series | None) -> Ser
 
 
 def _within(t: Array, begin: float, end: float) -> Array:
-    """Rows dated from begin to end, each later than all before it."""
+    """Row numbers of ascending times t (N,) between begin and end."""
     return np.flatnonzero(ascending(t) & (t >= begin) & (t <= end))
 
 
@@ -200,7 +201,7 @@ def _sighting(name: str, track: Series, body: BodyModel, rows: Array) -> Sightin
 
 
 def as_learned(body: BodyModel) -> dict[str, float]:
-    """The delays (s) a body was learned with, by camera; ModelError where it says something else."""
+    """Delays (s) by camera that a body was learned with; ModelError for anything else in its provenance."""
     found = body.provenance.get("delay", {})
     if not isinstance(found, Mapping) or not all(
         isinstance(delay, int | float) and isfinite(delay) and abs(delay) <= FARTHEST for delay in found.values()

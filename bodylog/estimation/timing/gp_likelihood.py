@@ -1,8 +1,8 @@
-"""How late a camera dated the pictures that a body is learned from, by what the body itself holds likely.
+"""A camera's delay in an exploration log, by the likelihood of the body's own Gaussian process.
 
-The track, as a curve y, is at t + τ one draw of the body's Gaussian process at what encoders read about t: y + τ ẏ has
-its mean m and its covariance K with the noise, whence τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. What the learned
-mean leaves unexplained would say less: where paths hardly cross it takes a delay for the arm's shape.
+A track's curve y at t + τ is a draw of the process at the encoder angles of t: y + τ ẏ has its mean m and, with noise,
+its covariance K. So τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. Residuals of the learned mean are a weaker test: where
+paths hardly cross, the mean absorbs the delay.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,16 +15,16 @@ from ..measurements.track_curve import FEWEST, Curve, drawn, places
 from .regression import FARTHEST, ROUNDS, STEP, STILL, Delay
 
 MOST = 400
-"""Means of encoders at most, evenly spread: the cost goes with their third power."""
+"""Most means of encoder readings, evenly spread: the cost grows with their third power."""
 BLUNDER = 6.0
-"""Median distances from what the learned mean has there beyond which a place is left out."""
+"""Median residuals of the learned mean beyond which a position is left out."""
 
 Prior = Callable[[Array], tuple[Array, Array]]
-"""Of angles (B,M), before anything was learned there: a track's mean (D,) px and covariance (D,B,B) px²."""
+"""The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
 
 
 def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]) -> Delay | None:
-    """The delay of the tracks of one camera; None where they are too short to tell."""
+    """The delay of one camera's tracks; None where they are too short."""
     told = [
         (curve, *prior(curve.x)) for track, prior in zip(seen, priors, strict=True)
         if (curve := drawn(encoders, track, MOST // len(seen))) is not None
@@ -32,7 +32,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
     late = 0.0
     for _ in range(ROUNDS):
         parts = [_told(curve, mean, cov, late) for curve, mean, cov in told]
-        # tracks beside the same encoders err with them
+        # tracks beside the same encoders have correlated errors
         pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
         if weight <= 0.0 or abs(late) > FARTHEST:
             return None
@@ -44,7 +44,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
 
 
 def _told(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
-    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve that is so late (s); nothing where too little of it is left."""
+    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late` s; zeros where too little is left."""
     place, speed, *_, sound = places(curve, late)
     off = np.linalg.norm(place - curve.foretold, axis=1)
     if sound.sum() < FEWEST:

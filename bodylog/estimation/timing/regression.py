@@ -1,9 +1,8 @@
-"""How late a camera dates its pictures, by the encoders beside it: both saw one motion.
+"""A camera's delay by regression on the encoders: both observe one motion.
 
-Encoder readings of one picture's time are averaged, mean x̄ at t, and foretell a place g(x̄). The track, as a curve y
-through what pictures showed, is there at t + τ: y(t + τ) = g(x̄) + J b(t) + e, whence τ by Gauss–Newton, beside offsets
-b of the encoders that bend every few seconds. Encoders' noise is another in each mean; what errs alike for longer
-shows in how far τ moves when a part of the log is left out, and τ is no surer than either says.
+Encoder readings of one frame interval are averaged to x̄ at t and predict a position g(x̄). The track's curve y is
+there at t + τ: y(t + τ) = g(x̄) + J b(t) + e. Gauss–Newton gives τ and piecewise linear encoder offsets b. Errors that
+last longer show in a jackknife over parts of the log; the larger standard error is taken.
 """
 
 from collections.abc import Sequence
@@ -17,20 +16,20 @@ from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import FEWEST, MOST, Rows, compared, drawn
 
 PART, STEPS, PARTS = 0.5, 12.0, 40
-"""s and steps of the curves that a part lasts which is left out, at least, and how many there are at most."""
+"""Shortest part of the jackknife in s and in steps of the curves, and the most parts."""
 STEP, FARTHEST = 0.15, 1.0
-"""s that a round may go, and all of them."""
+"""s: largest change of τ in a round, and its largest value."""
 ROUNDS, STILL = 12, 0.05
-"""Rounds at most, and standard errors by which the last may still move."""
+"""Most rounds, and the change in standard errors that ends them."""
 TAME = 4.0
-"""Squared residuals, in their spread, that count half."""
+"""Squared residuals over their variance that have half weight."""
 ONE = 0.6
-"""Share of what tells of the delay that must count, 0.72 where all errs normally, or no one delay explains the log."""
+"""Least share of the information that must keep its weight (0.72 for normal errors); else no one delay fits the log."""
 
 
 @dataclass(frozen=True)
 class Delay:
-    """Seconds by which pictures are dated late, its standard error, and the evidence against none in nats."""
+    """A delay of image timestamps (s), its standard error (s), and the evidence against no delay (nats)."""
 
     seconds: float
     std_error: float
@@ -38,7 +37,7 @@ class Delay:
 
 
 def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
-    """The delay of the tracks of one camera; None where nothing moves enough, or for too short, to tell."""
+    """The delay of one camera's tracks; None where motion is too small or too short."""
     curves = [curve for track in seen if (curve := drawn(encoders, track, MOST // len(seen))) is not None]
     late = 0.0
     for _ in range(ROUNDS):
@@ -48,7 +47,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
         rows = _together(parts)
         step, weight, spread = _fitted(rows)
         lean = np.linalg.solve(_sums(rows, weight)[0], np.eye(rows.slopes.shape[-1])[0])
-        # the inverse of what the track's speed says, its noise apart: where that is less than the noise, nothing moved
+        # the inverse of the information in the track's speed without noise; below the noise, nothing moved
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
         own = np.sqrt(spread * np.square(weight[:, None] * (rows.slopes @ lean)).sum())
@@ -64,7 +63,7 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
 
 
 def _judged(late: float, own: float, rows: Rows, weight: Array, lean: Array, part: float) -> Delay:
-    """The delay as sure as its own noise, and the log's parts (s), have it; these know it as well as they are many."""
+    """The delay, its standard error from noise and a jackknife over parts (s), and its evidence."""
     count = int(np.clip(np.ptp(rows.t) / part, 2, PARTS))
     edges = np.linspace(rows.t[0], rows.t[-1], count + 1)[1:-1]
     bounds = np.unique(np.concatenate([[0], np.searchsorted(rows.t, edges), [len(rows.t)]]))
@@ -79,7 +78,7 @@ def _judged(late: float, own: float, rows: Rows, weight: Array, lean: Array, par
 
 
 def _fitted(rows: Rows) -> tuple[float, Array, float]:
-    """The next step (s), how much each row counts (R,), and the residuals' variance: 1 where noise is as stated."""
+    """The next step (s), robust weights (R,), and the residual variance: 1 where noise is as stated."""
     weight, spread = np.ones(len(rows.t)), 1.0
     for _ in range(ROUNDS):
         beta = np.linalg.solve(*_sums(rows, weight))
@@ -92,7 +91,7 @@ def _fitted(rows: Rows) -> tuple[float, Array, float]:
 
 
 def _sums(rows: Rows, weight: Array) -> tuple[Array, Array]:
-    """Normal matrix and right side of the weighted regression, without what noise in the track's speed adds."""
+    """Normal matrix and right side of the weighted regression, corrected for noise in the track's speed."""
     size = rows.slopes.shape[-1]
     heavy = (rows.slopes * weight[:, None, None]).reshape(-1, size).T
     normal, pull = heavy @ rows.slopes.reshape(-1, size), heavy @ rows.misfit.ravel()
@@ -103,7 +102,7 @@ def _sums(rows: Rows, weight: Array) -> tuple[Array, Array]:
 
 
 def _together(parts: Sequence[Rows]) -> Rows:
-    """All curves' rows in order of time."""
+    """Rows of all curves in order of time."""
     if len(parts) == 1:
         return parts[0]
     rows = Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in Rows.__annotations__))
