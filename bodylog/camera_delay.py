@@ -50,7 +50,7 @@ def learned(
     from .estimation.timing import correction
 
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
-        timely = [correction.earlier(found, delays) for found, delays in zip(features, late, strict=True)]
+        timely = [correction.shifted(found, delays) for found, delays in zip(features, late, strict=True)]
         told = {**provenance, **({"delay": dict(own)} if own else {})}
         found = body.learn(timely, settings, told, known, robot is not None)
         sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
@@ -59,8 +59,9 @@ def learned(
     if all(found.poses for found in features):
         found = body.learn(features, settings, provenance, known, robot is not None)
         return body.with_kinematics(features, settings, found, robot, known)
-    fixed = correction.named(settings.time.delay, correction.cameras([name for f in features for name in f.tracks]))
-    own = {} if known is None else {k: v for k, v in correction.as_learned(known).items() if k not in fixed}
+    cameras = correction.cameras([name for found in features for name in found.tracks])
+    fixed = correction.fixed_delays(settings.time.delay, cameras)
+    own = {} if known is None else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
     begun, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
     turn = turned([{**own, **fixed} for _ in features], {**own, **given})
     for _ in range(TURNS - 1):
@@ -71,7 +72,7 @@ def learned(
         if _missed(after, surest) > least * _missed(turn, surest):
             break
         turn, begun = after, begun | set(surest)
-    timely = [correction.earlier(found, delays) for found, delays in zip(features, turn.late, strict=True)]
+    timely = [correction.shifted(found, delays) for found, delays in zip(features, turn.late, strict=True)]
     found = body.with_kinematics(timely, settings, turn.found, robot, known)
     return replace(found, findings=(*_said(turn, fixed, begun), *found.findings))
 
@@ -82,7 +83,7 @@ def _said(turn: _Turn, fixed: Delays, begun: set[str]) -> Iterator[Finding]:
 
     for k, (delays, rest) in enumerate(zip(turn.late, turn.rests, strict=True)):
         sure = {name: rest[name].std_error for name in begun if name in rest}
-        for said in correction.told(delays, sure, rest, fixed):
+        for said in correction.delay_findings(delays, sure, rest, fixed):
             yield replace(said, text=f"log {k + 1}: {said.text}") if len(turn.late) > 1 else said
 
 
@@ -110,7 +111,7 @@ def _late(timely: Features, model: BodyModel, known: BodyModel | None) -> dict[s
     from .estimation.timing import correction, gp_likelihood
 
     tracks = {name: sense for name, sense in model.senses.items() if name != "encoders"}
-    told, seen = correction.heard(encoder_function.referred(timely, known), replace(model, senses=tracks))
+    told, seen = correction.sound_measurements(encoder_function.referred(timely, known), replace(model, senses=tracks))
     if told is None:
         return {}
     found = {
@@ -143,7 +144,7 @@ def _surest(rests: Sequence[Mapping[str, "Delay"]], fixed: Delays, begun: set[st
     found = {}
     for name in sorted({name for rest in rests for name in rest} - set(fixed)):
         least = 0.0 if name in begun else correction.LEAST
-        if telling := [k for k, rest in enumerate(rests) if name in rest and correction.telling(rest[name], least)]:
+        if telling := [k for k, rest in enumerate(rests) if name in rest and correction.significant(rest[name], least)]:
             found[name] = min(telling, key=lambda k: rests[k][name].std_error)
     return found
 
@@ -152,7 +153,7 @@ def _own(rest: "Delay | None", surest: "Delay") -> float:
     """A log's own step (s); that of the surest where the log does not tell and may be as late."""
     from .estimation.timing import correction
 
-    if rest is not None and correction.telling(rest):
+    if rest is not None and correction.significant(rest):
         return rest.seconds
     if rest is None or abs(rest.seconds - surest.seconds) < ALIKE * (rest.std_error + surest.std_error):
         return surest.seconds

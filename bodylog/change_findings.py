@@ -38,7 +38,7 @@ def _usable(features: Features, found: Estimate) -> Features:
     from .estimation.timing import correction
 
     delays = found.settings.get("delay", {})
-    timely = correction.earlier(features, delays) if isinstance(delays, Mapping) else features
+    timely = correction.shifted(features, delays) if isinstance(delays, Mapping) else features
     seen = [fault.since for fault in found.faults if fault.sense == "vision" and fault.since >= FIRST]
     later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _constant(fault)] + seen
     end = min(later, default=float("inf"))

@@ -19,8 +19,8 @@ def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
     if read.joints is None or not len(read.joints.t):
         raise LogError(f"{log}: no joint readings, and no --body to find them by images; type: bodylog info {log}")
     unseen = [path for role, path in read.roles.items() if role.partition("/")[0] == "camera"]
-    odd = (*(() if read.poses else estimation.readings(read.joints)), *_outside(log, read.joints, settings))
-    findings = (*estimation.unlearned_body(unseen), *odd)
+    odd = (*(() if read.poses else estimation.reading_findings(read.joints)), *_outside(log, read.joints, settings))
+    findings = (*estimation.no_body_findings(unseen), *odd)
     return read, Features(read.joints, {}, None, (), (), {}, findings, poses=read.poses)
 
 
@@ -29,7 +29,7 @@ def _outside(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]
     from . import estimation
 
     try:
-        yield from estimation.outside(joints, *robot_model.limits(log, settings))
+        yield from estimation.limit_findings(joints, *robot_model.limits(log, settings))
     except FormatError as problem:
         if settings.kinematics.urdf is not None:
             raise

@@ -25,10 +25,10 @@ class Estimator(estimator.Estimator):
         learned · `learned`: the settings of an estimate, whose variances are used. UsageError for settings that need
         the whole log, for variances that are not this body's, and where a reading does not tell the angle.
         """
-        tell = encoder_function.teller(body)  # refuses where a slope vanishes, by which plain divides
-        super().__init__(encoder_function.plain(body), settings, lag, tell, learned)
+        to_angles = encoder_function.teller(body)  # refuses where a slope vanishes, by which plain divides
+        super().__init__(encoder_function.plain(body), settings, lag, to_angles, learned)
         cameras = correction.cameras(body.senses)
-        self._delays = correction.as_learned(body) if delay is None else correction.named(delay, cameras)
+        self._delays = correction.learned_delays(body) if delay is None else correction.fixed_delays(delay, cameras)
 
     def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> estimator.Belief:
         """The belief after all that is dated t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
@@ -42,4 +42,4 @@ class Estimator(estimator.Estimator):
         for name, place in places.items():
             by = 0.0 if name == "touch" else self._delays.get(camera(name), 0.0)
             late.setdefault(by, {})[name] = place
-        return self._tell([(t - by, joints if by == own else None, told) for by, told in late.items()])
+        return self._step_all([(t - by, joints if by == own else None, given) for by, given in late.items()])

@@ -152,7 +152,7 @@ def _tested(
     remarks = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
     for log, read, found in observed:
         remarks += same_camera(log, learned.provenance.get("cameras", ()), read, found)
-    timely = [correction.earlier(found, correction.as_learned(learned)) for _, _, found in observed]
+    timely = [correction.shifted(found, correction.learned_delays(learned)) for _, _, found in observed]
     with log_context(logs[0], remarks, len(logs) - 1):
         scores, more = tested.score(learned, timely)
     return scores, (*remarks, *more)

@@ -13,7 +13,7 @@ from .types import Array, Features, Finding
 if TYPE_CHECKING:
     from .body.kinematic.learn import Robotics
     from .kinematics.links import CameraHint
-    from .kinematics.urdf import Limits, Robot
+    from .kinematics.robot import Limits, Robot
     from .recording.robot_description import CameraInfo, Described
 
 

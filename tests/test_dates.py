@@ -16,7 +16,7 @@ def learned(*features, delay="auto", known=None):
 
 
 def said(found, severity="warning"):
-    return [f.text for f in found.findings if f.severity == severity and "its pictures are dated" in f.text]
+    return [f.text for f in found.findings if f.severity == severity and "image timestamps" in f.text]
 
 
 def off(model, seed=9):
@@ -50,13 +50,13 @@ def test_a_late_exploration_is_learned_as_a_sound_one(seed, seconds):
     sound, late = learned(features), learned(delayed(features, seconds))
     left = learned(delayed(features, seconds), delay="off")
     (text,) = said(late)
-    assert text.startswith("camera: ") and (" s late by" in text) == (seconds > 0)
+    assert text.startswith("camera: ") and (" timestamps lag the encoders" in text) == (seconds > 0)
     assert late.model.provenance["delay"]["camera"] == pytest.approx(seconds, abs=2e-3)
     assert off(late.model) < 1.1 * off(sound.model) < 0.8 * off(left.model)
     (text,) = said(left)
-    assert "none taken off" in text and "delay" not in left.model.provenance
+    assert "not corrected" in text and "delay" not in left.model.provenance
     again = estimate(delayed(run(5, 0.003).features, seconds), late.model, Estimation())
-    assert not [f for f in again.findings if f.severity == "warning" and "dated" in f.text]
+    assert not [f for f in again.findings if f.severity == "warning" and "timestamps" in f.text]
     assert again.settings["delay"] == late.model.provenance["delay"]
 
 
@@ -76,5 +76,5 @@ def test_what_is_given_is_taken_off_and_kept():
     assert off(found.model) == pytest.approx(off(plain.model), rel=1e-6)
     more = learned(delayed(run(4, 0.003).features, 0.05), known=found.model)
     assert not said(more) and more.model.provenance["delay"] == {"camera": 0.05}
-    with pytest.raises(UsageError, match=r"'left' is none of joints, camera"):
+    with pytest.raises(UsageError, match=r"'left' found, possible: joints, camera"):
         learned(features, delay={"left": 0.05})

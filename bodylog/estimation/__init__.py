@@ -8,24 +8,24 @@ from ..errors import UsageError
 from ..runtime.blas_threads import one_thread
 from ..settings import Estimation
 from ..types import Estimate, Features
-from .faults.consistency import doubts
+from .faults.consistency import consistency_findings
 from .measurements import gather
-from .measurements.joint_limits import outside
-from .measurements.joints_alone import joints_body, readings, unlearned_body
+from .measurements.joint_limits import limit_findings
+from .measurements.joints_alone import joints_body, no_body_findings, reading_findings
 from .methods.choices import unheeded
 from .methods.finite import finite, solvable
 from .methods.table import METHODS
 from .noise import typed
 from .poses.estimate import estimate as still_poses
-from .timing.correction import as_stamped, dated, unsure
+from .timing.correction import add_delay_uncertainty, as_stamped, corrected
 
-__all__ = ["METHODS", "check", "estimate", "joints_body", "outside", "readings", "unlearned_body"]
+__all__ = ["METHODS", "check", "estimate", "joints_body", "limit_findings", "no_body_findings", "reading_findings"]
 
 
 def estimate(
     features: Features, body: BodyModel, settings: Estimation, delay: str | Mapping[str, float] = "auto"
 ) -> Estimate:
-    """The belief by `settings.method`, each camera's `delay` taken off as `dated` has it.
+    """The belief by `settings.method`, each camera's `delay` taken off as `corrected` has it.
 
     ModelError, EvidenceError or UsageError when it cannot be had: there are no numbers in it that are none.
     """
@@ -34,17 +34,17 @@ def estimate(
     if features.poses:
         with one_thread():
             found = replace(still_poses(features, body, settings, method.can), can=method.can)
-        return replace(found, findings=(*found.findings, *doubts(found, settings)))
+        return replace(found, findings=(*found.findings, *consistency_findings(found, settings)))
     with one_thread(), solvable(settings.method):
-        timely = dated(features, body, delay)
+        timely = corrected(features, body, delay)
         found = replace(finite(method.estimate(timely.features, body, settings)), can=method.can)
     if timely.delays:
-        found = unsure(as_stamped(found, features, timely.features), timely)
+        found = add_delay_uncertainty(as_stamped(found, features, timely.features), timely)
         told = {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
         found = replace(found, settings={**found.settings, **told})
     weighed = [asdict(one) for one in timely.hypotheses] + list(found.settings.get("hypotheses", ()))
     found = replace(found, settings={**found.settings, "hypotheses": weighed} if weighed else found.settings)
-    remarks = (*timely.findings, *found.findings, *unheeded(settings), *doubts(found, settings))
+    remarks = (*timely.findings, *found.findings, *unheeded(settings), *consistency_findings(found, settings))
     return replace(found, findings=remarks)
 
 

@@ -1,1 +1,1 @@
-"""Kinematics: a URDF, a camera and their unknowns, as the mean of what a camera sees."""
+"""Kinematics: predicted image points from a URDF, a camera and their unknown parameters θ."""

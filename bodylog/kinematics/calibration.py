@@ -1,4 +1,4 @@
-"""The unknowns θ from sightings: robust Gauss-Newton (Levenberg-Marquardt) from several starts, and θ's covariance."""
+"""Estimate the unknowns θ from sightings: robust Levenberg-Marquardt from several starts, with θ's covariance."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,14 +17,14 @@ _FINALISTS = 2
 _POINTS = 12
 _LEAST = 1e-6
 _FALSE = 1e-3
-"""Share of sightings that show something else, before any is weighed."""
+"""Prior share of false sightings."""
 _ANYWHERE = 600.0
-"""px: such a sighting lies anywhere in a square of this side."""
+"""px: false sightings are uniform in a square of this side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sighted:
-    """What one sight of a rig showed: q (N,M) rad or m · image (N,C,2) px, NaN where unseen · variance (N,C,2) px²."""
+    """Measurements of one sight: q (N,M) rad or m · image (N,C,2) px, NaN where unseen · variance (N,C,2) px²."""
 
     q: Array
     image: Array
@@ -38,7 +38,7 @@ class Sighted:
 
     @property
     def spread(self) -> float:
-        """How far the points moved, px, root mean square over both axes."""
+        """Root mean square motion of the points over both axes, px."""
         seen = self.seen[..., None]
         middle = np.where(seen, self.image, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
         return float(np.sqrt(np.square(np.where(seen, self.image - middle, 0.0)).sum() / max(2 * seen.sum(), 1)))
@@ -48,7 +48,7 @@ class Sighted:
 class Calibrated:
     """theta (P,) of greatest posterior, its covariance (P,P) · noise px² beyond the stated · weights per sight (N,C).
 
-    evidence: ln of the sightings' probability under this rig (nats), θ marginalised about theta (Laplace).
+    evidence: log marginal likelihood of the sightings (nats), by Laplace's approximation at theta.
     """
 
     rig: Rig
@@ -60,12 +60,12 @@ class Calibrated:
 
 
 def residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
-    """Measured minus expected (N,C,2) px of each sight; NaN where unseen."""
+    """Measured minus predicted (N,C,2) px of each sight; NaN where unseen."""
     return [one.image - rig.see(sight, theta, one.q).image for sight, one in zip(rig.sights, data, strict=True)]
 
 
 def calibrate(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Calibrated:
-    """θ from the best of several starts: coarse loss from each, then finer ones."""
+    """Estimate θ from the best of several starts, with ever finer robust losses."""
     sparse, few = thinned(rig, data, _COARSE)
     loss = _arsinh(50.0)
     coarse = [descend(sparse, few, start, loss, 1.0, _SCOUT) for start in starts]
@@ -78,13 +78,13 @@ def calibrate(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Cal
 
 
 def scout(rig: Rig, data: Sequence[Sighted], start: Array) -> float:
-    """What a short descent from one start leaves of the coarse loss."""
+    """Return the coarse loss after a short descent from one start."""
     sparse, few = thinned(rig, data, _COARSE)
     return descend(sparse, few, start, _arsinh(50.0), 1.0, _SCOUT)[1]
 
 
 def thinned(rig: Rig, data: Sequence[Sighted], count: int) -> tuple[Rig, list[Sighted]]:
-    """At most `count` of each sight's pictures and _POINTS of its points, evenly spaced; θ stays what it is."""
+    """Keep at most `count` frames of each sight and _POINTS of its points, evenly spaced; θ keeps its meaning."""
     sights, few = [], []
     for sight, one in zip(rig.sights, data, strict=True):
         rows, points = _spaced(len(one.q), count), _spaced(len(sight.points), _POINTS)
@@ -98,7 +98,7 @@ def _spaced(total: int, count: int) -> Array:
 
 
 def refine(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> Calibrated:
-    """From near the solution: θ, noise and weights of false sightings in turn until they settle."""
+    """From near the solution, alternate θ, noise and weights of false sightings until the noise settles."""
     noise, before = _scale(rig, theta, data), np.inf
     for _ in range(rounds):
         weigh = _mixture(noise)
@@ -111,11 +111,11 @@ def refine(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> 
 
 
 Loss = Callable[[Array], tuple[Array, Array]]
-"""From squared residuals over their variance (…,): the loss of each (2 × nats) and its slope, the weight."""
+"""From squared residuals over their variance (…,): the loss of each (2 × nats) and its derivative, the weight."""
 
 
 def _soft(scale: float) -> Loss:
-    """soft-L1 with its knee at `scale` px."""
+    """Soft-L1 loss with its knee at `scale` px."""
 
     def loss(square: Array) -> tuple[Array, Array]:
         root = np.sqrt(1.0 + square / scale**2)
@@ -125,7 +125,7 @@ def _soft(scale: float) -> Loss:
 
 
 def _arsinh(scale: float) -> Loss:
-    """arsinh² with its knee at `scale` px: what is far off pulls ever less."""
+    """arsinh² loss with its knee at `scale` px: outliers lose influence with distance."""
 
     def loss(square: Array) -> tuple[Array, Array]:
         ratio = np.sqrt(square) / scale
@@ -137,7 +137,7 @@ def _arsinh(scale: float) -> Loss:
 
 
 def _mixture(noise: float) -> Loss:
-    """A Gaussian of one px² (times the noise) among a few that lie anywhere: −2 ln((1 − ε) e^{−s/2} + ε')."""
+    """A Gaussian of one px² (times the noise) mixed with uniform false sightings: −2 ln((1 − ε) e^{−s/2} + ε')."""
     floor = _FALSE * 2.0 * np.pi * noise / _ANYWHERE**2
 
     def loss(square: Array) -> tuple[Array, Array]:
@@ -150,7 +150,7 @@ def _mixture(noise: float) -> Loss:
 def descend(
     rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float, steps: int = STEPS
 ) -> tuple[Array, float]:
-    """θ (P,) of least loss from a start, and that loss; Levenberg-Marquardt, sightings weighed again at each step."""
+    """θ (P,) of least loss from a start, and that loss; Levenberg-Marquardt with weights renewed at each step."""
     damping, found = 1e-3, _normal(rig, data, theta, loss, noise)
     std = rig.prior[1]
     for _ in range(steps):
@@ -178,7 +178,7 @@ def _solve(matrix: Array, right: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Gauss-Newton's matrix (P,P) and pull (P,), and twice the loss."""
+    """Gauss-Newton's normal matrix (P,P), right side (P,), and twice the loss."""
 
     matrix: Array
     pull: Array
@@ -203,13 +203,13 @@ def _normal(rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: 
 
 
 def _scale(rig: Rig, theta: Array, data: Sequence[Sighted]) -> float:
-    """Variance (px², per axis) by the median residual."""
+    """Variance (px², per axis) from the median residual."""
     sizes = np.concatenate([np.square(r).sum(axis=-1).ravel() for r in residuals(rig, theta, data)])
     return max(float(np.nanmedian(sizes)) / float(2.0 * np.log(2.0)), _LEAST)
 
 
 def _noise(rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss) -> float:
-    """Variance (px², per axis) of what is not false, over the degrees of freedom that θ leaves."""
+    """Variance (px², per axis) of true sightings, over the degrees of freedom that θ leaves."""
     total, count, noise = 0.0, 0.0, _scale(rig, theta, data)
     for residual in residuals(rig, theta, data):
         square = np.square(residual).sum(axis=-1)
@@ -242,10 +242,10 @@ def _finished(rig: Rig, data: Sequence[Sighted], theta: Array, noise: float) -> 
 def _jackknife(
     rig: Rig, data: Sequence[Sighted], theta: Array, noise: float, weights: Sequence[Array], matrix: Array
 ) -> Array:
-    """How θ varies (P,P) as boards' frames are left out, one after the other (one Gauss-Newton step each).
+    """Jackknife covariance (P,P) of θ over the frames of boards (one Gauss-Newton step each).
 
-    Corners of one frame err together, by what the joints and the board's print are off, so there is less to know than
-    they are many (Liang & Zeger 1986). Of single points nothing is added.
+    Errors of one frame's corners are correlated, through the joints and the board's print, so they hold less
+    information than their number suggests (Liang & Zeger 1986). Zero for single points.
     """
     std, moved = rig.prior[1], []
     for sight, one, weight in zip(rig.sights, data, weights, strict=True):

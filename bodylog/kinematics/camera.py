@@ -1,20 +1,20 @@
-"""A pinhole camera with two radial distortion terms, for many points at once."""
+"""A pinhole camera with two radial distortion terms, vectorised over points."""
 
 import numpy as np
 
 from ..types import Array
 
 NEAREST = 0.02
-"""m: depth is held above this, so that a search can pass a point that lies behind the camera."""
+"""m: lower bound on depth, so that a search can pass a point behind the camera."""
 
 
 def lens(focal: float, width: float, height: float) -> Array:
-    """Six numbers, ln f (px), ln of fv over fu, centre (px), k1, k2: of a lens without distortion; all given in px."""
+    """Parameters (6,) of a lens without distortion: ln f (px), ln of fv over fu, centre (px), k1, k2."""
     return np.array([np.log(focal), 0.0, width / 2.0, height / 2.0, 0.0, 0.0])
 
 
 def project(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
-    """Points (…,3) m in the camera: image places (…,2) px · slopes by point (…,2,3) · by the lens (…,2,6)."""
+    """Project points (…,3) m: image (…,2) px · derivative by point (…,2,3) · by the lens (…,2,6)."""
     depth = np.maximum(points[..., 2], NEAREST)
     x, y = points[..., 0] / depth, points[..., 1] / depth
     fu = np.exp(numbers[0])

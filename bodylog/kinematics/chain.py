@@ -1,4 +1,4 @@
-"""From one link to another: the pose and its derivatives at many rows of joint angles at once."""
+"""Forward kinematics between two links, with derivatives, vectorised over rows of joint angles."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,16 +7,16 @@ import numpy as np
 
 from ..errors import ModelError
 from ..types import Array
+from .robot import MOVING, Joint, Robot
 from .rotations import from_z, inverse, transform
-from .urdf import MOVING, Joint, Robot
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Steps from a start link to an end link; step k turns about, or slides along, its own z axis.
 
-    joints (M,): names in the order of q · fixed (K+1,4,4): before each step and after the last, m · column (K,): which
-    of q a step takes · scale, zero (K,): its angle is scale · q + zero (rad, or m where `slides` (K,)).
+    joints (M,): names in the order of q · fixed (K+1,4,4): before each step and after the last, m · column (K,): each
+    step's column in q · scale, zero (K,): its angle is scale · q + zero (rad, or m where `slides` (K,)).
     """
 
     start: str
@@ -29,7 +29,7 @@ class Chain:
     slides: Array
 
     def at(self, q: Array) -> "Poses":
-        """The end link in the start link at q (N,M), rad or m."""
+        """Poses of the end link in the start link at q (N,M), rad or m."""
         angle = q[:, self.column] * self.scale + self.zero
         rotation = np.broadcast_to(self.fixed[0, :3, :3], (len(q), 3, 3))
         place = np.broadcast_to(self.fixed[0, :3, 3], (len(q), 3))
@@ -46,7 +46,7 @@ class Chain:
         return Poses(rotation, place, axes, origins, strides[:, :-1])
 
     def slopes(self, poses: "Poses", points: Array) -> Array:
-        """How points (N,C,3), given in the start link, move with the joints: (N,C,3,M), m per rad or m."""
+        """Derivatives (N,C,3,M), m per rad or m, of points (N,C,3) in the start link by the joints."""
         result = np.zeros((*points.shape, len(self.joints)))
         for k, slides in enumerate(self.slides):
             axis = poses.axes[:, None, k]
@@ -55,7 +55,7 @@ class Chain:
         return result
 
     def holding(self, still: Mapping[str, float]) -> "Chain":
-        """The same with the named joints held at their angles (rad or m), and no longer among its joints."""
+        """Return the chain with the named joints fixed at their angles (rad or m) and removed from its joints."""
         kept = [m for m, name in enumerate(self.joints) if name not in still]
         fixed, steps = [self.fixed[0]], []
         for k, column in enumerate(self.column):
@@ -73,7 +73,7 @@ class Chain:
         return Chain(self.start, self.end, joints, np.array(fixed), columns, *picked)
 
     def over(self, joints: Sequence[str]) -> "Chain":
-        """The same for q whose columns are `joints`, which name all of the chain's."""
+        """Return the chain for q with columns `joints`, which include all of the chain's."""
         column = np.array([joints.index(self.joints[c]) for c in self.column], np.int64)
         return replace(self, joints=tuple(joints), column=column)
 
@@ -93,9 +93,9 @@ class Poses:
 
 
 def between(robot: Robot, start: str, end: str) -> Chain:
-    """The chain from link to link; its joints are those that have an encoder of their own, from start to end.
+    """Return the chain between two links; its joints are those with an encoder of their own, from start to end.
 
-    ModelError for a link that is not there, or a joint on the way that is neither fixed nor moves by one number.
+    ModelError for an unknown link, or for a joint on the path of an unsupported kind.
     """
     for link in (start, end):
         if link not in robot.links:
@@ -138,7 +138,7 @@ def _chained(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int
 
 
 def _driven(robot: Robot, joint: Joint) -> tuple[str, float, float]:
-    """The joint whose encoder tells this one's angle, and angle = scale · that + zero."""
+    """The joint that a mimic joint follows, with angle = scale · its angle + zero."""
     scale, zero = 1.0, 0.0
     while joint.mimic is not None:
         scale, zero = scale * joint.mimic.multiplier, zero + scale * joint.mimic.offset
@@ -147,7 +147,7 @@ def _driven(robot: Robot, joint: Joint) -> tuple[str, float, float]:
 
 
 def _crossed(a: Array, b: Array) -> Array:
-    """Cross products (…,3); numpy's own takes five times as long on few rows."""
+    """Cross products (…,3); np.cross takes five times as long on few rows."""
     result = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3

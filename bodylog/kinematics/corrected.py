@@ -1,4 +1,4 @@
-"""A URDF with its joints' zeros moved: what a controller that adds no offsets needs."""
+"""Write calibrated joint zeros into a URDF, for controllers that add no offsets."""
 
 from collections.abc import Mapping
 from xml.etree import ElementTree
@@ -7,14 +7,15 @@ import numpy as np
 
 from ..errors import ModelError
 from ..types import Array
+from .robot import Joint, Robot
 from .rotations import exponential, to_rpy, transform
-from .urdf import Joint, Robot, element, parse
+from .urdf import element, parse
 
 
 def corrected(text: str, source: str, zeros: Mapping[str, float]) -> str:
-    """The URDF whose joints at q are where `text` has them at q + zero (rad or m), followers of those joints as well.
+    """Return the URDF whose joints at q are where those of `text` are at q + zero (rad or m), mimic joints included.
 
-    ModelError for a joint that is not in it.
+    ModelError for an unknown joint.
     """
     robot = parse(text, source)
     missing = [name for name in zeros if name not in robot.by_name]
@@ -29,7 +30,7 @@ def corrected(text: str, source: str, zeros: Mapping[str, float]) -> str:
 
 
 def _zero(robot: Robot, joint: Joint, zeros: Mapping[str, float]) -> float:
-    """How far a joint, or the one it follows, is off, in its own rad or m."""
+    """Zero of a joint, or of the one it follows, in its own rad or m."""
     scale = 1.0
     while joint.mimic is not None:
         scale, joint = scale * joint.mimic.multiplier, robot.by_name[joint.mimic.joint]

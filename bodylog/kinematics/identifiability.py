@@ -1,4 +1,4 @@
-"""Which joints' zeros and scales the sightings tell, and of the others what they cannot be told from, in words."""
+"""Which joint zeros and scales the sightings identify, and which other unknowns the rest are correlated with."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -9,18 +9,18 @@ from ..types import Array
 from .rig import Rig
 
 LEAST = 1.0 / 3.0
-"""A zero is told when its standard deviation has come down to this share of what was held beforehand."""
+"""A zero is identifiable if its standard deviation is at most this share of the prior's."""
 SHOWN = {"rad": (float(np.degrees(1.0)), "°"), "m": (1e3, " mm"), "1": (100.0, " %")}
-"""Of each unit what it is shown in: a factor and its sign."""
+"""Factor and symbol with which each unit is displayed."""
 _TOGETHER = 0.5
 _ALONG = 0.9
 
 
 @dataclass(frozen=True)
 class Offset:
-    """One joint's zero: value ± std in `unit`, rad or m · beforehand: σ of its prior · what it cannot be told from.
+    """One joint's zero: value ± std in `unit`, rad or m · beforehand: prior std · confused: correlated unknowns.
 
-    A joint's scale has the unit "1": the joint moves by 1 + value times what it reads.
+    A scale has the unit "1": the joint moves by 1 + value times its reading.
     """
 
     joint: str
@@ -32,12 +32,12 @@ class Offset:
 
     @property
     def identifiable(self) -> bool:
-        """Whether the sightings tell it."""
+        """Whether the sightings determine it."""
         return self.std <= LEAST * self.beforehand
 
     @property
     def noun(self) -> str:
-        """What it is of the joint: zero or scale."""
+        """Which parameter of the joint it is: zero or scale."""
         return "scale" if self.unit == "1" else "zero"
 
     @property
@@ -50,16 +50,17 @@ class Offset:
 def offsets(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
     """Each joint's zero for θ (P,) ± covariance (P,P)."""
     units = ["m" if rig.slides(m) else "rad" for m in range(len(rig.joints))]
-    return tuple(_told(rig, theta, covariance, rig.of_joints.start + m, units[m]) for m in range(len(rig.joints)))
+    return tuple(_offset(rig, theta, covariance, rig.of_joints.start + m, units[m]) for m in range(len(rig.joints)))
 
 
 def scales(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
-    """Each joint's scale for θ (P,) ± covariance (P,P); none where they are taken to be right."""
-    return tuple(_told(rig, theta, covariance, index, "1") for index in range(rig.of_scales.start, rig.of_scales.stop))
+    """Each joint's scale for θ (P,) ± covariance (P,P); empty where scales are fixed."""
+    part = rig.of_scales
+    return tuple(_offset(rig, theta, covariance, index, "1") for index in range(part.start, part.stop))
 
 
-def _told(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) -> Offset:
-    """What is known of one joint's zero or scale, which stands at `index` of θ."""
+def _offset(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) -> Offset:
+    """The zero or scale at `index` of θ."""
     joint = rig.joints[(index - rig.of_joints.start) % len(rig.joints)]
     std = float(np.sqrt(covariance[index, index]))
     plain = Offset(joint, float(theta[index]), std, float(rig.prior[1][index]), unit)
@@ -67,16 +68,16 @@ def _told(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) -> O
     return replace(plain, confused=words)
 
 
-def said(found: Sequence[Offset]) -> Iterator[str]:
-    """In a line each: joints whose zeros or scales are not identifiable, and why."""
+def unidentified(found: Sequence[Offset]) -> Iterator[str]:
+    """Yield a line for each joint whose zero or scale is not identifiable, and why."""
     for one in found:
         if not one.identifiable:
-            with_ = " and ".join(one.confused) or "nothing the sightings show"
-            yield f"{one.joint}: its {one.noun} cannot be told from {with_}"
+            others = " and ".join(one.confused) or "nothing the sightings show"
+            yield f"{one.joint}: its {one.noun} cannot be separated from {others}"
 
 
 def _confused(rig: Rig, covariance: Array, index: int) -> Iterator[str]:
-    """What errs together with an unknown, what most does first."""
+    """Unknowns correlated with the one at `index`, largest correlation first."""
     std = np.sqrt(np.diag(covariance))
     together = covariance[index] / np.maximum(std * std[index], 1e-300)
     groups = []
@@ -107,7 +108,7 @@ def _groups(rig: Rig) -> Iterator[tuple[int, int, str]]:
 
 
 def _axis(rig: Rig, rows: Sequence[int], lean: Array) -> str:
-    """About which axis of its link a thing's turn goes along with something, where it is one axis."""
+    """The axis of its link about which a rotation is correlated with another unknown, if it is one axis."""
     for k, camera in enumerate(rig.cameras):
         if rows[0] == rig.of_camera(k).start + 3:
             turn, link = camera.anchor[:3, :3].T @ lean, camera.link

@@ -1,7 +1,8 @@
-"""What one sight of a rig shows at one posture, in plain numbers: NumPy's calls would take twenty times as long."""
+"""A rig's prediction at one posture in plain floats, twenty times faster than NumPy for single points."""
 
 from collections.abc import Callable, Sequence
 from math import cos, exp, sin
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,13 +12,46 @@ from .rig import Rig
 from .rotations import left_jacobian, skew
 
 Row = tuple[float, float, float]
+Turn = tuple[float, float, float, float]
 Lens = tuple[float, float, float, float, float, float]
 Instant = Callable[[Array], tuple[Array, Array, Array]]
 """From joint angles (M,) rad or m: image (2,) px · slope (2,M) by the joints · design (2,P) by θ, as of `Rig.see`."""
 
 
+class _Constants(NamedTuple):
+    """A rig at fixed θ: poses between steps · (column, scale, zero, slides) of each step · the point on the last link ·
+    left Jacobians of the camera's and the marker's rotation · the camera's shift · lens · number of joints.
+    """
+
+    fixed: list[tuple[float, ...]]
+    steps: list[tuple[int, float, float, bool]]
+    point: list[float]
+    turn: tuple[float, ...]
+    marker: tuple[float, ...] | None
+    shift: list[float]
+    lens: list[float]
+    joints: int
+
+
 def instant(rig: Rig, theta: Array) -> Instant:
-    """A function from one posture to what the rig's first sight shows of its point, for unknowns theta (P,)."""
+    """Return a function from one posture to the image point of the rig's first sight, for unknowns theta (P,)."""
+    known, gain, joints, scaled = _constants(rig, theta), rig.gain(theta), rig.of_joints, len(rig.scale_doubt) > 0
+
+    def at(x: Array) -> tuple[Array, Array, Array]:
+        (px, py, pz), turned = _forward(known, (gain * x if scaled else x).tolist())
+        image, rows, by_lens = _projected(px, py, pz, known.lens)
+        arm = px - known.shift[0], py - known.shift[1], pz - known.shift[2]
+        design = np.array([_row(known, arm, turned, *both) for both in zip(rows, by_lens, strict=True)])
+        if scaled:
+            by_angle = design[:, joints]
+            return np.array(image), by_angle * gain, np.concatenate([design, by_angle * x], axis=1)
+        return np.array(image), design[:, joints], design
+
+    return at
+
+
+def _constants(rig: Rig, theta: Array) -> _Constants:
+    """What does not change with the posture."""
     sight = rig.sights[0]
     own, mine = theta[rig.of_camera(0)], theta[rig.of_carrier(0)]
     first = rig.camera_pose(0, theta) @ sight.chain.fixed[0]
@@ -26,47 +60,39 @@ def instant(rig: Rig, theta: Array) -> Instant:
     placed = place[:3, :3] @ sight.points[0] + place[:3, 3]
     zeros = sight.chain.zero + sight.chain.scale * theta[rig.of_joints][sight.chain.column]
     each = (sight.chain.column, sight.chain.scale, zeros, sight.chain.slides)
-    scaled, gain = len(rig.scale_doubt) > 0, rig.gain(theta)
     steps = list(zip(*(part.tolist() for part in each), strict=True))
     by_turn, turn = placed - mine[:3], tuple(left_jacobian(own[3:6]).T.reshape(-1).tolist())
-    marker = (-skew(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist() if len(mine) == 6 else None
-    lens, shift, joints = own[6:].tolist(), own[:3].tolist(), len(rig.joints)
-    joint_part, none, last, end_point = rig.of_joints, [0.0] * joints, fixed[-1], placed.tolist()
-    way = tuple(range(len(steps) - 1, -1, -1))
+    marker = tuple((-skew(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist()) if len(mine) == 6 else None
+    return _Constants(fixed, steps, placed.tolist(), turn, marker, own[:3].tolist(), own[6:].tolist(), len(rig.joints))
 
-    def at(x: Array) -> tuple[Array, Array, Array]:
-        angles = (gain * x if scaled else x).tolist()
-        turned = [(0.0, 0.0, 0.0, 0.0)] * len(steps)
-        px, py, pz = _applied(last, end_point)
-        for k in way:
-            column, scale, zero, slides = steps[k]
-            angle = scale * angles[column] + zero
-            if slides:
-                c, s, pz = 1.0, 0.0, pz + angle
-            else:
-                c, s = cos(angle), sin(angle)
-                px, py = c * px - s * py, s * px + c * py
-            turned[k] = (c, s, px, py)
-            px, py, pz = _applied(fixed[k], (px, py, pz))
-        image, rows, by_lens = _projected(px, py, pz, lens)
-        ix, iy, iz = px - shift[0], py - shift[1], pz - shift[2]
-        design = []
-        for row, by in zip(rows, by_lens, strict=True):
-            slope, g = none.copy(), _before(fixed[0], row)
-            for (column, scale, _, slides), (c, s, x_, y_), after in zip(steps, turned, fixed[1:], strict=True):
-                slope[column] += scale * (g[2] if slides else g[1] * x_ - g[0] * y_)
-                g = _before(after, (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
-            a, b, e = row
-            by_turning = _weighed(turn, iy * e - iz * b, iz * a - ix * e, ix * b - iy * a)
-            more = () if marker is None else _weighed(marker, *g)
-            design.append((*row, *by_turning, *by, *g, *more, *slope))
-        result = np.array(design)
-        if scaled:
-            by_angle = result[:, joint_part]
-            return np.array(image), by_angle * gain, np.concatenate([result, by_angle * x], axis=1)
-        return np.array(image), result[:, joint_part], result
 
-    return at
+def _forward(known: _Constants, angles: list[float]) -> tuple[Row, list[Turn]]:
+    """The point in the camera, m, and cosine, sine and place (x, y) of it after each step's turn."""
+    turned = [(1.0, 0.0, 0.0, 0.0)] * len(known.steps)
+    px, py, pz = _applied(known.fixed[-1], known.point)
+    for k in range(len(known.steps) - 1, -1, -1):
+        column, scale, zero, slides = known.steps[k]
+        angle = scale * angles[column] + zero
+        if slides:
+            c, s, pz = 1.0, 0.0, pz + angle
+        else:
+            c, s = cos(angle), sin(angle)
+            px, py = c * px - s * py, s * px + c * py
+        turned[k] = (c, s, px, py)
+        px, py, pz = _applied(known.fixed[k], (px, py, pz))
+    return (px, py, pz), turned
+
+
+def _row(known: _Constants, arm: Row, turned: list[Turn], row: Row, by_lens: Lens) -> tuple[float, ...]:
+    """One row of the design (P,), for the derivative `row` of u or v by the point in the camera."""
+    slope, g = [0.0] * known.joints, _before(known.fixed[0], row)
+    for (column, scale, _, slides), (c, s, x, y), after in zip(known.steps, turned, known.fixed[1:], strict=True):
+        slope[column] += scale * (g[2] if slides else g[1] * x - g[0] * y)
+        g = _before(after, (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
+    (a, b, e), (ix, iy, iz) = row, arm
+    by_turn = _weighted(known.turn, iy * e - iz * b, iz * a - ix * e, ix * b - iy * a)
+    by_marker = () if known.marker is None else _weighted(known.marker, *g)
+    return (*row, *by_turn, *by_lens, *g, *by_marker, *slope)
 
 
 def _plain(pose: Array) -> tuple[float, ...]:
@@ -80,13 +106,13 @@ def _applied(pose: tuple[float, ...], p: "Row | list[float]") -> Row:
     return a * x + b * y + c * z + d, e * x + f * y + g * z + h, i * x + j * y + k * z + m
 
 
-def _weighed(m: Sequence[float], x: float, y: float, z: float) -> Row:
-    """A row (3,) times a matrix, whose nine numbers are given column by column."""
+def _weighted(m: Sequence[float], x: float, y: float, z: float) -> Row:
+    """A row (3,) times a matrix of nine numbers, column by column."""
     return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
 
 
 def _before(pose: tuple[float, ...], g: Row) -> Row:
-    """A slope by a point, as one by the point before it was turned."""
+    """A derivative by a point, as one by the point before the pose was applied."""
     a, b, c, _, e, f, h, _, i, j, k, _ = pose
     x, y, z = g
     return a * x + e * y + i * z, b * x + f * y + j * z, c * x + h * y + k * z
@@ -95,7 +121,7 @@ def _before(pose: tuple[float, ...], g: Row) -> Row:
 def _projected(
     px: float, py: float, pz: float, lens: list[float]
 ) -> tuple[tuple[float, float], tuple[Row, Row], tuple[Lens, Lens]]:
-    """`camera.project` of one point."""
+    """`camera.project` for one point."""
     depth, far = max(pz, NEAREST), pz > NEAREST
     x, y = px / depth, py / depth
     fu = exp(lens[0])

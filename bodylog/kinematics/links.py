@@ -1,4 +1,4 @@
-"""Which link carries the camera and which the marker: as the log says, else by evidence over the URDF's links."""
+"""Find the links of the camera and the marker: from the log, or by evidence over the URDF's links."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,29 +11,29 @@ from .calibration import Calibrated, Sighted, calibrate, scout
 from .camera import lens
 from .chain import Chain, between
 from .rig import Camera, Carrier, Rig, Sight
+from .robot import MOVING, Robot
 from .rotations import inverse
 from .starts import starts
-from .urdf import MOVING, Robot
 
 ANYWHERE = 10.0
-"""m and rad: σ of a pose of which nothing is known."""
+"""m and rad: prior std of an unknown pose."""
 MARKER = 0.3
-"""m: σ of a point's place about its link's frame: the size of what an arm carries."""
+"""m: prior std of a point's position in its link, the size of what an arm carries."""
 FREE_LENS = np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
-"""σ of a lens of which the image's size alone is known: fields of view from 35° to 80°, small distortion."""
+"""Prior std of a lens known by its image size: fields of view from 35° to 80°, small distortion."""
 INFO_LENS = np.array([0.01, 0.002, 5.0, 5.0, 0.02, 0.02])
-"""σ of a lens that a CameraInfo states: a percent of the focal length, a few pixels of the centre."""
+"""Prior std of a lens from CameraInfo: a percent of the focal length, a few pixels of the centre."""
 FRAME_POSE = np.array([0.02] * 3 + [np.radians(6.0)] * 3)
-"""m, rad: σ of a camera whose optical frame stands in the URDF, by its drawing."""
+"""m, rad: prior std of a camera whose optical frame is in the URDF."""
 TF_POSE = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
-"""m, rad: σ of a camera that a transform of the log places, measured by someone."""
+"""m, rad: prior std of a camera placed by a transform in the log."""
 _FEW = 60
 _PROMISING = 3
 
 
 @dataclass(frozen=True, eq=False)
 class CameraHint:
-    """What a log says of a camera: its link or None · pose (4,4) of camera in link, m, or None · lens (6,) or None.
+    """A camera by the log: its link or None · pose (4,4) of camera in link, m, or None · lens (6,) or None.
 
     size: of its images, (width, height) px, or None.
     """
@@ -46,7 +46,7 @@ class CameraHint:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Sightings of one marker in one camera, both by name · points (C,3) m of a rigid board, or one at the origin."""
+    """Sightings of one marker in one camera, by name · points (C,3) m of a rigid board, or one at the origin."""
 
     camera: str
     marker: str
@@ -56,9 +56,9 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """The rig chosen, its calibration, and by how many nats it is likelier than the next that was tried (or None).
+    """The chosen rig, its calibration, and the nats it wins against the next alternative (or None).
 
-    lacking: joints on the way that the log lacks, taken to stand at zero.
+    lacking: joints of the chains without readings, assumed at zero.
     """
 
     calibrated: Calibrated
@@ -75,10 +75,10 @@ def find(
     doubt: float,
     scale: float = 0.0,
 ) -> Found:
-    """The likeliest links of the camera and the marker of each track, all calibrated together; sure tracks come first.
+    """Find the most likely links of camera and marker for each track, then calibrate all tracks together.
 
-    joints: names of the data's columns · still: angles of joints that did not move · doubt: σ of joints' zeros, rad ·
-    scale: σ of their scales, in shares of one; 0: they are right.
+    joints: names of the data's columns · still: angles of joints that did not move · doubt: prior std of joint zeros,
+    rad · scale: prior std of joint scales; 0 keeps them at 1. Give the most reliable tracks first.
     """
     space = Space(robot, tuple(joints), still, doubt, scale)
     placed: dict[str, str] = {name: hint.link for name, hint in hints.items() if hint.link is not None}
@@ -102,7 +102,7 @@ def find(
 def _likeliest(
     space: "Space", track: Track, camera: str | None, marker: str | None, hints: Mapping[str, CameraHint]
 ) -> tuple[Calibrated, float | None]:
-    """One track's calibration on the likeliest links, which a few sightings tell, and by how many nats they are so."""
+    """One track's calibration on its most likely links, chosen by few sightings, and the nats they win."""
     rows = np.unique(np.linspace(0, len(track.data.q) - 1, min(len(track.data.q), _FEW)).round().astype(int))
     part = Sighted(track.data.q[rows], track.data.image[rows], track.data.variance[rows])
     few, found = replace(track, data=part), list[Calibrated]()
@@ -124,7 +124,7 @@ def _likeliest(
 def _promising(
     space: "Space", track: Track, pairs: Sequence[tuple[str, str]], hints: Mapping[str, CameraHint]
 ) -> list[tuple[str, str]]:
-    """Of many pairs of links the few that a short descent from one start leaves least of."""
+    """The few pairs of links with the least loss after a short descent from one start."""
     drawn = [(a, b) for a, b in pairs if is_optical(a)]
     rest = [(a, b) for a, b in pairs if not is_optical(a)]
     if len(rest) <= _PROMISING:
@@ -137,17 +137,17 @@ def _promising(
 
 
 def _explains(found: Calibrated, data: Sighted) -> bool:
-    """Whether a calibration leaves little of how the sightings spread."""
+    """Whether a calibration explains most of the sightings' motion."""
     return found.noise < (EXPLAINED * data.spread) ** 2 and float(np.mean(found.weights[0][data.seen])) > 0.5
 
 
 EXPLAINED = 0.1
-"""Share of the sightings' spread that kinematics may leave; a real NAO's leaves 0.03, wrong links a third and more."""
+"""Largest residual std over the sightings' motion: 0.03 for a real NAO, a third or more for wrong links."""
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """A robot's links as the joints that moved part them: links without such a joint between them are one."""
+    """A robot's links, grouped: links without a moving joint between them are equivalent."""
 
     robot: Robot
     joints: tuple[str, ...]
@@ -156,18 +156,18 @@ class Space:
     scale: float = 0.0
 
     def chain(self, camera: str, marker: str) -> Chain:
-        """From the camera's link to the marker's, joints that did not move, or that the log lacks, held."""
+        """The chain from the camera's link to the marker's, with joints fixed that did not move or have no readings."""
         found = between(self.robot, camera, marker)
         held = {name: self.still.get(name, 0.0) for name in found.joints if name not in self.joints}
         return found.holding(held).over(self.joints)
 
     def lacking(self, camera: str, marker: str) -> list[str]:
-        """Joints between the links that the log lacks."""
+        """Joints between two links without readings."""
         names = between(self.robot, camera, marker).joints
         return [name for name in names if name not in self.joints and name not in self.still]
 
     def pairs(self, camera: str | None, marker: str | None) -> Iterator[list[tuple[str, str]]]:
-        """Links for camera and marker with most of the joints between them, then all others."""
+        """Yield pairs of links for camera and marker: first those with most joints between them, then the others."""
         groups = self.groups
         optical = [link for link in self.robot.links if is_optical(link)]
         cameras, markers = [camera] if camera else [*optical, *groups], [marker] if marker else groups
@@ -225,12 +225,12 @@ class Space:
 
 
 def is_optical(link: str) -> bool:
-    """Whether a link is a camera's optical frame by its name (REP 103): z into the picture, x to its right."""
+    """Whether a link is a camera's optical frame by its name (REP 103): z forward, x to the right of the image."""
     return "optical" in link
 
 
 _SLIDE = 0.1
-"""m per rad: a slide's zero is doubted by as many m times this as a turning joint's by rad; 5° are 9 mm."""
+"""m per rad: prior std of a prismatic joint's zero over a revolute one's; 5° correspond to 9 mm."""
 
 
 def _camera(name: str, link: str, hint: CameraHint, robot: Robot) -> Camera:

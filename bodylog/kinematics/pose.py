@@ -1,4 +1,4 @@
-"""Where in the robot's base a thing on a link is, and how sure that is: forward kinematics of angles and unknowns."""
+"""Poses of a marker or camera in the robot's base, with covariance: forward kinematics of angles and unknowns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,18 +9,18 @@ from ..types import Array
 from .chain import Chain, between
 from .links import Space
 from .rig import Rig
+from .robot import Robot
 from .rotations import inverse, logarithm
-from .urdf import Robot
 
 _STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """How a robot's base carries a rig's marker, or its camera where the marker does not move: what `posed` needs.
+    """The chain from the robot's root to a rig's marker, or to its camera where the marker does not move.
 
-    chain: from the robot's root to the thing's link · tool (4,4): a frame on that link, named `link`, whose turn is
-    that of a marker which is a point · camera: whether the thing is the camera's optical frame.
+    chain: from the root to the thing's link · tool (4,4): a frame on that link, named `link`, that gives a point marker
+    its orientation · camera: whether the thing is the camera's optical frame.
     """
 
     chain: Chain
@@ -30,7 +30,7 @@ class Base:
 
 
 def based(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) -> Base | None:
-    """How the robot's root carries what the rig sees, or sees with; None where neither moves against it.
+    """Find the chain from the root to the rig's marker or camera; None where neither moves.
 
     theta (P,): the rig's unknowns · still: angles, rad or m, of joints that did not move.
     """
@@ -47,7 +47,7 @@ def based(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) -> B
 def _tool(
     robot: Robot, link: str, place: Array, moving: Sequence[str], still: Mapping[str, float]
 ) -> tuple[Array, str]:
-    """Of the last frames that do not move on a link the one nearest to a place (3,) m there, and its name."""
+    """The end frame fixed to a link that is nearest to a place (3,) m on it, and its name."""
     found = []
     for name in robot.links:
         chain = between(robot, link, name)
@@ -62,8 +62,8 @@ def _tool(
 def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array) -> tuple[Array, Array, Array]:
     """Place (N,3) m, rotation (N,3,3) and covariance (N,6,6) of the thing in the robot's base.
 
-    At angles q (N,M) ± cov (N,M,M), rad or m, for unknowns theta (P,) whose covariance is root rootᵀ. The covariance is
-    of place, m, and then of a small turn about the base's axes, rad.
+    At angles q (N,M) ± cov (N,M,M), rad or m, for unknowns theta (P,) with covariance root rootᵀ. The covariance is of
+    the place, m, and of a small rotation about the base's axes, rad.
     """
     poses = base.chain.at(rig.angles(theta, q))
     on_link, by_theta = _on_link(base, rig, theta)
@@ -86,7 +86,8 @@ def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array)
 
 
 def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:
-    """The thing's pose (4,4) on its link, and how θ moves it (6,P): place, m, and a turn about the link's axes."""
+    """The thing's pose (4,4) on its link and its derivatives (6,P) by θ: place, m, and rotation about the link's axes.
+    """
     found = _thing(base, rig, theta)
     by, part = np.zeros((6, len(theta))), rig.of_camera(0) if base.camera else rig.of_carrier(0)
     for k in range(part.start, part.start + 6 if base.camera else part.stop):
@@ -98,7 +99,7 @@ def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:
 
 
 def _thing(base: Base, rig: Rig, theta: Array) -> Array:
-    """The camera's optical frame or the marker on its link (4,4); a point has the tool's turn."""
+    """The camera's optical frame or the marker on its link (4,4); a point has the tool's orientation."""
     if base.camera:
         return inverse(rig.camera_pose(0, theta))
     pose = rig.carrier_pose(0, theta)

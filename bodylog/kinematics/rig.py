@@ -1,4 +1,4 @@
-"""What hangs where: cameras and markers on links, their unknowns θ in one vector, and what is seen of them."""
+"""A rig: cameras and markers on links, their unknowns θ in one vector, and the image points they predict."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,7 +13,8 @@ from .rotations import exponential, left_jacobian, skew, transform
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera on a link: anchor (4,4), the link in the camera, m · lens (6,) beforehand · doubt (12,): σ of both.
+    """A camera on a link: anchor (4,4), the link in the camera, m · lens (6,), prior mean · doubt (12,): prior std of
+    both.
 
     The pose's unknowns move the anchor: p ↦ exp(w) p + v, v in m and w in rad, in the camera.
     """
@@ -27,9 +28,10 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Carrier:
-    """A marker on a link: anchor (4,4), the marker in the link, m · doubt (3,) or (6,): σ of its place (and turn).
+    """A marker on a link: anchor (4,4), the marker in the link, m · doubt (3,) or (6,): prior std of place (and
+    rotation).
 
-    A point has a place alone; a rigid board a turn as well.
+    A point has only a place; a rigid board also a rotation.
     """
 
     name: str
@@ -39,7 +41,7 @@ class Carrier:
 
     @property
     def turns(self) -> bool:
-        """Whether its turn is unknown as well."""
+        """Whether its rotation is unknown as well."""
         return len(self.doubt) == 6
 
 
@@ -56,10 +58,11 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras, markers, who sees whom, the joints (M,) with σ of their offsets (M,) rad or m: what θ (P,) stands for.
+    """Cameras, markers, sights, and joints (M,) with the prior std of their offsets (M,) rad or m; all unknowns are θ
+    (P,).
 
-    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and turn (6), each joint's offset δ, and
-    each joint's scale s where `scale_doubt` is (M,) and not empty: a joint that reads q is at (1 + s) q + δ.
+    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and rotation (6), each joint's offset δ,
+    and each joint's scale s where `scale_doubt` is (M,) and not empty: a joint that reads q is at (1 + s) q + δ.
     """
 
     cameras: tuple[Camera, ...]
@@ -71,7 +74,7 @@ class Rig:
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
-        """Mean (P,) and standard deviation (P,) of θ beforehand."""
+        """Prior mean (P,) and standard deviation (P,) of θ."""
         mean = [np.concatenate([np.zeros(6), one.lens]) for one in self.cameras]
         mean += [np.zeros(len(one.doubt)) for one in self.carriers]
         std = [*(one.doubt for one in self.cameras), *(one.doubt for one in self.carriers)]
@@ -79,45 +82,45 @@ class Rig:
         return np.concatenate([*mean, zeros]), np.concatenate([*std, self.doubt, self.scale_doubt])
 
     def of_camera(self, index: int) -> slice:
-        """Where the 12 of a camera stand in θ."""
+        """A camera's 12 unknowns in θ."""
         return slice(12 * index, 12 * index + 12)
 
     def of_carrier(self, index: int) -> slice:
-        """Where the 3 or 6 of a marker stand in θ."""
+        """A marker's 3 or 6 unknowns in θ."""
         begin = 12 * len(self.cameras) + sum(len(one.doubt) for one in self.carriers[:index])
         return slice(begin, begin + len(self.carriers[index].doubt))
 
     @property
     def of_joints(self) -> slice:
-        """Where the joints' offsets stand in θ."""
+        """The joints' offsets in θ."""
         end = len(self.prior[0]) - len(self.scale_doubt)
         return slice(end - len(self.joints), end)
 
     @property
     def of_scales(self) -> slice:
-        """Where the joints' scales stand in θ; empty where they are taken to be right."""
+        """The joints' scales in θ; empty where scales are fixed."""
         return slice(self.of_joints.stop, len(self.prior[0]))
 
     def angles(self, theta: Array, q: Array) -> Array:
-        """Where joints that read q (N,M) are, rad or m."""
+        """Joint angles, rad or m, for readings q (N,M)."""
         return np.asarray(self.gain(theta) * q + theta[self.of_joints])
 
     def gain(self, theta: Array) -> Array:
-        """How far each joint turns (M,) as its reading grows by one."""
+        """Joint motion (M,) per unit of reading."""
         scales = theta[self.of_scales]
         return 1.0 + scales if len(scales) else np.ones(len(self.joints))
 
     def see(self, sight: Sight, theta: Array, q: Array) -> "Seen":
-        """What a sight shows at joint angles q (N,M), rad or m, for unknowns theta (P,)."""
+        """Predict a sight at joint readings q (N,M), rad or m, for unknowns theta (P,)."""
         return _see(self, sight, theta, q)
 
     def slides(self, joint: int) -> bool:
-        """Whether a joint slides, by the first chain it is in."""
+        """Whether a joint is prismatic, by the first chain that contains it."""
         chains = (one.chain for one in self.sights)
         return next((bool(c.slides[list(c.column).index(joint)]) for c in chains if joint in c.column), False)
 
     def alone(self, index: int) -> tuple["Rig", Array]:
-        """The rig of one sight alone, and which of θ (P,) it keeps."""
+        """Return the rig of one sight, and the indices of θ (P,) that it keeps."""
         sight = self.sights[index]
         parts = self.of_camera(sight.camera), self.of_carrier(sight.carrier), self.of_joints, self.of_scales
         used = np.concatenate([np.arange(part.start, part.stop) for part in parts])
@@ -174,7 +177,7 @@ def _see(rig: Rig, sight: Sight, theta: Array, q: Array) -> Seen:
 
 
 def _shifted(points: Array, unknowns: Array) -> tuple[Array, Array]:
-    """exp(w) p + v of points (…,3), and its slopes (…,3,3) by v or (…,3,6) by v and w."""
+    """exp(w) p + v of points (…,3), and its derivatives (…,3,3) by v or (…,3,6) by v and w."""
     by_place = np.broadcast_to(np.eye(3), (*points.shape, 3))
     if len(unknowns) == 3:
         return points + unknowns, by_place

@@ -1,4 +1,4 @@
-"""Rotations for many rows at once: from vectors, axes, quaternion-free; angles in rad."""
+"""Rotations and homogeneous transforms; angles in rad."""
 
 import numpy as np
 
@@ -36,7 +36,7 @@ def left_jacobian(w: Array) -> Array:
 
 def logarithm(rotation: Array) -> Array:
     """The vector (3,), rad, of a rotation (3,3); its length is at most π."""
-    # the quaternion's largest component is found from the largest eigenvalue (Bar-Itzhack 2000): sound near π as well
+    # the largest eigenvector is the quaternion (Bar-Itzhack 2000), which is stable near π, too
     r = rotation
     lower = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
     matrix = np.empty((4, 4))
@@ -66,7 +66,7 @@ def from_rpy(rpy: Array) -> Array:
 def to_rpy(rotation: Array) -> Array:
     """Roll, pitch, yaw (3,), rad, of a rotation (3,3)."""
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
-    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: yaw is taken as zero
+    if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: yaw is zero
         return np.array([np.arctan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
     return np.array(
         [np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])]
@@ -97,7 +97,7 @@ def quaternions(rotation: Array) -> Array:
     """Unit quaternions x, y, z, w (N,4) of rotations (N,3,3), w not negative."""
     r = rotation
     trace = np.einsum("nii->n", r)
-    # four ways to the same, of which the one with the largest root is sound (Shepperd 1978)
+    # of four equivalent formulas, the one with the largest root is stable (Shepperd 1978)
     roots = np.stack([r[:, 0, 0], r[:, 1, 1], r[:, 2, 2], trace], axis=1)
     largest = roots.argmax(axis=1)
     found = np.empty((len(r), 4))

@@ -1,4 +1,4 @@
-"""Where the search for θ starts: the rig as given, resection of a point, or hand-eye alignment of a board."""
+"""Starting points of the search for θ: the prior, resection from points, or hand-eye calibration from a board."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -11,16 +11,16 @@ from .rig import Camera, Rig
 from .rotations import inverse, logarithm, nearest, transform
 
 _STEP = 0.1
-"""m: how far off the link's frame a marker is tried."""
+"""m: step from the link's frame at which marker positions are tried."""
 _KNOWN = 1.0
-"""rad: a camera whose turn is known to less than this starts where it is said to be."""
+"""rad: a camera with a smaller prior std of rotation starts at its prior."""
 _FEWEST, _CORNERS = 6, 4
 _FARTHEST = 50.0
-"""m: no marker is seen from farther off."""
+"""m: largest distance of a marker."""
 
 
 def starts(rig: Rig, data: Sequence[Sighted]) -> tuple[Rig, list[Array]]:
-    """The rig, its unknown poses anchored near a solution where one is found, and first θ's (P,) to search from."""
+    """Return the rig, with unknown poses anchored near a solution where one is found, and first values of θ (P,)."""
     for index, camera in enumerate(rig.cameras):
         boards = [k for k in _before(rig, index) if rig.carriers[rig.sights[k].carrier].turns]
         if boards and camera.doubt[3:6].max() >= _KNOWN:
@@ -40,7 +40,7 @@ def _before(rig: Rig, camera: int) -> list[int]:
 
 
 def _places(rig: Rig) -> Iterator[Array]:
-    """θ as held likely, then with the points' places a step to each side."""
+    """Yield θ's prior mean, then θ with the points' places moved a step to each side."""
     mean = rig.prior[0]
     yield mean
     points = [rig.of_carrier(k) for k, one in enumerate(rig.carriers) if not one.turns]
@@ -53,7 +53,7 @@ def _places(rig: Rig) -> Iterator[Array]:
 
 
 def _resected(rig: Rig, data: Sequence[Sighted], index: int, first: Sequence[Array]) -> list[Array]:
-    """Each θ with the camera where its own markers put it by resection."""
+    """Each θ with the camera's pose by resection from its own markers."""
     camera, found = rig.cameras[index], []
     for theta in first:
         points, images = [], []
@@ -72,13 +72,13 @@ def _resected(rig: Rig, data: Sequence[Sighted], index: int, first: Sequence[Arr
 
 
 def normalised(image: Array, lens: Array) -> Array:
-    """Image places (…,2) px as directions x/z, y/z of a lens (6,) whose distortion is left out."""
+    """Directions x/z, y/z of image points (…,2) px for a lens (6,), without distortion."""
     focal = np.exp(lens[0]) * np.array([1.0, np.exp(lens[1])])
     return np.asarray((image - lens[2:4]) / focal)
 
 
 def resection(points: Array, rays: Array) -> Array | None:
-    """The pose (4,4) that puts points (n,3) m at directions (n,2); None where they are too few or in one plane."""
+    """The pose (4,4) that projects points (n,3) m to directions (n,2); None for few or coplanar points."""
     centre = points.mean(axis=0)
     size = np.sqrt(np.square(points - centre).sum(axis=1).mean())
     if len(points) < _FEWEST or size < 1e-6:
@@ -88,7 +88,7 @@ def resection(points: Array, rays: Array) -> Array | None:
     rows = np.concatenate(
         [np.hstack([near, zero, -rays[:, :1] * near]), np.hstack([zero, near, -rays[:, 1:] * near])]
     )
-    for _ in range(5):  # rows of a false sighting count less each time
+    for _ in range(5):  # downweight rows of false sightings
         values, vectors = np.linalg.eigh(rows.T @ rows)
         matrix = vectors[:, 0].reshape(3, 4)
         size_of = np.abs(rows @ vectors[:, 0])
@@ -105,7 +105,7 @@ def resection(points: Array, rays: Array) -> Array | None:
 
 
 def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
-    """Camera and board placed by hand-eye alignment of the board's poses before the camera."""
+    """Place camera and board by hand-eye calibration from the board's poses."""
     poses, links = _posed(rig, data, k)
     if len(poses) < 3:
         return rig
@@ -117,7 +117,7 @@ def _aligned(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
 
 
 def _beside(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
-    """A further camera placed by a board that stands where the first one has it."""
+    """Place a further camera by a board that another camera has located."""
     poses, links = _posed(rig, data, k)
     sight = rig.sights[k]
     if not poses:
@@ -129,7 +129,7 @@ def _beside(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
 
 
 def _posed(rig: Rig, data: Sequence[Sighted], k: int) -> tuple[list[Array], list[Array]]:
-    """Of each picture that tells it, the board's pose (4,4) in the camera, and its link's in the camera's link."""
+    """The board's pose (4,4) in the camera, and its link's in the camera's link, for each frame that determines it."""
     sight, one = rig.sights[k], data[k]
     camera, arm = rig.cameras[sight.camera], sight.chain.at(one.q)
     poses = [planar(sight.points, normalised(image, camera.lens)) for image in one.image]
@@ -138,7 +138,7 @@ def _posed(rig: Rig, data: Sequence[Sighted], k: int) -> tuple[list[Array], list
 
 
 def planar(points: Array, rays: Array) -> Array | None:
-    """The pose (4,4) of a flat board with corners (C,3) m seen at directions (C,2); None where too few are seen."""
+    """The pose (4,4) of a planar board with corners (C,3) m at directions (C,2); None where too few are seen."""
     seen = np.isfinite(rays).all(axis=-1)
     if seen.sum() < _CORNERS:
         return None
@@ -162,7 +162,7 @@ def planar(points: Array, rays: Array) -> Array | None:
 def hand_eye(boards: Sequence[Array], links: Sequence[Array]) -> tuple[Array, Array]:
     """X (link in camera) and Z (board in its link) with board pose = X · link pose · Z for all (4,4) pairs, m."""
     order = range(len(boards))
-    # turns from each pose to those some places on: rotation vectors of both sides differ by X's rotation alone
+    # relative rotation vectors of both sides differ by X's rotation alone
     gaps = [(i, j) for gap in (1, 2, 5) for i in order if (j := i + gap) < len(boards)]
     seen = np.array([logarithm(boards[i][:3, :3] @ boards[j][:3, :3].T) for i, j in gaps])
     moved = np.array([logarithm(links[i][:3, :3] @ links[j][:3, :3].T) for i, j in gaps])

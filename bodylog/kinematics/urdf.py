@@ -1,8 +1,5 @@
-"""A URDF as records: links, joints, how they hang together; what cannot be read is refused by name."""
+"""Parse a URDF into records of links and joints; errors name the element."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,95 +8,34 @@ import numpy as np
 from ..errors import FormatError
 from ..io.atomic_files import text as read_text
 from ..types import Array
+from .robot import MOVING, Joint, Limits, Mimic, Robot, problems
 from .rotations import from_rpy, transform
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
 
-MOVING = ("revolute", "continuous", "prismatic")
 KINDS = (*MOVING, "fixed", "floating", "planar")
 _MOST_BYTES = 1 << 25
 _MOST_JOINTS = 10_000
 _DEEPEST = 100
 
 
-@dataclass(frozen=True)
-class Mimic:
-    """A joint that follows another: its angle is multiplier · that of `joint` + offset (rad or m)."""
-
-    joint: str
-    multiplier: float
-    offset: float
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Where a joint can be, rad or m by `unit`; `rounding`: half a unit of the last digit that the URDF gives."""
-
-    lower: float
-    upper: float
-    rounding: float
-    unit: str
-
-
-@dataclass(frozen=True, eq=False)
-class Joint:
-    """One joint: origin (4,4) of the child in the parent at zero, m · axis (3,), of length one, in the child.
-
-    limits: None where it has none, or none that make sense.
-    """
-
-    name: str
-    kind: str
-    parent: str
-    child: str
-    origin: Array
-    axis: Array
-    mimic: Mimic | None = None
-    limits: Limits | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Robot:
-    """A tree of links; `source` is where it was read, for messages."""
-
-    name: str
-    links: tuple[str, ...]
-    joints: tuple[Joint, ...]
-    source: str
-
-    @cached_property
-    def above(self) -> Mapping[str, Joint]:
-        """The joint above each link but the root."""
-        return {joint.child: joint for joint in self.joints}
-
-    @cached_property
-    def by_name(self) -> Mapping[str, Joint]:
-        """Joints by name."""
-        return {joint.name: joint for joint in self.joints}
-
-    @cached_property
-    def root(self) -> str:
-        """The link that no joint leads to."""
-        return next(link for link in self.links if link not in self.above)
-
-
 def load(path: Path) -> Robot:
-    """Read a URDF file; FormatError says what is wrong with it."""
+    """Read a URDF file; FormatError where it is invalid."""
     return parse(text(path), str(path))
 
 
 def text(path: Path) -> str:
-    """A URDF's text; FormatError where it cannot be read."""
+    """Read a URDF's text; FormatError where it cannot be read."""
     try:
         return read_text(path, _MOST_BYTES)
     except (OSError, UnicodeDecodeError) as problem:
         raise FormatError(f"{path}: cannot be read as a URDF ({problem})") from problem
 
 
-def parse(said: str, source: str) -> Robot:
-    """A URDF's text as a Robot; FormatError, beginning with `source`, says what is wrong with it."""
-    root = element(said, source)
+def parse(xml: str, source: str) -> Robot:
+    """Parse a URDF's text; FormatError, beginning with `source`, where it is invalid."""
+    root = element(xml, source)
     if root.tag != "robot":
         raise FormatError(f"{source}: the XML begins with <{root.tag[:40]}>; a URDF begins with <robot>")
     if any("xacro" in str(child.tag) for child in root):
@@ -109,13 +45,13 @@ def parse(said: str, source: str) -> Robot:
     if len(elements) > _MOST_JOINTS:
         raise FormatError(f"{source}: {len(elements)} joints; possible: at most {_MOST_JOINTS}")
     robot = Robot(root.get("name", ""), links, tuple(_joint(one, source) for one in elements), source)
-    for problem in _problems(robot):
+    for problem in problems(robot):
         raise FormatError(f"{source}: {problem}")
     return robot
 
 
-def element(said: str, source: str) -> "Element":
-    """The XML's root; entities, which may grow without bound or read files, are refused with their declaration."""
+def element(xml: str, source: str) -> "Element":
+    """Parse XML to its root element; entities, which may grow without bound or read files, are refused."""
     from xml.etree.ElementTree import TreeBuilder
     from xml.parsers import expat
 
@@ -136,7 +72,7 @@ def element(said: str, source: str) -> "Element":
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
-        parser.Parse(said.encode("utf-8", "replace"), True)
+        parser.Parse(xml.encode("utf-8", "replace"), True)
     except expat.ExpatError as problem:
         raise FormatError(f"{source}: not XML ({problem}); give a URDF file") from problem
     return builder.close()
@@ -175,7 +111,7 @@ def _mimic(element: "Element", where: str) -> Mimic | None:
 
 
 def _limits(element: "Element", kind: str) -> Limits | None:
-    """A joint's limits; a URDF whose limits are no numbers, or leave no room, is good for all else."""
+    """A joint's limits; None where they are missing or invalid, which is no error."""
     found = element.find("limit")
     if found is None or kind not in LIMITED:
         return None
@@ -220,71 +156,3 @@ def _attribute(element: "Element", child: str, key: str, where: str) -> str:
     if not value:
         raise FormatError(f"{where}: has no <{child} {key}=…>")
     return value
-
-
-def _problems(robot: Robot) -> Iterator[str]:
-    """What keeps the links and joints from being one tree."""
-    links = set(robot.links)
-    if not links:
-        yield "has no <link>"
-    for kind, names in (("link", list(robot.links)), ("joint", [joint.name for joint in robot.joints])):
-        twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
-        if twice is not None:
-            yield f"{kind} {twice!r} is declared twice"
-    for joint in robot.joints:
-        for end in (joint.parent, joint.child):
-            if end not in links:
-                yield f"joint {joint.name!r} leads to link {end!r}, which is not declared"
-    yield from _loops(robot)
-    yield from _followers(robot)
-
-
-def _loops(robot: Robot) -> Iterator[str]:
-    parents: dict[str, str] = {}
-    for joint in robot.joints:
-        if joint.child in parents:
-            first = parents[joint.child]
-            yield f"link {joint.child!r} hangs on two joints, {first!r} and {joint.name!r}; loops cannot be read"
-        parents[joint.child] = joint.name
-    sound: set[str] = set()
-    for link in robot.links:
-        path: list[str] = []
-        while link in robot.above and link not in sound:
-            path.append(link)
-            link = robot.above[link].parent
-            if link in path:
-                yield f"links {', '.join(path[path.index(link) :][:5])} hang on one another in a loop"
-                return
-        sound.update(path)
-    roots = [link for link in robot.links if link not in robot.above]
-    if len(roots) > 1:
-        yield f"links {', '.join(roots[:5])} hang on no joint; possible: one such link, the base"
-
-
-def _followers(robot: Robot) -> Iterator[str]:
-    for joint in robot.joints:
-        seen = [joint.name]
-        while joint.mimic is not None:
-            if joint.mimic.joint not in robot.by_name:
-                yield f"joint {joint.name!r} mimics {joint.mimic.joint!r}, which is not declared"
-                return
-            joint = robot.by_name[joint.mimic.joint]
-            if joint.name in seen:
-                yield f"joint {joint.name!r} mimics itself"
-                return
-            seen.append(joint.name)
-
-
-def implausible(robot: Robot) -> str | None:
-    """What no robot that works before a camera is like, if this one is: without lengths, or kilometres of them."""
-    lengths = [float(np.linalg.norm(joint.origin[:3, 3])) for joint in robot.joints]
-    if max(lengths, default=0.0) < _SHORTEST:
-        return "none of its joints has an <origin> of any length"
-    if max(lengths) > _LONGEST:
-        joint = robot.joints[int(np.argmax(lengths))]
-        return f"joint {joint.name!r} stands {max(lengths):.0f} m from the one before; are its lengths in mm?"
-    return None
-
-
-_SHORTEST, _LONGEST = 1e-4, 20.0
-"""m: of the longest step from joint to joint."""

@@ -102,7 +102,7 @@ def test_zeros_are_told_and_what_is_not_is_said(learned):
     for name, true in OFFSETS.items():
         assert abs(scores[f"offset/{name}"] - true) < 3 * scores[f"std/offset/{name}"] < 4.5 * DEGREE
     text = [finding.text for finding in learned.findings]
-    assert any("pan: its zero cannot be told from camera's" in line for line in text)
+    assert any("pan: its zero cannot be separated from camera's" in line for line in text)
 
 
 def test_a_file_keeps_it_to_the_last_bit(learned, tmp_path):

@@ -155,7 +155,7 @@ def _wrong(robot, tmp_path):
         "unknown option": (2, "--help", ("estimate", reach, "--bodi", body)),
         "bad clock offset": (2, "auto or seconds", ("extract", reach, "-o", out, "--clock-offset", "soon")),
         "bad delay": (2, "auto, off, or NAME=S", ("estimate", reach, *estimate, "--delay", "camera=soon")),
-        "no such camera": (2, "'left' is none of joints", ("estimate", reach, *estimate, "--delay", "left=0.05")),
+        "no such camera": (2, "'left' found, possible: joints", ("estimate", reach, *estimate, "--delay", "left=0.05")),
         "endless delay": (2, "possible: auto, off, or {NAME", ("fit", explore, "-o", out, "--delay", "camera=inf")),
         "long delay": (2, "from -3600 to 3600 s", ("estimate", reach, *estimate, "--delay", "1e9")),
         "no window": (2, "not before --end 2", ("ingest", reach, "-o", out, "--start", "3", "--end", "2")),

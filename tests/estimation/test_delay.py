@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.estimation.timing.correction import GAIN, late
+from bodylog.estimation.timing.correction import GAIN, measured_delays
 
 
 def delayed(features, seconds):
@@ -40,7 +40,7 @@ def test_a_delay_is_found_as_surely_as_it_says(world, camera_hz, encoder_hz):
     for seed in range(40):
         drawn = world(seed, camera_hz=camera_hz, encoder_hz=encoder_hz)
         seconds = (-0.1, -0.05, -0.02, -0.005, 0.0, 0.005, 0.02, 0.05, 0.1, 0.3)[seed % 10]
-        found = late(delayed(drawn.features, seconds), drawn.body)["camera"]
+        found = measured_delays(delayed(drawn.features, seconds), drawn.body)["camera"]
         off.append((found.seconds - seconds) / found.std_error)
         assert found.nats > GAIN if abs(seconds) >= 0.05 else seconds or found.nats < GAIN
     assert np.abs(off).max() < 4.0 and 0.7 < np.sqrt(np.mean(np.square(off))) < 1.4
@@ -50,7 +50,7 @@ def test_a_delay_is_found_as_surely_as_it_says(world, camera_hz, encoder_hz):
 @pytest.mark.parametrize("seconds", [0.0, 0.08])
 def test_other_faults_neither_feign_a_delay_nor_hide_it(world, how, seconds):
     for seed in range(4):
-        found = late(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
+        found = measured_delays(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
         assert abs(found.seconds - seconds) < 4.0 * found.std_error + 1e-3
         assert (found.nats > GAIN) == (seconds > 0.0)
 
@@ -64,7 +64,7 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
         for seen in (track, replace(track, values=np.where(track.t[:, None] > 20.0, values, track.values))):
             features = replace(drawn.features, tracks={"effector": seen})
             for seconds in (0.0, 0.08):
-                for found in late(delayed(features, seconds), drawn.body).values():
+                for found in measured_delays(delayed(features, seconds), drawn.body).values():
                     told += 1
                     assert abs(found.seconds - seconds) < 4.0 * found.std_error
                     assert (found.nats > GAIN) == (seconds > 0.0)
@@ -74,7 +74,7 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
 @pytest.mark.parametrize("speed", [0.0, 0.01])
 def test_an_arm_that_hardly_moves_tells_nothing(world, speed):
     for seed in range(6):
-        assert late(delayed(world(seed, speed=speed, camera_hz=30.0).features, 0.05), world(seed).body) == {}
+        assert measured_delays(delayed(world(seed, speed=speed, camera_hz=30.0).features, 0.05), world(seed).body) == {}
 
 
 def test_too_little_tells_nothing(world):
@@ -89,7 +89,7 @@ def test_too_little_tells_nothing(world):
         world(0, duration=0.8).features,
         world(0, camera_hz=1.0).features,
     ]
-    assert all(late(features, drawn.body) == {} for features in none)
+    assert all(measured_delays(features, drawn.body) == {} for features in none)
 
 
 def test_joints_that_speak_in_turn_are_not_taken_for_one_instant(world):
@@ -97,17 +97,17 @@ def test_joints_that_speak_in_turn_are_not_taken_for_one_instant(world):
     joints = drawn.features.joints
     values = np.where(np.arange(3) == np.arange(len(joints.t))[:, None] % 3, joints.values, np.nan)
     alone = delayed(replace(drawn.features, joints=replace(joints, values=values)), 0.05)
-    assert late(alone, drawn.body) == {}
+    assert measured_delays(alone, drawn.body) == {}
 
 
 def test_a_long_log_is_asked_in_the_middle_and_as_a_whole_where_that_tells_nothing(world):
     drawn = world(1, duration=100.0, camera_hz=10.0, encoder_hz=30.0)
     track = drawn.features.tracks["effector"]
-    asked = late(delayed(drawn.features, 0.05), drawn.body)["camera"]
+    asked = measured_delays(delayed(drawn.features, 0.05), drawn.body)["camera"]
     assert abs(asked.seconds - 0.05) < 4.0 * asked.std_error
     still = (track.t > 15.0) & (track.t < 85.0)
     unseen = replace(track, values=np.where(still[:, None], np.nan, track.values))
-    found = late(delayed(replace(drawn.features, tracks={"effector": unseen}), 0.05), drawn.body)["camera"]
+    found = measured_delays(delayed(replace(drawn.features, tracks={"effector": unseen}), 0.05), drawn.body)["camera"]
     assert abs(found.seconds - 0.05) < 4.0 * found.std_error and found.nats > GAIN
 
 
@@ -117,4 +117,4 @@ def test_a_clock_that_is_set_amid_the_log_is_no_one_delay(world, seed, by):
     drawn = world(seed, camera_hz=30.0, speed=1.0)
     joints = drawn.features.joints
     stepped = replace(drawn.features, joints=replace(joints, t=np.where(joints.t > 10.0, joints.t + by, joints.t)))
-    assert late(stepped, drawn.body) == {}
+    assert measured_delays(stepped, drawn.body) == {}

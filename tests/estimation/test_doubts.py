@@ -49,5 +49,5 @@ def test_two_publishers_on_one_topic_are_suspected(world):
     values = np.where(np.arange(len(joints.t))[:, None] % 2, 0.5, joints.values)
     features = replace(drawn.features, joints=replace(joints, values=values))
     said = [f.text for f in estimate(features, drawn.body, Estimation()).findings]
-    assert any(f"{joints.names[0]} reads scatters by" in text and "do two publish" in text for text in said)
+    assert any(f"{joints.names[0]} has noise of" in text and "do two nodes publish" in text for text in said)
     assert not any("scatters" in f.text for f in estimate(drawn.features, drawn.body, Estimation()).findings)

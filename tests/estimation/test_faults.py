@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.faults.dead import silent
+from bodylog.estimation.faults.dead import silent_since
 from bodylog.estimation.faults.frozen import frozen
-from bodylog.estimation.faults.jumping import jumps, turned
+from bodylog.estimation.faults.jumping import jumps, unwrapped
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Linear
 from tests.estimation.resting import Drawn, drawn, judged
@@ -168,7 +168,7 @@ def test_a_joint_that_moves_fast_does_not_jump():
 def test_whole_turns_are_counted_away_and_are_no_jumps(world):
     y = np.linspace(0.0, 20.0, 500)
     wrapped = (y + np.pi) % (2.0 * np.pi) - np.pi
-    np.testing.assert_allclose(turned(wrapped), y, atol=1e-9)
+    np.testing.assert_allclose(unwrapped(wrapped), y, atol=1e-9)
     sound = world(0, duration=8.0)
     features = spoil(sound, lambda t, v: np.copyto(v, np.where(t > 4.0, v - 2.0 * np.pi, v)))
     assert not estimate(features, sound.body, Estimation()).faults
@@ -178,8 +178,8 @@ def test_an_encoder_that_speaks_seldom_is_not_dead():
     t = np.arange(0.0, 10.0, 0.02)
     seldom = np.where(np.arange(len(t)) % 40 == 0, 0.1, np.nan)
     seldom[t > 8.9] = np.nan
-    assert silent(t, seldom) is None
-    assert silent(t, np.where(t < 6.0, 0.1, np.nan)) == pytest.approx(5.98)
+    assert silent_since(t, seldom) is None
+    assert silent_since(t, np.where(t < 6.0, 0.1, np.nan)) == pytest.approx(5.98)
 
 
 @pytest.mark.parametrize("moves", ["sines", "reach"])

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bodylog.estimation.measurements.joint_limits import outside
+from bodylog.estimation.measurements.joint_limits import limit_findings
 from bodylog.kinematics import urdf
-from bodylog.kinematics.urdf import Limits
+from bodylog.kinematics.robot import Limits
 from bodylog.types import Series
 
 NAMES = ("pan", "lift", "elbow", "grip")
@@ -24,7 +24,7 @@ def healthy():
 
 def _said(joints, values):
     moved = Series(joints.t, values, joints.names, joints.unit, joints.source_ns)
-    return [(finding.severity, finding.text) for finding in outside(moved, LIMITS, "arm.urdf")]
+    return [(finding.severity, finding.text) for finding in limit_findings(moved, LIMITS, "arm.urdf")]
 
 
 def test_a_joint_that_keeps_its_limits_is_not_named(healthy):

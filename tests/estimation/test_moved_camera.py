@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate
-from bodylog.estimation.faults.moved_camera import Unsure, detect
+from bodylog.estimation.faults.moved_camera import InflatedVariance, detect
 from bodylog.estimation.faults.screening import screened
 from bodylog.settings import Estimation
 from tests.estimation.conftest import Explored
@@ -100,6 +100,6 @@ def test_the_evidence_is_told_and_what_a_model_knows_stays_known():
     assert [(one["name"], one["chosen"], one["threshold"]) for one in told] == [
         ("camera late", False, 8.0), ("camera moved", False, 20.0),
     ]  # fmt: skip
-    unsure = Unsure(plain, np.array([0.1, 0.2]))
+    unsure = InflatedVariance(plain, np.array([0.1, 0.2]))
     assert unsure.samples is plain.samples and unsure.outputs == plain.outputs
     np.testing.assert_allclose(unsure.predict(x)[2] - plain.predict(x)[2], [[0.1, 0.2]])

@@ -153,5 +153,5 @@ def test_the_evidence_of_noise_and_offsets_has_the_gradient_it_says():
 
 
 def test_methods_that_follow_a_motion_are_refused(learned):
-    with pytest.raises(UsageError, match="poses are each by itself; type laplace"):
+    with pytest.raises(UsageError, match="the log has still poses; type laplace"):
         estimate(_poses(1)[0], learned, Estimation(method="kalman"))

@@ -50,13 +50,14 @@ def test_touch_asked_for_without_skin_is_an_error(world):
 
 def test_an_unknown_sense_names_those_there_are(world):
     drawn = world(0, duration=2.0)
-    with pytest.raises(UsageError, match="'sonar' is none of encoders, vision, touch, effector, elbow, lift, pan"):
+    possible = "encoders, vision, touch, effector, elbow, lift, pan"
+    with pytest.raises(UsageError, match=f"'sonar' found, possible: {possible}"):
         estimate(drawn.features, drawn.body, Estimation(senses=("sonar",)))
 
 
 def test_nothing_at_all_is_an_error(world):
     drawn = world(0, duration=2.0)
-    with pytest.raises(EvidenceError, match="no sense has anything to say"):
+    with pytest.raises(EvidenceError, match="no sense has measurements"):
         estimate(replace(unseen(drawn), joints=None), drawn.body, Estimation())
 
 
@@ -107,7 +108,7 @@ def test_a_silent_joint_is_counted_refused_when_asked_for_and_named_where_it_sta
     values = joints.values.copy()
     values[:, joints.names.index("lift")] = np.nan
     mute = replace(drawn.features, joints=replace(joints, values=values))
-    with pytest.raises(LogError, match=r"no reading tells where lift starts; type in robot.toml \[estim"):
+    with pytest.raises(LogError, match=r"no reading of lift; type in robot.toml \[estim"):
         estimate(mute, drawn.body, Estimation())
     with pytest.raises(EvidenceError, match="lift: asked for"):
         estimate(mute, drawn.body, Estimation(senses=("lift", "effector"), start=(0.0, 0.0, 0.0)))
@@ -135,11 +136,11 @@ def _quiet(drawn, begin, end, joints=(0, 1, 2)):
 
 @pytest.mark.parametrize(
     ("begin", "end", "said"),
-    [(4.01, 6.49, "from 4.000 to 6.500 s"), (7.01, 99.0, "from 7.000 s on"), (-1.0, 2.49, "first picture to 2.500 s")],
+    [(4.01, 6.49, "from 4.000 to 6.500 s"), (7.01, 99.0, "from 7.000 s on"), (-1.0, 2.49, "first image to 2.500 s")],
 )
 def test_a_long_silence_of_all_encoders_is_named_with_what_pictures_cannot_do(world, begin, end, said):
     (text,) = _quiet(world(0, duration=9.0), begin, end)
-    assert said in text and "2 numbers a picture do not hold 3 joints" in text
+    assert said in text and "2 numbers per image do not determine 3 joints" in text
 
 
 def test_shorter_silences_and_those_of_joints_that_pictures_hold_go_without_a_word(world):

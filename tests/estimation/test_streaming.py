@@ -300,7 +300,7 @@ def test_what_is_not_the_bodys_is_refused_in_one_line_and_changes_nothing(world)
         (UsageError, r"joints: \[1.0, 2.0\] found, possible: one angle in rad for each of pan", {"joints": [1.0, 2.0]}),
         (UsageError, "joints: .* found", {"joints": np.zeros((1, 3))}),
         (UsageError, "joints: .* found", {"joints": ["a", "b", "c"]}),
-        (ModelError, "the body knows pan, lift, elbow, but told is j1, j2", {"joints": {"j1": 1.0, "j2": 2.0}}),
+        (ModelError, "j1, j2 found, possible: pan, lift, elbow", {"joints": {"j1": 1.0, "j2": 2.0}}),
         (UsageError, r"effector: .* found, possible: \(u, v\) or \(u, v, std_u, std_v\) in px", {"effector": 1.0}),
         (UsageError, "effector: .* found", {"effector": (1.0, 2.0, 3.0)}),
         (UsageError, r"touch: .* possible: \(u, v, std_u, std_v\)", {"touch": (1.0, 2.0)}),
@@ -321,7 +321,7 @@ def test_what_is_not_the_bodys_is_refused_in_one_line_and_changes_nothing(world)
         (Estimation(precision="model"), "bias: 'auto' needs the whole log; beside a robot off or on is possible"),
         (replace(MODEL, method="smoother"), "method: 'smoother' needs the whole log"),
         (replace(MODEL, start=(1.0,)), "start: 1 angles given, the body has 3 joints"),
-        (replace(MODEL, senses=("nose",)), "senses: 'nose' is none of"),
+        (replace(MODEL, senses=("nose",)), "senses: 'nose' found, possible:"),
     ],
 )
 def test_settings_that_need_the_whole_log_are_refused(world, settings, text):
@@ -345,7 +345,7 @@ def test_what_is_told_before_all_joints_are_is_heard_once_they_are(world):
         try:
             beliefs += step(live, [message])
         except LogError as problem:
-            assert re.search("where .*pan.* starts; tell all joints first", str(problem)) and not beliefs
+            assert re.search("no reading of .*pan.* yet; pass every joint once", str(problem)) and not beliefs
     assert_same(beliefs, estimate(features, drawn.body, MODEL))
     assert live.used["effector"].used == len(track.t) and not live.used["encoders"].rejected
     late = Estimator(drawn.body, lag=0.05)
@@ -361,7 +361,7 @@ def test_joints_that_come_by_halves_begin_once_all_were_told(world):
     robot = Estimator(drawn.body)
     first, second, third = ({name: 0.1} for name in drawn.body.joints)
     for part in (first, second):
-        with pytest.raises(LogError, match="no reading tells where"):
+        with pytest.raises(LogError, match="no reading of"):
             robot.step(0.0, joints=part)
     belief = robot.step(0.01, joints=third)
     np.testing.assert_allclose(belief.x, 0.1, atol=1e-9)

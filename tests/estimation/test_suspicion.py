@@ -9,7 +9,7 @@ import pytest
 from bodylog import body
 from bodylog.estimation import estimate
 from bodylog.estimation.faults import encoder_offset
-from bodylog.estimation.faults.offset_score import promise
+from bodylog.estimation.faults.offset_score import offset_score
 from bodylog.estimation.inference.gauss_newton import solve
 from bodylog.estimation.methods import filtering
 from bodylog.settings import Estimation, Settings
@@ -35,14 +35,14 @@ def test_it_is_what_the_filter_with_an_offset_wins(world, seed, size):
     problem, found = solved(lying(drawn, size), drawn.body)
     cost = partial(filtering.cost, warm=found)
     wins = [cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)]
-    np.testing.assert_allclose(promise(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
+    np.testing.assert_allclose(offset_score(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
     assert (max(wins) > encoder_offset.GAIN) is (size > 0)
 
 
 def test_nothing_is_promised_where_nothing_is_looked_at(world):
     drawn = world(0, duration=6.0)
     problem, found = solved(replace(drawn.features, tracks={}), drawn.body)
-    assert not promise(problem, found, WALK)[0].any()
+    assert not offset_score(problem, found, WALK)[0].any()
 
 
 @pytest.fixture
@@ -71,20 +71,20 @@ def test_that_the_way_forth_of_a_smoother_lags_is_no_offset(world, learned, monk
 
 
 def test_a_smoothers_lag_counts_against_what_its_way_forth_says(world, learned, monkeypatch, swept):
-    promised = []
-    monkeypatch.setattr(encoder_offset, "promise", lambda *given: promised.append(promise(*given)) or promised[-1])
+    scored, named = [], "offset_score"
+    monkeypatch.setattr(encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1])
     for seed in (2, 3):
         drawn = world(seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
         estimate(drawn.features, learned, Estimation(method="smoother"))
-    assert len(promised) == 2
+    assert len(scored) == 2
     # a nat for eight half-second spans, from which a log of ten minutes keeps far from GAIN
-    assert max(gain.max() for gain, _, _ in promised) < -30.0
+    assert max(gain.max() for gain, _, _ in scored) < -30.0
 
 
 def test_a_learned_bodys_own_error_accuses_no_encoder(world, learned):
     for seed in range(2, 5):
         drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
-        gain, _, _ = promise(*solved(drawn.features, learned), WALK)
+        gain, _, _ = offset_score(*solved(drawn.features, learned), WALK)
         assert (gain < encoder_offset.GAIN).all()
 
 

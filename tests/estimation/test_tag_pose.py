@@ -8,7 +8,7 @@ import pytest
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation.inference.filter_records import Dynamics
 from bodylog.estimation.inference.instant import Motion, hear
-from bodylog.estimation.measurements.tag_pose import PoseModel, TagPose, solved, unmistakable
+from bodylog.estimation.measurements.tag_pose import PoseModel, TagPose, solved, unambiguous
 from bodylog.estimation.noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.kinematics.camera import lens, project
 from bodylog.kinematics.rotations import exponential
@@ -141,9 +141,9 @@ def test_a_filter_hears_a_pose_and_is_as_sure_as_it_errs():
 def test_of_a_far_tag_that_tells_two_poses_none_is_told():
     at, turn = np.array([0.0, 0.0, 6.0]), exponential(np.array([0.25, 0.0, 0.0]))
     corners = project(POINTS @ turn.T + at, LENS)[0]
-    assert unmistakable(corners, np.full(8, 0.04), POINTS, LENS) is None
+    assert unambiguous(corners, np.full(8, 0.04), POINTS, LENS) is None
     near = project(POINTS @ turn.T + 0.05 * at, LENS)[0]
-    pose = unmistakable(near, np.full(8, 0.04), POINTS, LENS).pose
+    pose = unambiguous(near, np.full(8, 0.04), POINTS, LENS).pose
     np.testing.assert_allclose(pose, [0.0, 0.0, 0.3, 0.25, 0.0, 0.0], atol=1e-6)
     assert solved(near, np.full(8, 0.04), POINTS, LENS).cost < 1e-9
 

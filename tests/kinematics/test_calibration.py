@@ -71,9 +71,9 @@ def test_what_cannot_be_told_is_named_and_not_numbered():
     found = solve(rig, robots.seen(rig, robots.truth(rig), robots.angles(80), 0.3))
     offsets = {one.joint: one for one in identifiability.offsets(found.rig, found.theta, found.covariance)}
     assert [name for name, one in offsets.items() if one.identifiable] == ["lift", "elbow"]
-    text = "; ".join(identifiability.said(list(offsets.values())))
-    assert "pan: its zero cannot be told from camera's" in text and "turn about the z axis of base" in text
-    assert "wrist: its zero cannot be told from point's place" in text
+    text = "; ".join(identifiability.unidentified(list(offsets.values())))
+    assert "pan: its zero cannot be separated from camera's" in text and "turn about the z axis of base" in text
+    assert "wrist: its zero cannot be separated from point's place" in text
 
 
 def test_an_offset_prior_of_zero_turns_offsets_off():

@@ -89,4 +89,4 @@ def test_where_scales_are_right_none_is_said_and_where_they_are_known_none_is_th
     assert [one.joint for one in told] == list(JOINTS)
     assert all(abs(one.value) < 2.5 * one.std for one in told)
     silent = [one for one in told if not one.identifiable]
-    assert all("its scale cannot be told from" in line for line in identifiability.said(silent))
+    assert all("its scale cannot be separated from" in line for line in identifiability.unidentified(silent))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError
+from bodylog.kinematics import robot as robot_tree
 from bodylog.kinematics import urdf
 from tests.kinematics.robots import ARM, MIXED
 
@@ -47,13 +48,13 @@ def test_lies_are_refused_in_one_line_that_names_the_file(why):
 
 
 def test_lengths_that_no_robot_has_are_named():
-    assert urdf.implausible(urdf.parse(ARM, "arm.urdf")) is None
+    assert robot_tree.implausible(urdf.parse(ARM, "arm.urdf")) is None
     millimetres = ARM.replace('xyz="0 -0.05 0.4"', 'xyz="0 -50 400"')
-    assert "'elbow' stands 403 m" in str(urdf.implausible(urdf.parse(millimetres, "arm.urdf")))
+    assert "'elbow' stands 403 m" in str(robot_tree.implausible(urdf.parse(millimetres, "arm.urdf")))
     robot = urdf.parse(ARM, "arm.urdf")
     for joint in robot.joints:
         joint.origin[:3, 3] = 0.0
-    assert "no" in str(urdf.implausible(robot)) and "origin" in str(urdf.implausible(robot))
+    assert "no" in str(robot_tree.implausible(robot)) and "origin" in str(robot_tree.implausible(robot))
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):

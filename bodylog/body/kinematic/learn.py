@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import ModelError
 from ...kinematics import identifiability
 from ...kinematics.links import CameraHint, Found, Track, find
-from ...kinematics.urdf import Robot, implausible
+from ...kinematics.robot import Robot, implausible
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
 from ...types import Features, Finding

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...kinematics.identifiability import Offset, said
+from ...kinematics.identifiability import Offset, unidentified
 from ...kinematics.links import Found
 from ...kinematics.rig import Rig
 from ...types import Finding, Score
@@ -100,5 +100,5 @@ def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) 
     for one in found:
         if one.identifiable and abs(one.value) > 2.0 * one.std:
             yield Finding("info", f"{one.joint}: its {one.noun} is off by {one.shown}")
-    for text in said(found):
+    for text in unidentified(found):
         yield Finding("info", text)

@@ -13,12 +13,12 @@ NOISY = 0.1
 """rad: an encoder with more noise than this gets a warning."""
 
 
-def doubts(found: Estimate, settings: Estimation) -> Iterator[Finding]:
+def consistency_findings(found: Estimate, settings: Estimation) -> Iterator[Finding]:
     """Yield a warning for each sense whose residuals exceed its error bars, and for each very noisy encoder."""
     learned = found.settings.get("encoder", found.settings.get("sigma_encoders"))
     for name, variance in zip(found.joints.names, learned if isinstance(learned, list) else (), strict=False):
         if settings.precision == "auto" and settings.preset != "paper" and variance > NOISY**2:
-            text = f"encoders: what {name} reads scatters by {variance**0.5:.2g} rad; do two publish on its topic?"
+            text = f"encoders: {name} has noise of {variance**0.5:.2g} rad; do two nodes publish on its topic?"
             yield Finding("warning", text)
     for sense, errors in found.errors.items():
         off = np.abs(errors.values[np.isfinite(errors.values)]) > FAR
@@ -33,11 +33,11 @@ def doubts(found: Estimate, settings: Estimation) -> Iterator[Finding]:
 def _advice(found: Estimate, settings: Estimation, sense: str) -> str:
     """Likely cause, and what to type."""
     if not found.can.moves:
-        return f"{found.method} holds the arm still and takes out no encoder that lies; type --method laplace"
+        return f"{found.method} holds the arm still and detects no faulty encoder; type --method laplace"
     if settings.precision != "auto":
-        return f"noise here is not what --precision {settings.precision} says; type --precision auto"
+        return f"noise differs from that of --precision {settings.precision}; type --precision auto"
     if settings.bias == "off":
-        return "an encoder may be off; type --bias auto"
+        return "an encoder may have an offset; type --bias auto"
     if sense == "encoders":
-        return "they or the pictures are wrong for a while; see when with bodylog report, or type --without vision"
-    return f"outliers, or the camera is not where the body was learned; see with bodylog report, or --without {sense}"
+        return "encoders or images are wrong for a while; see when with bodylog report, or type --without vision"
+    return f"outliers, or the camera moved since exploration; see with bodylog report, or type --without {sense}"

@@ -12,9 +12,9 @@ from ...body_model import BodyModel
 from ...types import Array, Fault, Finding
 from ..measurements.records import Encoders, Evidence, Sighting
 from .contract import Verdict
-from .dead import fallen, silent
+from .dead import dropped_to_zero, silent_since
 from .frozen import frozen
-from .jumping import jumps, turned
+from .jumping import jumps, unwrapped
 from .stalled import stalled
 
 
@@ -23,12 +23,12 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     if evidence.encoders is None:
         return Verdict(evidence)
     angles = "encoders" not in body.senses
-    remarks = tuple(turns(evidence.encoders, body.joints)) if angles else ()
-    sound, faults = screen(evidence.encoders, body.joints, evidence.sightings if angles else (), angles)
-    return Verdict(replace(evidence, encoders=sound), faults, remarks)
+    findings = tuple(wrap_findings(evidence.encoders, body.joints)) if angles else ()
+    sound, faults = screen_encoders(evidence.encoders, body.joints, evidence.sightings if angles else (), angles)
+    return Verdict(replace(evidence, encoders=sound), faults, findings)
 
 
-def screen(
+def screen_encoders(
     encoders: Encoders, names: tuple[str, ...], sightings: Sequence[Sighting] = (), angles: bool = True
 ) -> tuple[Encoders, tuple[Fault, ...]]:
     """Remove frozen and dead stretches, undo jumps, and return the encoders and faults (size 0 except for jumps).
@@ -38,16 +38,16 @@ def screen(
     """
     values, found = encoders.values.copy(), list[Fault]()
     for joint, begin, end in stalled(encoders, sightings):
-        kind, begin = _kind(values[:, joint], begin)
+        kind, begin = _kind_of_repeat(values[:, joint], begin)
         values[begin:end, joint] = np.nan
         found.append(Fault("encoders", names[joint], kind, float(encoders.t[begin]), 0.0, "rad"))
     for joint, name in enumerate(names):
         column = values[:, joint]
-        column[:] = turned(column) if angles else column
-        for kind, begin, end in _still(encoders.t, column):
+        column[:] = unwrapped(column) if angles else column
+        for kind, begin, end in _faulty_repeats(encoders.t, column):
             found.append(Fault("encoders", name, kind, float(encoders.t[begin]), 0.0, "rad"))
             column[begin:end] = np.nan
-        if (since := silent(encoders.t, column)) is not None and not any(f.name == name for f in found):
+        if (since := silent_since(encoders.t, column)) is not None and not any(f.name == name for f in found):
             found.append(Fault("encoders", name, "dead", since, 0.0, "rad"))
         for at, size in jumps(encoders.t, column):
             found.append(Fault("encoders", name, "jumping", float(encoders.t[at]), size, "rad"))
@@ -55,22 +55,22 @@ def screen(
     return replace(encoders, values=values), tuple(sorted(found, key=lambda fault: fault.since))
 
 
-def _still(t: Array, y: Array) -> list[tuple[str, int, int]]:
+def _faulty_repeats(t: Array, y: Array) -> list[tuple[str, int, int]]:
     """Return the kind and stretch [begin, end) of faulty repeats in readings y (N,) at t (N,), in order."""
-    found = {end: (*_kind(y, begin), end) for begin, end in frozen(t, y)}
-    found |= {end: ("dead", begin, end) for begin, end in fallen(t, y)}
+    found = {end: (*_kind_of_repeat(y, begin), end) for begin, end in frozen(t, y)}
+    found |= {end: ("dead", begin, end) for begin, end in dropped_to_zero(t, y)}
     return sorted(found.values(), key=lambda run: run[1])
 
 
-def _kind(y: Array, begin: int) -> tuple[str, int]:
+def _kind_of_repeat(y: Array, begin: int) -> tuple[str, int]:
     """Kind of fault of an encoder y (N,) that repeats itself from index `begin` on, and the first faulty index."""
     return ("dead", begin - 1) if y[begin] == 0.0 else ("frozen", begin)
 
 
-def turns(encoders: Encoders, names: tuple[str, ...]) -> Iterator[Finding]:
+def wrap_findings(encoders: Encoders, names: tuple[str, ...]) -> Iterator[Finding]:
     """Yield a remark for each encoder that wraps at a whole turn and is unwrapped."""
     for name, column in zip(names, encoders.values.T, strict=True):
-        apart = np.abs(turned(column) - column) > 1.0
+        apart = np.abs(unwrapped(column) - column) > 1.0
         if apart.any():
             at = float(encoders.t[int(apart.argmax())])
-            yield Finding("info", f"encoders: {name} wraps by a whole turn at {at:.3f} s; its angle goes on")
+            yield Finding("info", f"encoders: {name} wraps by a whole turn at {at:.3f} s; its angle is unwrapped")

@@ -11,7 +11,7 @@ from ..inference.problem import Problem
 from ..inference.solution import Solution
 from ..measurements.records import Encoders
 from ..noise.quantisation import grain
-from .offset_score import promise
+from .offset_score import offset_score
 
 GAIN = 20.0
 """Nats of evidence that each further offset must win."""
@@ -36,11 +36,11 @@ class Chosen:
         return replace(self, problem=problem)
 
 
-def suspects(problem: Problem, solved: Solution) -> Array:
+def suspected_encoders(problem: Problem, solved: Solution) -> Array:
     """Encoders (M,) bool whose offset would, to first order, explain GAIN nats of the log."""
-    gain, offset, var = promise(problem, solved, WALKS[0])
-    certain = _certain(offset, var, least(problem.evidence.encoders))
-    return np.asarray((gain > GAIN) & certain.any(axis=0) & (_given(problem) == 0))
+    gain, offset, var = offset_score(problem, solved, WALKS[0])
+    certain = _significant(offset, var, smallest_fault(problem.evidence.encoders))
+    return np.asarray((gain > GAIN) & certain.any(axis=0) & (_walks(problem) == 0))
 
 
 def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
@@ -61,7 +61,7 @@ def choose(problem: Problem, solved: Solution, suspected: Array, cost: Callable[
 def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) -> Chosen:
     """Add one offset after the other while each wins GAIN nats, and choose its random walk by evidence."""
     while suspected.any():
-        drift = _given(found.problem)
+        drift = _walks(found.problem)
         asked = np.flatnonzero(suspected)
         own = [np.arange(len(drift)) == j for j in asked]
         costs = np.array([cost(with_drift(found.problem, np.where(one, WALKS[0], drift))) for one in own])
@@ -69,30 +69,29 @@ def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) ->
         if costs[best] > found.nats - GAIN:
             return found
         near = [int(j) for j, nats in zip(asked, costs, strict=True) if nats < costs[best] + GAIN]
-        ways = [_wandering(found.problem, j, float(costs[asked == j][0]), cost) for j in near]
+        ways = [_best_walk(found.problem, j, float(costs[asked == j][0]), cost) for j in near]
         # the walk is chosen before a further offset is tried: one that wanders too freely hides others
         least = min(nats for nats, _ in ways)
         # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
-        alike = [
-            (_given(way)[j], nats, j, way) for j, (nats, way) in zip(near, ways, strict=True) if nats < least + GAIN
+        near_best = [
+            (_walks(way)[j], nats, j, way) for j, (nats, way) in zip(near, ways, strict=True) if nats < least + GAIN
         ]
-        _, nats, joint, chosen = min(alike, key=lambda one: one[:3])
-        found = Chosen(chosen, nats, {**found.rivals, joint: tuple(sorted(j for *_, j, _ in alike if j != joint))})
+        _, nats, joint, chosen = min(near_best, key=lambda one: one[:3])
+        found = Chosen(chosen, nats, {**found.rivals, joint: tuple(sorted(j for *_, j, _ in near_best if j != joint))})
         # once one offset is modelled, another may show
-        suspected = _given(found.problem) == 0
+        suspected = _walks(found.problem) == 0
     return found
 
 
-def _wandering(problem: Problem, joint: int, least: float, cost: Callable[[Problem], float]) -> tuple[float, Problem]:
-    """Cost (nats) and problem with the best random walk of one joint's offset; `least` is the cost of the first walk.
-    """
+def _best_walk(problem: Problem, joint: int, least: float, cost: Callable[[Problem], float]) -> tuple[float, Problem]:
+    """Cost (nats) and problem with the best random walk of one joint's offset; the first walk costs `least`."""
     own = np.arange(len(problem.start)) == joint
-    ways = [with_drift(problem, np.where(own, walk, _given(problem))) for walk in WALKS]
+    ways = [with_drift(problem, np.where(own, walk, _walks(problem))) for walk in WALKS]
     costs = [least, *(cost(way) for way in ways[1:])]
     return min(zip(costs, ways, strict=True), key=lambda pair: pair[0])
 
 
-def _given(problem: Problem) -> Array:
+def _walks(problem: Problem) -> Array:
     """Random walks (M,) rad²/s of the offsets in the problem so far."""
     return np.zeros(len(problem.start)) if problem.precision.drift is None else np.asarray(problem.precision.drift)
 
@@ -107,7 +106,7 @@ def with_drift(problem: Problem, drift: Array) -> Problem:
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 
-def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> Array | None:
+def preset_walks(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> Array | None:
     """Random walks (M,) rad²/s set without evidence: for all joints if `on`, for encoders that jumped if `auto`."""
     jumped = {fault.name for fault in known if fault.kind == "jumping"}
     if setting == "on" or (setting == "auto" and jumped):
@@ -115,21 +114,21 @@ def allowed(setting: str, names: tuple[str, ...], known: tuple[Fault, ...]) -> A
     return None
 
 
-def least(encoders: Encoders | None) -> Array | float:
+def smallest_fault(encoders: Encoders | None) -> Array | float:
     """Smallest offsets (M,) rad that count as faults: sound encoders are off by half a step of their counts.
 
     An encoder that never moved is assumed to have the largest step of the others.
     """
     if encoders is None:
         return LEAST
-    said = [column[np.isfinite(column)] for column in encoders.values.T]
-    steps = [grain(y) for y in said]
-    shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, said, strict=True)]
-    return np.maximum(LEAST, shown)
+    columns = [column[np.isfinite(column)] for column in encoders.values.T]
+    steps = [grain(y) for y in columns]
+    steps_shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)]
+    return np.maximum(LEAST, steps_shown)
 
 
-def _certain(offset: Array, var: Array, least: Array | float) -> Array:
-    """Where offsets (N,M) with variances (N,M) are significant and at least `least` (M,) rad."""
+def _significant(offset: Array, var: Array, least: Array | float) -> Array:
+    """Where offsets (N,M) with variances (N,M) are significant and at least `smallest_fault` (M,) rad."""
     return np.asarray(np.abs(offset) > np.maximum(least, SIGMAS * np.sqrt(var)))
 
 
@@ -140,22 +139,23 @@ def faults(
 
     Where another joint's offset explains nearly as much, both are named and the size is NaN.
     """
-    t, walks = problem.timeline.t, _given(problem)
-    found, certain = [], _certain(offset, var, least(problem.evidence.encoders))
+    t, walks = problem.timeline.t, _walks(problem)
+    found, certain = [], _significant(offset, var, smallest_fault(problem.evidence.encoders))
     for joint, name in enumerate(names):
         if any(fault.name == name for fault in known):
             continue
         off = certain[:, joint]
         lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
         if lasting.any():
-            rivals = problem.rivals.get(joint, ())
-            size = np.nan if rivals else _size(t, offset[:, joint], var[:, joint], float(walks[joint]))
-            either = EITHER.join([name, *(names[k] for k in rivals)])
+            alternatives = problem.rivals.get(joint, ())
+            own = offset[:, joint], var[:, joint], float(walks[joint])
+            size = np.nan if alternatives else _largest_smoothed(t, *own)
+            either = EITHER.join([name, *(names[k] for k in alternatives)])
             found.append(Fault("encoders", either, "drifting", float(t[lasting.argmax()]), size, "rad"))
     return tuple(found)
 
 
-def _size(t: Array, offset: Array, var: Array, walk: float) -> float:
+def _largest_smoothed(t: Array, offset: Array, var: Array, walk: float) -> float:
     """Largest smoothed offset (rad) from filtered ones (N,) with variances (N,) at t (N,) s."""
     some = np.unique(np.linspace(0, len(t) - 1, min(len(t), MOST)).astype(int))
     grown = walk * np.diff(t[some])

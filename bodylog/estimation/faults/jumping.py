@@ -28,7 +28,7 @@ def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
     bound = max(JUMP * _scatter(steps), LEAST)
     usual = float(np.median(waits))
     # from rest to rest in a time h takes 4 s/h²
-    bound = max(bound, FASTEST * max(usual, _held(steps, t[known])) ** 2 / 4.0)
+    bound = max(bound, FASTEST * max(usual, _hold_time(steps, t[known])) ** 2 / 4.0)
     for k in np.flatnonzero((np.abs(steps) > bound) & (waits < PAUSE * usual)):
         before, after = v[max(0, k + 1 - LEVEL) : k + 1], v[k + 1 : k + 1 + LEVEL]
         if len(before) < LEVEL or len(after) < LEVEL:
@@ -40,7 +40,7 @@ def jumps(t: Array, y: Array) -> list[tuple[int, float]]:
     return found
 
 
-def turned(y: Array) -> Array:
+def unwrapped(y: Array) -> Array:
     """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
     known = np.isfinite(y)
     steps = np.diff(y[known], prepend=y[known][:1])
@@ -50,7 +50,7 @@ def turned(y: Array) -> Array:
     return found
 
 
-def _held(steps: Array, t: Array) -> float:
+def _hold_time(steps: Array, t: Array) -> float:
     """Time (s) for which the driver holds a reading, from steps (N-1,) rad at t (N,) s; 0 if it does not."""
     sizes = np.abs(steps)
     moved = np.flatnonzero(sizes > 1.5 * sizes[sizes > 0.0].min(initial=np.inf))

@@ -16,7 +16,7 @@ from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Fault, Hypothesis
 from ..measurements.gather import camera
 from ..measurements.records import Encoders, Evidence, Sighting
-from ..measurements.track_curve import Curve, drawn, places
+from ..measurements.track_curve import Curve, interpolated, track_curve
 from .contract import Verdict
 from .threshold import NATS
 
@@ -41,7 +41,7 @@ MOVES = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
+class Displacement:
     """A displacement (2,) px since t (s), its covariance (2,2), and the nats won against all other explanations."""
 
     t: float
@@ -80,36 +80,36 @@ def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     tracks = [k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs == PIXELS]
     for name in dict.fromkeys(camera(sightings[k].name) for k in tracks):
         own = [k for k in tracks if camera(sightings[k].name) == name]
-        for found in displaced(evidence.encoders, [sightings[k] for k in own]):
+        for found in displacements(evidence.encoders, [sightings[k] for k in own]):
             hypotheses.append(Hypothesis("camera moved", name, found.nats, NATS, found.nats > NATS))
             if found.nats > NATS:
                 faults.append(_fault(name, found))
                 for k in own:
-                    sightings[k] = anchored(sightings[k], found)
+                    sightings[k] = undisplaced(sightings[k], found)
     found_in = replace(evidence, sightings=tuple(sightings))
     return Verdict(found_in, tuple(faults), (), tuple(hypotheses))
 
 
-def _fault(name: str, found: Moved) -> Fault:
+def _fault(name: str, found: Displacement) -> Fault:
     size = float(np.hypot(*found.size))
     std = float(np.sqrt(found.size @ found.cov @ found.size)) / size
     return Fault("vision", name, "displaced", found.t, size, "px", std)
 
 
-def anchored(sighting: Sighting, moved: Moved) -> Sighting:
+def undisplaced(sighting: Sighting, moved: Displacement) -> Sighting:
     """Return the sighting with the displacement subtracted from its time on."""
     off = (sighting.t >= moved.t)[:, None] * moved.size
     before = np.zeros_like(sighting.values) if sighting.displaced is None else sighting.displaced
-    unsure = Unsure(sighting.model, np.diag(moved.cov))
+    unsure = InflatedVariance(sighting.model, np.diag(moved.cov))
     return replace(sighting, model=unsure, values=sighting.values - off, displaced=before + off)
 
 
-class Unsure:
+class InflatedVariance:
     """A forward model with added variance (D,) unit²; otherwise the plain model."""
 
-    def __init__(self, plain: ForwardModel, more: Array) -> None:
+    def __init__(self, plain: ForwardModel, added: Array) -> None:
         """Wrap a plain model."""
-        self._plain, self._more = plain, more
+        self._plain, self._added = plain, added
 
     def __getattr__(self, name: str) -> Any:
         """An attribute of the plain model."""
@@ -125,27 +125,27 @@ class Unsure:
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D)."""
         mean, jac, var = self._plain.predict(x)
-        return mean, jac, var + self._more
+        return mean, jac, var + self._added
 
 
-def displaced(encoders: Encoders, seen: Sequence[Sighting]) -> list[Moved]:
+def displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[Displacement]:
     """Return the displacements of one camera's tracks that win NATS, by time, or else the most likely one.
 
     Empty where too little is seen.
     """
-    found = [(s, curve) for s in seen if (curve := drawn(encoders, s, MOST // len(seen))) is not None]
+    found = [(s, curve) for s in seen if (curve := track_curve(encoders, s, MOST // len(seen))) is not None]
     rows = _rows(found) if found else None
     if rows is None or not len(rows.t):
         return []
-    cov = _weighed(rows)
-    moves = _moves(rows, cov)
+    cov = _robust_covariance(rows)
+    moves = _displacements(rows, cov)
     if moves[0].nats > NATS:
-        beyond = _beyond_encoders(rows, cov, moves)
+        beyond = _gain_over_encoders(rows, cov, moves)
         moves = [replace(one, nats=min(one.nats, beyond)) for one in moves]
     return sorted(moves, key=lambda one: one.t)
 
 
-def _weighed(rows: _Rows) -> Array:
+def _robust_covariance(rows: _Rows) -> Array:
     """Covariance (R,R) with variance added to rows far from the median of their neighbours."""
     cov, far = _covariance(rows), np.zeros(len(rows.t))
     spread = np.sqrt(np.diag(cov))
@@ -159,46 +159,46 @@ def _weighed(rows: _Rows) -> Array:
     return cov
 
 
-def _moves(rows: _Rows, cov: Array) -> list[Moved]:
+def _displacements(rows: _Rows, cov: Array) -> list[Displacement]:
     """Add displacements while each wins NATS, re-estimating the others each time; else the most likely one."""
-    moves = [_next(rows, cov, [])]
+    moves = [_best_displacement(rows, cov, [])]
     while moves[-1].nats > NATS and len(moves) < MOVES:
-        more = [*moves, _next(rows, cov, moves)]
+        more = [*moves, _best_displacement(rows, cov, moves)]
         for k in range(len(more)):
-            more[k] = _next(rows, cov, more[:k] + more[k + 1 :])
+            more[k] = _best_displacement(rows, cov, more[:k] + more[k + 1 :])
         if min(one.nats for one in more) <= NATS:
             break
         moves = more
     return moves
 
 
-def _next(rows: _Rows, cov: Array, others: list[Moved]) -> Moved:
+def _best_displacement(rows: _Rows, cov: Array, others: list[Displacement]) -> Displacement:
     """The most likely displacement given the others, and the nats it wins."""
-    left = _left(rows, others)
-    found = _likeliest(replace(rows, r=left), cov, np.eye(2)[rows.output], SIZE)
+    left = _residuals(rows, others)
+    found = _best_step(replace(rows, r=left), cov, np.eye(2)[rows.output], SIZE)
     return replace(found, nats=_cost(left, cov) - found.nats)
 
 
-def _left(rows: _Rows, moves: list[Moved]) -> Array:
+def _residuals(rows: _Rows, moves: list[Displacement]) -> Array:
     """Residuals (R,) px after the displacements."""
     return np.asarray(rows.r - sum(one.size[rows.output] * (rows.t >= one.t) for one in moves))
 
 
-def _beyond_encoders(rows: _Rows, cov: Array, moves: list[Moved]) -> float:
+def _gain_over_encoders(rows: _Rows, cov: Array, moves: list[Displacement]) -> float:
     """Nats won against the best alternative: all encoders wander, one wanders far, or one steps.
 
     −∞ where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as simple
     as one displacement, so it is compared with the first displacement alone.
     """
     joints, none = range(rows.x.shape[1]), _cost(rows.r, cov)
-    white = np.linalg.solve(np.linalg.cholesky(cov), _left(rows, moves))
+    white = np.linalg.solve(np.linalg.cholesky(cov), _residuals(rows, moves))
     if white @ white > POOR * len(white):
         return -np.inf
-    wander = [sum(_wandering(rows, joint, OFFSET, walk) for joint in joints) for walk in WALKS]
-    wander += [_wandering(rows, joint, FAR, FAST) for joint in joints]
+    wander = [sum(_offset_covariance(rows, joint, OFFSET, walk) for joint in joints) for walk in WALKS]
+    wander += [_offset_covariance(rows, joint, FAR, FAST) for joint in joints]
     moved = none - sum(one.nats for one in moves)
-    one = none - moves[0].nats if len(moves) == 1 else none - _next(rows, cov, []).nats
-    steps = min(_likeliest(rows, cov, rows.jac[:, joint, None], FAR).nats for joint in joints)
+    one = none - moves[0].nats if len(moves) == 1 else none - _best_displacement(rows, cov, []).nats
+    steps = min(_best_step(rows, cov, rows.jac[:, joint, None], FAR).nats for joint in joints)
     return min(steps - one, min(_cost(rows.r, cov + more) for more in wander) - moved)
 
 
@@ -206,11 +206,11 @@ def _rows(found: Sequence[tuple[Sighting, Curve]]) -> _Rows:
     """The tracks' curves beside the encoders, as rows."""
     parts = []
     for number, (sighting, curve) in enumerate(found):
-        place, speed, *_, sound = places(curve, 0.0)
+        place, speed, *_, sound = interpolated(curve, 0.0)
         _, jac, model = sighting.model.predict(curve.x)
         noise = curve.noise - np.einsum("bdm,bm->bd", np.square(jac), curve.encoder)
         reach = np.broadcast_to(getattr(sighting.model, "reach", np.inf), curve.x.shape)
-        track, off = np.full(len(curve.at), number), place - curve.foretold
+        track, off = np.full(len(curve.at), number), place - curve.predicted
         for d in range(off.shape[1]):
             columns = (
                 curve.at, track, np.full(len(track), d), curve.x, off[:, d], jac[:, d], noise[:, d], curve.encoder,
@@ -229,19 +229,19 @@ def _covariance(rows: _Rows) -> Array:
     # rows of one time share the same means of encoder readings
     cov += (rows.t[:, None] == rows.t) * ((rows.jac * rows.encoder) @ rows.jac.T)
     cov += LATE**2 * rows.speed[:, None] * rows.speed
-    cov += sum(_wandering(rows, joint, OFFSET, LASTING) for joint in range(rows.x.shape[1]))
+    cov += sum(_offset_covariance(rows, joint, OFFSET, LASTING) for joint in range(rows.x.shape[1]))
     cov[np.diag_indices_from(cov)] += rows.noise
     return np.asarray(cov)
 
 
-def _wandering(rows: _Rows, joint: int, offset: float, walk: float) -> Array:
+def _offset_covariance(rows: _Rows, joint: int, offset: float, walk: float) -> Array:
     """Covariance (R,R) px² added by an encoder offset of std `offset` (rad) that wanders by `walk` (rad²/s)."""
     since = rows.t - rows.t.min()
     lean = rows.jac[:, joint]
     return np.asarray(lean[:, None] * lean * (offset**2 + walk * np.minimum(since[:, None], since)))
 
 
-def _likeliest(rows: _Rows, cov: Array, basis: Array, wide: float) -> Moved:
+def _best_step(rows: _Rows, cov: Array, basis: Array, wide: float) -> Displacement:
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
 
     Its `nats` is the cost, −ln p of all rows, averaged over all times of a step.
@@ -257,21 +257,21 @@ def _likeliest(rows: _Rows, cov: Array, basis: Array, wide: float) -> Moved:
     won = 0.5 * (pull * size).sum(axis=1) - 0.5 * np.linalg.slogdet(wide**2 * info)[1]
     square = r @ r - 2.0 * won
     logdet = 2.0 * float(np.log(np.diag(chol)).sum())
-    cost = _scaled(square, len(r)) + 0.5 * logdet
+    cost = _scaled_nats(square, len(r)) + 0.5 * logdet
     best = int(cost.argmin())
     # all times are equally likely
     total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
-    return Moved(float(times[best]), size[best], np.linalg.inv(info[best]), total)
+    return Displacement(float(times[best]), size[best], np.linalg.inv(info[best]), total)
 
 
 def _cost(r: Array, cov: Array) -> float:
     """−ln p (nats) of rows r (R,) without a displacement, up to a constant of all hypotheses."""
     chol = np.linalg.cholesky(cov)
     white = np.linalg.solve(chol, r)
-    return float(_scaled(np.array(white @ white), len(r)) + np.log(np.diag(chol)).sum())
+    return float(_scaled_nats(np.array(white @ white), len(r)) + np.log(np.diag(chol)).sum())
 
 
-def _scaled(square: Array, count: int) -> Array:
+def _scaled_nats(square: Array, count: int) -> Array:
     """−ln p (nats) from squared whitened residuals, at the most likely common noise scale ≥ 1."""
     scale = np.maximum(square / count, 1.0)
     return np.asarray(0.5 * (square / scale + count * np.log(scale)))

@@ -17,33 +17,33 @@ LONG = 1.0
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     """Warn where images must determine joints that have no encoder readings, ever or for long."""
-    return Verdict(evidence, (), tuple(silences(body.joints, evidence.encoders, evidence.sightings)))
+    return Verdict(evidence, (), tuple(silence_findings(body.joints, evidence.encoders, evidence.sightings)))
 
 
-def silences(
-    names: tuple[str, ...], encoders: Encoders | None, heard: Sequence[Sighting]
+def silence_findings(
+    names: tuple[str, ...], encoders: Encoders | None, sightings: Sequence[Sighting]
 ) -> Iterator[Finding]:
     """Yield warnings where images give fewer numbers than there are joints without encoder readings."""
     mute = silent(names, encoders)
-    seen = sum(sighting.values.shape[1] for sighting in heard if sighting.name != "touch")
+    seen = sum(sighting.values.shape[1] for sighting in sightings if sighting.name != "touch")
     if 0 < seen < len(mute):
         yield Finding(
             "warning",
-            f"vision: {seen} numbers a picture for {len(mute)} joints without an encoder ({', '.join(mute)}): "
-            "many postures look alike, angles may be off by far more than their error bars; add encoders or a camera",
+            f"vision: {seen} numbers per image for {len(mute)} joints without an encoder ({', '.join(mute)}): "
+            "the posture is ambiguous, errors may far exceed the error bars; add encoders or a camera",
         )
     if encoders is None or mute or not seen:
         return
-    frames = np.sort(np.concatenate([sighting.t for sighting in heard if sighting.name != "touch"]))
+    frames = np.sort(np.concatenate([sighting.t for sighting in sightings if sighting.name != "touch"]))
     groups: dict[tuple[str, ...], list[str]] = {}
     for name, column in zip(names, encoders.values.T, strict=True):
         groups.setdefault(tuple(_silent_from(frames, encoders.t[np.isfinite(column)])), []).append(name)
     for when, joints in groups.items():
         if when and (len(joints) > seen or len(joints) == len(names)):
             more = f" and {len(when) - NAMED} times more" if len(when) > NAMED else ""
-            loose = f": {seen} numbers a picture do not hold {len(joints)} joints, error bars may be too small there"
+            loose = f": {seen} numbers per image do not determine {len(joints)} joints, error bars may be too small"
             text = f"encoders: {', '.join(joints)} silent from {', from '.join(when[:NAMED])}{more}"
-            yield Finding("warning", f"{text}, while pictures go on{loose * (len(joints) > seen)}")
+            yield Finding("warning", f"{text}, while images continue{loose * (len(joints) > seen)}")
 
 
 def _silent_from(frames: Array, known: Array) -> Iterator[str]:
@@ -54,7 +54,7 @@ def _silent_from(frames: Array, known: Array) -> Iterator[str]:
     if frames[-1] - known[-1] > LONG:
         yield f"{known[-1]:.3f} s on"
     if known[0] - frames[0] > LONG:
-        yield f"the first picture to {known[0]:.3f} s"
+        yield f"the first image to {known[0]:.3f} s"
 
 
 def _between(frames: Array, begin: float, end: float) -> bool:

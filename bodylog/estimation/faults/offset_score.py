@@ -39,7 +39,7 @@ class _Frames:
     stiff: Array
 
 
-def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
+def offset_score(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Array, Array]:
     """Nats (M,) that an offset of each encoder with random walk `walk` rad²/s would win; 0 without images.
 
     Also returns that offset over spans of the log (S,M) rad, and its variance (S,M).
@@ -54,8 +54,8 @@ def promise(problem: Problem, solved: Solution, walk: float) -> tuple[Array, Arr
         psi = -np.einsum("dmf,mkf->dkf", track.jac, _at(solved, shift, track.events))
         score[track.events] += np.einsum("dkf,df->fk", psi, track.pull)
         weight[track.events] += np.einsum("dkf,dkf->fk", psi, np.einsum("def,ekf->dkf", track.inverse, psi))
-    often = 1.0 if problem.precision.likeliest is None else _scatter(solved)
-    return _won(problem.timeline.t, score / often, weight / often, walk)
+    duplication = 1.0 if problem.precision.likeliest is None else _scatter(solved)
+    return _filtered_offsets(problem.timeline.t, score / duplication, weight / duplication, walk)
 
 
 def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
@@ -70,12 +70,12 @@ def _frames(problem: Problem, solved: Solution, track: int) -> _Frames:
     own += var
     d2 = np.einsum("df,df->f", nu, np.einsum("def,ef->df", _inverse(s), nu))
     noise = raised(var, own, d2)
-    own += _common(solved, track, seen)
+    own += _correlated_error(solved, track, seen)
     inverse = _inverse(s)
     pull = np.einsum("def,ef->df", inverse, nu)
     reach = np.sqrt(np.maximum(np.einsum("df,df->f", nu, pull) / len(nu), 1e-9))
-    told = np.einsum("dmf,dkf->mkf", jac, jac / noise[:, None])
-    return _Frames(events, jac, inverse, pull * np.minimum(1.0, CLIP / reach), told)
+    information = np.einsum("dmf,dkf->mkf", jac, jac / noise[:, None])
+    return _Frames(events, jac, inverse, pull * np.minimum(1.0, CLIP / reach), information)
 
 
 def _at(solved: Solution, a: Array, events: Array) -> Array:
@@ -89,53 +89,53 @@ def _inverse(s: Array) -> Array:
     return np.asarray(np.stack([c, -b, -b, a]).reshape(s.shape) / (a * c - b * b))
 
 
-def _common(solved: Solution, track: int, seen: Array) -> Array:
+def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     """Variance (D,F) added for correlated model error, so that frames of like postures count as one."""
     points, model = solved.tangents.points[track][seen], solved.tangents.model_var(track)[seen]
-    alike = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / FAR))
-    return np.asarray((model * (2.0 * alike - 2.0)[:, None]).T)
+    duplicates = counts(np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / FAR))
+    return np.asarray((model * (2.0 * duplicates - 2.0)[:, None]).T)
 
 
 def _shift(solved: Solution, tracks: list[_Frames]) -> Array:
     """Derivative (L,M,M,C) of the predicted belief at each instant with respect to each encoder's offset."""
     readings, trace, fold = solved.readings, solved.trace, solved.fold
     gated = raised(readings.encoder_var, _spread(solved), trace.encoder_d**2)
-    told = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
+    information = np.where(np.isfinite(readings.encoders), 1.0 / gated, 0.0)
     stiff = np.zeros(trace.prior_cov.shape)
-    np.einsum("liic->lic", stiff)[:] = told
+    np.einsum("liic->lic", stiff)[:] = information
     for track in tracks:
         fold.put(stiff, track.events, fold.pick(stiff, track.events) + np.moveaxis(track.stiff, -1, 0))
     # pseudo-readings of the posture prior have no offset
-    lied = np.where(np.isfinite(trace.encoder_d), told, 0.0)
-    shift, begin = np.empty_like(stiff), _follows(lied)
+    weight = np.where(np.isfinite(trace.encoder_d), information, 0.0)
+    shift, begin = np.empty_like(stiff), _first_shift(weight)
     for _ in range(PASSES):
-        end = _follow(shift, begin.copy(), readings.dt, stiff, lied, trace.p)
+        end = _propagate(shift, begin.copy(), readings.dt, stiff, weight, trace.p)
         moved, begin[..., 1:] = np.abs(end[..., :-1] - begin[..., 1:]).max(initial=0.0), end[..., :-1]
         if moved < STILL:
             break
     return shift
 
 
-def _follows(lied: Array) -> Array:
+def _first_shift(weight: Array) -> Array:
     """First guess (2M,M,C) of the derivative at the start of segments: 1 for encoders with readings."""
-    _, m, c = lied.shape
+    _, m, c = weight.shape
     begin = np.zeros((2 * m, m, c))
-    begin[np.arange(m), np.arange(m), 1:] = np.any(lied > 0, axis=(0, 2), keepdims=True)[0]
+    begin[np.arange(m), np.arange(m), 1:] = np.any(weight > 0, axis=(0, 2), keepdims=True)[0]
     return begin
 
 
-def _follow(
-    shift: Array, moved: Array, dt: Array, stiff: Array, lied: Array, p: Array
+def _propagate(
+    shift: Array, moved: Array, dt: Array, stiff: Array, weight: Array, p: Array
 ) -> Array:  # fmt: skip
     """Propagate derivatives `moved` (2M,M,C) of angles and rates through all segments, filling `shift`; return the end.
     """
-    m = lied.shape[1]
+    m = weight.shape[1]
     own = np.arange(m)
     for i, step in enumerate(dt):
         moved[:m] += step * moved[m:]
         shift[i] = moved[:m]
         force = np.einsum("ijc,jkc->ikc", stiff[i], shift[i])
-        force[own, own] -= lied[i]
+        force[own, own] -= weight[i]
         # x⁺ − x⁻ = P⁺ Hᵀ R⁻¹ ν
         moved -= np.einsum("aic,ikc->akc", p[i, : 2 * m, :m], force)
     return moved
@@ -144,10 +144,10 @@ def _follow(
 def _by_encoders(solved: Solution, shift: Array) -> tuple[Array, Array]:
     """Ψᵀ S⁻¹ ν (E,M) and the diagonal of Ψᵀ S⁻¹ Ψ (E,M) from all encoder readings."""
     d, m = solved.trace.encoder_d, shift.shape[1]
-    heard, std = np.isfinite(d), np.sqrt(_spread(solved))
-    psi = (np.eye(m)[..., None] - shift) * np.where(heard, 1.0 / std, 0.0)[:, :, None]
-    said = np.where(heard, np.clip(d, -CLIP, CLIP), 0.0)
-    score, weight = (psi * said[:, :, None]).sum(axis=1), (psi * psi).sum(axis=1)
+    known, std = np.isfinite(d), np.sqrt(_spread(solved))
+    psi = (np.eye(m)[..., None] - shift) * np.where(known, 1.0 / std, 0.0)[:, :, None]
+    clipped = np.where(known, np.clip(d, -CLIP, CLIP), 0.0)
+    score, weight = (psi * clipped[:, :, None]).sum(axis=1), (psi * psi).sum(axis=1)
     return solved.fold.unfold(score), solved.fold.unfold(weight)
 
 
@@ -157,9 +157,9 @@ def _scatter(solved: Solution) -> Array:
     A smoother's forward pass lags behind the arm, which would look like an offset without this factor.
     """
     d = np.nan_to_num(solved.trace.encoder_d)
-    heard = np.isfinite(solved.trace.encoder_d).sum(axis=(0, 2))
+    known = np.isfinite(solved.trace.encoder_d).sum(axis=(0, 2))
     squares = np.square(np.clip(d, -CLIP, CLIP)).sum(axis=(0, 2))
-    return np.asarray(np.maximum(squares / np.maximum(heard, 1), 1.0))
+    return np.asarray(np.maximum(squares / np.maximum(known, 1), 1.0))
 
 
 def _spread(solved: Solution) -> Array:
@@ -167,7 +167,7 @@ def _spread(solved: Solution) -> Array:
     return np.asarray(np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var)
 
 
-def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
+def _filtered_offsets(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Array, Array]:
     """Filter each offset over spans from scores (E,M) and weights (E,M); returns as `offset_score` does."""
     starts = np.unique(np.searchsorted(t, spans(t, SPAN)))
     steps = np.diff(t[starts], append=t[-1])
@@ -182,6 +182,6 @@ def _won(t: Array, score: Array, weight: Array, walk: float) -> tuple[Array, Arr
             b += p * (pull - stiff * b)
             offsets[k, j], var[k, j] = b, p
     before, grown = offsets[:-1], var[:-1] + walk * steps[:, None]
-    more, share = score - weight * before, 1.0 + weight * grown
-    nats = before * (score - 0.5 * weight * before) + 0.5 * (more * more * grown / share - np.log(share))
+    innovation, share = score - weight * before, 1.0 + weight * grown
+    nats = before * (score - 0.5 * weight * before) + 0.5 * (innovation * innovation * grown / share - np.log(share))
     return nats.sum(axis=0), offsets[1:], var[1:]

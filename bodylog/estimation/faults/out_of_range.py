@@ -17,34 +17,34 @@ TURN = 2.0 * np.pi
 
 def detect(evidence: Evidence, body: BodyModel) -> Verdict:
     """Check the range of all readings, unused encoders included: they give the initial belief."""
-    return Verdict(evidence, (), tuple(checked(evidence.read, body)) if len(evidence.read) else ())
+    return Verdict(evidence, (), tuple(range_findings(evidence.read, body)) if len(evidence.read) else ())
 
 
-def checked(readings: Array, body: BodyModel) -> Iterator[Finding]:
+def range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
     """Yield a warning for each joint whose readings (N,M) rad are mostly out of range; ModelError for degrees."""
     known = [getattr(model, "samples", np.empty((0, len(body.joints)))) for model in body.senses.values()]
     if "encoders" in body.senses or not len(explored := np.concatenate([np.empty((0, len(body.joints))), *known])):
         return
     ranges = list(zip(body.joints, readings.T, explored.min(axis=0), explored.max(axis=0), strict=True))
     beyond = [one for one in ranges if not _within(*one[1:])]
-    wide = any(np.ptp(np.nanpercentile(told, [5, 95])) > max(TURN, high - low) for _, told, low, high in beyond)
-    if wide and all(_within(np.deg2rad(told), low, high) for _, told, low, high in ranges):
-        said = "; ".join(_said(*one) for one in beyond)
+    wide = any(np.ptp(np.nanpercentile(readings, [5, 95])) > max(TURN, high - low) for _, readings, low, high in beyond)
+    if wide and all(_within(np.deg2rad(readings), low, high) for _, readings, low, high in ranges):
+        said = "; ".join(_ranges_text(*one) for one in beyond)
         raise ModelError(f'joints: {said}: these are degrees; type [body] unit = "deg" in robot.toml')
-    for name, told, low, high in beyond:
-        turns = round(float(np.nanmedian(told) - (low + high) / 2.0) / TURN)
-        off = turns and _within(told - turns * TURN, low, high)
-        why = f"{turns:+d} whole turns off, home it anew" if off else "beyond that"
-        text = f"joints: {_said(name, told, low, high)}: {why}, or fit a body from a log that explores it"
-        yield Finding("warning", f"{text}; pictures tell little there")
+    for name, readings, low, high in beyond:
+        turns = round(float(np.nanmedian(readings) - (low + high) / 2.0) / TURN)
+        off = turns and _within(readings - turns * TURN, low, high)
+        why = f"{turns:+d} whole turns off, home it again" if off else "beyond that"
+        text = f"joints: {_ranges_text(name, readings, low, high)}: {why}, or fit a body from a log that explores it"
+        yield Finding("warning", f"{text}; images are of little use there")
 
 
-def _within(told: Array, low: float, high: float) -> bool:
+def _within(readings: Array, low: float, high: float) -> bool:
     """Whether at least half of the finite values (N,) lie near the explored range; True if there are no values."""
-    told, beside = told[np.isfinite(told)], max(BESIDE, BESIDE * (high - low))
-    return not len(told) or bool(np.mean((told >= low - beside) & (told <= high + beside)) >= 0.5)
+    readings, beside = readings[np.isfinite(readings)], max(BESIDE, BESIDE * (high - low))
+    return not len(readings) or bool(np.mean((readings >= low - beside) & (readings <= high + beside)) >= 0.5)
 
 
-def _said(name: str, told: Array, low: float, high: float) -> str:
-    least, most = np.nanpercentile(told, [5, 95])
+def _ranges_text(name: str, readings: Array, low: float, high: float) -> str:
+    least, most = np.nanpercentile(readings, [5, 95])
     return f"{name} reads {least:.4g} to {most:.4g} rad, the body was learned from {low:.4g} to {high:.4g}"

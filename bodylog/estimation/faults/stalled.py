@@ -42,7 +42,7 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     parts = [p for p in _parts(sighting.t[rows], begin) if len(p) >= FEWEST]
     if len(parts) < 2:
         return False
-    x = np.stack([_read(encoders, column, sighting.t[rows]) for column in encoders.values.T], axis=1)
+    x = np.stack([_interpolated(encoders, column, sighting.t[rows]) for column in encoders.values.T], axis=1)
     y, var = sighting.values[rows], sighting.var[rows]
     middle = np.stack([np.median(x[p], axis=0) for p in parts])
     # motion within a part, as the encoders predict it, is subtracted before averaging
@@ -50,7 +50,7 @@ def _moved(encoders: Encoders, joint: int, sighting: Sighting, begin: float, end
     at, _, model = sighting.model.predict(middle)
     place = np.stack([np.median(y[p] - known[p], axis=0) for p in parts]) + at
     noise = np.stack([1.6 * var[p].mean(axis=0) / len(p) for p in parts]) + model
-    noise += np.einsum("pdm,m->pd", np.stack([jac[p].mean(axis=0) for p in parts]) ** 2, _steps(encoders))
+    noise += np.einsum("pdm,m->pd", np.stack([jac[p].mean(axis=0) for p in parts]) ** 2, _encoder_variance(encoders))
     found = [_explained(sighting, place, noise, middle, k) for k in range(x.shape[1])]
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
     least = max(LEAST, 2.0 * grain(encoders.values[np.isfinite(encoders.values[:, joint]), joint]))
@@ -66,9 +66,9 @@ def _explained(
     moved, none = np.zeros(len(x)), sighting.model.predict(x)[0]
     for _ in range(STEPS):
         mean, jac, _ = sighting.model.predict(x + np.outer(moved, np.arange(x.shape[1]) == joint))
-        lean, off = jac[:, :, joint], place - mean
-        stiff = (lean * lean / noise).sum(axis=1)
-        moved += np.divide((lean * off / noise).sum(axis=1), stiff, out=np.zeros_like(stiff), where=stiff > 0.0)
+        slope, off = jac[:, :, joint], place - mean
+        stiff = (slope * slope / noise).sum(axis=1)
+        moved += np.divide((slope * off / noise).sum(axis=1), stiff, out=np.zeros_like(stiff), where=stiff > 0.0)
         moved = np.clip(moved, -1.0, 1.0)
     mean = sighting.model.predict(x + np.outer(moved, np.arange(x.shape[1]) == joint))[0]
     # a constant offset is not motion
@@ -88,13 +88,13 @@ def _parts(t: Array, begin: float) -> list[Array]:
     return [np.flatnonzero(number == k) for k in np.unique(number)]
 
 
-def _read(encoders: Encoders, column: Array, t: Array) -> Array:
+def _interpolated(encoders: Encoders, column: Array, t: Array) -> Array:
     """Encoder readings interpolated at t (F,) s."""
     known = np.isfinite(column)
     return np.interp(t, encoders.t[known], column[known])
 
 
-def _steps(encoders: Encoders) -> Array:
+def _encoder_variance(encoders: Encoders) -> Array:
     """Variance (M,) rad² of quantisation, or of noise where that is larger."""
     found = []
     for column in encoders.values.T:

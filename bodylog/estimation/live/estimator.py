@@ -22,8 +22,8 @@ from ..noise import typed
 from ..noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.noise_model import carried
 from ..noise.posture_prior import LASTING, PosturePrior, usual, wont
-from .inputs import Angles, Incoming, Place, Tell, Told, finite
-from .replay_buffer import Instant, Recent, State
+from .inputs import Angles, Inputs, Observation, Place, ToAngles, finite
+from .replay_buffer import Instant, ReplayBuffer, State
 
 GIVEN = Estimation(precision="model", bias="off")
 """Settings of a filter without knowledge of the future."""
@@ -53,12 +53,12 @@ class Estimator:
     """A filter fed as readings arrive: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
-        self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, tell: Tell = np.asarray,
+        self, body: BodyModel, settings: Estimation | None = None, lag: float = LAG, to_angles: ToAngles = np.asarray,
         learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
         """A filter for `body` with the senses, start and bias of `settings`; readings may be up to `lag` s late.
 
-        `tell` converts encoder readings to angles · `learned`: settings of an estimate, whose variances are used.
+        `to_angles` converts encoder readings to angles · `learned`: settings of an estimate, whose variances are used.
         UsageError for settings that need the whole log, and for variances of another body.
         """
         settings = settings or GIVEN
@@ -69,15 +69,15 @@ class Estimator:
         typed.check(settings, body.joints, [name for name in body.senses if name != "encoders"])
         self._precision = typed.precision(carried(body, learned), settings, body.joints)
         self._stated = self._precision.of(np.ones((len(body.joints),) * 2))
-        self._incoming = Incoming(body, settings, tell)
+        self._inputs = Inputs(body, settings, to_angles)
         self._first = np.full(len(body.joints), np.nan)
-        self._recent: Recent | None = None
-        self._waiting: list[tuple[float, Told]] = []
+        self._buffer: ReplayBuffer | None = None
+        self._waiting: list[tuple[float, Observation]] = []
 
     @property
     def used(self) -> Mapping[str, Health]:
         """Counts of used and rejected readings, by sense."""
-        return self._incoming.used
+        return self._inputs.used
 
     def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> Belief:
         """The belief after all readings up to t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
@@ -86,32 +86,32 @@ class Estimator:
         latest instant. UsageError or ModelError for readings that do not fit the body. LogError until every joint has
         been read once; earlier readings are then applied together.
         """
-        return self._tell([(finite(t), joints, places)])
+        return self._step_all([(finite(t), joints, places)])
 
-    def _tell(self, parts: Sequence[tuple[float, Angles | None, Mapping[str, Place | None]]]) -> Belief:
+    def _step_all(self, parts: Sequence[tuple[float, Angles | None, Mapping[str, Place | None]]]) -> Belief:
         """The belief after readings of several times (s): each a time, joints and places."""
-        told = [(t, self._incoming.read(joints, places)) for t, joints, places in parts]
-        if self._recent is None:
-            self._waiting += told
-            while self._waiting[0][0] < max(t for t, _ in told) - self._lag:
-                self._incoming.accept(*self._waiting.pop(0), late=True)
-            self._recent = self._begin([one.angles for _, one in told if one.angles is not None])
-            told, self._waiting = self._waiting, []
-        beliefs = [self._hear(self._recent, *one) for one in told]
+        given = [(t, self._inputs.read(joints, places)) for t, joints, places in parts]
+        if self._buffer is None:
+            self._waiting += given
+            while self._waiting[0][0] < max(t for t, _ in given) - self._lag:
+                self._inputs.accept(*self._waiting.pop(0), late=True)
+            self._buffer = self._begin([one.angles for _, one in given if one.angles is not None])
+            given, self._waiting = self._waiting, []
+        beliefs = [self._hear(self._buffer, *one) for one in given]
         if len(beliefs) == 1:
             return beliefs[0]
         errors = {name: error for belief in beliefs[-len(parts) :] for name, error in belief.errors.items()}
         return replace(beliefs[-1], free_energy=sum(belief.free_energy for belief in beliefs), errors=errors)
 
-    def _hear(self, recent: Recent, t: float, told: Told) -> Belief:
-        late = recent.late(t)
-        heard = self._incoming.accept(t, told, late)
+    def _hear(self, buffer: ReplayBuffer, t: float, given: Observation) -> Belief:
+        late = buffer.late(t)
+        accepted = self._inputs.accept(t, given, late)
         if late:
-            return self._belief(recent.last, 0.0, {})
-        then, now, nats = recent.add(t, heard)
-        names = {*heard.places, *(("encoders",) if heard.angles is not None else ())}
-        told_of = {name: np.asarray(error) for name, error in then.errors.items() if name in names}
-        return self._belief(now, nats, told_of, then.lost)
+            return self._belief(buffer.last, 0.0, {})
+        then, now, nats = buffer.add(t, accepted)
+        names = {*accepted.places, *(("encoders",) if accepted.angles is not None else ())}
+        shown = {name: np.asarray(error) for name, error in then.errors.items() if name in names}
+        return self._belief(now, nats, shown, then.lost)
 
     def _belief(self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None) -> Belief:
         m, z = len(self._body.joints), np.array(now.z)
@@ -119,7 +119,7 @@ class Estimator:
         cov = self._stated * np.array([row[:m] for row in now.p[:m]])
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost)
 
-    def _begin(self, readings: Sequence[Array]) -> Recent:
+    def _begin(self, readings: Sequence[Array]) -> ReplayBuffer:
         """An empty buffer with the initial belief; `readings` (M,) rad of this call."""
         names, given, precision = self._body.joints, self._settings.start, self._precision
         for angles in readings:
@@ -127,24 +127,22 @@ class Estimator:
         x = self._first if given is None else np.array(given, float)
         if not np.isfinite(x).all():
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
-            raise LogError(f"joints: no reading tells where {unknown} starts; tell all joints first, or give `start`")
+            raise LogError(f"joints: no reading of {unknown} yet; pass every joint once, or set `start`")
         drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
-        habit = usual(self._incoming.silent, self._incoming.wanted, precision.process, x)
-        dynamics = Dynamics(precision.process, drift, None if habit is None else habit.joints)
-        models, near = self._incoming.models, precision.near
-        like = {
-            n: ErrorCorrelation(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()
-        }
-        adrift = wont(self._incoming.wanted, precision.process, x)
+        posture = usual(self._inputs.silent, self._inputs.wanted, precision.process, x)
+        dynamics = Dynamics(precision.process, drift, None if posture is None else posture.joints)
+        models, near = self._inputs.models, precision.near
+        like = {n: ErrorCorrelation(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
+        adrift = wont(self._inputs.wanted, precision.process, x)
         steady = Steady(
             precision.process.tolist(), [] if drift is None else drift.tolist(), precision.encoder.tolist()
         )  # fmt: skip
-        one = _Filter(Motion(dynamics), steady, habit, adrift, precision.encoder, precision.scale, like, models)
+        one = _Filter(Motion(dynamics), steady, posture, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
         watch = AcquisitionState.begun(len(x))
         first = State(-np.inf, z.tolist(), np.diag(std**2).tolist(), watch, watch.borne.tolist())
-        return Recent(first, self._lag, one.hear)
+        return ReplayBuffer(first, self._lag, one.hear)
 
 
 class Steady(NamedTuple):
@@ -161,8 +159,8 @@ class _Filter:
 
     motion: Motion
     steady: Steady
-    habit: PosturePrior | None
-    wont: PosturePrior | None
+    posture: PosturePrior | None
+    adrift_posture: PosturePrior | None
     encoder_var: Array
     scale: Mapping[str, float]
     like: Mapping[str, ErrorCorrelation]
@@ -175,7 +173,7 @@ class _Filter:
     def _by_encoders(self, before: State, at: Instant) -> State | None:
         """The fast step for encoders alone, if all of them recently confirmed the belief; else None."""
         t = at.t
-        if at.places or self.habit is not None or not t - before.oldest <= SILENCE:
+        if at.places or self.posture is not None or not t - before.oldest <= SILENCE:
             return None
         process, drift, encoder = self.steady
         z, p = scalar_steps.moved(before.z, before.p, t - before.t, process, drift)
@@ -184,33 +182,33 @@ class _Filter:
                 return None
         if at.angles is None:
             return State(t, z, p, before.watch, before.borne, before.oldest, before.uneven + 1)
-        said = at.angles.tolist()
+        angles = at.angles.tolist()
         try:
-            z, p, nats, d = scalar_steps.heard(z, p, said, encoder)
+            z, p, nats, d = scalar_steps.heard(z, p, angles, encoder)
         except ArithmeticError:
             return None  # the full step reports the error
         uneven = before.uneven + 1
         if uneven >= EVEN:
             scalar_steps.even(p)
             uneven = 0
-        borne = [t if reading == reading else last for reading, last in zip(said, before.borne, strict=True)]
+        borne = [t if reading == reading else last for reading, last in zip(angles, before.borne, strict=True)]
         return State(t, z, p, before.watch, borne, min(borne), uneven, nats, {"encoders": d})
 
     def _by_all(self, before: State, at: Instant) -> State:
         dt = at.t - before.t if np.isfinite(before.t) else 0.0
-        said = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
+        angles = np.full(len(self.encoder_var), np.nan) if at.angles is None else at.angles
         before = replace(before, watch=replace(before.watch, borne=np.array(before.borne)))
         loose, z, p = before.watch.loose, np.array(before.z), np.array(before.p)
         z, p = self.motion.move(z, p, dt, np.where(loose, LASTING, 1.0) if loose.any() else None)
-        lost, borne = before.watch.judge(at.t, z, p, said, self.encoder_var, bool(at.places))
+        lost, borne = before.watch.judge(at.t, z, p, angles, self.encoder_var, bool(at.places))
         if lost is not None:
-            forget(z, p, lost, said, dt)
+            forget(z, p, lost, angles, dt)
         here = {
             name: before.watch.remembered(name, self._sight(name, at.t, *place)) for name, place in at.places.items()
         }
-        angles, var, motion = *self._encoders(said, dt), self.motion
+        angles, var, motion = *self._encoders(angles, dt), self.motion
         if adrift := bool(here and before.watch.adrift(at.t).any()):
-            angles, var, reminded = before.watch.reminded(at.t, self.wont, angles, var)
+            angles, var, reminded = before.watch.reminded(at.t, self.adrift_posture, angles, var)
             motion = motion.recalling(reminded)
         found = hear(motion, z, p, angles, var, list(here.values()), adrift=adrift)
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
@@ -224,10 +222,10 @@ class _Filter:
 
     def _encoders(self, x: Array, dt: float) -> tuple[Array, Array]:
         """Angles and variances (M,) rad², with pseudo-readings of the posture prior for joints without an encoder."""
-        if self.habit is None or dt == 0.0:
+        if self.posture is None or dt == 0.0:
             return x, self.encoder_var
-        own = self.habit.joints
-        return np.where(own, self.habit.mean, x), np.where(own, self.habit.density / dt, self.encoder_var)
+        own = self.posture.joints
+        return np.where(own, self.posture.mean, x), np.where(own, self.posture.density / dt, self.encoder_var)
 
 
 def _needs_no_log(settings: Estimation, body: BodyModel) -> None:

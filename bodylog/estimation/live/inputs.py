@@ -19,22 +19,22 @@ Angles = Sequence[float] | Array | Mapping[str, float]
 Place = Sequence[float] | Array
 """(u, v) or (u, v, std_u, std_v) px; NaN is not seen."""
 
-Tell = Callable[[Array], Array]
+ToAngles = Callable[[Array], Array]
 """Converts readings (M,) to angles (M,) rad."""
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class Observation:
     """Angles (M,) rad, NaN where missing, or None · places {track: (u, v) px and its variance (2,) px²}."""
 
     angles: Array | None
     places: Mapping[str, tuple[Array, Array]]
 
 
-class Incoming:
+class Inputs:
     """The senses of a body, which of them are used, and counts of each one's readings."""
 
-    def __init__(self, body: BodyModel, settings: Estimation, tell: Tell) -> None:
+    def __init__(self, body: BodyModel, settings: Estimation, to_angles: ToAngles) -> None:
         """UsageError for senses in the settings that the body lacks."""
         visual = {name: model for name, model in body.senses.items() if name != "encoders"}
         touch = {"touch": visual["effector"]} if "effector" in visual else {}
@@ -42,46 +42,48 @@ class Incoming:
         self.models: dict[str, ForwardModel] = {**visual, **touch}
         self.wanted = {name: model for name, model in self.models.items() if name in wanted}
         self.silent = np.array([name not in wanted for name in body.joints])
-        self._joints, self._noise, self._tell = body.joints, body.noise.senses, tell
+        self._joints, self._noise, self._to_angles = body.joints, body.noise.senses, to_angles
         self._newest_angles = np.full(len(body.joints), -np.inf)
         self._newest: dict[str, float] = {}
         self._variance = {name: typed.of_track(settings, name) for name in self.models}
         self._counts: dict[str, dict[str, int]] = {}
 
-    def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Told:
+    def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Observation:
         """Convert readings to arrays; UsageError or ModelError where they do not fit the body."""
         angles = None if joints is None else self._angles(joints)
-        return Told(angles, {name: self._place(name, told) for name, told in places.items() if told is not None})
+        known = {name: place for name, place in places.items() if place is not None}
+        return Observation(angles, {name: self._place(name, place) for name, place in known.items()})
 
-    def _angles(self, told: Angles) -> Array:
+    def _angles(self, given: Angles) -> Array:
         names = self._joints
-        if isinstance(told, Mapping):
-            if not any(name in told for name in names):
-                raise ModelError(f"joints: the body knows {', '.join(names)}, but told is {', '.join(told) or 'none'}")
-            told = [told.get(name, np.nan) for name in names]
-        x = self._tell(_numbers("joints", told, (len(names),), f"one angle in rad for each of {', '.join(names)}"))
+        if isinstance(given, Mapping):
+            if not any(name in given for name in names):
+                raise ModelError(f"joints: {', '.join(given) or 'none'} found, possible: {', '.join(names)}")
+            given = [given.get(name, np.nan) for name in names]
+        possible = f"one angle in rad for each of {', '.join(names)}"
+        x = self._to_angles(_numbers("joints", given, (len(names),), possible))
         return np.where(np.isfinite(x), x, np.nan)
 
-    def _place(self, name: str, told: Place) -> tuple[Array, Array]:
+    def _place(self, name: str, given: Place) -> tuple[Array, Array]:
         if name not in self.models:
             raise UsageError(f"{name}: the body has no such sense; it has {', '.join(self.models) or 'joints alone'}")
         sizes, possible = ((4,), "") if name == "touch" else ((2, 4), "(u, v) or ")
-        found = _numbers(name, told, sizes, f"{possible}(u, v, std_u, std_v) in px")
+        found = _numbers(name, given, sizes, f"{possible}(u, v, std_u, std_v) in px")
         place, std = found[:2], found[2:] if len(found) == 4 else None
         if name == "touch" and std is not None and self._variance[name] is None:
             return place, np.square(std)
         fallback = np.array(self._noise.get(name, (1.0, 1.0)), float)
-        given = self._variance[name]
-        return place, pixel_variance(std, self.models[name], fallback) if given is None else np.full(2, given)
+        typed = self._variance[name]
+        return place, pixel_variance(std, self.models[name], fallback) if typed is None else np.full(2, typed)
 
-    def accept(self, t: float, told: Told, late: bool) -> Told:
+    def accept(self, t: float, given: Observation, late: bool) -> Observation:
         """Keep the readings of time t (s) that may be used; count the others by reason."""
         places = {
             name: (value, var)
-            for name, (value, var) in told.places.items()
+            for name, (value, var) in given.places.items()
             if self._accepted(name, t, late, bool(np.isfinite(value).all()))
         }
-        return Told(None if told.angles is None else self._accepted_angles(t, told.angles, late), places)
+        return Observation(None if given.angles is None else self._accepted_angles(t, given.angles, late), places)
 
     def _accepted(self, name: str, t: float, late: bool, seen: bool) -> bool:
         after = t > self._newest.get(name, -np.inf)
@@ -92,12 +94,12 @@ class Incoming:
 
     def _accepted_angles(self, t: float, x: Array, late: bool) -> Array:
         known, fresh = np.isfinite(x), t > self._newest_angles
-        heard = known & fresh & ~self.silent
+        accepted = known & fresh & ~self.silent
         if not late:
             self._newest_angles[known & fresh] = t
         rejected = {"too late": late, "not a number": not known.any(), "time runs backwards": not (known & fresh).any()}
-        accepted = self._count("encoders", {**rejected, "not asked for": not heard.any()})
-        return np.where(heard & accepted, x, np.nan)
+        accepted = self._count("encoders", {**rejected, "not asked for": not accepted.any()})
+        return np.where(accepted & accepted, x, np.nan)
 
     def _count(self, sense: str, rejected: Mapping[str, bool]) -> bool:
         counts = self._counts.setdefault(sense, {})
@@ -121,11 +123,11 @@ def finite(t: float) -> float:
     return float(t)
 
 
-def _numbers(what: str, told: Sequence[float] | Array, sizes: tuple[int, ...], possible: str) -> Array:
+def _numbers(what: str, given: Sequence[float] | Array, sizes: tuple[int, ...], possible: str) -> Array:
     try:
-        found = np.asarray(told, float)
+        found = np.asarray(given, float)
     except (TypeError, ValueError):
         found = np.empty((0, 0))
     if found.ndim != 1 or len(found) not in sizes:
-        raise UsageError(f"{what}: {' '.join(str(told).split())[:80]} found, possible: {possible}")
+        raise UsageError(f"{what}: {' '.join(str(given).split())[:80]} found, possible: {possible}")
     return found

@@ -8,7 +8,7 @@ import numpy as np
 from ...types import Array
 from ..inference.reacquisition import AcquisitionState
 from ..inference.scalar_steps import Rows
-from .inputs import Told
+from .inputs import Observation
 
 
 @dataclass(eq=False, slots=True)
@@ -41,16 +41,16 @@ class Instant:
     angles: Array | None = None
     places: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
 
-    def add(self, told: Told) -> None:
+    def add(self, given: Observation) -> None:
         """Add readings of the same time."""
-        if self.angles is None or told.angles is None:
-            self.angles = told.angles if self.angles is None else self.angles
+        if self.angles is None or given.angles is None:
+            self.angles = given.angles if self.angles is None else self.angles
         else:
-            self.angles = np.where(np.isfinite(told.angles), told.angles, self.angles)
-        self.places = {**self.places, **told.places}
+            self.angles = np.where(np.isfinite(given.angles), given.angles, self.angles)
+        self.places = {**self.places, **given.places}
 
 
-class Recent:
+class ReplayBuffer:
     """The instants of the last `lag` seconds, and the state before them."""
 
     def __init__(self, base: State, lag: float, hear: Callable[[State, Instant], State]) -> None:
@@ -73,10 +73,10 @@ class Recent:
         """Whether t (s) is before all instants that can be recomputed."""
         return t <= self._base.t
 
-    def add(self, t: float, told: Told) -> tuple[State, State, float]:
+    def add(self, t: float, given: Observation) -> tuple[State, State, float]:
         """Insert readings at t (s) and recompute all later instants: the states after t and now, and the nats added."""
         index = self._index(t)
-        self._instants[index].add(told)
+        self._instants[index].add(given)
         before = self._after(index)
         nats = 0.0
         for instant in self._instants[index:]:

@@ -44,10 +44,10 @@ def sound(evidence: Evidence, features: Features, body: BodyModel, settings: Est
     wanted = chosen([name for name in features.tracks if name in body.senses], body, settings)
     findings = _check(used, settings.senses or (), features, silent(body.joints, encoders), wanted)
     # touches out of time are a result: they stay, with their small weights
-    heard = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
-    if not heard and (encoders is None or not np.isfinite(encoders.values).any()):
-        raise EvidenceError(f"no sense has anything to say: {_counts(used)}; give a log with joints or an effector")
-    return replace(evidence, sightings=heard, findings=(*evidence.findings, *findings))
+    kept = tuple(s for s in evidence.sightings if used[s.name].used or (s.name == "touch" and len(s.t)))
+    if not kept and (encoders is None or not np.isfinite(encoders.values).any()):
+        raise EvidenceError(f"no sense has measurements: {_counts(used)}; give a log with joints or an effector")
+    return replace(evidence, sightings=kept, findings=(*evidence.findings, *findings))
 
 
 def silent(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
@@ -61,7 +61,7 @@ def chosen(visual: Iterable[str], body: BodyModel, settings: Estimation) -> set[
     singles = {*body.joints, *body.senses}
     for name in (*(settings.senses or ()), *settings.without):
         if name not in groups and name not in singles:
-            raise UsageError(f"senses: {name!r} is none of {', '.join([*groups, *sorted(singles)])}")
+            raise UsageError(f"senses: {name!r} found, possible: {', '.join([*groups, *sorted(singles)])}")
 
     def spread(names: Iterable[str]) -> set[str]:
         return {single for name in names for single in groups.get(name, [name])}
@@ -132,8 +132,8 @@ def _check(
     for name in named:
         joint = features.joints is not None and name in features.joints.names
         members = visual if name == "vision" else {"encoders"} if joint and name not in silent else {name}
-        heard = any(used[member].used for member in members if member in used)
-        if not heard and not (name == "touch" and late):
+        kept = any(used[member].used for member in members if member in used)
+        if not kept and not (name == "touch" and late):
             raise EvidenceError(
                 f"{name}: asked for, but it gave no observation ({_counts(used)}; tracks: "
                 f"{', '.join(features.tracks) or 'none'}); leave it out of the senses, or name its topic"
@@ -141,8 +141,9 @@ def _check(
     empty = [name for name, health in used.items() if health.seen and not health.used and name not in named]
     if not wanted.intersection(features.joints.names if features.joints is not None else ()):
         empty = [name for name in empty if name != "encoders"]
-    said = {name: "out of time with what is seen" if name == "touch" and late else "left out" for name in empty}
-    return tuple(Finding("warning", f"{name}: nothing usable ({_words(used[name])}), {said[name]}") for name in empty)
+    outcome = {name: "not synchronous with the images" if name == "touch" and late else "left out" for name in empty}
+    texts = (f"{name}: nothing usable ({_words(used[name])}), {outcome[name]}" for name in empty)
+    return tuple(Finding("warning", text) for text in texts)
 
 
 def _counts(used: Mapping[str, Health]) -> str:
@@ -163,7 +164,7 @@ def start(evidence: Evidence, settings: Estimation, names: tuple[str, ...]) -> A
     if np.isnan(evidence.first).any():
         unknown = ", ".join(name for name, angle in zip(names, evidence.first, strict=True) if np.isnan(angle))
         raise LogError(
-            f"joints: no reading tells where {unknown} starts; type in robot.toml [estimate] start = "
+            f"joints: no reading of {unknown}; type in robot.toml [estimate] start = "
             f"[{', '.join(['0.0'] * len(names))}], the angles in rad of {', '.join(names)}"
         )
     return evidence.first

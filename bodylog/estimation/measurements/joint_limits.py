@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...kinematics.urdf import Limits
+from ...kinematics.robot import Limits
 from ...types import Array, Finding, Series
 from .joints_alone import NAMED, STEP
 
@@ -35,7 +35,7 @@ class _Outside:
         return self.typical > self.limits.upper - self.limits.lower
 
 
-def outside(joints: Series, limits: Mapping[str, Limits], source: str) -> Iterator[Finding]:
+def limit_findings(joints: Series, limits: Mapping[str, Limits], source: str) -> Iterator[Finding]:
     """Yield remarks on joints that read outside their limits (rad, m); `source`: where the limits are from.
 
     Where units or zeros differ from the URDF's, no joint gets a warning. They differ if one joint is a whole turn

@@ -23,22 +23,22 @@ NAMED = 3
 
 def joints_body(joints: Series, wanted: tuple[str, ...] | None) -> BodyModel:
     """A body of all joints with readings, or those wanted, without other senses; UsageError for an unknown joint."""
-    heard = [name for name, y in zip(joints.names, joints.values.T, strict=True) if np.isfinite(y).any()]
-    if unknown := [name for name in wanted or () if name not in heard]:
-        raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(heard)}; type: bodylog info LOG")
-    names = tuple(wanted or heard)
+    known = [name for name, y in zip(joints.names, joints.values.T, strict=True) if np.isfinite(y).any()]
+    if unknown := [name for name in wanted or () if name not in known]:
+        raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(known)}; type: bodylog info LOG")
+    names = tuple(wanted or known)
     noise = Noise((STEP**2 / 12.0,) * len(names), {}, (PROCESS,) * len(names))
     return BodyModel(names, {}, noise, TouchConstants(1.0, 0.005), {})
 
 
-def unlearned_body(cameras: Sequence[str]) -> Iterator[Finding]:
+def no_body_findings(cameras: Sequence[str]) -> Iterator[Finding]:
     """Yield the remark that no body is used, and which cameras are ignored."""
-    unused = f"; {', '.join(cameras)} not looked at: type --body body.npz, which fit writes" if cameras else ""
-    text = f"no --body: the joints' own sensors alone, which show no lasting offset{unused}"
+    unused = f"; images of {', '.join(cameras)} are not used: type --body body.npz, which fit writes" if cameras else ""
+    text = f"no --body: encoders alone, which do not show constant offsets{unused}"
     yield Finding("warning" if cameras else "info", text)
 
 
-def readings(joints: Series) -> Iterator[Finding]:
+def reading_findings(joints: Series) -> Iterator[Finding]:
     """Yield remarks on stamps and readings: steps back, repeats, gaps, joints without readings."""
     yield from _stamps(joints)
     repeats = {n: np.diff(y) == 0.0 for n, y in zip(joints.names, joints.values.T, strict=True)}

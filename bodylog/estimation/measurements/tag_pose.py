@@ -95,7 +95,7 @@ class TagPose:
         corners, var = np.stack([one.values for one in seen], axis=1), _variances(seen, tracks, body)
         values, cov = np.full((len(corners), 6), np.nan), np.tile(np.eye(6), (len(corners), 1, 1))
         for row in np.flatnonzero(np.isfinite(corners).all(axis=(1, 2))):
-            found = unmistakable(corners[row], var[row], points, self._lens)
+            found = unambiguous(corners[row], var[row], points, self._lens)
             if found is not None:
                 values[row], cov[row] = found.pose, found.cov
         model = PoseModel(tuple(body.senses[track] for track in tracks), points, self._lens)
@@ -115,7 +115,7 @@ def _variances(seen: Sequence[Series], tracks: Sequence[str], body: BodyModel) -
     return np.concatenate(parts, axis=1)
 
 
-def unmistakable(corners: Array, var: Array, points: Array, lens: Array) -> Solved | None:
+def unambiguous(corners: Array, var: Array, points: Array, lens: Array) -> Solved | None:
     """The pose of corners (4,2) px with variances (8,); None where its mirror image explains them nearly as well."""
     best = solved(corners, var, points, lens)
     other = _descended(corners, var, points, lens, *_mirrored(best.pose))

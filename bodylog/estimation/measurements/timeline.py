@@ -37,7 +37,7 @@ def timeline(evidence: Evidence, rate: float | None) -> Timeline:
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
     outputs = np.searchsorted(t, wanted)
-    return Timeline(t, encoders, sightings, outputs, _heard(evidence, t, encoders, sightings)[outputs])
+    return Timeline(t, encoders, sightings, outputs, _latest_source(evidence, t, encoders, sightings)[outputs])
 
 
 def output_times(evidence: Evidence, rate: float | None) -> Array:
@@ -85,7 +85,7 @@ def snapped(grid: Array, t: Array) -> Array:
     return np.where(np.abs(t[near] - grid) < SAME, t[near], grid)
 
 
-def _heard(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:
+def _latest_source(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:
     """Log time (E,) of the last message up to each instant."""
     latest = np.full(len(t), np.iinfo(np.int64).min)
     if evidence.encoders is not None:

@@ -37,7 +37,7 @@ class Curve:
     step: float
     at: Array
     x: Array
-    foretold: Array
+    predicted: Array
     noise: Array
     root: Array
     offsets: Array
@@ -61,17 +61,17 @@ class Rows:
         return Rows(self.t[rows], self.misfit[rows], self.slopes[rows], self.cross[rows], self.own[rows])
 
 
-def compared(curve: Curve, late: float) -> Rows:
+def regression_rows(curve: Curve, late: float) -> Rows:
     """Residuals and slopes of a curve delayed by `late` s."""
-    place, slope, value, speed, sound = places(curve, late)
+    place, slope, value, speed, sound = interpolated(curve, late)
     blur = curve.blur
-    misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.foretold - place, slope))
+    misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.predicted - place, slope))
     slopes = np.concatenate([slope[..., None], curve.offsets], axis=-1)
     cross, own = blur * (value * speed).sum(axis=1), blur * np.square(speed).sum(axis=1)
     return Rows(curve.at, misfit, slopes, cross, own).some(sound)
 
 
-def places(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array]:
+def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array]:
     """Positions (B,2) px and speeds (B,2) px/s of a curve delayed by `late` s, their weights, and where they are valid.
     """
     at, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
@@ -96,16 +96,16 @@ def _cubic(t: Array, at: Array, gap: float) -> tuple[Array, Array, Array, Array]
     return i - 1, value, speed, close & (s >= 0) & (s <= 1)
 
 
-def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
+def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     """The curve of a track beside at most `most` means of encoder readings; None where either is too short."""
-    t, places, var = _sound(seen)
+    t, places, var = _clean(seen)
     if len(t) < FEWEST or len(encoders.t) < FEWEST or (step := float(np.median(np.diff(t)))) > COARSE:
         return None
     # slightly more than a step, so that readings and frames do not stay in phase
     at, x, count = _means(encoders, max(step, 1.0001 * float(np.median(np.diff(encoders.t)))), most)
     if len(at) < FEWEST:
         return None
-    foretold, jac, model = seen.model.predict(x)
+    predicted, jac, model = seen.model.predict(x)
     encoder = _scatter(encoders.values) / count
     spread = np.einsum("bdm,bm,bem->bde", jac, encoder, jac)
     np.einsum("bdd->bd", spread)[:] += var
@@ -118,13 +118,13 @@ def drawn(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     offsets = np.einsum("bde,bem,bk->bdmk", root, jac, bends).reshape(len(at), 2, -1)
     # stated variance may include a model's misfit, scatter the arm's jerk: a frame's own noise is below both
     blur = np.einsum("bdd,d->b", inverse, np.minimum(var, _scatter(places)))
-    curve = Curve(t, places, step, at, x, foretold, noise, root, offsets, blur, encoder)
+    curve = Curve(t, places, step, at, x, predicted, noise, root, offsets, blur, encoder)
     while curve.step < SLOW and len(curve.t) >= 2 * FEWEST and _blurred(curve):
         curve = _paired(curve)
     return curve if len(curve.t) >= FEWEST else None
 
 
-def _sound(seen: Sighting) -> tuple[Array, Array, Array]:
+def _clean(seen: Sighting) -> tuple[Array, Array, Array]:
     """Times (N,), positions (N,2) and typical variance (2,), without repeated frames and single blunders."""
     shown = np.flatnonzero(np.isfinite(seen.values).all(axis=1))
     shown = shown[np.append(True, (np.diff(seen.values[shown], axis=0) != 0.0).any(axis=1))[: len(shown)]]
@@ -147,8 +147,8 @@ def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, A
     # a last row, for spans that end with the log
     since = np.append(encoders.t - encoders.t[0], 0.0)[:, None]
     values = np.append(encoders.values, np.full((1, encoders.values.shape[1]), np.nan), axis=0)
-    heard = np.isfinite(values)
-    parts = (heard.astype(float), np.where(heard, values, 0.0), heard * since)
+    known = np.isfinite(values)
+    parts = (known.astype(float), np.where(known, values, 0.0), known * since)
     count, total, time = (np.add.reduceat(part, parted, axis=0)[::2] for part in parts)
     full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
     count, total, time = count[full], total[full], time[full] / count[full]
@@ -167,7 +167,7 @@ def _scatter(values: Array) -> Array:
 
 def _blurred(curve: Curve) -> bool:
     """Whether noise is too large a share of the curve's speed."""
-    rows = compared(curve, 0.0)
+    rows = regression_rows(curve, 0.0)
     return bool(rows.own.sum() > BLUR * np.square(rows.slopes[..., 0]).sum())
 
 

@@ -84,7 +84,7 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple
     evidence = weighed(evidence, precision, settings)
     usual = habit(evidence, precision.process, first)
     problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
-    allowed = encoder_offset.allowed(settings.bias, body.joints, faults)
+    allowed = encoder_offset.preset_walks(settings.bias, body.joints, faults)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
     return led(problem), faults
 
@@ -131,14 +131,14 @@ def offset(problem: Problem, solved: Solution) -> Problem | None:
 
     A smoother's process variance lets its way forth lag, which looks like offsets: the likeliest has to see them, too.
     """
-    suspected, likeliest = encoder_offset.suspects(problem, solved), problem.precision.likeliest
+    suspected, likeliest = encoder_offset.suspected_encoders(problem, solved), problem.precision.likeliest
     if suspected.any() and likeliest is not None:
         problem = replace(problem, precision=replace(problem.precision, process=likeliest, fewer={}))
         try:
             solved = walk(problem) if problem.stepwise else solve(problem, solved, rest=ROUGHLY)
         except DidNotConverge:
             solved = walk(problem)
-        suspected = encoder_offset.suspects(problem, solved)
+        suspected = encoder_offset.suspected_encoders(problem, solved)
     if not suspected.any():
         return None
     chosen = encoder_offset.choose(problem, solved, suspected, partial(cost, warm=solved))

@@ -75,7 +75,7 @@ def solved(body: BodyModel, problem: Problem, settings: Estimation, smooth: bool
     found, motion, orders = _ordered(problem, noise, first, explored, walk, smooth)
     given = Offsets(found, walk, np.zeros(len(walk)))
     if settings.bias == "auto" and any(one.name != "touch" for one in problem.evidence.sightings):
-        given = offsets(found, walk, encoder_offset.least(problem.evidence.encoders), smooth)
+        given = offsets(found, walk, encoder_offset.smallest_fault(problem.evidence.encoders), smooth)
     return Answer(given, motion, orders, noise.scale)
 
 

@@ -86,15 +86,16 @@ def _chosen(
     free, findings = np.full(len(known), bias == "on"), list[Finding]()
     value, log_var = _best(rows, known, free, noise, begin)
     while bias == "auto" and not free.all():
-        likely = [j for j in np.flatnonzero(~free) if _promise(rows, log_var, free, int(j)) > HOPE]
+        likely = [j for j in np.flatnonzero(~free) if _offset_gain(rows, log_var, free, int(j)) > HOPE]
         also = [*begin, log_var]
         trials = {j: _best(rows, known, free | (np.arange(len(known)) == j), noise, also) for j in likely}
         order = sorted(trials, key=lambda j: -trials[j][0])
         if not order or trials[order[0]][0] - value < NATS:
             break
         if len(order) > 1 and trials[order[0]][0] - trials[order[1]][0] < APART:
-            alike = [names[j] for j in order if trials[order[0]][0] - trials[j][0] < APART]
-            text = f"encoders: an offset of {', '.join(alike)} explains these poses alike; another track tells which"
+            candidates = [names[j] for j in order if trials[order[0]][0] - trials[j][0] < APART]
+            names_of = ", ".join(candidates)
+            text = f"encoders: an offset of {names_of} explains these poses alike; another track tells which"
             findings.append(Finding("warning", text))
             break
         free[order[0]] = True
@@ -104,10 +105,10 @@ def _chosen(
     return Encoding(variance, offset, np.diag(cov), free, tuple(findings))
 
 
-def _promise(rows: _Rows, log_var: Array, free: Array, joint: int) -> float:
+def _offset_gain(rows: _Rows, log_var: Array, free: Array, joint: int) -> float:
     """Nats of evidence that one more offset wins at the present noise."""
-    more = free | (np.arange(len(free)) == joint)
-    return _evidence(log_var, rows, more)[0] - _evidence(log_var, rows, free)[0]
+    extended = free | (np.arange(len(free)) == joint)
+    return _evidence(log_var, rows, extended)[0] - _evidence(log_var, rows, free)[0]
 
 
 def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array]) -> tuple[float, Array]:

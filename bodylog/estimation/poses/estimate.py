@@ -22,7 +22,7 @@ def estimate(features: Features, body: BodyModel, settings: Estimation, can: Cap
     """
     if can.from_paper:
         possible = "laplace, smoother or ekf, which are the same for poses"
-        raise UsageError(f"method: {settings.method!r} follows a motion, but poses are each by itself; type {possible}")
+        raise UsageError(f"method: {settings.method!r} needs motion, but the log has still poses; type {possible}")
     evidence = screened(replace(features, touches=None), body, settings, detectors=POSES)
     sightings = [s for s in typed.sightings(evidence.sightings, settings) if s.name != "touch"]
     poses = gathered(evidence.encoders, sightings, body)
@@ -42,13 +42,13 @@ def _written(
     t, names = poses.t, body.joints
     errors, predicted, covs = dict[str, Series](), dict[str, Series](), dict[str, Array]()
     for sighting, columns in zip(poses.sightings, poses.rows, strict=True):
-        error, foretold, cov = _foretold(poses, at, sighting, columns)
-        errors[sighting.name], predicted[sighting.name], covs[sighting.name] = error, foretold, cov
+        error, prediction, cov = _predictions(poses, at, sighting, columns)
+        errors[sighting.name], predicted[sighting.name], covs[sighting.name] = error, prediction, cov
     if np.isfinite(poses.z).any():
         errors["encoders"] = Series(t, _encoder_errors(poses, found, at), names, "std", poses.source_ns)
     offset = np.broadcast_to(found.offset, poses.z.shape).copy()
     used = {"encoder": found.variance.tolist(), "scale": {s.name: 1.0 for s in poses.sightings}, "motion": "none"}
-    text = f"{len(t)} still poses, each by itself: no motion joins them"
+    text = f"{len(t)} still poses, each estimated separately"
     return Estimate(
         settings.method,
         Series(t, at.x, names, "rad", poses.source_ns),
@@ -74,7 +74,7 @@ def _covariance(found: Encoding, at: Solved, body: BodyModel) -> Array:
     return np.asarray(at.cov + np.diag(common) + np.einsum("pij,j,pkj->pik", lean, found.offset_var, lean))
 
 
-def _foretold(
+def _predictions(
     poses: Poses, at: Solved, sighting: Sighting, columns: slice
 ) -> tuple[Series, Series, Array]:
     """A track's leave-one-out errors, predicted positions and their covariance (P,2,2) at each pose.
@@ -99,9 +99,9 @@ def _foretold(
 
 def _encoder_errors(poses: Poses, found: Encoding, at: Solved) -> Array:
     """Leave-one-out error (P,M) of each reading, in standard deviations; NaN where missing."""
-    heard = np.isfinite(poses.z)
+    known = np.isfinite(poses.z)
     weighed = found.variance / np.maximum(at.encoder_weight, 1e-12)
     inside = np.einsum("pmm->pm", at.cov)
-    left = np.where(heard, poses.z - found.offset - at.x, np.nan) * weighed / np.maximum(weighed - inside, 1e-18)
+    left = np.where(known, poses.z - found.offset - at.x, np.nan) * weighed / np.maximum(weighed - inside, 1e-18)
     spread = weighed * inside / np.maximum(weighed - inside, 1e-18) + found.variance
     return np.asarray(left / np.sqrt(spread))

@@ -103,7 +103,7 @@ def solved(poses: Poses, encoder: Array, offset: Array, start: Array | None = No
     loose = np.flatnonzero(~np.isfinite(z).all(axis=1) & np.isfinite(poses.y).any(axis=1))
     if not len(loose):
         return best
-    some = part(poses, loose)
+    some = subset(poses, loose)
     for guess in guesses(some, encoder, offset):
         tried = descended(some, encoder, offset, guess)
         better = tried.cost < best.cost[loose] - 1e-9
@@ -111,7 +111,7 @@ def solved(poses: Poses, encoder: Array, offset: Array, start: Array | None = No
     return best
 
 
-def part(poses: Poses, chosen: Array) -> Poses:
+def subset(poses: Poses, chosen: Array) -> Poses:
     """Some of the poses."""
     columns = {name: getattr(poses, name)[chosen] for name in ("t", "source_ns", "z", "y", "var")}
     return replace(poses, **columns)
@@ -165,9 +165,9 @@ def descended(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
 
 def _step(poses: Poses, encoder: Array, offset: Array, now: Solved, damp: Array) -> Array:
     """The Gauss–Newton step (P,M), damped along the posterior's axes (Levenberg–Marquardt)."""
-    heard = np.isfinite(poses.z)
+    known = np.isfinite(poses.z)
     pull = np.einsum("pkm,pk->pm", now.jac, now.weight * np.where(np.isfinite(poses.y), now.r, 0.0) / now.var)
-    pull += np.where(heard, now.encoder_weight * (poses.z - offset - now.x) / encoder, 0.0)
+    pull += np.where(known, now.encoder_weight * (poses.z - offset - now.x) / encoder, 0.0)
     pull += (poses.centre - now.x) / poses.span**2
     information = np.linalg.inv(now.cov)
     information += damp[:, None, None] * np.eye(now.x.shape[1]) * np.einsum("pmm->pm", information)[:, None]
@@ -177,16 +177,16 @@ def _step(poses: Poses, encoder: Array, offset: Array, now: Solved, damp: Array)
 def _at(poses: Poses, encoder: Array, offset: Array, x: Array) -> Solved:
     """Residuals, weights, covariance and cost at x (P,M)."""
     g, jac, model = poses.predict(x)
-    var, seen, heard = model + poses.var, np.isfinite(poses.y), np.isfinite(poses.z)
-    r, e = np.where(seen, poses.y - g, 0.0), np.where(heard, poses.z - offset - x, 0.0)
+    var, seen, known = model + poses.var, np.isfinite(poses.y), np.isfinite(poses.z)
+    r, e = np.where(seen, poses.y - g, 0.0), np.where(known, poses.z - offset - x, 0.0)
     d, f = np.abs(r) / np.sqrt(var), np.abs(e) / np.sqrt(encoder)
-    weight, encoder_weight = weights(d) * seen, weights(f) * heard
+    weight, encoder_weight = weights(d) * seen, weights(f) * known
     information = np.einsum("pki,pk,pkj->pij", jac, weight / var, jac)
     information += np.eye(x.shape[1]) * (encoder_weight / encoder + poses.span**-2.0)[:, None]
     away = (x - poses.centre) / poses.span
     cost = costs(d).sum(axis=1) + costs(f).sum(axis=1) + 0.5 * np.square(away).sum(axis=1)
     cost += 0.5 * (np.log(2.0 * np.pi * var) * seen).sum(axis=1)
-    cost += 0.5 * (np.log(2.0 * np.pi * encoder) * heard).sum(axis=1)
+    cost += 0.5 * (np.log(2.0 * np.pi * encoder) * known).sum(axis=1)
     cost += 0.5 * np.linalg.slogdet(information)[1] + np.log(poses.span).sum()
     return Solved(x, np.linalg.inv(information), r, jac, var, weight, e, encoder_weight, cost)
 

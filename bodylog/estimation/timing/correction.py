@@ -9,7 +9,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import ModelError, UsageError
 from ...types import Array, Estimate, Features, Finding, Hypothesis, Series
-from ..faults.encoder_faults import screen
+from ..faults.encoder_faults import screen_encoders
 from ..measurements.gather import camera, columns
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track import ascending, pixel_variance
@@ -28,7 +28,7 @@ JOINTS = "joints"
 
 
 @dataclass(frozen=True, eq=False)
-class Dated:
+class Corrected:
     """Features with `delays` (s, by camera; zeros left out) subtracted, standard errors (s) of the measured ones, and
     remarks.
     """
@@ -40,33 +40,34 @@ class Dated:
     hypotheses: tuple[Hypothesis, ...] = ()
 
 
-def dated(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> Dated:
+def corrected(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> Corrected:
     """Subtract each camera's delay: as `given` {camera: s}, none if "off", else measured from the log.
 
     Unless the log contradicts it, a camera keeps the delay of the body's exploration log. UsageError for an unknown
     camera, ModelError for a body with invalid delays.
     """
-    names, learned = cameras([*features.tracks, *body.senses]), as_learned(body)
-    fixed = named(given, names)
+    names, learned = cameras([*features.tracks, *body.senses]), learned_delays(body)
+    fixed = fixed_delays(given, names)
     delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in (JOINTS, *names)}, dict[str, float]()
-    rests = late(earlier(features, delays), body)
-    gain = FURTHER if any(telling(rest) for rest in rests.values()) else GAIN
-    for name, rest in rests.items():
-        if telling(rest, gain=gain) and name not in fixed:
-            own = delays[name] + rest.seconds
+    residuals = measured_delays(shifted(features, delays), body)
+    gain = FURTHER if any(significant(residual) for residual in residuals.values()) else GAIN
+    for name, residual in residuals.items():
+        if significant(residual, gain=gain) and name not in fixed:
+            own = delays[name] + residual.seconds
             # a camera without its learned delay more likely has none than the measured rest
-            anew = not delays[name] or abs(own) > SURE * rest.std_error
-            delays[name], errors[name] = (own, rest.std_error) if anew else (0.0, 0.0)
+            keep = not delays[name] or abs(own) > SURE * residual.std_error
+            delays[name], errors[name] = (own, residual.std_error) if keep else (0.0, 0.0)
     weighed = tuple(
-        Hypothesis("camera late", name, rest.nats, gain, name not in fixed and telling(rest, gain=gain))
-        for name, rest in rests.items()
+        Hypothesis("camera late", name, residual.nats, gain, name not in fixed and significant(residual, gain=gain))
+        for name, residual in residuals.items()
     )
     errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
-    return Dated(earlier(features, delays), delays, errors, tuple(told(delays, errors, rests, fixed)), weighed)
+    findings = tuple(delay_findings(delays, errors, residuals, fixed))
+    return Corrected(shifted(features, delays), delays, errors, findings, weighed)
 
 
-def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
+def fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
     """Delays (s) of joints and cameras that are given, not measured; UsageError for an unknown name."""
     known = (JOINTS, *names)
     if isinstance(given, str):
@@ -74,7 +75,7 @@ def named(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, f
     # delays of single topics are applied in recording/
     given = {name: late for name, late in given.items() if not name.startswith(f"{JOINTS}/")}
     if unknown := [name for name in given if name not in known]:
-        raise UsageError(f"delay: {unknown[0]!r} is none of {', '.join(known)}; type --delay {known[-1]}=0.05")
+        raise UsageError(f"delay: {unknown[0]!r} found, possible: {', '.join(known)}; type --delay {known[-1]}=0.05")
     return dict(given)
 
 
@@ -83,100 +84,100 @@ def cameras(tracks: Iterable[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(camera(name) for name in tracks if name != "encoders"))
 
 
-def telling(delay: Delay, least: float = LEAST, gain: float = GAIN) -> bool:
+def significant(delay: Delay, least: float = LEAST, gain: float = GAIN) -> bool:
     """Whether a delay wins more than `gain` nats and exceeds `least` s."""
     return delay.nats > gain and abs(delay.seconds) > least
 
 
-def earlier(features: Features, delays: Mapping[str, float]) -> Features:
+def shifted(features: Features, delays: Mapping[str, float]) -> Features:
     """Subtract delays (s) from the times of each camera's tracks and of the joints."""
-    tracks = {name: _earlier(track, delays.get(camera(name), 0.0)) for name, track in features.tracks.items()}
-    joints = None if features.joints is None else _earlier(features.joints, delays.get(JOINTS, 0.0))
+    tracks = {name: _shifted(track, delays.get(camera(name), 0.0)) for name, track in features.tracks.items()}
+    joints = None if features.joints is None else _shifted(features.joints, delays.get(JOINTS, 0.0))
     return replace(features, tracks=tracks, joints=joints)
 
 
-def late(features: Features, body: BodyModel) -> dict[str, Delay]:
+def measured_delays(features: Features, body: BodyModel) -> dict[str, Delay]:
     """Measure each camera's delay relative to the encoders, where the log determines it."""
     if features.joints is None or not len(features.joints.t):
         return {}
     begin, end = np.nanmin(features.joints.t), np.nanmax(features.joints.t)
     spare = max(0.0, 0.5 * (end - begin - ENOUGH))
     asked = {camera(name) for name in features.tracks if name in body.senses}
-    found = _late(features, body, begin + spare, end - spare)
-    return {**_late(features, body, begin, end), **found} if spare and asked - set(found) else found
+    found = _measured_between(features, body, begin + spare, end - spare)
+    return {**_measured_between(features, body, begin, end), **found} if spare and asked - set(found) else found
 
 
-def _late(features: Features, body: BodyModel, begin: float, end: float) -> dict[str, Delay]:
+def _measured_between(features: Features, body: BodyModel, begin: float, end: float) -> dict[str, Delay]:
     """Delays from the readings and images between begin and end (s)."""
-    encoders, seen = heard(features, body, begin, end)
+    encoders, seen = sound_measurements(features, body, begin, end)
     found = {} if encoders is None else {name: measured(encoders, tracks) for name, tracks in seen.items()}
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
-def heard(
+def sound_measurements(
     features: Features, body: BodyModel, begin: float = -np.inf, end: float = np.inf
 ) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:
     """Sound encoder readings and each camera's tracks between begin and end; None if a joint is missing."""
     joints, seen = features.joints, dict[str, list[Sighting]]()
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
-    rows = _within(joints.t, begin, end)
+    rows = _rows_between(joints.t, begin, end)
     values = joints.values[rows][:, columns(joints, body.joints)].astype(float)
     values[~np.isfinite(values)] = np.nan
     spoken = np.isfinite(values).any(axis=1)
     for name, track in features.tracks.items():
         if name in body.senses:
-            seen.setdefault(camera(name), []).append(_sighting(name, track, body, _within(track.t, begin, end)))
+            seen.setdefault(camera(name), []).append(_sighting(name, track, body, _rows_between(track.t, begin, end)))
     encoders = Encoders(joints.t[rows][spoken], values[spoken], joints.source_ns[rows][spoken])
-    return screen(encoders, body.joints)[0], seen
+    return screen_encoders(encoders, body.joints)[0], seen
 
 
 def as_stamped(found: Estimate, features: Features, timely: Features) -> Estimate:
     """Return an estimate from the `timely` features with the images' original timestamps of `features`."""
 
-    def stamped(told: Mapping[str, Series]) -> dict[str, Series]:
+    def stamped(series_of: Mapping[str, Series]) -> dict[str, Series]:
         tracks, stamps = timely.tracks, features.tracks
-        return {name: _stamped(series, tracks.get(name), stamps.get(name)) for name, series in told.items()}
+        return {name: _stamped(series, tracks.get(name), stamps.get(name)) for name, series in series_of.items()}
 
     return replace(found, errors=stamped(found.errors), predicted=stamped(found.predicted))
 
 
-def unsure(found: Estimate, timely: Dated) -> Estimate:
+def add_delay_uncertainty(found: Estimate, timely: Corrected) -> Estimate:
     """Add the uncertainty of measured delays to the covariance: a delay shifts the estimate along its rate.
 
     All cameras are measured against the same encoders, so their errors are correlated.
     """
     if not timely.errors:
         return found
-    heard = {camera(name) for name in timely.features.tracks}
-    rate, var = found.rate.values, sum(error**2 for error in timely.errors.values()) / len(heard)
+    cameras_measured = {camera(name) for name in timely.features.tracks}
+    rate, var = found.rate.values, sum(error**2 for error in timely.errors.values()) / len(cameras_measured)
     return replace(found, cov=found.cov + var * rate[:, :, None] * rate[:, None, :])
 
 
-def told(
-    delays: Mapping[str, float], errors: Mapping[str, float], rests: Mapping[str, Delay], fixed: Mapping[str, float]
+def delay_findings(
+    delays: Mapping[str, float], errors: Mapping[str, float], residuals: Mapping[str, Delay], fixed: Mapping[str, float]
 ) -> Iterator[Finding]:
-    """Yield a warning for each measured delay, and for each `fixed` one that the log contradicts (`rests`)."""
-    for name in (name for name in {**delays, **rests} if name != JOINTS):
-        delay, rest = delays.get(name, 0.0), rests.get(name)
-        if name in fixed and rest is not None and telling(rest):
-            late, given = delay + rest.seconds, f"--delay {name}={delay:g}" if delay else "none taken off"
-            better = f"{late:.4f}" if abs(late) > SURE * rest.std_error else "0"
+    """Yield a warning for each measured delay, and for each `fixed` one that the log contradicts (`residuals`)."""
+    for name in (name for name in {**delays, **residuals} if name != JOINTS):
+        delay, residual = delays.get(name, 0.0), residuals.get(name)
+        if name in fixed and residual is not None and significant(residual):
+            late, given = delay + residual.seconds, f"--delay {name}={delay:g}" if delay else "not corrected"
+            better = f"{late:.4f}" if abs(late) > SURE * residual.std_error else "0"
             advice = f"error bars are too small for that; type --delay {name}={better}"
-            yield Finding("warning", f"{name}: {_worded(late, rest.std_error)} ({given}): {advice}")
+            yield Finding("warning", f"{name}: {_worded(late, residual.std_error)} ({given}): {advice}")
         elif name in errors:
-            advice = f"type --delay {name}={delay:.4f} to say so, --delay off to leave it"
-            yield Finding("warning", f"{name}: {_worded(delay, errors[name])}, which is taken off; {advice}")
+            advice = f"type --delay {name}={delay:.4f} to confirm it, --delay off to keep the timestamps"
+            yield Finding("warning", f"{name}: {_worded(delay, errors[name])}, corrected; {advice}")
         elif name not in fixed and delay:
-            yield Finding("info", f"{name}: {_worded(delay)}, as where the body was learned, which is taken off")
+            yield Finding("info", f"{name}: {_worded(delay)}, as in the exploration log, corrected")
 
 
 def _worded(seconds: float, error: float | None = None) -> str:
     about = "" if error is None else f" ± {error:.4f}"
-    return f"its pictures are dated {abs(seconds):.4f}{about} s {'late' if seconds > 0 else 'early'} by the encoders"
+    return f"image timestamps {'lag' if seconds > 0 else 'lead'} the encoders by {abs(seconds):.4f}{about} s"
 
 
-def _earlier(series: Series, delay: float) -> Series:
+def _shifted(series: Series, delay: float) -> Series:
     return replace(series, t=series.t - delay) if delay else series
 
 
@@ -188,7 +189,7 @@ def _stamped(series: Series, timely: Series | None, track: Series | None) -> Ser
     return replace(series, t=track.t[order[np.searchsorted(timely.t[order], series.t)]])
 
 
-def _within(t: Array, begin: float, end: float) -> Array:
+def _rows_between(t: Array, begin: float, end: float) -> Array:
     """Row numbers of ascending times t (N,) between begin and end."""
     return np.flatnonzero(ascending(t) & (t >= begin) & (t <= end))
 
@@ -200,7 +201,7 @@ def _sighting(name: str, track: Series, body: BodyModel, rows: Array) -> Sightin
     return Sighting(name, model, track.t[rows], values, np.broadcast_to(var, values.shape), track.source_ns[rows])
 
 
-def as_learned(body: BodyModel) -> dict[str, float]:
+def learned_delays(body: BodyModel) -> dict[str, float]:
     """Delays (s) by camera that a body was learned with; ModelError for anything else in its provenance."""
     found = body.provenance.get("delay", {})
     if not isinstance(found, Mapping) or not all(

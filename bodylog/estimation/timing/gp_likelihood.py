@@ -11,7 +11,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import FEWEST, Curve, drawn, places
+from ..measurements.track_curve import FEWEST, Curve, interpolated, track_curve
 from .regression import FARTHEST, ROUNDS, STEP, STILL, Delay
 
 MOST = 400
@@ -25,13 +25,13 @@ Prior = Callable[[Array], tuple[Array, Array]]
 
 def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]) -> Delay | None:
     """The delay of one camera's tracks; None where they are too short."""
-    told = [
+    curves = [
         (curve, *prior(curve.x)) for track, prior in zip(seen, priors, strict=True)
-        if (curve := drawn(encoders, track, MOST // len(seen))) is not None
+        if (curve := track_curve(encoders, track, MOST // len(seen))) is not None
     ]  # fmt: skip
     late = 0.0
     for _ in range(ROUNDS):
-        parts = [_told(curve, mean, cov, late) for curve, mean, cov in told]
+        parts = [_sums(curve, mean, cov, late) for curve, mean, cov in curves]
         # tracks beside the same encoders have correlated errors
         pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
         if weight <= 0.0 or abs(late) > FARTHEST:
@@ -43,10 +43,10 @@ def measured(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prio
     return None
 
 
-def _told(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
+def _sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
     """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late` s; zeros where too little is left."""
-    place, speed, *_, sound = places(curve, late)
-    off = np.linalg.norm(place - curve.foretold, axis=1)
+    place, speed, *_, sound = interpolated(curve, late)
+    off = np.linalg.norm(place - curve.predicted, axis=1)
     if sound.sum() < FEWEST:
         return 0.0, 0.0
     rows = np.flatnonzero(sound & (off <= BLUNDER * np.median(off[sound])))

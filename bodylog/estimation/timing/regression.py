@@ -13,7 +13,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import FEWEST, MOST, Rows, compared, drawn
+from ..measurements.track_curve import FEWEST, MOST, Rows, regression_rows, track_curve
 
 PART, STEPS, PARTS = 0.5, 12.0, 40
 """Shortest part of the jackknife in s and in steps of the curves, and the most parts."""
@@ -38,10 +38,10 @@ class Delay:
 
 def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
     """The delay of one camera's tracks; None where motion is too small or too short."""
-    curves = [curve for track in seen if (curve := drawn(encoders, track, MOST // len(seen))) is not None]
+    curves = [curve for track in seen if (curve := track_curve(encoders, track, MOST // len(seen))) is not None]
     late = 0.0
     for _ in range(ROUNDS):
-        parts = [compared(curve, late) for curve in curves]
+        parts = [regression_rows(curve, late) for curve in curves]
         if sum(len(part.t) for part in parts) < FEWEST:
             return None
         rows = _together(parts)
@@ -53,16 +53,17 @@ def measured(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
         own = np.sqrt(spread * np.square(weight[:, None] * (rows.slopes @ lean)).sum())
         late += float(np.clip(step, -STEP, STEP))
         if abs(step) < STILL * own:
-            told = np.square(rows.slopes @ lean).sum(axis=1)
-            if weight @ told < ONE * told.sum():
+            information = np.square(rows.slopes @ lean).sum(axis=1)
+            if weight @ information < ONE * information.sum():
                 return None
-            return _judged(late, own, rows, weight, lean, max(PART, STEPS * max(curve.step for curve in curves)))
+            part_length = max(PART, STEPS * max(curve.step for curve in curves))
+            return _with_std_error(late, own, rows, weight, lean, part_length)
         if abs(late) > FARTHEST:
             return None
     return None
 
 
-def _judged(late: float, own: float, rows: Rows, weight: Array, lean: Array, part: float) -> Delay:
+def _with_std_error(late: float, own: float, rows: Rows, weight: Array, lean: Array, part: float) -> Delay:
     """The delay, its standard error from noise and a jackknife over parts (s), and its evidence."""
     count = int(np.clip(np.ptp(rows.t) / part, 2, PARTS))
     edges = np.linspace(rows.t[0], rows.t[-1], count + 1)[1:-1]
@@ -71,9 +72,9 @@ def _judged(late: float, own: float, rows: Rows, weight: Array, lean: Array, par
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
     without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
     apart = np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum())
-    said = np.add.reduceat(np.square(weight[:, None] * (rows.slopes @ lean)).sum(axis=1), bounds[:-1])
-    voices = said.sum() ** 2 / np.square(said).sum()
-    nats = min(0.5 * (late / own) ** 2, 0.5 * voices * np.log1p((late / apart) ** 2 / voices))
+    part_information = np.add.reduceat(np.square(weight[:, None] * (rows.slopes @ lean)).sum(axis=1), bounds[:-1])
+    effective = part_information.sum() ** 2 / np.square(part_information).sum()
+    nats = min(0.5 * (late / own) ** 2, 0.5 * effective * np.log1p((late / apart) ** 2 / effective))
     return Delay(late, float(max(own, apart)), float(nats))
 
 

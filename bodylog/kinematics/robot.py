@@ -1,0 +1,140 @@
+"""Records of a robot's links and joints, and checks that they form a plausible tree."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..types import Array
+
+MOVING = ("revolute", "continuous", "prismatic")
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A joint that follows another: its angle is multiplier · that of `joint` + offset (rad or m)."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Range of a joint, rad or m by `unit`; `rounding`: half a unit of the URDF's last digit."""
+
+    lower: float
+    upper: float
+    rounding: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint: origin (4,4) of the child in the parent at zero, m · unit axis (3,) in the child.
+
+    limits: None where missing or invalid.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    mimic: Mimic | None = None
+    limits: Limits | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A tree of links; `source` names the file in messages."""
+
+    name: str
+    links: tuple[str, ...]
+    joints: tuple[Joint, ...]
+    source: str
+
+    @cached_property
+    def above(self) -> Mapping[str, Joint]:
+        """The parent joint of each link except the root."""
+        return {joint.child: joint for joint in self.joints}
+
+    @cached_property
+    def by_name(self) -> Mapping[str, Joint]:
+        """Joints by name."""
+        return {joint.name: joint for joint in self.joints}
+
+    @cached_property
+    def root(self) -> str:
+        """The link without a parent joint."""
+        return next(link for link in self.links if link not in self.above)
+
+
+def problems(robot: Robot) -> Iterator[str]:
+    """Yield the reasons why links and joints are not one tree."""
+    links = set(robot.links)
+    if not links:
+        yield "has no <link>"
+    for kind, names in (("link", list(robot.links)), ("joint", [joint.name for joint in robot.joints])):
+        twice = next((name for name in names if names.count(name) > 1), None) if len(set(names)) < len(names) else None
+        if twice is not None:
+            yield f"{kind} {twice!r} is declared twice"
+    for joint in robot.joints:
+        for end in (joint.parent, joint.child):
+            if end not in links:
+                yield f"joint {joint.name!r} leads to link {end!r}, which is not declared"
+    yield from _loops(robot)
+    yield from _followers(robot)
+
+
+def _loops(robot: Robot) -> Iterator[str]:
+    parents: dict[str, str] = {}
+    for joint in robot.joints:
+        if joint.child in parents:
+            first = parents[joint.child]
+            yield f"link {joint.child!r} hangs on two joints, {first!r} and {joint.name!r}; loops cannot be read"
+        parents[joint.child] = joint.name
+    sound: set[str] = set()
+    for link in robot.links:
+        path: list[str] = []
+        while link in robot.above and link not in sound:
+            path.append(link)
+            link = robot.above[link].parent
+            if link in path:
+                yield f"links {', '.join(path[path.index(link) :][:5])} hang on one another in a loop"
+                return
+        sound.update(path)
+    roots = [link for link in robot.links if link not in robot.above]
+    if len(roots) > 1:
+        yield f"links {', '.join(roots[:5])} hang on no joint; possible: one such link, the base"
+
+
+def _followers(robot: Robot) -> Iterator[str]:
+    for joint in robot.joints:
+        seen = [joint.name]
+        while joint.mimic is not None:
+            if joint.mimic.joint not in robot.by_name:
+                yield f"joint {joint.name!r} mimics {joint.mimic.joint!r}, which is not declared"
+                return
+            joint = robot.by_name[joint.mimic.joint]
+            if joint.name in seen:
+                yield f"joint {joint.name!r} mimics itself"
+                return
+            seen.append(joint.name)
+
+
+def implausible(robot: Robot) -> str | None:
+    """Why a robot cannot be real, or None: all its joints coincide, or lie kilometres apart."""
+    lengths = [float(np.linalg.norm(joint.origin[:3, 3])) for joint in robot.joints]
+    if max(lengths, default=0.0) < _SHORTEST:
+        return "none of its joints has an <origin> of any length"
+    if max(lengths) > _LONGEST:
+        joint = robot.joints[int(np.argmax(lengths))]
+        return f"joint {joint.name!r} stands {max(lengths):.0f} m from the one before; are its lengths in mm?"
+    return None
+
+
+_SHORTEST, _LONGEST = 1e-4, 20.0
+"""m: bounds on the longest distance between consecutive joints."""
