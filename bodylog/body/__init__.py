@@ -1,4 +1,4 @@
-"""Stage: body. What the robot should see, learned from exploration logs."""
+"""Stage: body. Forward models of the senses, learned from exploration logs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -23,7 +23,7 @@ def learn(
     update: BodyModel | None = None,
     hopeful: bool = False,
 ) -> "Learned":
-    """`learning.learn`, imported when there is something to learn from: predicting needs none of it."""
+    """Call `learning.learn`; the import is late, since predicting needs none of it."""
     from . import learning
 
     return learning.learn(features, settings, provenance, update, hopeful)
@@ -36,10 +36,10 @@ def with_kinematics(
     robot: "Robotics | None",
     update: BodyModel | None = None,
 ) -> "Learned":
-    """`kinematic.learn` of a body learned without a URDF; that body itself where there is none, or it is unfit.
+    """Add the URDF's kinematics to a learned body; return it unchanged without a URDF, or with an unsuitable one.
 
-    A body to update keeps its own chain unless a URDF is asked for.
-    Tracks that only kinematics could have explained are then refused, as they are where there is no URDF.
+    A body to update keeps its own chain unless a URDF is requested. Tracks that only kinematics could have explained
+    are then refused, as they are without a URDF.
     """
     with_it = _with_kinematics(features, settings, found, robot, update)
     if with_it.model is not found.model or not found.poor:

@@ -1,4 +1,4 @@
-"""What an exploration taught: how far each joint moved, how far that moved what was seen, and what it did not teach."""
+"""Report on an exploration: how far each joint moved, its effect on each track, and what could not be learned."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -11,7 +11,7 @@ from .gp.model import GP
 
 
 def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> Iterator[Score]:
-    """Range of each joint, its influence on each track, the model's own uncertainty beside the pixel noise."""
+    """Yield each joint's range, its influence on each track, and the model's std beside the pixel noise."""
     for joint in chosen:
         yield Score(f"range/{joint.name}", joint.range, "rad")
     for name, gp in senses.items():
@@ -23,7 +23,7 @@ def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> I
 
 
 def findings(heard: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:
-    """Joints of which vision says nothing: those that did not move, and those whose motion drowned in pixel noise."""
+    """Joints that vision does not observe: those that did not move, and those with less influence than pixel noise."""
     still = [joint for joint in heard if joint not in chosen]
     left_out = "left out: vision says nothing about it"
     found = [Finding("info", f"{j.name}: moved {j.range:.3f} rad, {left_out}") for j in still]
@@ -37,7 +37,7 @@ def findings(heard: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[st
 
 
 def unlearned(features: Sequence[Features], names: Sequence[str], wanted: Sequence[str] | None) -> list[Finding]:
-    """Joints that are not among those learned, `names`, though vision hangs on them: not heard, or moved unasked."""
+    """Warnings for joints that are not learned but move what is seen: too few readings, or not selected."""
     deaf = silent(features)
     found = [Finding("warning", f"{text}; left out: vision errs by what it moved") for text in deaf.values()]
     shared = [set(f.joints.names) for f in features if f.joints is not None]
@@ -50,6 +50,6 @@ def unlearned(features: Sequence[Features], names: Sequence[str], wanted: Sequen
 
 
 def influence(gp: GP) -> list[float]:
-    """For each joint, how far its motion alone moved the outputs, root mean square, in their unit."""
+    """Root mean square effect of each joint's motion on the outputs, in their unit."""
     slope = gp.means(gp.samples)[1]
     return [float(v) for v in np.sqrt((slope**2).sum(axis=1).mean(axis=0)) * gp.samples.std(axis=0)]

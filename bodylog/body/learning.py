@@ -1,4 +1,4 @@
-"""The body stage in one function: features of exploration logs -> BodyModel, scores, findings."""
+"""Learn a body: features of exploration logs -> BodyModel, scores, findings."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,9 +21,9 @@ from .senses import encoder_calibration, encoder_function, touch, track
 
 @dataclass(frozen=True, eq=False)
 class Learned:
-    """A body model, what it scored on data held out, and remarks on the exploration; the joints it was learned over.
+    """A body model, its scores on held-out data, remarks on the exploration, and the joints it was learned over.
 
-    poor: tracks, and why, of which a process alone learns nothing, kept for kinematics to explain.
+    poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics.
     """
 
     model: BodyModel
@@ -41,13 +41,12 @@ def learn(
     update: BodyModel | None = None,
     hopeful: bool = False,
 ) -> Learned:
-    """A body model from the features of one or many exploration logs, with what it says of itself.
+    """Learn a body model from the features of one or many exploration logs.
 
-    A body to update keeps its joints, the senses it was given, and touch where no log tells of it; what it was learned
-    from counts as one more log. `hopeful`: tracks that teach too little are kept for kinematics to explain.
-    Where logs have a reference, angles are its, and what encoders read is learned as well.
-    LogError without joints, ConfigError for an unknown joint, ModelError for another
-    robot's body, EvidenceError when nothing was seen or moved.
+    A body to update keeps its joints, its given senses, and touch unless a log has touches; its own samples count as
+    one more log. `hopeful`: tracks with too little information are kept for kinematics. Where logs have a reference,
+    its angles are used and the encoders' function is learned as well. LogError without joints, ConfigError for an
+    unknown joint, ModelError for another robot's body, EvidenceError when nothing was seen or moved.
     """
     features, absurd = plausible(features)
     wanted = settings.body.joints if update is None else _same(features, update)
@@ -96,7 +95,7 @@ def learn(
 def _posed(
     learned: Noise, senses: Mapping[str, track.Sense], count: int
 ) -> tuple[Noise, dict[str, Any]]:
-    """The noise with what still poses tell of their encoders, and that as std (rad) for the provenance."""
+    """Encoder noise from still poses, and its std (rad) for the provenance."""
     found = pose_errors.learned(senses, count)
     if found is None:
         return learned, {}
@@ -108,7 +107,7 @@ def _posed(
 def _senses(
     tracks: Mapping[str, Pairs], chosen: Sequence[Joint], fit: Fit, hopeful: bool
 ) -> tuple[dict[str, track.Sense], dict[str, str]]:
-    """Each track's model, and why there is none of the others; where `hopeful`, none worth keeping by itself."""
+    """Each track's model, and the reasons why others have none; `hopeful` keeps poor models, too."""
     found, poor = dict[str, track.Sense](), dict[str, str]()
     for name, part in tracks.items():
         why = trainable.unfit(part, [] if hopeful else chosen)
@@ -120,7 +119,7 @@ def _senses(
             else:
                 why = trainable.unexplained(found[name])
         if why is not None and fit.preset == "paper" and name in found:
-            continue  # the printed constants are asked for, whatever they foretell
+            continue  # the paper's constants are used whatever they predict
         if why is not None:
             poor[name] = why
             if not hopeful:
@@ -129,14 +128,14 @@ def _senses(
 
 
 def _nothing_seen(features: Sequence[Features]) -> str:
-    """That there is no track at all, and which joints moved."""
+    """The message without any track, with the joints that moved."""
     names = restless(features)
     moved = f"though {len(names)} joints moved ({', '.join(names)})" if names else "and no joint moved"
     return f"no track to learn from, {moved}; type: bodylog info LOG, and name a marker in [features]"
 
 
 def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:
-    """What there was, why no body can be learned of it, and what to record or type."""
+    """The message when no track can be learned, with what to record or type."""
     moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
     said = "; ".join(f"{name}: {why}, {trainable.seen(features, name)}" for name, why in poor.items())
     advice = "type bodylog features LOG to see what else there is, or record a marker that all joints move in view"
@@ -160,7 +159,7 @@ def _seen(body: BodyModel) -> dict[str, GP]:
 
 
 def _pictures(features: Sequence[Features]) -> dict[str, Any]:
-    """The cameras' topics, the first one first; the pictures' width, px, where all logs that know it agree in it."""
+    """The cameras' topics, first camera first, and the image width, px, if all logs agree on it."""
     cameras = next((list(f.cameras.values()) for f in features if f.cameras), [])
     widths = {f.picture_size[0] for f in features if f.picture_size is not None}
     known = {"cameras": cameras, "image_width": widths.pop() if len(widths) == 1 else None}

@@ -16,10 +16,10 @@ _EXACT = 1e-6
 
 
 def learned(motions: Sequence[Motion], senses: Mapping[str, GP], floors: Mapping[str, Array]) -> Noise:
-    """Noise of the joints (white-acceleration motions, one each) and senses; floors {name: (n,D) unit²} as measured."""
+    """Noise of joints (one white-acceleration motion each) and senses; floors {name: (n,D) unit²} as measured."""
     variances = {name: np.maximum(gp.noise + floors[name].mean(axis=0), _LEAST_PIXEL) for name, gp in senses.items()}
     errors = {name: _tuple(value * np.sqrt(2.0 / len(floors[name]))) for name, value in variances.items()}
-    # of a variance that nothing is known of, at most itself
+    # the standard error of an unknown variance is at most the variance
     errors["encoder"] = tuple(min(m.std_error[1], max(m.encoder, _LEAST_ENCODER)) for m in motions)
     errors["process"] = tuple(min(m.std_error[0], 1e9) for m in motions)
     return Noise(
@@ -31,9 +31,9 @@ def learned(motions: Sequence[Motion], senses: Mapping[str, GP], floors: Mapping
 
 
 def pooled(new: Noise, old: Noise) -> Noise:
-    """Two logs' noise as one: each variance the mean of both, weighed by how many readings each has it from.
+    """Pool the noise of two logs: each variance is the mean of both, weighted by their numbers of readings.
 
-    A sense only one of them has, or of which one does not say how well it knows it, keeps what the other says.
+    A sense of only one of them, or without standard errors in one, keeps the other's value.
     """
     count = {name: _readings(new, old, name) for name in ("encoder", *new.senses, *old.senses)}
     encoder = _mean(new.encoder, old.encoder, count["encoder"])
@@ -50,7 +50,7 @@ def _variance(noise: Noise, name: str) -> Array:
 
 
 def _readings(new: Noise, old: Noise, name: str) -> Array:
-    """Half the degrees of freedom (2,D) of new and old, whose root a variance is told to; all new where unknown."""
+    """Half the degrees of freedom (2,D) of new and old, from their standard errors; all new where unknown."""
     if name not in new.std_error or name not in old.std_error:
         return np.array([[1.0], [0.0]])
     both = np.stack([_variance(noise, name) for noise in (new, old)])
@@ -63,7 +63,7 @@ def _mean(new: tuple[float, ...], old: tuple[float, ...], weights: Array) -> tup
 
 
 def _error(new: Noise, old: Noise, name: str, weights: Array) -> tuple[float, ...]:
-    """Standard error of the mean; of a variance nearly nothing is known of, at most itself."""
+    """Standard error of the mean; that of a nearly unknown variance is at most the variance."""
     if name not in new.std_error or name not in old.std_error:
         return new.std_error.get(name, ())
     errors = np.stack([np.minimum(noise.std_error[name], _variance(noise, name)) for noise in (new, old)])

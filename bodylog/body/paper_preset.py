@@ -1,4 +1,4 @@
-"""The paper's preset: fixed hyperparameters on 46 samples (experiments section), kept to be compared with."""
+"""The paper's preset: fixed hyperparameters on 46 samples (experiments section), for comparison."""
 
 import numpy as np
 
@@ -11,6 +11,6 @@ _SIGMA = np.exp(0.02)
 
 
 def paper(data: Samples) -> Fitted:
-    """l = exp(0.1) rad for every joint, σ_n = exp(0.02) px, and no other amplitude than the kernel's own, 1 px²."""
+    """l = exp(0.1) rad for every joint, σ_n = exp(0.02) px, and the kernel's own amplitude, 1 px²."""
     kernel = Hyper(np.full(data.x.shape[1], _SCALE), 1.0, float(_SIGMA**2))
     return Fitted((slice(0, data.y.shape[1]),), (kernel,), (independent(np.zeros(len(data.x))),))

@@ -1,4 +1,4 @@
-"""How far still poses are from what their encoders read, by what several tracks err alike when they are held out.
+"""Errors of still poses against their encoders, learned from residuals that several tracks share.
 
 Held-out residuals of all tracks in one pose are r = J e + own: e, common to them, is normal with variance Q (M,) rad²
 of each joint (encoders, and whatever of the arm does not repeat); their own part is a share of the variance expected.
@@ -14,19 +14,19 @@ from .data.angles import STILL
 from .senses.track import Sense
 
 WIDTH = 2.0
-"""Of the logarithm of a standard deviation: how far from STILL it may well be."""
+"""Prior std of the logarithm of a standard deviation, about STILL."""
 FEWEST = 10
-"""Poses at least to learn it from."""
+"""Fewest poses."""
 SURE = 2.0
-"""Times its noise that a held-out sighting may be uncertain by: beyond, models err alike, and not the joints."""
+"""Largest model std of a held-out sighting over its noise; beyond it, errors are the models', not the joints'."""
 FARTHEST = 0.02
-"""rad: no encoder is off by more in every pose; tracks that err alike by more have models of too few poses."""
+"""rad: largest plausible error; larger shared residuals come from models of too few poses."""
 _LEAST, _STEP = 1e-6, 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Of P poses: residuals r (P,K) px, Jacobians (P,K,M) px/rad, variances (P,K) px², infinite where not seen."""
+    """P poses: residuals r (P,K) px, Jacobians (P,K,M) px/rad, variances (P,K) px², infinite where not seen."""
 
     r: Array
     jac: Array
@@ -34,7 +34,7 @@ class _Rows:
 
 
 def learned(senses: Mapping[str, Sense], joints: int) -> tuple[Array, Array] | None:
-    """Variance Q (M,) rad² and its standard error (M,); None where poses are too few to tell it from models' errors."""
+    """Variance Q (M,) rad² and its standard error (M,); None if poses are too few to separate it from model error."""
     from scipy.optimize import minimize
 
     rows = _rows(list(senses.values()), joints)
@@ -53,7 +53,7 @@ def learned(senses: Mapping[str, Sense], joints: int) -> tuple[Array, Array] | N
 
 
 def _rows(senses: Sequence[Sense], joints: int) -> _Rows:
-    """The held-out residuals of all tracks, pose by pose."""
+    """Held-out residuals of all tracks by pose."""
     keys = [np.stack([s.used.log.astype(float), s.used.t], axis=1) for s in senses]
     poses = np.unique(np.concatenate([key[key[:, 0] >= 0] for key in keys]), axis=0)
     shape = len(poses), 2 * len(senses)
@@ -70,7 +70,7 @@ def _rows(senses: Sequence[Sense], joints: int) -> _Rows:
 
 
 def _loss(p: Array, rows: _Rows) -> float:
-    """Minus ln density (nats) of all residuals with ln Q (M,) and ln of the tracks' own share, under the prior of Q."""
+    """Minus ln density (nats) of all residuals for ln Q (M,) and ln of the tracks' own share, with Q's prior."""
     common, own = np.exp(p[:-1]), rows.var * np.exp(p[-1])
     seen = np.isfinite(own)
     scaled = rows.jac / own[..., None]

@@ -56,14 +56,14 @@ _UNITS = {
     "cells": "px",
 }
 _UNUSED = {"b2": "1/s^2"}
-"""Bodies of before have it, with a2 and b2 among their touch constants, which nothing used."""
+"""Older bodies have it, with a2 and b2 among their touch constants, which nothing used."""
 _POSITIVE, _NOT_NEGATIVE = ("scales", "amplitude", "doubt"), ("noise", "spread", "drift")
 _LEAST, _LARGEST = 1e-30, 1e30
-"""Of what must be positive, and of any number: squares and products of four of these are finite and not 0."""
+"""Bounds of positive numbers and of any number: products of four of these are finite and not 0."""
 
 
 def save(model: BodyModel, path: Path) -> None:
-    """Write the model to `path` (.npz, whole or not at all); ModelError for a sense of another kind than known."""
+    """Write the model to `path` (.npz, whole or not at all); ModelError for an unknown kind of sense."""
     arrays: dict[str, Array] = {}
     for name, sense in model.senses.items():
         if type(sense) not in _KINDS:
@@ -81,14 +81,14 @@ def save(model: BodyModel, path: Path) -> None:
 
 
 def load(path: Path) -> BodyModel:
-    """Read a model; ModelError, naming the field, if it is not one, truncated, of another version or not finite."""
+    """Read a model; ModelError, naming the field, for a wrong, truncated, newer or non-finite file."""
     if not path.is_file():
         raise ModelError(f"{path}: there is no such body model; type: bodylog fit LOG -o {path}")
     try:
         with zipfile.ZipFile(path) as archive:
             return _read(path, archive)
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, OSError) as error:
-        if getattr(error, "filename", None) is not None:  # the file's, not of a place that is none in it
+        if getattr(error, "filename", None) is not None:  # the file could not be opened
             raise
         raise ModelError(f"{path}: not a whole .npz file ({error}); type: bodylog fit LOG -o body.npz") from error
 
@@ -134,7 +134,7 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
 
 
 def _touch(told: Mapping[str, Any]) -> TouchConstants:
-    """Without those of `_UNUSED`."""
+    """Touch constants without those of `_UNUSED`."""
     return TouchConstants(**{name: value for name, value in told.items() if name not in ("a2", "b2")})
 
 
@@ -275,7 +275,7 @@ def _sense(
 
 
 def _array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Array:
-    """One array of dtype kind "f" (float64) or "U"; its declared size must be what the archive holds."""
+    """Read one array of dtype kind "f" (float64) or "U"; its declared size must match the archive's."""
     try:
         info = archive.getinfo(member)
     except KeyError as error:

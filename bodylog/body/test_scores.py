@@ -1,4 +1,4 @@
-"""A body scored on logs it did not learn from: how far off it foretells each track, and whether it says so."""
+"""Score a body on test logs: prediction errors of each track, and the coverage of its error bars."""
 
 from collections.abc import Iterator, Sequence
 
@@ -18,10 +18,10 @@ COVERED = 2.0
 def score(
     model: BodyModel, features: Sequence[Features]
 ) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
-    """Scores test_…/TRACK of all logs together, and of a board's tracks together; remarks on those not scored.
+    """Scores test_…/TRACK of all logs together, and of a board's tracks together; remarks on tracks not scored.
 
-    The angles at a sighting are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the
-    body's, ModelError where one lacks its joints.
+    Angles are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the body's,
+    ModelError where one lacks its joints.
     """
     features, remarks = plausible([encoder_function.referred(found, model) for found in features])
     for index, found in enumerate(features):
@@ -48,13 +48,13 @@ def score(
 
 
 def _told(name: str, part: Pairs, model: BodyModel) -> tuple[Array, Array]:
-    """Errors (N,2) px of one track and their variances as the body states them (N,2) px²."""
+    """Errors (N,2) px of one track and their predicted variances (N,2) px²."""
     mean, jac, var = model.senses[name].predict(part.x)
     return part.y - mean, var + _pixels(name, part, model) + np.einsum("ndm,nm->nd", jac**2, part.variance)
 
 
 def _scores(name: str, error: Array, total: Array) -> Iterator[Score]:
-    """Errors (N,2) px and how they compare with what the body says of them, per axis and together."""
+    """Yield scores of errors (N,2) px, per axis and together, and their agreement with the variances."""
     ratio = error**2 / total
     size = np.linalg.norm(error, axis=1)
     yield Score(f"rmse/test/{name}", float(np.sqrt(np.mean(size**2))), "px")
@@ -67,7 +67,7 @@ def _scores(name: str, error: Array, total: Array) -> Iterator[Score]:
 
 
 def _pixels(name: str, part: Pairs, model: BodyModel) -> Array:
-    """Variance (N,2) px² of the sightings: as stated and what learning found beyond it, else what it found in all."""
+    """Variance (N,2) px² of sightings: stated std squared plus the learned excess, or else the learned one."""
     fallback = np.broadcast_to(model.noise.senses.get(name, (1.0, 1.0)), part.floor.shape)
     beyond = np.asarray(getattr(model.senses[name], "noise", 0.0))
     return np.where(part.floor > 0.0, part.floor + beyond, fallback)

@@ -1,1 +1,1 @@
-"""Readings to training pairs: angles at images, selection, what was shown."""
+"""Training data: joint angles at the times of images, selection, subsampling."""

@@ -22,10 +22,10 @@ _NEGLIGIBLE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """One signal on its time nodes: t (K,) s · gap (K-1,) in `unit` s · count (K,) readings of a node, total (K,) rad.
+    """A signal on time nodes: t (K,) s · gap (K-1,) in `unit` s · count (K,) readings of a node, total (K,) rad.
 
-    Readings are counted from `centre`, their mean. squares is the sum of their squares, a node's own slope removed;
-    degrees is how many of them are left to judge the noise by.
+    Readings are relative to `centre`, their mean. squares is the sum of their squares after each node's slope is
+    removed; degrees is the number of degrees of freedom left for the noise.
     """
 
     t: Array
@@ -60,13 +60,13 @@ class _System:
 
 
 def chain(t: Array, z: Array) -> Chain:
-    """The readings z (N,) rad at t (N,) s, those within 10 ms or a quarter step of each other on one node."""
+    """Group readings z (N,) rad at t (N,) s into nodes of 10 ms, or of a quarter step."""
     sound = np.isfinite(t) & np.isfinite(z)
     order = np.argsort(t[sound], kind="stable")
     t, z = t[sound][order], z[sound][order]
     centre = float(z.mean())
     unit, node = _nodes(t)
-    # a reading sent again is no second reading
+    # a repeated message is not a second reading
     fresh = np.append(True, (np.diff(node) > 0) | (np.diff(z) != 0))
     t, z, node = t[fresh], z[fresh] - centre, node[fresh]
     count, total = np.bincount(node).astype(float), np.bincount(node, z)
@@ -92,7 +92,7 @@ def _nodes(t: Array) -> tuple[float, Array]:
 
 
 def fit(signals: Sequence[Chain], order: int) -> Motion:
-    """The process and encoder variance of greatest evidence over all chains; encoder profiled out, ratio searched."""
+    """Process and encoder variance of greatest evidence over all chains; encoder profiled out, ratio searched."""
     from scipy.optimize import minimize_scalar
 
     unit, systems = max(signal.unit for signal in signals), [_system(signal, order) for signal in signals]
@@ -126,7 +126,7 @@ def posterior(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array]:
 
 
 def coupling(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array, Array]:
-    """Posterior covariance of the angle between instants `at` (K,) s ascending: row i > column j, value (L,) rad²."""
+    """Posterior covariance of the angle between times `at` (K,) s ascending: row i > column j, value (L,) rad²."""
     order, ratio = motion.order, _ratio(signal, motion)
     reach = int(np.ceil(_REACH * np.exp(-ratio / (2 * order)))) + 1
     diagonal, upper, _ = _blocks(signal, order, ratio)
@@ -150,14 +150,14 @@ def coupling(signal: Chain, motion: Motion, at: Array) -> tuple[Array, Array, Ar
 
 
 def _significant(block: Array, first: int, start: int) -> tuple[Array, Array, Array]:
-    """Entries below the diagonal of a slab whose rows start at `first` and columns at `start`, unless negligible."""
+    """Non-negligible entries below the diagonal of a slab whose rows start at `first` and columns at `start`."""
     i, j = np.nonzero(np.abs(block) > _NEGLIGIBLE * block.max())
     below = i + first > j + start
     return i[below] + first, j[below] + start, block[i[below], j[below]]
 
 
 def _place(signal: Chain, at: Array) -> tuple[Array, Array, Array]:
-    """Node to the left of each instant (K,), the time since and the time to the next, in the chain's unit."""
+    """Node to the left of each time (K,), and the times since it and to the next, in the chain's unit."""
     left = np.clip(np.searchsorted(signal.t, at, side="right") - 1, 0, len(signal.gap) - 1)
     early = np.clip((at - signal.t[left]) / signal.unit, 0.0, signal.gap[left])
     return left, early, signal.gap[left] - early
@@ -168,7 +168,7 @@ def _ratio(signal: Chain, motion: Motion) -> float:
 
 
 def _bridge(early: Array, late: Array, order: int, ratio: float) -> tuple[Array, Array, Array]:
-    """The angle between two nodes: weights (K,p) of the left and the right state, and the variance (K,) they leave."""
+    """The angle between two nodes: weights (K,p) of the left and right state, and the remaining variance (K,)."""
     here, there = covariance(order, early), covariance(order, late)
     out, on = transition(order, early), transition(order, late)
     whole = np.matmul(np.matmul(on, here), on.transpose(0, 2, 1)) + there
@@ -179,7 +179,7 @@ def _bridge(early: Array, late: Array, order: int, ratio: float) -> tuple[Array,
 
 
 def _profile(systems: Sequence[_System], order: int, unit: float, ratio: float) -> tuple[float, float]:
-    """Log evidence with the encoder variance at its best value, and that value; −inf where it cannot be computed."""
+    """Log evidence with the encoder variance profiled out, and that variance; −inf where it cannot be computed."""
     try:
         count, misfit, volume = _parts(systems, order, unit, ratio)
     except np.linalg.LinAlgError:
@@ -191,7 +191,7 @@ def _profile(systems: Sequence[_System], order: int, unit: float, ratio: float) 
 def _parts(systems: Sequence[_System], order: int, unit: float, ratio: float) -> Array:
     """Degrees of freedom, squared misfit for unit encoder variance, ln|posterior precision| − ln|prior precision|.
 
-    ratio is ln(process/encoder) with time counted in `unit` s.
+    ratio is ln(process/encoder) with time in `unit` s.
     """
     total = np.zeros(3)
     for system in systems:
@@ -240,6 +240,6 @@ def _std_error(
     ee = (value(0.0, h) - 2 * centre + value(0.0, -h)) / h**2
     pe = (value(h, h) - value(h, -h) - value(-h, h) + value(-h, -h)) / (4 * h**2)
     area = pp * ee - pe**2
-    if not (pp < 0 and ee < 0 and area > 0):  # at the edge of the search: nothing is known of the process
+    if not (pp < 0 and ee < 0 and area > 0):  # at the edge of the search the process is unknown
         return float("inf"), float(variance * np.sqrt(2.0 / sum(system.signal.degrees for system in systems)))
     return float(density * np.sqrt(-ee / area)), float(variance * np.sqrt(-pp / area))

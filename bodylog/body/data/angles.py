@@ -9,7 +9,7 @@ from ...types import Array
 from .angle_smoother import Chain, Motion, coupling, posterior
 
 STILL = 1e-3
-"""rad: standard deviation of an encoder in still poses, of which poses alone tell nothing; a servo's resolution."""
+"""rad: assumed std of encoders in still poses, which poses alone do not determine; a servo's resolution."""
 _SAME = 1e-6
 
 
@@ -18,7 +18,7 @@ class Angles(Protocol):
 
     @property
     def t(self) -> Array:
-        """Times (K,) s of what was read."""
+        """Times (K,) s of the readings."""
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """Angle (N,) rad at the times t (N,) s, NaN where unknown, and its variance (N,) rad²."""
@@ -29,7 +29,7 @@ class Angles(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A joint that moves along its chain of readings."""
+    """A moving joint with its chain of readings."""
 
     chain: Chain
     motion: Motion
@@ -44,36 +44,36 @@ class Moving:
         return posterior(self.chain, self.motion, t)
 
     def coupling(self, t: Array) -> tuple[Array, Array, Array]:
-        """Smoothing brings errors of neighbours together."""
+        """Smoothing correlates the errors of neighbours."""
         return coupling(self.chain, self.motion, t)
 
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A joint in still poses: t (K,) s ascending and what was read z (K,) rad, each by itself."""
+    """A joint in still poses: times t (K,) s ascending and readings z (K,) rad, independent of each other."""
 
     t: Array
     z: Array
 
     def at(self, t: Array) -> tuple[Array, Array]:
-        """The reading of the same pose; its noise is part of what each track is found to scatter by."""
+        """The reading of the same pose; its noise counts as part of each track's residual."""
         rows = np.clip(np.searchsorted(self.t, t - _SAME), 0, len(self.t) - 1)
         same = np.abs(self.t[rows] - t) <= _SAME
         return np.where(same, self.z[rows], np.nan), np.zeros(len(t))
 
     def coupling(self, t: Array) -> tuple[Array, Array, Array]:
-        """Poses do not err together."""
+        """Errors of poses are independent."""
         nothing = np.zeros(0, np.int64)
         return nothing, nothing, np.zeros(0)
 
 
 def posed(t: Array, z: Array) -> Posed:
-    """The poses whose reading z (N,) rad at t (N,) s is a number, in order of time."""
+    """The poses with a finite reading z (N,) rad at t (N,) s, by time."""
     rows = np.flatnonzero(np.isfinite(z) & np.isfinite(t))
     rows = rows[np.argsort(t[rows], kind="stable")]
     return Posed(t[rows], z[rows])
 
 
 def unmoved() -> Motion:
-    """What stands for the motion of a joint of which there are still poses alone: unknown, its encoder as STILL."""
+    """A placeholder motion for joints with still poses only: unknown, with encoder noise STILL."""
     return Motion(2, 1.0, STILL**2, 0.0, (float("inf"), float("inf")))

@@ -1,4 +1,4 @@
-"""Which joints of topics that nobody named are learned over: those whose motion some track shows."""
+"""Select joints of unnamed topics: those whose motion some track shows."""
 
 from collections.abc import Sequence
 
@@ -14,15 +14,15 @@ from .pairs import Joint, Pairs, pairs
 from .subsampling import farthest
 
 SAMPLES, FEWEST = 200, 8
-"""Sightings that are enough to see whether a joint moves a track, and below which nothing is seen."""
+"""Sightings that suffice to see whether a joint moves a track, and the fewest that are judged."""
 
 
 def shown(
     features: Sequence[Features], chosen: Sequence[Joint], fit: Fit
 ) -> tuple[list[Joint], list[Finding]]:
-    """The chosen joints without those found beside the first topic's that move no track by more than the model misses.
+    """Drop joints of further topics that move no track by more than the model's residual.
 
-    A gripper's fingers on a topic of their own are no part of where the arm is seen.
+    A gripper's fingers on a topic of their own, for example, do not move the arm's marker.
     """
     beside = {name for found in features for name in found.beside}
     if not any(joint.name in beside for joint in chosen):
@@ -39,7 +39,7 @@ def shown(
 
 
 def _moving(part: Pairs, chosen: Sequence[Joint], fit: Fit) -> set[str]:
-    """The joints whose own motion moves a track by more than the model misses of sightings left out one by one."""
+    """Joints whose own motion moves a track by more than the leave-one-out residual."""
     part = part.rows(farthest(part.x, SAMPLES))
     data = Samples(part.x, part.y, part.floor, part.variance)
     kernels = fitted(data, ROTATION, True, fit.seed)

@@ -1,4 +1,4 @@
-"""From features to training pairs: smoothed joint angles with their variance beside each sighting."""
+"""Training pairs from features: smoothed joint angles with their variance beside each sighting."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,11 +17,11 @@ _BLOCKS = 10
 _FEWEST = 4
 _EARLIER = -1
 _SEED = 0
-# farther than anything turns, in any unit an encoder counts in, and its square still far from overflow
+# no joint turns so far in any unit, and its square does not overflow
 _ABSURD = 1e12
-# share of a joint's range: a sighting while its encoder was silent for so long that this is unknown teaches nothing
+# share of a joint's range: a sighting with a more uncertain angle is dropped
 _VAGUE = 0.1
-# px: no camera has so many pixels in a row
+# px: larger than any image
 _FAR_PX = 1e6
 _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
@@ -30,7 +30,7 @@ _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 class Pairs:
     """x (n,M) rad, variance (n,M) · y (n,D) px, floor (n,D) variance · block (n,) of time.
 
-    log (n,) · t (n,) s, ascending within a log · frames looked at.
+    log (n,) · t (n,) s, ascending within a log · frames searched.
     """
 
     x: Array
@@ -43,7 +43,7 @@ class Pairs:
     frames: int
 
     def rows(self, chosen: Array) -> "Pairs":
-        """Only the chosen rows, which ascend."""
+        """Return some rows, in ascending order."""
         x, variance, y, floor = (a[chosen] for a in (self.x, self.variance, self.y, self.floor))
         return Pairs(x, variance, y, floor, self.block[chosen], self.log[chosen], self.t[chosen], self.frames)
 
@@ -58,17 +58,17 @@ class Joint:
 
     @cached_property
     def range(self) -> float:
-        """Smoothed angles' span, rad, the outer 1 % at each end left out."""
+        """Span of smoothed angles, rad, between the 1st and 99th percentile."""
         means = [one.at(one.t)[0] for one in self.angles]
         low, high = np.percentile(np.concatenate(means), [1, 99])
         return float(high - low)
 
 
 def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list[Joint]:
-    """The joints heard in all logs, or those wanted.
+    """The joints with readings in all logs, or those wanted.
 
-    LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no joint or one wanted
-    was not heard.
+    LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no joint or a wanted
+    joint has too few readings.
     """
     readings = [_readings(f, i, len(features)) for i, f in enumerate(features)]
     common = [n for n in readings[0].names if all(n in r.names for r in readings)]
@@ -86,7 +86,7 @@ def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list
 
 
 def silent(features: Sequence[Features]) -> dict[str, str]:
-    """Of each joint that some log names but does not hear often enough to learn it, what was found."""
+    """A message for each joint with too few readings in some log."""
     found, few = {}, f"{_FEWEST} are needed"
     for index, readings in enumerate(f.joints for f in features if f.joints is not None):
         for name, column in zip(readings.names, readings.values.T, strict=True):
@@ -97,7 +97,7 @@ def silent(features: Sequence[Features]) -> dict[str, str]:
 
 
 def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
-    """The features without readings that no joint can have, and a remark for each joint that had some; and places."""
+    """Remove impossible readings and positions, and return a remark for each joint and track that had some."""
     kept, said = [], []
     for index, found in enumerate(features):
         found, far = _near(found, index)
@@ -117,7 +117,7 @@ def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Findin
 
 
 def _near(found: Features, index: int) -> tuple[Features, list[Finding]]:
-    """The features without places farther off than any camera's pixels, and a remark for each track that had some."""
+    """Remove positions beyond any image, and return a remark for each track that had some."""
     tracks, said = dict(found.tracks), []
     for name, track in found.tracks.items():
         far: Array = np.asarray((np.abs(track.values) > _FAR_PX).any(axis=1))
@@ -129,12 +129,12 @@ def _near(found: Features, index: int) -> tuple[Features, list[Finding]]:
 
 
 def moves(joint: Joint) -> bool:
-    """Whether the joint moved: noise alone smooths to far less than this."""
+    """Whether the joint moved: smoothed noise alone spans far less."""
     return joint.range > _LEAST_RANGE
 
 
 def restless(features: Sequence[Features]) -> list[str]:
-    """Joints whose readings, noise and all, span more than those of a joint at rest."""
+    """Joints whose raw readings span more than those of a joint at rest."""
     found: dict[str, None] = {}
     for series in (f.joints for f in features if f.joints is not None):
         for name, column in zip(series.names, series.values.T, strict=True):
@@ -145,26 +145,26 @@ def restless(features: Sequence[Features]) -> list[str]:
 
 
 def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], every: int) -> Pairs:
-    """Sightings of one track with the angles of the chosen joints at the same instants."""
+    """Sightings of one track with the angles of the chosen joints at the same times."""
     parts = [_pairs(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
     still = [f.poses for f in features if track in f.tracks]
     return joined([_shuffled(part) if posed else part for part, posed in zip(parts, still, strict=True)])
 
 
 def earlier(x: Array, y: Array, spread: Array) -> Pairs:
-    """The samples of a body learned before, whose noise variance spread (n,D) already holds that of the angles."""
+    """The samples of an existing body, whose variance spread (n,D) already includes that of the angles."""
     label, block = np.full(len(x), _EARLIER), np.arange(len(x)) * _BLOCKS // len(x) - _BLOCKS
     return Pairs(x, np.zeros(x.shape), y, spread, block, label, np.arange(len(x), dtype=float), len(x))
 
 
 def joined(parts: Sequence[Pairs]) -> Pairs:
-    """All the pairs, in order."""
+    """Concatenate pairs."""
     columns = {name: np.concatenate([getattr(p, name) for p in parts]) for name in _COLUMNS}
     return Pairs(**columns, frames=sum(p.frames for p in parts))
 
 
 def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
-    """How the errors of the smoothed joints go together from one sighting to the next."""
+    """Correlation of the smoothed joints' errors between sightings."""
     nothing = np.zeros(0, np.int64)
     found = [(nothing, nothing, nothing, np.zeros(0))]
     for m, joint in enumerate(chosen):
@@ -176,7 +176,7 @@ def coupled(part: Pairs, chosen: Sequence[Joint]) -> Coupling:
 
 
 def _shuffled(part: Pairs) -> Pairs:
-    """Poses in blocks drawn at random: they are often measured along a grid, of which no part tells the rest."""
+    """Poses in random blocks: they often lie on a grid, of which no contiguous part predicts the rest."""
     return replace(part, block=np.random.default_rng(_SEED).permutation(part.block))
 
 

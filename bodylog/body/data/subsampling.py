@@ -1,4 +1,4 @@
-"""Which samples say most: farthest points to thin an exploration, greatest variance to carry a sparse posterior."""
+"""Subsampling: farthest points to thin an exploration, greatest variance to choose inducing points."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from ...types import Array
 
 
 def spaced(total: int, count: int) -> Array:
-    """At most `count` of `total` rows, evenly spaced, first and last among them."""
+    """At most `count` of `total` rows, evenly spaced, with the first and last."""
     return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))
 
 
@@ -24,7 +24,7 @@ def farthest(x: Array, count: int) -> Array:
 
 
 def pivots(z: Array, most: int, tolerance: float) -> Array:
-    """Rows of z (N,M), in length scales, each where those before leave most variance; ends below `tolerance` of it.
+    """Rows of z (N,M), in length scales, each of greatest variance given those before; ends below `tolerance`.
 
     A Cholesky factorisation with pivots (Foster et al. 2009), so the kernel of the rows is well conditioned.
     """

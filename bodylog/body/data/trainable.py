@@ -1,4 +1,4 @@
-"""Whether a track teaches a body: seen often enough, moving, and foretold held out better than by a constant."""
+"""Whether a track is worth learning: seen often enough, moving, and predicted better than by a constant."""
 
 from collections.abc import Sequence
 
@@ -9,16 +9,16 @@ from ..senses.track import Sense
 from .pairs import Joint, Pairs
 
 FEWEST, PER_JOINT = 8, 3
-"""Sightings of a track at least, in all and for every joint that moved."""
+"""Fewest sightings of a track, in all and per joint that moved."""
 SURE, BETTER = 2.0, 0.9
-"""A body foretells better than a constant where its median error in a held-out block is less than BETTER times the
-constant's, on the average of blocks, and that by SURE standard errors. Medians: a few false sightings are no matter."""
+"""A model is better than a constant if the mean log ratio of median held-out errors over blocks is below ln BETTER, and
+below 0 by SURE standard errors. Medians are robust to a few false sightings."""
 STILL = 1e-6
 """px: a track that moves less stands still."""
 
 
 def unfit(part: Pairs, chosen: Sequence[Joint]) -> str | None:
-    """Why a track's sightings are not worth learning from; None where they are."""
+    """Why a track's sightings cannot be learned from; None if they can."""
     least = max(FEWEST, PER_JOINT * len(chosen))
     if len(part.x) < least:
         moved = f"{len(chosen)} joint{'s' * (len(chosen) != 1)} moved"
@@ -30,7 +30,7 @@ def unfit(part: Pairs, chosen: Sequence[Joint]) -> str | None:
 
 
 def unexplained(found: Sense) -> str | None:
-    """Why a learned track is not worth keeping: what it foretells held out is no better than a constant."""
+    """Why a learned track is not kept: its held-out predictions are no better than a constant."""
     logs = np.array([_ratio(found.residual[rows], found.constant[rows]) for rows in _blocks(found.used.block)])
     spread = float(logs.std(ddof=1) / np.sqrt(len(logs))) if len(logs) > 1 else np.inf
     if float(logs.mean()) + SURE * spread < 0.0 and float(logs.mean()) < np.log(BETTER):
@@ -43,7 +43,7 @@ def unexplained(found: Sense) -> str | None:
 
 
 def explained(found: Sense) -> float:
-    """Share of the squared motion that the joints foretell held out, by medians: 1 all, 0 no more than a constant."""
+    """Share of the squared motion that held-out predictions explain, by medians: 1 all, 0 no more than a constant."""
     own, constant = (float(np.median(np.square(r).sum(axis=1))) for r in (found.residual, found.constant))
     return 1.0 - own / constant if constant > 0.0 else 0.0
 
@@ -71,7 +71,7 @@ def seen(features: Sequence[Features], name: str) -> str:
 
 
 def counted(found: Features, name: str) -> tuple[int, int, dict[str, int]]:
-    """Images looked at for a track, those it was seen in, and how many showed it not, by reason."""
+    """Images searched for a track, images it was seen in, and counts of the others by reason."""
     health, track = found.health.get(name), found.tracks[name]
     if health is not None:
         return health.seen, health.used, dict(health.rejected)
@@ -80,7 +80,7 @@ def counted(found: Features, name: str) -> tuple[int, int, dict[str, int]]:
 
 
 def moved(heard: Sequence[Joint], chosen: Sequence[Joint]) -> Finding:
-    """Which joints are learned over and how far they moved."""
+    """The joints learned over and their ranges."""
     ranges = ", ".join(f"{joint.name} {joint.range:.3g}" for joint in chosen)
     rest = [joint.name for joint in heard if joint not in chosen]
     others = f"; not learned over: {', '.join(rest)}" if rest else ""

@@ -1,4 +1,4 @@
-"""Integrated white noise on time nodes: its precision, solved and inverted in a time linear in their number."""
+"""Integrated white noise on time nodes: precision, solution and selected inverse in linear time."""
 
 from math import factorial
 
@@ -8,7 +8,7 @@ from ...types import Array
 
 
 def covariance(order: int, gap: Array) -> Array:
-    """Covariance (K,p,p) that unit white noise in the p-th derivative brings to (angle, rate, …) within the gaps."""
+    """Covariance (K,p,p) of (angle, rate, …) after the gaps for unit white noise in the p-th derivative."""
     back = np.arange(order - 1, -1, -1)
     scale = np.array([factorial(int(b)) for b in back], float)
     power = back[:, None] + back + 1.0
@@ -23,7 +23,9 @@ def transition(order: int, gap: Array) -> Array:
 
 
 def precision(order: int, gap: Array) -> tuple[Array, Array]:
-    """Of (angle, rate, …) on nodes with gaps (K-1,), unit density, start unknown: diagonal (K,p,p), upper (K-1,p,p)."""
+    """Precision of (angle, rate, …) on nodes with gaps (K-1,), unit density, diffuse start: diagonal (K,p,p), upper
+    (K-1,p,p).
+    """
     step = transition(order, gap)
     grow = gap[:, None] ** (order - np.arange(order) - 0.5)
     unit = np.linalg.inv(covariance(order, np.ones(1))[0])
@@ -42,7 +44,7 @@ def log_determinant(order: int, gap: Array) -> float:
 
 
 def banded(diagonal: Array, upper: Array) -> Array:
-    """Upper band storage (2p, K p) of the block-tridiagonal matrix, as LAPACK's pb routines want it."""
+    """Upper band storage (2p, K p) of the block-tridiagonal matrix, for LAPACK's pb routines."""
     count, order, _ = diagonal.shape
     band = np.zeros((2 * order, count * order))
     for i in range(order):

@@ -1,4 +1,4 @@
-"""Descent in a few variables between bounds: BFGS from a known curvature (Nocedal & Wright 2006, ch. 6)."""
+"""BFGS in a few variables with bounds, from a given curvature (Nocedal & Wright 2006, ch. 6)."""
 
 from collections.abc import Callable
 from math import sqrt
@@ -16,7 +16,7 @@ Loss = Callable[[Array], tuple[float, Array]]
 
 
 def descend(loss: Loss, first: Array, low: Array, high: Array, curvature: Array) -> Array:
-    """Where the loss (value, gradient (p,)) is least near `first` (p,); curvature (p,p) positive definite, a guess."""
+    """Minimise a loss (value, gradient (p,)) from `first` (p,); curvature (p,p): a positive definite guess."""
     guess = np.linalg.inv(curvature)
     here, inverse = first, guess
     value, gradient = loss(here)
@@ -38,12 +38,12 @@ def descend(loss: Loss, first: Array, low: Array, high: Array, curvature: Array)
 
 
 def _step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array) -> Array:
-    """The quasi-Newton step, no farther than 3 in any variable; variables held by a bound stay."""
+    """The quasi-Newton step, at most 3 in any variable; variables held by a bound stay."""
     held = ((here <= low) & (gradient > 0)) | ((here >= high) & (gradient < 0))
     if held.any():
         free = np.flatnonzero(~held)
         step = np.zeros(len(here))
-        # inverse of the curvature among the free variables alone, so that the step still goes down
+        # inverse of the curvature of the free variables alone, so that the step still descends
         step[free] = -np.linalg.solve(np.linalg.inv(inverse)[np.ix_(free, free)], gradient[free])
     else:
         step = -(inverse @ gradient)
@@ -53,7 +53,7 @@ def _step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array)
 def _search(
     loss: Loss, here: Array, value: float, gradient: Array, step: Array, low: Array, high: Array
 ) -> tuple[Array, float, Array] | None:
-    """The first point along the step, halved or less each time, where the loss has fallen; None when nowhere."""
+    """The first point along the step, shortened each time, with enough decrease; None if there is none."""
     share = 1.0
     for _ in range(20):
         there = np.minimum(np.maximum(here + share * step, low), high)
@@ -61,13 +61,13 @@ def _search(
         fall = float(gradient @ (there - here))
         if found <= value + _ENOUGH * fall:
             return there, found, slope
-        # least of the parabola through both values and the first slope
+        # minimum of the parabola through both values and the first slope
         share *= min(0.5, max(0.1, -0.5 * fall / (found - value - fall))) if np.isfinite(found) else 0.1
     return None
 
 
 def _updated(inverse: Array, step: Array, bend: Array) -> Array:
-    """N&W (6.17); unchanged where the loss bends down."""
+    """N&W (6.17); unchanged where the curvature is negative."""
     along = float(step @ bend)
     if along <= 1e-12 * sqrt(float(step @ step) * float(bend @ bend)):
         return inverse

@@ -1,4 +1,4 @@
-"""Held-out residuals without refitting: leave one block of time out, in closed form (R&W 5.12; sums for the sparse)."""
+"""Held-out residuals without refitting: leave one block of time out, in closed form (R&W 5.12; sums if sparse)."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def residuals(data: Samples, found: Fitted, block: Array) -> tuple[Array, Array]
 
 
 def alone(data: Samples, found: Fitted) -> Array:
-    """Each sample's residual (n,D) in deviations, itself left out (left in on inducing points: it is one of many)."""
+    """Each sample's leave-one-out residual (n,D) in deviations; on inducing points it is left in, one of many."""
     result = np.empty(data.y.shape)
     for index, group in enumerate(found.groups):
         kernel, spread, y = found.kernels[index], found.spreads[index], data.y[:, group]

@@ -1,4 +1,4 @@
-"""From samples to a GP: kernels by evidence, input noise as output noise (McHutchon & Rasmussen 2011)."""
+"""Fit a GP to samples: kernels by evidence, input noise as output noise (McHutchon & Rasmussen 2011)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,13 +12,13 @@ from .marginal_likelihood import FLAT, Hyper, Prior, Spread, condition, independ
 from .model import GP
 
 EXACT = 500
-"""Up to so many samples kernels and held-out residuals are the exact posterior's, which costs O(n³)."""
+"""Most samples for which kernels and held-out residuals use the exact posterior, at a cost of O(n³)."""
 
 FEW = 100
-"""Above so many samples predictions go by inducing points, for all of them cost more and say the same."""
+"""Most samples for exact predictions; inducing points predict the same from more samples, faster."""
 
 CANDIDATES = 12
-"""How many first guesses are weighed before the search for a kernel starts from the best."""
+"""First guesses compared before the search for a kernel."""
 
 _SCOUTS = 200
 _ROUNDS = 8
@@ -46,14 +46,14 @@ class Samples:
     coupling: Coupling | None = None
 
     def rows(self, chosen: Array) -> "Samples":
-        """Only the chosen rows, without their coupling."""
+        """Return some rows, without their coupling."""
         variance = None if self.variance is None else self.variance[chosen]
         return Samples(self.x[chosen], self.y[chosen], self.floor[chosen], variance)
 
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """Kernels found, one for each group of outputs, and the known noise of the samples they were found with."""
+    """Kernels, one for each group of outputs, and the known noise of the samples they were fitted to."""
 
     groups: tuple[slice, ...]
     kernels: tuple[Hyper, ...]
@@ -61,12 +61,12 @@ class Fitted:
 
 
 def samples(x: Array, y: Array) -> Samples:
-    """Samples of which no noise is known."""
+    """Samples without known noise."""
     return Samples(x, y, np.zeros(y.shape))
 
 
 def train(data: Samples, outputs: tuple[str, ...], unit: str, seed: int = 0, exact: int = EXACT) -> GP:
-    """The GP of greatest evidence, one kernel for all outputs, found from at most `exact` samples."""
+    """The GP of greatest evidence, one kernel for all outputs, fitted to at most `exact` samples."""
     return build(data, fitted(data, FLAT, True, seed, exact), outputs, unit)
 
 
@@ -82,13 +82,13 @@ def fitted(data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EX
 
 
 def build(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str, few: int = FEW) -> GP:
-    """The GP with kernels found: exact for `few` samples, for more on inducing points."""
+    """The GP with given kernels: exact for up to `few` samples, on inducing points for more."""
     make = assemble if len(data.x) <= few else condense
     return make(data, found, outputs, unit)
 
 
 def fit(data: Samples, prior: Prior, shared: bool, seed: int) -> Fitted:
-    """Kernels of greatest evidence under the prior; noise of the inputs refined until it settles."""
+    """Kernels of greatest evidence under the prior; noise from the inputs is refined until it settles."""
     count = data.y.shape[1]
     groups = (slice(0, count),) if shared else tuple(slice(d, d + 1) for d in range(count))
     spreads = tuple(independent(data.floor[:, g]) for g in groups)
@@ -117,7 +117,7 @@ def search(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper
 
 
 def polish(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior) -> Hyper:
-    """The kernel of greatest evidence near `start`, of outputs in units of their own noise."""
+    """The kernel of greatest evidence near `start`, for outputs in units of their own noise."""
     y = y / np.sqrt(spread.share)
     sx, sy = _deviation(x), float(np.mean(_deviation(y)))
     first = Hyper(start.scales / sx, start.amplitude / sy**2, start.noise / sy**2)
@@ -126,7 +126,7 @@ def polish(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior) -> Hy
 
 
 def lifted(data: Samples, gp: GP, groups: Sequence[slice]) -> tuple[Spread, ...]:
-    """Floor plus input noise seen through the slope of the mean: σ² + J Σₓ Jᵀ, one for each group of outputs."""
+    """Floor plus input noise propagated through the mean's slope: σ² + J Σₓ Jᵀ, one for each group of outputs."""
     slope = gp.means(data.x)[1]
     diagonal = data.floor + np.einsum("ndm,nm->nd", slope**2, np.asarray(data.variance))
     return tuple(_spread(data, slope[:, g], diagonal[:, g]) for g in groups)
@@ -152,7 +152,7 @@ def condense(data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str) 
 
 
 def inducing_bases(data: Samples, found: Fitted) -> list[Basis]:
-    """Each kernel on the inducing points that all share."""
+    """Each kernel on the common inducing points."""
     quietest = min(float(s.diagonal.min()) + k.noise for s, k in zip(found.spreads, found.kernels, strict=True))
     centres = inducing(found.kernels, data.x, quietest)
     return [basis(k, centres) for k in found.kernels]

@@ -1,4 +1,4 @@
-"""Posterior on inducing points: Titsias' collapsed bound in closed form, summed over the data block by block."""
+"""Posterior on inducing points: Titsias' collapsed bound in closed form, summed over blocks of data."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _TOLERANCE = 1e-11
 
 @dataclass(frozen=True, eq=False)
 class Basis:
-    """A kernel on inducing points (m,M) rad: their Gram matrix's factor, inverted (m,m)."""
+    """A kernel on inducing points (m,M) rad, with the inverse factor (m,m) of their Gram matrix."""
 
     kernel: Hyper
     centres: Array
@@ -28,7 +28,7 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """What the posterior needs of the data: outer (m,m), cross (m,1+G), inner (1+G,1+G), ln|C|, lost trace, samples."""
+    """Sufficient sums of the data: outer (m,m), cross (m,1+G), inner (1+G,1+G), ln|C|, lost trace, samples."""
 
     outer: Array
     cross: Array
@@ -38,7 +38,7 @@ class Sums:
     count: int
 
     def plus(self, other: "Sums", sign: int = 1) -> "Sums":
-        """The sums of both data sets; of the first without the second for sign −1."""
+        """Add the sums of another data set; subtract them for sign −1."""
         return Sums(
             self.outer + sign * other.outer,
             self.cross + sign * other.cross,
@@ -60,9 +60,9 @@ class Sparse:
 
 
 def inducing(kernels: Sequence[Hyper], x: Array, noise: float) -> Array:
-    """Points among x (n,M) rad that leave a hundredth of `noise` / n in the roughest of the kernels; at most 400.
+    """At most 400 points among x (n,M) rad that leave a hundredth of `noise` / n in the roughest of the kernels.
 
-    n samples of such noise are then told apart from the exact posterior by less than 0.01 nats (Burt et al. 2019).
+    Then n samples with such noise differ from the exact posterior by less than 0.01 nats (Burt et al. 2019).
     """
     pool = x[spaced(len(x), _POOL)]
     scales = np.min([k.scales for k in kernels], axis=0)
@@ -77,7 +77,7 @@ def basis(kernel: Hyper, centres: Array) -> Basis:
 
 
 def sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
-    """The sums over samples x (n,M), y (n,G) with known noise `spread`, whose couplings end at each 1024th sample."""
+    """Sums over samples x (n,M), y (n,G) with known noise `spread`, whose couplings end at each 1024th sample."""
     return reduce(Sums.plus, (_sums(base, x[rows], y[rows], part) for rows, part in _chunks(spread)))
 
 
@@ -119,7 +119,7 @@ def deviations(base: Basis, found: Sparse, x: Array, y: Array, spread: Spread) -
 
 
 def _sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
-    # whitened before it is summed: the sum itself would square the condition of the Gram matrix
+    # whiten before summing: the sum would square the condition number of the Gram matrix
     cross, sides = _cross(base, x) @ base.inverse.T, np.column_stack([np.ones(len(y)), y])
     seen = np.square(cross).sum(axis=1)
     if len(spread.i):
@@ -147,7 +147,7 @@ def _chunks(spread: Spread) -> Iterator[tuple[slice, Spread]]:
 
 
 def among(spread: Spread, rows: Array) -> Spread:
-    """The noise of some rows alone."""
+    """The noise of some rows."""
     place = np.full(len(spread.diagonal), -1)
     place[rows] = np.arange(len(rows))
     i, j = place[spread.i], place[spread.j]

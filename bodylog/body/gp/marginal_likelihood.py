@@ -1,4 +1,4 @@
-"""Marginal likelihood of an SE-ARD Gaussian process with constant mean, its gradient, and what maximises it."""
+"""Marginal likelihood of an SE-ARD Gaussian process with constant mean, its gradient, and its maximum."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -41,7 +41,7 @@ def hyper(theta: Array) -> Hyper:
 class Spread:
     """Known noise covariance of n samples: diagonal (n,) and entries value (L,) at rows i > columns j, each once.
 
-    share (G,), of mean 1: each output's own noise covariance is that many times this one.
+    share (G,), of mean 1: factor of each output's own noise covariance over this one.
     """
 
     diagonal: Array
@@ -51,7 +51,7 @@ class Spread:
     share: Array = field(default_factory=lambda: np.ones(1))
 
     def scaled(self, factor: float) -> "Spread":
-        """The same in other units."""
+        """Return the same noise in other units."""
         return Spread(self.diagonal * factor, self.i, self.j, self.value * factor, self.share)
 
 
@@ -74,20 +74,20 @@ class Posterior:
 
 @dataclass(frozen=True, eq=False)
 class Prior:
-    """What is known of length scales beforehand: log-normal about `scales` (M,) or (), relative width `width`."""
+    """Prior of length scales: log-normal about `scales` (M,) or (), relative width `width`."""
 
     scales: Array
     width: float
 
     def scaled(self, factor: Array) -> "Prior":
-        """The same for inputs in other units."""
+        """Return the same prior for inputs in other units."""
         return Prior(self.scales * factor, self.width)
 
 
 FLAT = Prior(np.ones(()), np.inf)
 
 # A point that turns about a joint is projected with autocovariance cos τ, whose curvature is that of l = 1 rad;
-# perspective and the joints beyond change that by less than a factor of two (two widths).
+# perspective and further joints change that by less than a factor of two (two widths).
 ROTATION = Prior(np.ones(()), 0.35)
 
 
@@ -103,12 +103,12 @@ def evidence(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, A
 
 
 def _evidence(theta: Array, terms: Array, y: Array, spread: Spread) -> tuple[float, Array]:
-    """The same for inputs whose terms are known."""
+    """The same for inputs with precomputed terms."""
     kernel, group = np.exp(theta), y.shape[1]
     gram = _grams(theta, terms)
     found = _condition(gram, kernel[-1], y, spread)
     inverse, _ = _lapack().dpotri(found.chol, lower=1, overwrite_c=1)
-    # R&W 5.9: what each entry of the covariance is worth, ααᵀ − G K⁻¹; one triangle, zeros in the other
+    # R&W 5.9: derivative by each entry of the covariance, ααᵀ − G K⁻¹; one triangle, zeros in the other
     worth = _blas().dsyrk(1.0, found.alpha, beta=-group, c=inverse, lower=1, overwrite_c=1).T
     trace = worth.trace()
     worth *= gram
@@ -123,7 +123,7 @@ def _evidence(theta: Array, terms: Array, y: Array, spread: Spread) -> tuple[flo
 def maximise(x: Array, y: Array, spread: Spread, prior: Prior, starts: Array) -> Hyper:
     """The kernel of greatest evidence under the prior; x and y of order one, starts (S,M+2) in theta.
 
-    One descent from the start of greatest evidence, its curvature that expected of the evidence there.
+    One descent from the best start, with the Fisher information there as first curvature.
     """
     terms = _terms(x)
     low = np.array([-10.0, *[-5.0] * x.shape[1], -23.0])
@@ -175,12 +175,12 @@ def _information(theta: Array, x: Array, group: int, spread: Spread, prior: Prio
 
 
 def _away(theta: Array, prior: Prior) -> Array:
-    """How many widths each length scale is away from the prior's."""
+    """Distance of each length scale from the prior's, in widths."""
     return np.asarray((theta[1:-1] - np.log(prior.scales)) / prior.width)
 
 
 def _terms(x: Array) -> Array:
-    """What the kernel's logarithm is a sum of: 1 and, of each input, −½ (xᵢ − xⱼ)²: (1+M,n²)."""
+    """Terms of the kernel's logarithm: 1 and, for each input, −½ (xᵢ − xⱼ)²: (1+M,n²)."""
     terms = np.ones((1 + x.shape[1], len(x), len(x)))
     np.subtract(x.T[:, :, None], x.T[:, None], out=terms[1:])
     terms[1:] *= -0.5 * terms[1:]
@@ -218,7 +218,7 @@ def cholesky(gram: Array, spread: Spread, noise: float) -> Array:
         matrix.reshape(-1)[:: count + 1] += diagonal + jitter
         if len(spread.i):
             matrix[spread.j, spread.i] += spread.value
-        # its transpose is in LAPACK's order, and as it is symmetric, the same
+        # the transpose is in LAPACK's order, and equal by symmetry
         chol, failed = dpotrf(matrix.T, lower=1, overwrite_a=1)
         if not failed:
             return np.asarray(chol)

@@ -11,24 +11,24 @@ from ...types import Array
 
 _BLOCK_BYTES = 1 << 19
 _SOME = 64
-"""Samples by which the model's errors are told."""
+"""Samples at which the correlation length of errors is estimated."""
 
 MISFIT = 1.2
-"""Times its posterior variance that a model errs by: no arm is a draw from a squared exponential, whose spectrum falls
-faster than any camera's. The least that was found of several arms; docs/learning.md has what was."""
+"""Factor on the posterior variance for model misfit: projected arms are rougher than draws of a squared exponential.
+The least that several arms showed; docs/learning.md has the figures."""
 
 NEGLIGIBLE = 1e-6
-"""Relative error of the variance allowed at any point, for leaving out directions the samples say nothing of."""
+"""Relative error of the variance that may come from dropping uninformative directions."""
 
 
 @dataclass(frozen=True, eq=False)
 class GP:
     """One sense's learned model: D outputs on shared centres, one squared-exponential kernel (G=1) or one each (G=D).
 
-    outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² ·
-    mean (D,) unit · weights (D,n) · factor (G,r,n): variance = MISFIT (amplitude − |factor k|²) · noise (D,) unit² that
-    was found beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: what it was learned from.
-    Outputs that share a kernel share it in units of their own noise: each one's variance is its `share` times that.
+    outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² · mean (D,)
+    unit · weights (D,n) · factor (G,r,n): variance = MISFIT (amplitude − |factor k|²) · noise (D,) unit² beyond the
+    samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: the training data. Outputs that share a kernel
+    share it in units of their own noise: each one's variance is its `share` times that.
     """
 
     outputs: tuple[str, ...]
@@ -46,7 +46,7 @@ class GP:
     misfit: ClassVar[float] = MISFIT
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
         x = np.atleast_2d(x)
         if len(x) == 1:
             value, slope, spread = self.predict_one(x[0])
@@ -58,7 +58,7 @@ class GP:
         return value, slope, spread
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
-        """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
+        """Predict at one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         offset = x - self._origin
         parts = [single.at(offset) for single in self._singles]
         if len(parts) == 1:
@@ -67,7 +67,7 @@ class GP:
         return np.concatenate(value), np.concatenate(slope), np.concatenate(spread)
 
     def means(self, x: Array) -> tuple[Array, Array]:
-        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance: O(N n)."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance: O(N n)."""
         parts = [single.means(x - self._origin) for single in self._singles]
         if len(parts) == 1:
             return parts[0]
@@ -75,10 +75,7 @@ class GP:
         return value, slope
 
     def covariance(self, x: Array) -> Array:
-        """Between all pairs of x (N,M) rad: (G,N,N) unit², each output's `share` times that of its kernel.
-
-        Model error is systematic, this says how far along.
-        """
+        """Covariance of the model's error between all pairs of x (N,M) rad: (G,N,N) unit², for outputs of `share` 1."""
         result = np.empty((len(self.scales), len(x), len(x)))
         for group, scales in enumerate(self.scales):
             kernel = se(x / scales, self.centres / scales, self.amplitude[group])
@@ -108,17 +105,17 @@ class GP:
 
     @cached_property
     def share(self) -> Array:
-        """What each output (D,) has of the noise, and the variance, of those that share its kernel."""
+        """Factor (D,) of each output's noise and variance over the mean of those that share its kernel."""
         return shares(self.spread) if len(self.scales) == 1 else np.ones(len(self.mean))
 
     @cached_property
     def reach(self) -> Array:
-        """Angles (M,) rad that are to part before the model errs otherwise: errors correlate by exp(−½ Σ (δ/reach)²).
+        """Correlation length (M,) rad of the model's errors: they correlate by exp(−½ Σ (δ/reach)²).
 
-        Near by a correlation bends by the variance of the error's slope over that of the error; where it was learned.
+        From the curvature at zero: the variance of the error's slope over that of the error, where it was learned.
         """
         x = self.samples[:: max(1, len(self.samples) // _SOME)]
-        # below this share of its amplitude a variance is rounding
+        # a variance below this share of the amplitude is rounding
         error = max(self.predict(x)[2].mean(), np.finfo(float).eps * self.amplitude.max())
         bend = self.slope_variance(x).mean(axis=(0, 1)) / error
         return np.asarray(1.0 / np.sqrt(np.maximum(bend, np.finfo(float).tiny)))
@@ -135,7 +132,7 @@ class GP:
         near, precision, members = self.centres - self._origin, self.scales[group] ** -2.0, self._members(group)
         amplitude, fixed = float(self.amplitude[group]), -0.5 * np.square(near) @ precision
         leans = (self.weights[members][:, None] * (near * precision).T).reshape(-1, len(near))
-        # amplitude here, not in the exponent: large exponents are rounded more, and the variance is what is left
+        # amplitude here, not in the exponent: large exponents round more, and the variance is a difference
         rows = amplitude * np.concatenate([self.weights[members], leans, self.factor[group]])
         near, rows = np.asfortranarray(near), np.asfortranarray(rows)
         return _Single(near, fixed, precision, rows, self.mean[members], MISFIT * self.share[members], amplitude)
@@ -143,11 +140,11 @@ class GP:
 
 @dataclass(frozen=True, eq=False)
 class _Single:
-    """One kernel's D outputs at one point or at many: all that is linear in the kernel in one product.
+    """One kernel's D outputs: all that is linear in the kernel as one product.
 
-    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean (D,) ·
-    share (D,), what each output has of the variance ·
-    amplitude · rows (D+DM+r,n), amplitude times: weights, weights times centres times precision, factor.
+    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean (D,) · share
+    (D,) of the variance · amplitude · rows (D+DM+r,n), amplitude times: weights, weights times centres times precision,
+    factor.
     """
 
     near: Array
@@ -165,7 +162,7 @@ class _Single:
 
     def kernel(self, offset: Array) -> tuple[Array, Array]:
         """At an offset (M,) from the origin of `near`: k (n,) of amplitude 1; the offset times the precision (M,)."""
-        # method calls: an operator's way to the same product takes as long as the product of 46 samples
+        # method calls: the operators' overhead is as large as the product of 46 samples
         tilt = offset * self.precision
         kernel = self.near.dot(tilt)
         kernel += self.fixed
@@ -186,9 +183,9 @@ class _Single:
         return value, slope, np.maximum(left, 0.0)[:, None] * self.share
 
     def means(self, offset: Array, left: Array | None = None) -> tuple[Array, Array]:
-        """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M); `left` (N,) takes what the samples leave of the amplitude.
+        """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M); `left` (N,) receives the remaining variance.
 
-        Block by block, lest all products go through memory; the kernel's logarithm is linear in [x/l², 1, −x·x/2l²].
+        Computed by blocks that fit the cache; the kernel's logarithm is linear in [x/l², 1, −x·x/2l²].
         """
         outputs, inputs = len(self.mean), offset.shape[1]
         linear, tilt = outputs * (1 + inputs), (offset * self.precision).T
@@ -207,13 +204,13 @@ class _Single:
 
 
 def _blocks(count: int, width: int) -> Iterator[slice]:
-    """Rows of a (count, width) array, as many at a time as stay near the processor."""
+    """Row slices of a (count, width) array that fit the cache."""
     step = max(1, _BLOCK_BYTES // (8 * width))
     return (slice(start, min(start + step, count)) for start in range(0, count, step))
 
 
 def shortened(gp: GP) -> GP:
-    """The same with as few rows r of the factor as keep the variance to NEGLIGIBLE of itself at every x.
+    """Drop rows r of the factor while the variance changes by at most NEGLIGIBLE of itself at every x.
 
     With F the factor and K the Gram matrix of the centres, F K Fᵀ has eigenvalues λ/(1+λ), where λ is signal over noise
     along an eigenvector. The prior bounds k(x) by its amplitude, so rows up to λ change a variance v by at most λ v.
@@ -228,7 +225,7 @@ def shortened(gp: GP) -> GP:
 
 
 def shares(variance: Array) -> Array:
-    """What each output (D,) has of variances (n,D), their mean 1; 1 for all where one has none."""
+    """Mean variances (D,) of variances (n,D) over their mean; all 1 where one is 0."""
     means = variance.mean(axis=0)
     return np.asarray(means / means.mean()) if means.all() else np.ones(len(means))
 

@@ -1,1 +1,1 @@
-"""A track's mean from a URDF, a camera and their unknowns."""
+"""Tracks with kinematics as their mean: a URDF, a camera and their unknowns."""

@@ -1,7 +1,7 @@
-"""What changed since a body was learned: a joint's zero, a camera's or a marker's place, each weighed by evidence.
+"""Changes since a body was learned: a joint's zero, a camera's or a marker's pose, each compared by evidence.
 
-Sightings leave r = A u + B z + g + noise of what the body foretells: u the changes, z ~ N(0, I) what it does not know
-of its own unknowns θ, g the residual's process. A change is a hypothesis: it must win nats with z and g marginalised.
+Residuals of the body's predictions are r = A u + B z + g + noise: u the changes, z ~ N(0, I) the uncertainty of the
+body's unknowns θ, g the residual's process. A change must win nats with z and g marginalised.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,17 +20,18 @@ from .change_system import Fit, Part, Problem, Track, cleaned, fitted, linear, l
 from .model import KinematicGP
 
 GAIN, APART = 20.0, 5.0
-"""Nats that a change must win, and by which it must beat any other to be named: what `estimation` asks of offsets."""
+"""Nats that a change must win, and its margin over any other for a unique name; as `estimation` requires for offsets.
+"""
 LEAST = 0.01
-"""rad: an offset that is no fault is no larger than this, as in `estimation`."""
+"""rad: smallest offset that counts as a fault, as in `estimation`."""
 SLIP, SLIDE = np.radians(5.0), 0.1
-"""rad: how far a zero may well have moved, and m per rad for a joint that slides; `fit --offset-prior`'s default."""
+"""rad: prior std of a zero's change, and m per rad for a prismatic joint; the default of `fit --offset-prior`."""
 CAMERA = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
-"""m, rad: how far a camera may well have been pushed; the doubt of one that a transform places (links.TF_POSE)."""
+"""m, rad: prior std of a camera's motion; that of a camera placed by a transform (links.TF_POSE)."""
 MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
-"""m, rad: how far a marker may well have slipped: its own size, and as far as a joint."""
+"""m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
 MOST, FEWEST = 200, 10
-"""Sightings of a track that are asked, at most and at least: a change shows in few, and more cost O(n³)."""
+"""Most and fewest sightings of a track: few show a change, and the cost is O(n³)."""
 _ONSETS = 8
 _PROMISING = 6
 _FINER = 4
@@ -41,8 +42,8 @@ _NEAR = np.array([-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8])
 class Change:
     """One change since the body was learned: `kind` joint, camera or marker · value ± std (K,) rad or m · nats won.
 
-    A joint has one value, its zero's; a camera place (3) m and turn (3) rad; a marker the place, a board its turn too.
-    since: s, None from the start on · rivals: what explains the same sightings nearly as well · unit: of a joint's.
+    A joint has one value, its zero's; a camera place (3) m and rotation (3) rad; a marker its place, a board also its
+    rotation. since: s, None from the start on · alternatives: explanations nearly as good · unit: of a joint's.
     """
 
     kind: str
@@ -56,15 +57,15 @@ class Change:
 
 
 def comparable(body: BodyModel) -> bool:
-    """Whether a body tells what changed: it was learned with a URDF, and its encoders read angles."""
+    """Whether a body can show changes: it was learned with a URDF, and its encoders read angles."""
     return "encoders" not in body.senses and any(isinstance(s, KinematicGP) for s in body.senses.values())
 
 
 @one_thread("scipy.linalg")
 def changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
-    """What changed between the logs that the body was learned from and these features, likeliest first.
+    """Find changes between the exploration logs and these features, most likely first.
 
-    Nothing where no track has kinematics, where its joints are not all heard, or where too little is seen.
+    Empty where no track has kinematics, a joint lacks readings, or too little is seen.
     """
     problem = _posed(features, body)
     if problem is None:
@@ -81,7 +82,7 @@ _Rivals = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """Parts accepted, fitted together, and of each what explains nearly as well."""
+    """Accepted parts with their common fit, and the alternatives of each."""
 
     problem: Problem
     parts: tuple[Part, ...]
@@ -90,7 +91,7 @@ class _Search:
 
 
 def _searched(problem: Problem, most: int) -> _Search:
-    """One part after the other while each wins GAIN nats; those go that later ones explain."""
+    """Add one part after the other while each wins GAIN nats; drop parts that later ones explain."""
     accepted, known, won = tuple[Part, ...](), fitted(problem, ()), dict[tuple[str, str], _Rivals]()
     while len(accepted) < most:
         taken = {*won, *(rival for rivals in won.values() for rival in rivals)}
@@ -106,7 +107,7 @@ def _searched(problem: Problem, most: int) -> _Search:
 
 
 def _paired(found: _Search, problem: Problem) -> _Search:
-    """The same, or the likeliest two joints where they are likelier: one other thing may stand for both."""
+    """The search's result, or the best pair of joints if more likely: one other part may imitate both."""
     constant = [part for part in problem.parts if part.kind == "joint" and np.isinf(part.onset)]
     if not found.parts or len(constant) < 2:
         return found
@@ -119,7 +120,7 @@ def _paired(found: _Search, problem: Problem) -> _Search:
 
 
 def _told(found: _Search) -> Iterator[Change]:
-    """Every part with the nats that are lost without it."""
+    """Yield every part with the nats lost without it."""
     for part in found.parts:
         others = tuple(one for one in found.parts if one is not part)
         without = fitted(found.problem, others, found.fit.unknowns)
@@ -127,7 +128,7 @@ def _told(found: _Search) -> Iterator[Change]:
 
 
 def _needed(problem: Problem, parts: tuple[Part, ...], fit: Fit) -> tuple[tuple[Part, ...], Fit]:
-    """Without parts that others, found later, explain as well."""
+    """Drop parts that others, found later, explain as well."""
     for part in parts[:-1]:
         others = tuple(one for one in parts if one is not part)
         without = fitted(problem, others, fit.unknowns)
@@ -137,7 +138,7 @@ def _needed(problem: Problem, parts: tuple[Part, ...], fit: Fit) -> tuple[tuple[
 
 
 def _timed(problem: Problem, accepted: tuple[Part, ...], part: Part, fit: Fit) -> tuple[Problem, Part, Fit]:
-    """The same with the onset where it is likeliest between those that were tried."""
+    """Refine the onset of a part between those that were tried."""
     reach, kept = float(np.diff(problem.onsets[1:]).max()), tuple(np.arange(len(one.part.x)) for one in problem.tracks)
     for turn in range(_FINER):
         ways = [replace(part, onset=float(onset)) for onset in part.onset + reach * _NEAR]
@@ -147,7 +148,7 @@ def _timed(problem: Problem, accepted: tuple[Part, ...], part: Part, fit: Fit) -
         if fits[best].evidence > fit.evidence:
             problem, part, fit = posed[best], ways[best], fits[best]
         if turn == 0:
-            # what only an onset in between explains seemed to be of something else
+            # sightings that only an intermediate onset explains looked like outliers
             problem = cleaned(replace(problem, kept=kept, scale=1.0))
             fit = fitted(problem, (*accepted, part), fit.unknowns)
         reach *= 0.5 if turn == 0 else 0.3
@@ -162,7 +163,7 @@ def _posed(features: Features, body: BodyModel) -> Problem | None:
     try:
         chosen = joints([features], body.joints)
     except InputError:
-        return None  # an encoder that is hardly heard
+        return None  # an encoder with hardly any readings
     tracks = []
     for name, model in senses.items():
         part = pairs([features], name, chosen, 1)
@@ -203,13 +204,13 @@ def _layout(tracks: Sequence[Track], names: tuple[str, ...]) -> Problem | None:
 def _tried(
     problem: Problem, accepted: tuple[Part, ...], known: Fit, taken: set[tuple[str, str]]
 ) -> list[tuple[Part, Fit]]:
-    """Of every part that is not yet explained what one more change wins, the likeliest first."""
+    """Fits of each remaining part added to the accepted ones, most likely first."""
     about = linearised(problem, known.unknowns)
     begin = linear(about, problem, accepted)
     promised = []
     for part in problem.parts:
         if part.thing not in taken:
-            # an onset anywhere is as likely as none
+            # all onsets together are as likely as none
             cost = 0.0 if np.isinf(part.onset) else float(np.log(len(problem.onsets) - 1))
             promised.append((linear(about, problem, (*accepted, part)) - begin - cost, cost, part))
     promised.sort(key=lambda one: -one[0])

@@ -1,4 +1,4 @@
-"""Sightings about what may have changed: linear in the changes, with what the body does not know marginalised."""
+"""Linear system of sightings in the changes, with the body's uncertainty marginalised."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -26,13 +26,13 @@ class Part:
 
     @property
     def thing(self) -> tuple[str, str]:
-        """What it is of."""
+        """Kind and name of what it belongs to."""
         return self.kind, self.name
 
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Sightings of one track, how their angles' errors go together, and the model that foretells them."""
+    """Sightings of one track, the correlation of their angles' errors, and the forward model."""
 
     model: KinematicGP
     part: Pairs
@@ -41,7 +41,8 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Tracks, the unknowns' parts with their σ (P,), onsets (S,) s; which rows count, and by what noise is greater."""
+    """Tracks, the unknowns' parts with their prior std (P,), onsets (S,) s; rows in use, and the factor on the noise.
+    """
 
     tracks: tuple[Track, ...]
     parts: tuple[Part, ...]
@@ -53,9 +54,10 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """About unknowns u: information (Q,Q) and pull (Q,) of z and drifts (first B) and u in deviations · rest, nats.
+    """About unknowns u: information (Q,Q) and pull (Q,) of z and drifts (`before` of them) and u in deviations · rest,
+    nats.
 
-    rows: of each track and output what is left, the columns and the standard deviation of each.
+    rows: residuals, columns and standard deviation of each track and output, and both whitened.
     """
 
     information: Array
@@ -67,7 +69,7 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Some parts' unknowns u (P,) where they are likeliest, their σ (P,), and the evidence in nats."""
+    """Most likely unknowns u (P,) of some parts, their std (P,), and the evidence in nats."""
 
     unknowns: Array
     std: Array
@@ -75,7 +77,7 @@ class Fit:
 
 
 def cleaned(problem: Problem) -> Problem:
-    """Without sightings that no change explains; with noise as great as what all changes together leave."""
+    """Drop sightings that no change explains, and scale the noise to the residuals of all changes together."""
     every = problem.parts
     for _ in range(2 * _TURNS):
         unknowns = fitted(problem, every).unknowns
@@ -98,7 +100,7 @@ def cleaned(problem: Problem) -> Problem:
 
 
 def fitted(problem: Problem, parts: Sequence[Part], begin: Array | None = None) -> Fit:
-    """The unknowns of some parts, all others zero, by Gauss-Newton."""
+    """Fit the unknowns of some parts, all others zero, by Gauss-Newton."""
     chosen = np.zeros(len(problem.std), bool)
     for part in parts:
         chosen[part.place] = True
@@ -118,7 +120,7 @@ def fitted(problem: Problem, parts: Sequence[Part], begin: Array | None = None) 
 
 
 def linear(about: System, problem: Problem, parts: Sequence[Part]) -> float:
-    """Evidence (nats) of some parts, all others zero, without a further linearisation."""
+    """Evidence (nats) of some parts, all others zero, at the present linearisation."""
     chosen = np.zeros(len(problem.std), bool)
     for part in parts:
         chosen[part.place] = True
@@ -126,7 +128,7 @@ def linear(about: System, problem: Problem, parts: Sequence[Part]) -> float:
 
 
 def solved(about: System, rows: Array) -> tuple[Array, Array, float]:
-    """Of some unknowns, in prior deviations: mean, covariance, and the evidence in nats."""
+    """Mean, covariance, in prior deviations, of some unknowns, and the evidence in nats."""
     matrix = about.information[np.ix_(rows, rows)] + np.eye(len(rows))
     covariance = np.linalg.inv(matrix)
     mean = covariance @ about.pull[rows]
@@ -135,7 +137,7 @@ def solved(about: System, rows: Array) -> tuple[Array, Array, float]:
 
 
 def linearised(problem: Problem, unknowns: Array) -> System:
-    """All sightings about some unknowns u (P,)."""
+    """Linearise all sightings about some unknowns u (P,)."""
     directions = problem.tracks[0].model.root.shape[1]
     drifts = 2 * len(problem.tracks)
     before = directions + drifts
@@ -162,7 +164,7 @@ def linearised(problem: Problem, unknowns: Array) -> System:
 
 
 def _noise(track: Track, kept: Array, slope: Array, output: int, like: Array) -> Array:
-    """Covariance (n,n) px² of one output's sightings: residual's process, their own, and that of their angles."""
+    """Covariance (n,n) px² of one output's sightings: residual process, their own noise, and that of their angles."""
     model, part = track.model, track.part
     cov = like * model.share[output]
     own = part.floor[kept, output] + model.noise[output] + (np.square(slope) * part.variance[kept]).sum(axis=1)
@@ -182,7 +184,7 @@ def _noise(track: Track, kept: Array, slope: Array, output: int, like: Array) ->
 def _track(
     problem: Problem, track: Track, unknowns: Array, kept: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """About u (P,): what is left (n,2) px, how u moves it (n,2,P), z (n,2,p), slopes (n,2,M), and angles x (n,M)."""
+    """About u (P,): residuals (n,2) px, derivatives by u (n,2,P) and z (n,2,p), slopes (n,2,M), and angles x (n,M)."""
     model, part = track.model, track.part
     t = part.t[kept]
     shift = np.zeros((len(kept), part.x.shape[1]))

@@ -24,12 +24,12 @@ from ..gp.marginal_likelihood import (
 _SCOUTS = 120
 _GUESSES = 8
 SEARCHED = 300
-"""Samples at most by which a kernel is found: a residual is smooth, and the evidence costs O(n³)."""
+"""Most samples in the search for a kernel: a residual is smooth, and the evidence costs O(n³)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Residuals r (n,D) px of samples at x (n,M) rad and how z moves them, design (n,D,P) px; known noise `spread`."""
+    """Residuals r (n,D) px of samples at x (n,M) rad and their derivatives by z (n,D,P) px; known noise `spread`."""
 
     x: Array
     residual: Array
@@ -37,7 +37,7 @@ class Rows:
     spread: Spread
 
     def some(self, rows: Array) -> "Rows":
-        """Only some rows."""
+        """Return some rows."""
         return Rows(self.x[rows], self.residual[rows], self.design[rows], among(self.spread, rows))
 
 
@@ -99,20 +99,20 @@ def _evidence(theta: Array, terms: Array, data: Rows) -> tuple[float, Array]:
 
 
 def worths(chol: Array, found: "Solved") -> Array:
-    """Twice what each entry (n,n) of the covariance is worth, nats: αα' + C⁻¹B H⁻¹ B'C⁻¹ − D C⁻¹ (R&W 5.9)."""
+    """Twice the derivative (n,n) of the evidence by the covariance, nats: αα' + C⁻¹B H⁻¹ B'C⁻¹ − D C⁻¹ (R&W 5.9)."""
     columns = np.concatenate([found.alpha.T, (found.lean @ found.root).transpose(0, 2, 1).reshape(-1, len(chol))])
     return np.asarray(columns.T @ columns - len(found.lean) * inverted(chol))
 
 
 def inverted(chol: Array) -> Array:
-    """The inverse (n,n) of what has this lower factor."""
+    """The inverse (n,n) of a matrix with this lower factor."""
     inverse = _lapack().dpotri(chol, lower=1)[0]
     return np.asarray(inverse + np.tril(inverse, -1).T)
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """z's posterior: mean (P,) and root (P,P), whose covariance is root rootᵀ · alpha (n,D), lean (D,n,P) · evidence.
+    """z's posterior: mean (P,) and root (P,P), with covariance root rootᵀ · alpha (n,D), lean (D,n,P) · evidence.
 
     alpha = C⁻¹(r − B z) and lean = C⁻¹B are of outputs in units of their own share of the noise.
     """
@@ -125,7 +125,7 @@ class Solved:
 
 
 def solved(chol: Array, data: Rows) -> Solved:
-    """The posterior of z and g, given the factor (n,n) of kernel and noise, and the evidence in nats."""
+    """The posterior of z and g for the factor (n,n) of kernel and noise, and the evidence in nats."""
     count, outputs, unknowns = data.design.shape
     own = np.sqrt(data.spread.share)
     residual, design = data.residual / own, data.design / own[:, None]
@@ -142,7 +142,7 @@ def solved(chol: Array, data: Rows) -> Solved:
 
 
 def posterior(information: Array, pull: Array) -> tuple[Array, Array, float]:
-    """z's mean (P,), root (P,P) and ln of its precision's determinant, of what data say: B'C⁻¹B (P,P), B'C⁻¹r (P,)."""
+    """z's mean (P,), root (P,P) and log determinant of its precision, from B'C⁻¹B (P,P) and B'C⁻¹r (P,)."""
     values, vectors = np.linalg.eigh(information + np.eye(len(pull)))
     values = np.maximum(values, 1.0)
     root = vectors / np.sqrt(values)
@@ -150,7 +150,7 @@ def posterior(information: Array, pull: Array) -> tuple[Array, Array, float]:
 
 
 def held_out(chol: Array, data: Rows, blocks: Array) -> tuple[Array, Array]:
-    """Residual (n,D) of each sample foretold without its block (n,), and its variance (n,D), noise included."""
+    """Residual (n,D) of each sample predicted without its block (n,), and its variance (n,D), noise included."""
     count, outputs = data.residual.shape
     found, own = solved(chol, data), np.sqrt(np.broadcast_to(data.spread.share, outputs))
     inverse = inverted(chol)
@@ -170,7 +170,7 @@ def held_out(chol: Array, data: Rows, blocks: Array) -> tuple[Array, Array]:
 class Condensed:
     """The same posterior on inducing points, in px: weights (D,m) of r − B z · lean (D,P,m) of B · factor (r,m) of GP.
 
-    information (P,P) and pull (P,): what the samples say of z.
+    information (P,P) and pull (P,): the samples' information on z.
     """
 
     weights: Array
@@ -181,7 +181,7 @@ class Condensed:
 
 
 def condensed(base: Basis, data: Rows) -> Condensed:
-    """On inducing points; the weights are of r alone, as where z's posterior mean is zero."""
+    """The posterior on inducing points, with weights for r alone, as for zero z."""
     count, outputs, unknowns = data.design.shape
     own = np.sqrt(np.broadcast_to(data.spread.share, outputs))
     sides = np.concatenate([data.residual / own, (data.design / own[:, None]).reshape(count, -1)], axis=1)

@@ -1,4 +1,4 @@
-"""An error that lasts: what a robot that warms up, or whose camera gives way, errs alike in for minutes."""
+"""Slowly varying errors, such as those of a robot that warms up or a camera mount that gives way."""
 
 from dataclasses import replace
 
@@ -12,14 +12,14 @@ from ..gp.model import se
 from .explicit import SEARCHED, Rows, solved, thinned, worths
 
 SPANS = (0.03, 0.1, 0.3)
-"""Shares of a log over which an error may last: of a longer one it shows less than three."""
+"""Correlation times as shares of a log; of a longer one the log shows less than three."""
 
 
 def lasting(t: Array, kernel: Hyper, data: Rows) -> tuple[Hyper, Rows, float]:
-    """Kernel, rows and variance (px²) with an error that correlates by exp(−Δt/τ) in time t (n,) s, where evident.
+    """Kernel, rows and variance (px²) with an error that correlates by exp(−Δt/τ) in time t (n,) s, if evident.
 
-    τ is one of SPANS of the whole. What it costs, two numbers more, it must be worth (Schwarz 1978). The variance is
-    the mean over τ, by evidence.
+    τ is one of SPANS times the log's duration. The error must win what its two parameters cost (Schwarz 1978). The
+    variance is averaged over τ by evidence.
     """
     whole, rows = max(float(np.ptp(t)), 1e-9), spaced(len(t), SEARCHED)
     part, z = thinned(data, SEARCHED), data.x[rows] / kernel.scales
@@ -39,7 +39,7 @@ def lasting(t: Array, kernel: Hyper, data: Rows) -> tuple[Hyper, Rows, float]:
 
 
 def _found(gram: Array, like: Array, kernel: Hyper, data: Rows) -> tuple[float, Array]:
-    """Evidence (nats) and logarithms of amplitude, noise and the lasting variance that it is greatest for."""
+    """Evidence (nats) and the logarithms of amplitude, noise and slow variance at its maximum."""
 
     def loss(logs: Array) -> tuple[float, Array]:
         amplitude, noise, variance = np.exp(logs)
@@ -55,7 +55,7 @@ def _found(gram: Array, like: Array, kernel: Hyper, data: Rows) -> tuple[float, 
 
 
 def _with(known: Spread, t: Array, span: float, variance: float) -> Spread:
-    """Known noise and what lasts as one."""
+    """Add the slow error to the known noise."""
     i, j = np.nonzero(np.tril(np.ones((len(t), len(t))), -1))
     value = np.concatenate([known.value, variance * np.exp(-np.abs(t[i] - t[j]) / span)])
     places = np.concatenate([known.i, i]) * len(t) + np.concatenate([known.j, j])

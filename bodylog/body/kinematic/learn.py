@@ -1,4 +1,4 @@
-"""A learned body with a URDF: kinematics as the mean of each track, a Gaussian process on what that leaves."""
+"""Add kinematics to a learned body: the URDF as the mean of each track, a Gaussian process on the residuals."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -22,15 +22,15 @@ from .scores import findings, gain, scores, zeros
 from .sightings import Sightings, gathered
 
 UNFIT = 0.1
-"""Share of a track's motion that kinematics of the right robot does not leave: a real NAO's leaves 0.03."""
+"""Largest residual share of a track's motion with the right robot; a real NAO's is 0.03."""
 _LEAST_NOISE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Robotics:
-    """What is known of a robot: its URDF · hints by camera name · doubt: σ of its joints' zeros, rad · asked for.
+    """A robot: its URDF · hints by camera name · doubt: prior std of joint zeros, rad · whether the user asked for it.
 
-    scale: σ of its joints' scales, in shares of one; 0: they are right.
+    scale: prior std of joint scales; 0 keeps them at 1.
     """
 
     robot: Robot
@@ -42,9 +42,9 @@ class Robotics:
 
 @one_thread("scipy.linalg")
 def learn(features: Sequence[Features], settings: Settings, found: Learned, given: Robotics) -> Learned:
-    """The body learned without a URDF, with kinematics as its tracks' mean; as it was, with a remark, if that is unfit.
+    """Return the body with kinematics as its tracks' mean, or unchanged with a remark if the URDF does not fit.
 
-    ModelError where no joint that moved is in a URDF that was asked for.
+    ModelError where a requested URDF contains no joint that moved.
     """
     names, robot = found.model.joints, given.robot
     missing = [name for name in names if name not in robot.by_name]
@@ -74,7 +74,7 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, give
 
 
 def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
-    """Without tracks that neither kinematics nor a process explains."""
+    """Drop tracks that neither kinematics nor a process explains."""
     if not left_out:
         return found
     senses = {name: model for name, model in found.model.senses.items() if name not in left_out}
@@ -89,7 +89,7 @@ def track(name: str, shown: Sightings) -> Track:
 
 
 def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
-    """The median angle, rad, of joints that are heard and did not move."""
+    """The median angle, rad, of joints with readings that are not among the names."""
     found: dict[str, float] = {}
     told = (encoder_function.referred(one, None).joints for one in features)
     for series in (joints for joints in told if joints is not None):
@@ -100,13 +100,13 @@ def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float
 
 
 def unused(found: Learned, why: str, advice: str = "give this robot's own with --urdf") -> Learned:
-    """The body without a URDF, and a remark on why."""
+    """Return the body without a URDF, with a remark on why."""
     text = f"the URDF is not used: {why}; {advice}, or type --no-urdf"
     return replace(found, findings=(*found.findings, Finding("warning", text)))
 
 
 def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[str, str]]:
-    """Tracks of which kinematics leaves too much, and how much."""
+    """Yield tracks with too large residuals of kinematics, and how large."""
     calibrated = links.calibrated
     for (name, one), sight, weight in zip(parts.items(), calibrated.rig.sights, calibrated.weights, strict=True):
         left, spread = calibrated.noise**0.5, one.sighted.spread
@@ -118,7 +118,7 @@ def unexplained(links: Found, parts: Mapping[str, Sightings]) -> Iterator[tuple[
 def learned(
     found: Learned, links: Found, shown: Mapping[str, Sightings], plain: Mapping[str, GP], seed: int
 ) -> Learned:
-    """The body with calibrated links as its tracks' mean; as it was, with a remark, where that is unfit."""
+    """Learn the residuals with calibrated links; return the body unchanged, with a remark, if they do not fit."""
     calibrated = links.calibrated
     rig, theta, weights = calibrated.rig, calibrated.theta, calibrated.weights
     each = enumerate(shown.items())
@@ -149,7 +149,7 @@ def learned(
 
 
 def _apart(found: Learned, tracks: set[str]) -> Learned:
-    """What was learned without tracks that are one board's, and what it says of them."""
+    """Remove all results for single tracks of a board."""
     model = found.model
     senses = {name: one for name, one in model.senses.items() if name not in tracks}
     noise = {name: one for name, one in model.noise.senses.items() if name not in tracks}
@@ -161,7 +161,7 @@ def _apart(found: Learned, tracks: set[str]) -> Learned:
 
 
 def _of(name: str, tracks: set[str]) -> bool:
-    """Whether a score's name is of one of the tracks, or of something of one."""
+    """Whether a score's name belongs to one of the tracks."""
     return any(f"/{track}/" in f"{name}/" for track in tracks)
 
 

@@ -1,4 +1,4 @@
-"""Whether a URDF's lengths are the robot's: how far each link would have to be stretched, and what that is worth."""
+"""Whether a URDF's link lengths fit: how far each link would have to stretch, and the evidence for it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,17 +15,17 @@ from .explicit import SEARCHED, search, solved, thinned
 from .residuals import Part
 
 DOUBT = 0.05
-"""Share of its length by which a link of a wrong URDF may be off; the prior's standard deviation."""
+"""Prior std of a link's relative stretch in a wrong URDF."""
 WRONG = 0.02
-"""Stretched by more than this a link is another robot's: castings and prints are good to half a percent."""
+"""A larger stretch means another robot: castings and prints are accurate to half a percent."""
 _SURE = 4.0
 
 
 @dataclass(frozen=True)
 class Stretch:
-    """The link between two joints: by what share ± std it is longer than the URDF says, beside the others.
+    """The link between two joints: relative stretch share ± std against the URDF and the other links.
 
-    Between no joints it is all links alike, beside what metres the camera's pose or a board's size give.
+    Without joints: all links alike, against the metres of the camera's pose or a board's size.
     """
 
     before: str
@@ -35,12 +35,12 @@ class Stretch:
 
     @property
     def wrong(self) -> bool:
-        """Whether it is surely another's."""
+        """Whether the stretch is significant."""
         return abs(self.share) > max(WRONG, _SURE * self.std)
 
     @property
     def said(self) -> str:
-        """In words."""
+        """The stretch in words."""
         way = "longer" if self.share > 0 else "shorter"
         size = f"{abs(self.share):.1%} ± {self.std:.1%}"
         if not self.before:
@@ -50,7 +50,7 @@ class Stretch:
 
 
 def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -> Stretch | None:
-    """The link that is off by the greatest share, where kinematics is the likelier for links that may be stretched."""
+    """The link with the largest stretch, where stretched links win the evidence; else None."""
     rows = spaced(len(learned.rows.x), SEARCHED)
     long, spread = _doubt(rig, index)
     if spread is None:
@@ -70,7 +70,7 @@ def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -
 
 
 def _doubt(rig: Rig, index: int) -> tuple[Array, Array | None]:
-    """Which steps have a length, and what each unknown (count + 1) stretches them by: each apart, and all alike."""
+    """Which steps have a length, and the stretch of each by the unknowns (count + 1): each apart, and all alike."""
     long = np.linalg.norm(rig.sights[index].chain.fixed[1:-1, :3, 3], axis=1) > 1e-3
     count = int(long.sum())
     if count < 2:
@@ -79,7 +79,9 @@ def _doubt(rig: Rig, index: int) -> tuple[Array, Array | None]:
 
 
 def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stretch:
-    """The link that is off the most beside the others; all alike where that is sure. share (K,) ± root rootᵀ."""
+    """The link with the largest stretch against the others; all links alike if that is significant. share (K,) ± root
+    rootᵀ.
+    """
     weight = np.linalg.solve(root @ root.T, np.ones(len(share)))
     weight /= weight.sum()
     alike = Stretch("", "", float(weight @ share), float(np.linalg.norm(weight @ root)))
@@ -91,7 +93,7 @@ def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stre
 
 
 def _names(rig: Rig, index: int, long: Array) -> Sequence[tuple[str, str]]:
-    """The joints before and after each link of some length."""
+    """The joints before and after each link with a length."""
     chain = rig.sights[index].chain
     steps = [chain.joints[c] for c in chain.column]
     return [pair for pair, kept in zip(pairwise(steps), long, strict=True) if kept]

@@ -1,4 +1,4 @@
-"""A forward model whose mean is kinematics and a camera, and a Gaussian process on what that leaves."""
+"""A forward model with kinematics and a camera as its mean, and a Gaussian process on the residuals."""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -20,10 +20,10 @@ _STEP = 1e-4
 class KinematicGP(GP):
     """One point of one marker before one camera; the fields of GP are those of the residual, whose mean is zero.
 
-    rig: one camera, one marker, one sight of one point · theta (P,), of greatest posterior · root (P,p): θ's
-    covariance is root rootᵀ · lean (D,p,n): the samples foretell root's columns by it, as weights do the residual ·
-    drift (D,) px²: variance of an error that lasts longer than a log · base: how the robot's root carries
-    the marker, or the camera that moves, where a URDF said.
+    rig: one camera, one marker, one sight of one point · theta (P,), of greatest posterior · root (P,p): θ's covariance
+    is root rootᵀ · lean (D,p,n): weights with which the samples predict root's columns · drift (D,) px²: variance of an
+    error that lasts longer than a log · base: the chain from the robot's root to the marker, or to a moving camera, if
+    known.
     """
 
     rig: Rig
@@ -35,12 +35,12 @@ class KinematicGP(GP):
 
     @classmethod
     def on(cls, plain: GP, rig: Rig, theta: Array, root: Array, lean: Array, drift: Array) -> Self:
-        """The model with a residual `plain`."""
+        """Build the model on a residual process `plain`."""
         residual: dict[str, Any] = {field.name: getattr(plain, field.name) for field in fields(GP)}
         return cls(**residual, rig=rig, theta=theta, root=root, lean=lean, drift=drift)
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
         x = np.atleast_2d(x)
         if len(x) == 1:
             one = self.predict_one(x[0])
@@ -55,7 +55,7 @@ class KinematicGP(GP):
         return value + seen.image[:, 0], slope + seen.slope[:, 0], spread + unknown + self.drift
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
-        """At one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
+        """Predict at one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         single, (image, by_joints, design) = self._singles[0], self._instant(x)
         kernel, tilt = single.kernel(x - self._origin)
         sums, own = self._rows.dot(kernel), len(single.rows)
@@ -67,25 +67,25 @@ class KinematicGP(GP):
         return value + image, slope + by_joints, spread
 
     def means(self, x: Array) -> tuple[Array, Array]:
-        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
         value, slope = super().means(x)
         seen = self._seen(x)
         return value + seen.image[:, 0], slope + seen.slope[:, 0]
 
     def kinematics(self, x: Array) -> Array:
-        """What kinematics and camera alone foretell (N,D) px at x (N,M) rad."""
+        """Predict at x (N,M) rad by kinematics and camera alone: (N,D) px."""
         return np.asarray(self._seen(np.atleast_2d(x)).image[:, 0])
 
     def design(self, x: Array) -> Array:
-        """How θ moves what kinematics and camera foretell at x (N,M) rad: (N,D,P) px per unit of θ."""
+        """Derivative by θ of kinematics and camera at x (N,M) rad: (N,D,P) px per unit of θ."""
         return np.asarray(self._seen(np.atleast_2d(x)).design[:, 0])
 
     def unknowns(self, x: Array) -> Array:
-        """What one standard deviation of each direction of θ (N,D,p) still changes at x (N,M) rad, px."""
+        """Effect (N,D,p), px, of one standard deviation of each direction of θ at x (N,M) rad, given the samples."""
         return self._unknown(x, self._seen(x))
 
     def covariance(self, x: Array) -> Array:
-        """Between all pairs of x (N,M) rad: (1,N,N) px², the outputs' mean."""
+        """Covariance between all pairs of x (N,M) rad: (1,N,N) px², the outputs' mean."""
         leaning = self._unknown(x, self._seen(x)) / np.sqrt(self.share)[:, None]
         return np.asarray(super().covariance(x) + np.einsum("ndp,kdp->nk", leaning, leaning)[None] / len(self.share))
 
@@ -118,7 +118,7 @@ class KinematicGP(GP):
         return self.rig.see(self.rig.sights[0], self.theta, x)
 
     def _unknown(self, x: Array, seen: Seen) -> Array:
-        """What one standard deviation of each direction of θ (N,D,p) still changes, px."""
+        """Effect (N,D,p), px, of one standard deviation of each direction of θ, given the samples."""
         scales = self.scales[0]
         kernel = se(x / scales, self.centres / scales, self.amplitude[0])
         return np.asarray(seen.design[:, 0] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))

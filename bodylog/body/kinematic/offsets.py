@@ -1,4 +1,4 @@
-"""The joints' zeros and scales that a body learned with a URDF tells."""
+"""Joint zeros and scales of a body learned with a URDF."""
 
 from typing import Any
 
@@ -9,13 +9,13 @@ from .model import KinematicGP
 
 
 def learned(model: BodyModel) -> tuple[Offset, ...]:
-    """Each joint's zero; tracks were learned together, so any of them tells. ModelError without a URDF's chain."""
+    """Each joint's zero, which all tracks share. ModelError without a URDF's chain."""
     first = _first(model)
     return offsets(first.rig, first.theta, first.root @ first.root.T)
 
 
 def scaled(model: BodyModel) -> tuple[Offset, ...]:
-    """Each joint's scale; none where they were taken to be right. ModelError without a URDF's chain."""
+    """Each joint's scale; empty where scales are fixed. ModelError without a URDF's chain."""
     first = _first(model)
     return scales(first.rig, first.theta, first.root @ first.root.T)
 
@@ -42,5 +42,5 @@ def plain(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
 
 
 def tables(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]") -> dict[str, dict[str, dict[str, Any]]]:
-    """As plain values: {"offsets": {joint: …}}, and "scales" alike where there are any."""
+    """As plain values: {"offsets": {joint: …}}, and "scales" if there are any."""
     return {"offsets": plain(found)} | ({"scales": plain(scales)} if scales else {})

@@ -1,4 +1,4 @@
-"""What kinematics leaves of each track: its kernel, and θ and the residual's Gaussian process learned together."""
+"""Residuals of kinematics for each track: their kernel, and θ learned together with their Gaussian process."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,20 +18,20 @@ from .model import KinematicGP
 from .sightings import Sightings, View, alone, groups, singles, sound, viewed
 
 MOST = 500
-"""Sightings of a track that a residual is learned from: kinematics carries the rest, and more cost O(n³)."""
+"""Most sightings of a track for a residual: kinematics explains most, and the cost is O(n³)."""
 RESIDUAL = Prior(np.ones(()), 0.35)
-"""Length scales of what kinematics leaves: of bends and gears, as long as a turn's own cosine (evidence.ROTATION)."""
+"""Prior length scales of residuals: of bending and gears, as long as a turn's cosine (marginal_likelihood.ROTATION)."""
 _ROUNDS = 4
 _SETTLED = 0.01
-"""Posterior standard deviations by which θ still moves when it rests."""
+"""Posterior standard deviations of a step of θ that ends the iteration."""
 
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One thing: rows kept, coupling of their angles, kernel, variance (px²) of a lasting error, rows about θ.
+    """One thing: rows kept, coupling of their angles, kernel, variance (px²) of a slow error, rows about θ.
 
     own: variance (px²) of one point about the mean of its part of a board · tracks, points: the tracks that become
-    senses, one in each part, what they showed, and which points they are: more would say the same again and again.
+    senses, one in each part, with their sightings and point numbers; further points would repeat the same information.
     """
 
     pairs: Pairs
@@ -64,7 +64,7 @@ class Together:
 def residual(
     rig: Rig, index: int, theta: Array, shown: Sightings, weight: Array, chosen: Sequence[Joint], seed: int
 ) -> Part:
-    """Kernel of what kinematics leaves near theta; sightings of small weight (N,C), or too many, left out."""
+    """Kernel of the residuals of kinematics near theta; sightings with small weight (N,C), or too many, left out."""
     counts = sound(weight)
     seen = rig.see(rig.sights[index], theta, shown.whole.x)
     view, kept, own = viewed(shown, counts, shown.image - seen.image, groups(shown.points), MOST)
@@ -77,14 +77,14 @@ def residual(
 
 
 def about(rig: Rig, theta: Array, part: Pairs, seen: Seen, view: View, spread: Spread) -> Rows:
-    """Rows of what is left about θ (P,), seen there, where z is 0 at the prior's mean."""
+    """Residuals about θ (P,), with z = 0 at the prior's mean."""
     mean, std = rig.prior
     design = view.of(seen.design) * std
     return Rows(view.x, part.y - view.of(seen.image) - design @ ((mean - theta) / std), design, spread)
 
 
 def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
-    """Known noise of sightings: their own, and that of the angles seen through slopes (n,D,M)."""
+    """Known noise of sightings: their own, and that of the angles propagated through slopes (n,D,M)."""
 
     class Slopes:
         def means(self, _: Array) -> tuple[Array, Array]:
@@ -95,7 +95,7 @@ def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
 
 
 def together(rig: Rig, theta: Array, parts: Mapping[str, Part]) -> Together:
-    """θ under all tracks' residuals by Gauss-Newton from near by, and the residuals' posteriors there."""
+    """θ given all tracks' residuals, by Gauss-Newton from a near start, and the residuals' posteriors there."""
     mean, std = rig.prior
     bases = {name: basis(part.kernel, _centres(part)) for name, part in parts.items()}
     for _ in range(_ROUNDS):
@@ -120,13 +120,13 @@ def _centres(part: Part) -> Array:
 
 
 def _about(rig: Rig, index: int, theta: Array, part: Part) -> Rows:
-    """The rows of a thing about another θ, their noise as it was."""
+    """The rows of a thing about another θ, with the same noise."""
     seen = rig.see(rig.sights[index], theta, part.view.q)
     return about(rig, theta, part.pairs, seen, part.view, part.rows.spread)
 
 
 def models(rig: Rig, index: int, found: Together, name: str) -> dict[str, KinematicGP]:
-    """The forward model of each track of a thing; they share θ, and the residual's process as each point meets it."""
+    """The forward model of each track of a thing; they share θ and the residual process, evaluated at each point."""
     part, solved = found.parts[name], found.condensed[name]
     sub, used = rig.alone(index)
     share = np.broadcast_to(part.rows.spread.share, part.pairs.y.shape[1])
@@ -146,14 +146,14 @@ def models(rig: Rig, index: int, found: Together, name: str) -> dict[str, Kinema
 
 
 def _near(part: Part, centres: Array, point: int) -> Array:
-    """How near each centre (n,M+2) is to a point of the board, as the kernel has it (n,)."""
+    """Kernel factor (n,) between each centre (n,M+2) and a point of the board."""
     joints = part.view.q.shape[1]
     apart = (centres[:, joints:] - part.view.where[point]) / part.kernel.scales[joints:]
     return np.asarray(np.exp(-0.5 * np.square(apart).sum(axis=1)))
 
 
 def _process(part: Part, centres: Array, near: Array, solved: Condensed, share: Array, seen: Pairs) -> GP:
-    """What is left at one point, over the joints alone: what its centres say counts as they are near (n,)."""
+    """The residual process at one point, over the joints alone, with centres weighted by `near` (n,)."""
     joints = part.view.q.shape[1]
     spread = np.outer(np.maximum(part.rows.spread.diagonal - part.drift, 0.0), share)
     samples, targets, beyond = part.pairs.x, part.pairs.y, 0.0

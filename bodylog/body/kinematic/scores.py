@@ -1,4 +1,4 @@
-"""What a kinematic body says of itself: held-out errors, what is gained, links chosen, joints' zeros."""
+"""Scores and remarks of a kinematic body: held-out errors, evidence, links, joint zeros."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -28,9 +28,9 @@ def gain(
     plain: Mapping[str, GP],
     chosen: Sequence[Joint],
 ) -> float:
-    """How many nats likelier the same sightings are with kinematics than by a Gaussian process alone.
+    """Nats won by kinematics over a Gaussian process alone, on the same sightings.
 
-    Of a board: the sightings of one point of each of its parts, and each with a process of its own.
+    For a board: sightings of one point of each of its parts, each with a process of its own.
     """
     part, alone = found.parts[name], 0.0
     if len(shown.points) == 1:
@@ -57,9 +57,9 @@ def _alone(plain: GP, part: Pairs, known: Coupling) -> float:
 
 
 def scores(name: str, models: Mapping[str, KinematicGP], part: Part) -> Iterator[Score]:
-    """Held-out error of one thing, what kinematics alone leaves, an error that lasts, noise, length scales.
+    """Yield one thing's held-out error, residual of kinematics alone, slow error, noise and length scales.
 
-    Of a board: held out is the mean of the points of each of its parts, in all other blocks' absence.
+    For a board, the held-out value is the mean of the points of each of its parts.
     """
     residual, variance = held_out(part.chol, part.rows, part.pairs.block)
     left = np.concatenate([one.y - models[track].kinematics(one.x) for track, one in part.tracks.items()])
@@ -77,7 +77,7 @@ def scores(name: str, models: Mapping[str, KinematicGP], part: Part) -> Iterator
 
 
 def zeros(found: Sequence[Offset]) -> Iterator[Score]:
-    """The zeros (rad or m) and scales (1) that are identifiable, and their standard deviations."""
+    """Yield identifiable zeros (rad or m) and scales (1), and their standard deviations."""
     for one in found:
         if one.identifiable:
             name = "scale" if one.noun == "scale" else "offset"
@@ -86,7 +86,7 @@ def zeros(found: Sequence[Offset]) -> Iterator[Score]:
 
 
 def findings(links: Found, found: Sequence[Offset], gains: Mapping[str, float]) -> Iterator[Finding]:
-    """Links chosen, nats gained, zeros that are surely off, and those that cannot be told."""
+    """Yield remarks on links chosen, nats won, significant zeros, and zeros that are not identifiable."""
     rig = links.calibrated.rig
     sure = "" if links.margin is None else f" ({links.margin:.0f} nats likelier than other links)"
     for sight in rig.sights:

@@ -1,4 +1,4 @@
-"""What one camera showed of one rigid thing, picture by picture: a point, or the points of a board together."""
+"""Sightings of one rigid thing by one camera, by image: a point, or the points of a board together."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,22 +11,22 @@ from ..data.pairs import Joint, Pairs, pairs
 from ..data.subsampling import farthest
 
 GROUPS = 4
-"""Parts of a board, whose points are taken together: they err alike but for what each is found to by itself."""
+"""Most parts of a board; points of a part are averaged, since their errors are correlated."""
 FEWEST = 3
-"""Points that fix how a thing lies."""
+"""Fewest points that determine a pose."""
 REACH = 2.0
-"""A board's diagonals over which what kinematics leaves may change as over a rad of a joint: by a third along one."""
+"""Length scale of residuals over a board in its diagonals, per rad of a joint: they change by a third along one."""
 PICTURES = 300
-"""Of a board at most: a process of what they leave could not use more."""
+"""Most images of a board; more do not improve the residual process."""
 _SOUND = 0.5
 _POINT = np.zeros((1, 3))
 
 
 @dataclass(frozen=True, eq=False)
 class Sightings:
-    """Of N pictures: angles and times, `whole`, whose y is the points' mean, px · image (N,C,2) px, floor (N,C,2) px².
+    """N images: angles and times, `whole`, with y the points' mean, px · image (N,C,2) px, floor (N,C,2) px².
 
-    NaN where a point was not seen · points (C,3) m on the thing · tracks: the tracks of these points, in their order.
+    NaN where a point was not seen · points (C,3) m on the thing · tracks: the points' tracks, in order.
     """
 
     whole: Pairs
@@ -36,7 +36,7 @@ class Sightings:
     tracks: tuple[str, ...]
 
     def rows(self, chosen: Array) -> "Sightings":
-        """Only some pictures."""
+        """Return some images."""
         return replace(self, whole=self.whole.rows(chosen), image=self.image[chosen], floor=self.floor[chosen])
 
     @property
@@ -46,13 +46,13 @@ class Sightings:
 
     @property
     def sighted(self) -> Sighted:
-        """As calibration takes them."""
+        """The sightings for calibration."""
         return Sighted(self.whole.x, self.image, self.floor)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Rows of which each is the mean of some points of one picture: picture (n,) of N · share (n,C) of each point.
+    """Rows that are means of some points of one image: picture (n,) of N · share (n,C) of each point.
 
     q (N,M) rad or m · where (C,2): the points on their board, in REACH of its diagonal; (C,0) of a single point.
     """
@@ -64,11 +64,11 @@ class View:
 
     @property
     def x(self) -> Array:
-        """What a process of what is left is learned over (n,M) or (n,M+2): angles, and the place on the board."""
+        """Inputs (n,M) or (n,M+2) of the residual process: angles, and the position on the board."""
         return np.concatenate([self.q[self.picture], self.share @ self.where], axis=1)
 
     def of(self, values: Array) -> Array:
-        """The rows' own (n,…) of what is known of all points (N,C,…)."""
+        """Values (n,…) of the rows from values of all points (N,C,…)."""
         if self.share.shape[1] == 1:
             return np.asarray(values[self.picture, 0])
         flat = values.reshape(*values.shape[:2], -1)
@@ -78,7 +78,7 @@ class View:
 def gathered(
     features: Sequence[Features], tracks: Sequence[str], joints: Sequence[Joint], every: int, most: int
 ) -> dict[str, Sightings]:
-    """Sightings by name, of boards of FEWEST points and more and of tracks on none; at most `most` of each."""
+    """Collect sightings by name, of boards with FEWEST points or more and of other tracks; at most `most` of each."""
     found, taken = dict[str, Sightings](), set[str]()
     for name, points in _boards(features).items():
         taken |= set(points)
@@ -120,7 +120,7 @@ def _board(
 
 
 def _images(found: Features, names: Sequence[str]) -> tuple[Array, Array, Array]:
-    """Times (N,) s of all pictures that show one of these tracks, where each lies (N,C,2) px, and its variance."""
+    """Times (N,) s of all images that show one of these tracks, positions (N,C,2) px, and their variance."""
     tracks = [(k, found.tracks[name]) for k, name in enumerate(names) if name in found.tracks]
     seen = [(k, one, np.isfinite(one.values).all(axis=1)) for k, one in tracks]
     t = np.unique(np.concatenate([one.t[sound] for _, one, sound in seen] or [np.zeros(0)]))
@@ -138,7 +138,7 @@ def _middle(image: Array) -> Array:
 
 
 def groups(points: Array) -> Array:
-    """Which of at most GROUPS parts each point (C,3) is in: (G,C), true or false."""
+    """Assignment (G,C), bool, of points (C,3) to at most GROUPS parts."""
     seeds = points[farthest(points, GROUPS)]
     nearest = np.argmin(np.square(points[:, None] - seeds).sum(axis=-1), axis=1)
     return np.asarray(nearest == np.arange(len(seeds))[:, None])
@@ -153,9 +153,9 @@ def _where(points: Array) -> Array:
 
 
 def viewed(shown: Sightings, sound: Array, residual: Array, parts: Array, most: int) -> tuple[View, Pairs, float]:
-    """The points' means in each part (G,C) of at most `most` rows, and the variance of one point about them, px².
+    """Means of the points in each part (G,C), at most `most` rows, and the variance of one point about them, px².
 
-    sound (N,C): what counts · residual (N,C,2) px. Where parts are single points that variance is 0.
+    sound (N,C): points in use · residual (N,C,2) px. Where parts are single points that variance is 0.
     """
     kept = np.flatnonzero((sound[:, None] & parts).any(axis=(1, 2)))
     kept = kept[farthest(shown.whole.x[kept], max(most // len(parts), 1))]
@@ -167,7 +167,7 @@ def viewed(shown: Sightings, sound: Array, residual: Array, parts: Array, most: 
     image, floor, left = (np.nan_to_num(values) for values in (shown.image, shown.floor, residual))
     within = np.square(np.where(own[..., None], left[picture] - view.of(left)[:, None], 0.0)).sum()
     alone = float(within / max(2 * (own.sum() - len(own)), 1))
-    # the mean of some points errs by less than one of them
+    # the mean of some points has less error than one of them
     variance = np.maximum(view.of(floor), alone) / count[:, None]
     return view, replace(shown.whole.rows(picture), y=view.of(image), floor=variance), alone
 
@@ -178,13 +178,13 @@ def sound(weight: Array) -> Array:
 
 
 def alone(shown: Sightings, point: int, counts: Array) -> Pairs:
-    """The sightings of one point, where it counts (N,C)."""
+    """The sightings of one point, where counts (N,C) is true."""
     rows = np.flatnonzero(counts[:, point])
     return replace(shown.whole.rows(rows), y=shown.image[rows, point], floor=shown.floor[rows, point])
 
 
 def singles(shown: Sightings) -> list[int]:
-    """Of each part of a thing the point that was seen most, of equals the outermost."""
+    """The point of each part that was seen most often, the outermost of equals."""
     far = np.linalg.norm(shown.points - shown.points.mean(axis=0), axis=1)
     worth = shown.seen.sum(axis=0) + far / (2.0 * max(float(far.max()), 1e-12))
     return [int(np.argmax(np.where(part, worth, -1.0))) for part in groups(shown.points)]

@@ -1,4 +1,4 @@
-"""A KinematicGP as plain arrays and names, and back; what contradicts itself is refused by field."""
+"""A KinematicGP as plain arrays and names, and back; inconsistent fields are refused by name."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,16 +28,16 @@ SHAPES = {
     "points": "13",
 }
 BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
-"""Of a model that knows its robot's base: x steps and one, y steps."""
+"""Arrays of a model with a base: x steps and one, y steps."""
 _BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
 _SCALED = "scales"
-"""Named where each joint's scale is one more unknown: "unknown"."""
+"""Present, with the value "unknown", where each joint's scale is one more unknown."""
 _THINGS = ("marker", "camera")
 _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
 
 
 def arrays(model: KinematicGP) -> dict[str, Array]:
-    """What SHAPES names, of a model with one camera, marker and sight."""
+    """The arrays of SHAPES, of a model with one camera, marker and sight."""
     rig, sight = model.rig, model.rig.sights[0]
     chain, base = sight.chain, model.base
     carried = (
@@ -61,7 +61,7 @@ def arrays(model: KinematicGP) -> dict[str, Array]:
 
 
 def names(model: KinematicGP) -> dict[str, str]:
-    """The names in it."""
+    """The names in a model."""
     rig, sight = model.rig, model.rig.sights[0]
     camera, marker = rig.cameras[0], rig.carriers[0]
     values = (camera.name, camera.link, marker.name, marker.link, sight.name, sight.chain.start, sight.chain.end)
@@ -83,7 +83,7 @@ def shapes(said: Mapping[str, Any]) -> dict[str, str]:
 
 
 def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> KinematicGP:
-    """The model of a residual, arrays as SHAPES and names; ValueError for what contradicts itself."""
+    """Build a model from a residual process, arrays as SHAPES and names; ValueError for inconsistent fields."""
     steps, doubt, count = found["steps"], found["doubt"], len(joints)
     own = 2 * count if _SCALED in said else count
     turns = len(doubt) == 18 + own

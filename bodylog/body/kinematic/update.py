@@ -1,4 +1,4 @@
-"""A body learned with a URDF, learned on: the chain, its links and all that was seen before stay."""
+"""Update a body learned with a URDF: its chain, links and earlier samples stay."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -22,16 +22,16 @@ from .sightings import Sightings
 
 
 def chained(body: BodyModel | None) -> dict[str, KinematicGP]:
-    """The senses of a body that carry a chain."""
+    """The senses of a body with a kinematic chain."""
     senses = {} if body is None else body.senses
     return {name: sense for name, sense in senses.items() if isinstance(sense, KinematicGP)}
 
 
 @one_thread("scipy.linalg")
 def learn(features: Sequence[Features], settings: Settings, found: Learned, update: BodyModel) -> Learned:
-    """The body learned on without a chain, with the chain of `update` as its tracks' mean, where that still holds.
+    """Add the chain of `update` to a body learned without it, where it still fits.
 
-    What `update` was learned from counts as one more log. As it was, with a remark, where kinematics no longer fits.
+    The samples of `update` count as one more log. Unchanged, with a remark, where kinematics no longer fits.
     """
     known = {name: sense for name, sense in chained(update).items() if isinstance(found.model.senses.get(name), GP)}
     if not known:
@@ -52,14 +52,14 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, upda
     plain = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP)}
     learned = kinematic.learned(found, links, parts, plain, settings.fit.seed)
     model = _based(learned.model, known)
-    # of a board a few points stand for all
+    # a few points stand for all of a board
     apart = {track for one in features for tracks, _ in one.boards.values() for track in tracks} | set(found.poor)
     kept = {name: s for name, s in model.senses.items() if name not in apart or isinstance(s, KinematicGP)}
     return replace(learned, model=replace(model, senses=kept))
 
 
 def _whole(senses: Mapping[str, KinematicGP]) -> tuple[Rig, Array]:
-    """The rig of which each sense has one sight, and its θ (P,)."""
+    """The rig with one sight of each sense, and its θ (P,)."""
     cameras, carriers, sights = dict[str, tuple[Camera, Array]](), dict[str, tuple[Carrier, Array]](), list[Sight]()
     for sense in senses.values():
         camera, carrier = sense.rig.cameras[0], sense.rig.carriers[0]
@@ -75,7 +75,7 @@ def _whole(senses: Mapping[str, KinematicGP]) -> tuple[Rig, Array]:
 
 
 def _based(model: BodyModel, known: Mapping[str, KinematicGP]) -> BodyModel:
-    """The model whose senses with kinematics know their robot's base as they did."""
+    """The model with the known senses' bases restored."""
     senses = {
         name: replace(sense, base=known[name].base) if isinstance(sense, KinematicGP) and name in known else sense
         for name, sense in model.senses.items()

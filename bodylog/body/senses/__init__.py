@@ -1,1 +1,1 @@
-"""What a body model knows of each sense: tracks, touch, encoders."""
+"""Forward models of single senses: tracks, touch, encoders."""

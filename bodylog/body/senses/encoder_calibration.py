@@ -1,4 +1,4 @@
-"""What encoders read at known angles: one polynomial for each joint, learned where a log has a reference for them."""
+"""Encoder functions from a reference: one polynomial for each joint of readings over true angles."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +17,7 @@ _STILL = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Read:
-    """What a reference tells of the encoders: their model by its sense's name, noise with theirs, scores, remarks."""
+    """Encoders calibrated by a reference: their model by sense name, noise with theirs, scores, remarks."""
 
     noise: Noise
     model: Mapping[str, ForwardModel] = field(default_factory=dict)
@@ -26,9 +26,9 @@ class Read:
 
 
 def learned(features: Sequence[Features], chosen: Sequence[Joint], noise: Noise) -> Read:
-    """What the encoders of the chosen joints, whose angles are the references', read at them; nothing without one.
+    """Learn the encoder functions of the chosen joints from the references; nothing without a reference.
 
-    ConfigError when an encoder is missing. Where all read the angles themselves there is no model.
+    ConfigError for a missing encoder. Without a model if all encoders read the angles themselves.
     """
     if not any(found.reference is not None for found in features):
         return Read(noise)
@@ -65,9 +65,9 @@ def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array,
 
 
 def _curve(x: Array, y: Array, block: Array) -> tuple[Array, float, int]:
-    """Coefficients (K,) of the simplest polynomial about as good held out as the best, its squared error, readings.
+    """Coefficients (K,) of the simplest polynomial near the best held-out error, that squared error, and the readings.
 
-    The angle itself is the simplest. Sums over each block are enough for every degree and every block held out.
+    The angle itself is the simplest. Sums over each block suffice for every degree and every block held out.
     """
     from numpy.polynomial import Chebyshev
     from numpy.polynomial import Polynomial as Power
@@ -94,7 +94,7 @@ def _curve(x: Array, y: Array, block: Array) -> tuple[Array, float, int]:
 def _simplest(errors: Array) -> int:
     """The first row of squared errors (rows, blocks) whose ratio to the best is 1 within a standard error.
 
-    Ratios, since in a block that strays from where the others were all errors are large.
+    Ratios, since a block outside the others' range has large errors for every degree.
     """
     logs = np.log(np.maximum(errors, 1e-24))
     apart = logs - logs[logs.mean(axis=1).argmin()]
@@ -103,7 +103,7 @@ def _simplest(errors: Array) -> int:
 
 
 def _formula(curve: Array) -> str:
-    """A polynomial as it is written."""
+    """A polynomial as text."""
     if curve.tolist() == [0.0, 1.0]:
         return "x"
     terms = (f"{c:+.4g}" + ("" if k == 0 else " x" if k == 1 else f" x^{k}") for k, c in enumerate(curve))

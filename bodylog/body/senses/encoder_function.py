@@ -1,4 +1,4 @@
-"""Encoders that do not read the angle itself: a function of it for each joint, s_p = g_p(x) (paper, E2: x²)."""
+"""Encoders that read a function of the angle, given or learned, and its inverse."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -12,16 +12,16 @@ from ...types import Array, Features, Series
 from ..gp.model import GP
 
 _GRID = 4097
-# methods that know one variance for each joint get it wrong by this to either side of the middle, squared
+# least slope over the largest: methods with one variance per joint err by its square
 _STEEP = 0.25
 
 
 @dataclass(frozen=True, eq=False)
 class Polynomial:
-    """What M encoders read: reading m = Σₖ coefficients[m,k] xₘᵏ, coefficients (M,K) of ascending powers.
+    """Readings of M encoders: reading m = Σₖ coefficients[m,k] xₘᵏ, coefficients (M,K) of ascending powers.
 
-    As body.senses["encoders"] it takes the place of s_p = x. An exploration alone cannot tell it: angles in any
-    other unit explain all that was seen as well, so it is given, or learned where a reference has the true angles.
+    As body.senses["encoders"] it replaces s_p = x. An exploration alone cannot determine it: angles in any other unit
+    explain the images as well. So it is given, or learned where a reference has the true angles.
     """
 
     outputs: tuple[str, ...]
@@ -29,7 +29,7 @@ class Polynomial:
     unit: str = "rad"
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """At x (N,M) rad: reading (N,M) · Jacobian (N,M,M) · no model variance (N,M)."""
+        """Predict at x (N,M) rad: reading (N,M) · Jacobian (N,M,M) · zero variance (N,M)."""
         x = np.atleast_2d(x)
         powers = x[:, :, None] ** np.arange(self.coefficients.shape[1])
         rising = self.coefficients[:, 1:] * np.arange(1, self.coefficients.shape[1])
@@ -38,7 +38,7 @@ class Polynomial:
 
 
 def referred(found: Features, known: BodyModel | None) -> Features:
-    """The features with true angles as joints: the reference's, else those a known body's encoders tell."""
+    """Replace joints by true angles: the reference's, or those that a known body's encoders give."""
     if found.reference is not None:
         return replace(found, joints=found.reference)
     if known is None or found.joints is None:
@@ -49,10 +49,10 @@ def referred(found: Features, known: BodyModel | None) -> Features:
 def understood(
     found: Features, body: BodyModel, settings: Estimation, coding: bool = False
 ) -> tuple[Features, BodyModel, Estimation]:
-    """Features, body and settings such that a method understands what the body's encoders read.
+    """Convert features, body and settings for a method that expects angles.
 
-    One that is `coding` descends through their model, from the angles that the first readings tell or as set. The
-    others get angles instead of readings. UsageError where over what was explored a reading does not tell the angle.
+    With `coding`, the method uses the encoders' model itself and only its start is converted. UsageError where a
+    reading does not determine the angle over the explored range.
     """
     if "encoders" not in body.senses or found.joints is None or (coding and settings.start):
         return found, body, settings
@@ -63,7 +63,7 @@ def understood(
 
 
 def plain(body: BodyModel) -> BodyModel:
-    """The body as it is to those who are told angles instead of readings, with the noise these have then."""
+    """The body for angles instead of readings, with the encoder noise converted."""
     if "encoders" not in body.senses:
         return body
     senses = {name: model for name, model in body.senses.items() if name != "encoders"}
@@ -73,9 +73,9 @@ def plain(body: BodyModel) -> BodyModel:
 
 
 def teller(body: BodyModel) -> Callable[[Array], Array]:
-    """A function from readings (…,M) in the body's order to angles in rad, on the branch that was explored.
+    """Return a function from readings (…,M) in the body's order to angles in rad, over the explored range.
 
-    UsageError where some angles there read (almost) alike.
+    UsageError where different angles give (almost) the same reading.
     """
     if "encoders" not in body.senses:
         return lambda readings: readings
@@ -103,7 +103,7 @@ def _angles(joints: Series, body: BodyModel) -> Series:
 
 
 def _inverse(y: Array, read: Array, grid: Array) -> Array:
-    """Where the monotone curve read(grid) takes the values y (N,); straight on beyond its ends."""
+    """Invert the monotone curve read(grid) at values y (N,), linear beyond its ends."""
     way = 1 if read[-1] > read[0] else -1
     inside = np.interp(y, read[::way], grid[::way])
     beyond = y - np.clip(y, min(read[0], read[-1]), max(read[0], read[-1]))
@@ -113,7 +113,7 @@ def _inverse(y: Array, read: Array, grid: Array) -> Array:
 
 
 def _explored(body: BodyModel) -> Array:
-    """The angles (S,M) rad that the body's tracks were learned at."""
+    """The angles (S,M) rad at which the body's tracks were learned."""
     return np.concatenate([model.samples for model in body.senses.values() if isinstance(model, GP)])
 
 

@@ -1,4 +1,4 @@
-"""How touch and sight of touch agree: the constants of g_t, and where on the limb a cell is seen (paper, tactile)."""
+"""Learn touch: the constants of g_t, and the positions of skin cells relative to the effector (paper, tactile)."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Cells = Mapping[int, tuple[float, float, float]]
 
 @dataclass(frozen=True, eq=False)
 class Felt:
-    """One touch seen as it was felt: its strongest cell · hand minus predicted effector (K,2) px while it lasted."""
+    """A touch with a synchronous stroke: its strongest cell · hand minus predicted effector (K,2) px during it."""
 
     cell: int
     apart: Array
@@ -33,11 +33,11 @@ class Felt:
 def learned(
     features: Sequence[Features], joints: tuple[str, ...], effector: GP | None
 ) -> tuple[TouchConstants, Cells, tuple[Finding, ...]]:
-    """Constants and cells' places from touches paired with strokes, and the remark on where they come from.
+    """Constants and cells' positions from touches paired with strokes, and a remark with their numbers.
 
-    Both forms share the constants: a1 = 1, so that g_t is 1 at its peak, and b1 = 1/(2 variance) of the distance, which
-    starts from 12 px as if of five touches. f_t has one constant, `perception/synchrony.py` B2: a log whose touches are
-    all in time tells how it was recorded, not how late a touch may be seen and still be felt as one.
+    Both forms share the constants: a1 = 1, so that g_t is 1 at its peak, and b1 = 1/(2 variance) of the distance, whose
+    prior is 12 px with the weight of five touches. f_t has one constant, B2 of perception/touch/matching: the delays of
+    one log show how it was recorded, not which delays still count as synchronous.
     """
     delays = np.array([s.delay for f in features for s in f.synchrony if np.isfinite(s.delay)])
     delays = delays[np.abs(delays) < _NEAR_S]
@@ -51,9 +51,9 @@ def learned(
 
 
 def cells(felt: Sequence[Felt]) -> Cells:
-    """Each touched cell's place beside the effector (u, v) px and its spread per coordinate, px.
+    """Each touched cell's position relative to the effector (u, v) px and its spread per coordinate, px.
 
-    All touches together count as one more touch of every cell, so that a cell touched once is not believed alone.
+    The mean over all touches counts as one more touch of every cell, which regularises cells touched once.
     """
     if not felt:
         return {}
@@ -70,7 +70,7 @@ def _place(felt: Sequence[Felt], common: Array, about: float) -> tuple[float, fl
 
 
 def _felt(features: Features, joints: tuple[str, ...], effector: GP) -> list[Felt]:
-    """The touches whose stroke was seen in time, where hand and angles are known while they last."""
+    """Touches with a stroke in time, while hand and angles are known."""
     hand, heard = features.hand, features.joints
     if hand is None or heard is None or not features.touches or not set(joints) <= set(heard.names):
         return []
@@ -86,13 +86,13 @@ def _felt(features: Features, joints: tuple[str, ...], effector: GP) -> list[Fel
 
 
 def _sound(felt: Sequence[Felt]) -> list[Felt]:
-    """Without stray touches: those seen four times farther off than most."""
+    """Drop stray touches, seen four times farther off than the median."""
     usual = float(np.median([f.square for f in felt])) if felt else 0.0
     return [f for f in felt if f.square <= _STRAY * usual]
 
 
 def _blended(assumed: float, count: int, found: float) -> float:
-    """Spread about zero per coordinate: what is assumed and what `count` touches found."""
+    """Spread about zero per coordinate: the prior and `count` touches pooled."""
     return float(np.sqrt((_ASSUMED * assumed**2 + count * found**2) / (_ASSUMED + count)))
 
 

@@ -1,4 +1,4 @@
-"""One track's model: its samples chosen, false sightings left out, kernels found, held-out residuals kept."""
+"""Learn one track: choose samples, drop false sightings, fit kernels, keep held-out residuals."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _ROUNDS = 3
 class Sense:
     """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2).
 
-    constant (n,2) px: the residual of the others' median, held out in the same blocks · used: the sightings, n of them.
+    constant (n,2) px: held-out residual of the median as predictor, over the same blocks · used: its n sightings.
     """
 
     gp: GP
@@ -58,7 +58,7 @@ def sense(whole: Pairs, chosen: Sequence[Joint], fit: Fit) -> Sense:
 
 
 def scores(name: str, found: Sense, joints: Sequence[str], noise: Noise) -> Iterator[Score]:
-    """Held-out error, share of frames used, noise and length scales of one track."""
+    """Yield held-out error, share of frames used, noise and length scales of one track."""
     yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(found.residual**2))), "px")
     yield Score(f"nis/held_out/{name}", float(np.mean(found.residual**2 / found.variance)), "1")
     yield Score(f"used_share/{name}", len(found.gp.samples) / max(found.whole.frames, 1), "1")
@@ -69,7 +69,7 @@ def scores(name: str, found: Sense, joints: Sequence[str], noise: Noise) -> Iter
 
 
 def findings(name: str, found: Sense) -> Iterator[Finding]:
-    """What was left out of one track, and why."""
+    """Yield remarks on sightings left out of one track."""
     sightings, used = len(found.whole.x), len(found.gp.samples)
     if found.rejected:
         text = f"{name}: {found.rejected} sightings left out as false, more than {_FALSE:.0f} deviations off"
@@ -81,14 +81,14 @@ def findings(name: str, found: Sense) -> Iterator[Finding]:
 def _sense(data: Samples, found: Fitted, used: Pairs, whole: Pairs, rejected: int, rule: str) -> Sense:
     block = used.block
     residual, variance = residuals(data, found, block)
-    # samples of a body to update are in blocks before the first, and their floor holds more than pixels' noise
+    # samples of a body to update have negative blocks, and their floor includes more than pixel noise
     floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
     gp, constant = shortened(build(data, found, _OUTPUTS, "px")), _constant(data.y, block)
     return Sense(gp, floor, residual, variance, constant, used, whole, rejected, rule)
 
 
 def _constant(y: Array, block: Array) -> Array:
-    """Residuals (n,2) of places y (n,2) from the median of all other blocks'."""
+    """Residuals (n,2) of positions y (n,2) from the median of all other blocks."""
     residual = np.empty(y.shape)
     for label in np.unique(block):
         rows = block == label
@@ -97,6 +97,6 @@ def _constant(y: Array, block: Array) -> Array:
 
 
 def _believable(data: Samples, found: Fitted) -> Array:
-    """Rows that agree with the others as well as most do; by medians, because the false ones swell the noise."""
+    """Rows within _FALSE robust deviations; by medians, because false sightings inflate the noise."""
     size = np.abs(alone(data, found))
     return np.asarray((size < _FALSE * 1.4826 * np.median(size, axis=0)).all(axis=1))
