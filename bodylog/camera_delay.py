@@ -1,4 +1,4 @@
-"""A body learned from pictures dated as the encoders are: the body itself tells how late a camera was."""
+"""Learn a body with camera delays corrected: the body and the delays are estimated in turn."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from .estimation.timing.regression import Delay
 
 TURNS = 5
-"""Bodies learned at most, each from pictures dated by what the last one told."""
+"""Most bodies learned, each from images corrected by the delays of the last one."""
 ALIKE = 4.0
-"""Standard errors within which a log that does not tell may be as late as one that does."""
+"""Standard errors within which a log without a significant delay may share another log's."""
 BETTER = 0.95
-"""Of its error on withheld places a body must not keep more, or what it told of a delay was the arm's shape."""
+"""Largest ratio of held-out errors after and before a correction; above it, the delay was the arm's shape."""
 
 Delays = Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A body learned of logs that were each so `late`, how late they still are by it, and what it keeps of all that."""
+    """A body learned from logs delayed by `late`, the delays left in each log, and the delays the body keeps."""
 
     found: "Learned"
     late: Sequence[Delays]
-    rests: "Sequence[Mapping[str, Delay]]"
+    residuals: "Sequence[Mapping[str, Delay]]"
     own: Delays
 
 
@@ -42,19 +42,19 @@ def learned(
     known: BodyModel | None,
     robot: "Robotics | None" = None,
 ) -> "Learned":
-    """`body.learn` of features whose cameras' delays, as given or as each log tells them, are taken off, and said.
+    """Learn a body from features with each camera's delay corrected, as given or as measured in each log.
 
-    The body keeps the delays of the logs that are surest of theirs. UsageError for a name that is no camera's.
+    The body keeps the delays of the logs with the smallest standard errors. UsageError for an unknown camera.
     """
     from . import body
     from .estimation.timing import correction
 
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
         timely = [correction.shifted(found, delays) for found, delays in zip(features, late, strict=True)]
-        told = {**provenance, **({"delay": dict(own)} if own else {})}
-        found = body.learn(timely, settings, told, known, robot is not None)
+        origin = {**provenance, **({"delay": dict(own)} if own else {})}
+        found = body.learn(timely, settings, origin, known, robot is not None)
         sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
-        return _Turn(found, late, [_late(one, sure, known) for one in timely], own)
+        return _Turn(found, late, [_remaining_delays(one, sure, known) for one in timely], own)
 
     if all(found.poses for found in features):
         found = body.learn(features, settings, provenance, known, robot is not None)
@@ -62,42 +62,42 @@ def learned(
     cameras = correction.cameras([name for found in features for name in found.tracks])
     fixed = correction.fixed_delays(settings.time.delay, cameras)
     own = {} if known is None else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
-    begun, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
+    started, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
     turn = turned([{**own, **fixed} for _ in features], {**own, **given})
     for _ in range(TURNS - 1):
-        surest = _surest(turn.rests, fixed, begun)
+        surest = _surest(turn.residuals, fixed, started)
         if not surest:
             break
-        after, least = turned(*_stepped(turn, surest)), BETTER if set(surest) - begun else 1.0
+        after, least = turned(*_stepped(turn, surest)), BETTER if set(surest) - started else 1.0
         if _missed(after, surest) > least * _missed(turn, surest):
             break
-        turn, begun = after, begun | set(surest)
+        turn, started = after, started | set(surest)
     timely = [correction.shifted(found, delays) for found, delays in zip(features, turn.late, strict=True)]
     found = body.with_kinematics(timely, settings, turn.found, robot, known)
-    return replace(found, findings=(*_said(turn, fixed, begun), *found.findings))
+    return replace(found, findings=(*_delay_findings(turn, fixed, started), *found.findings))
 
 
-def _said(turn: _Turn, fixed: Delays, begun: set[str]) -> Iterator[Finding]:
-    """What was taken off each log's pictures, where any was, and what the log has against what is `fixed`."""
+def _delay_findings(turn: _Turn, fixed: Delays, started: set[str]) -> Iterator[Finding]:
+    """Yield remarks on the delays corrected in each log, and on `fixed` ones that the log contradicts."""
     from .estimation.timing import correction
 
-    for k, (delays, rest) in enumerate(zip(turn.late, turn.rests, strict=True)):
-        sure = {name: rest[name].std_error for name in begun if name in rest}
-        for said in correction.delay_findings(delays, sure, rest, fixed):
-            yield replace(said, text=f"log {k + 1}: {said.text}") if len(turn.late) > 1 else said
+    for k, (delays, residual) in enumerate(zip(turn.late, turn.residuals, strict=True)):
+        sure = {name: residual[name].std_error for name in started if name in residual}
+        for finding in correction.delay_findings(delays, sure, residual, fixed):
+            yield replace(finding, text=f"log {k + 1}: {finding.text}") if len(turn.late) > 1 else finding
 
 
 def _stepped(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequence[Delays], Delays]:
-    """What each log is late by, and what the body keeps, with what this turn's body tells."""
+    """The logs' delays and the body's, with this turn's measurements added."""
     late = [dict(delays) for delays in turn.late]
     for name, at in surest.items():
-        for delays, rest in zip(late, turn.rests, strict=True):
-            delays[name] = round(delays.get(name, 0.0) + _own(rest.get(name), turn.rests[at][name]), 6)
+        for delays, residual in zip(late, turn.residuals, strict=True):
+            delays[name] = round(delays.get(name, 0.0) + _own(residual.get(name), turn.residuals[at][name]), 6)
     return late, {**turn.own, **{name: late[at][name] for name, at in surest.items()}}
 
 
 def _missed(turn: _Turn, cameras: Iterable[str]) -> float:
-    """Root mean square (px) of what the body misses on withheld places of some cameras' tracks, all together."""
+    """Root mean square held-out error (px) of some cameras' tracks together."""
     from .estimation.measurements.gather import camera
 
     kinds = (score.name.partition("rmse/held_out/") for score in turn.found.scores)
@@ -105,23 +105,24 @@ def _missed(turn: _Turn, cameras: Iterable[str]) -> float:
     return sqrt(sum(score.value**2 for score, counts in zip(turn.found.scores, seen, strict=True) if counts))
 
 
-def _late(timely: Features, model: BodyModel, known: BodyModel | None) -> dict[str, "Delay"]:
-    """How late each camera still is by a body learned with it."""
+def _remaining_delays(timely: Features, model: BodyModel, known: BodyModel | None) -> dict[str, "Delay"]:
+    """Each camera's remaining delay by a body learned with it."""
     from .body.senses import encoder_function
     from .estimation.timing import correction, gp_likelihood
 
     tracks = {name: sense for name, sense in model.senses.items() if name != "encoders"}
-    told, seen = correction.sound_measurements(encoder_function.referred(timely, known), replace(model, senses=tracks))
-    if told is None:
+    angled = encoder_function.with_true_angles(timely, known)
+    encoders, seen = correction.sound_measurements(angled, replace(model, senses=tracks))
+    if encoders is None:
         return {}
     found = {
-        name: gp_likelihood.measured(told, some, [_prior(one.model) for one in some]) for name, some in seen.items()
+        name: gp_likelihood.measured(encoders, some, [_prior(one.model) for one in some]) for name, some in seen.items()
     }
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
 def _prior(model: ForwardModel) -> "Prior":
-    """What a learned Gaussian process held likely before it learned."""
+    """The prior of a learned Gaussian process."""
     import numpy as np
 
     from .body.gp.model import GP, se
@@ -137,24 +138,26 @@ def _prior(model: ForwardModel) -> "Prior":
     return prior
 
 
-def _surest(rests: Sequence[Mapping[str, "Delay"]], fixed: Delays, begun: set[str]) -> dict[str, int]:
-    """Each camera that some log tells to be late, if but little once that has `begun`, with the log surest of it."""
+def _surest(residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]) -> dict[str, int]:
+    """For each camera with a significant delay, the log with its smallest standard error; any delay for `started` ones.
+    """
     from .estimation.timing import correction
 
     found = {}
-    for name in sorted({name for rest in rests for name in rest} - set(fixed)):
-        least = 0.0 if name in begun else correction.LEAST
-        if telling := [k for k, rest in enumerate(rests) if name in rest and correction.significant(rest[name], least)]:
-            found[name] = min(telling, key=lambda k: rests[k][name].std_error)
+    for name in sorted({name for residual in residuals for name in residual} - set(fixed)):
+        least = 0.0 if name in started else correction.LEAST
+        known = [k for k, residual in enumerate(residuals) if name in residual]
+        if late := [k for k in known if correction.significant(residuals[k][name], least)]:
+            found[name] = min(late, key=lambda k: residuals[k][name].std_error)
     return found
 
 
-def _own(rest: "Delay | None", surest: "Delay") -> float:
-    """A log's own step (s); that of the surest where the log does not tell and may be as late."""
+def _own(residual: "Delay | None", surest: "Delay") -> float:
+    """A log's own step (s), or that of the surest log if its own is not significant but consistent."""
     from .estimation.timing import correction
 
-    if rest is not None and correction.significant(rest):
-        return rest.seconds
-    if rest is None or abs(rest.seconds - surest.seconds) < ALIKE * (rest.std_error + surest.std_error):
+    if residual is not None and correction.significant(residual):
+        return residual.seconds
+    if residual is None or abs(residual.seconds - surest.seconds) < ALIKE * (residual.std_error + surest.std_error):
         return surest.seconds
     return 0.0

@@ -1,4 +1,4 @@
-"""What changed since the body was learned, said once: comparison with the body beside what the filter found."""
+"""Combine changes since the body was learned with the filter's faults; each is named once."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from .body.kinematic.change import Change
 
 OFFSETS = ("drifting", "offset")
-"""Kinds of fault that an offset from the start on is named as by the filters, and by still poses."""
+"""Names of constant offsets in the filters' faults, and in those of still poses."""
 APART = 3.0
-"""Standard deviations by which two sizes of one offset differ, beside a tenth of it."""
+"""Standard deviations by which two sizes of one offset must differ, in addition to a tenth of it."""
 
 
 def compared(features: Features, body: BodyModel, found: Estimate, settings: Estimation) -> Estimate:
-    """The estimate whose faults name each joint's zero, camera or marker that is not where it was, once.
+    """Add changes of joint zeros, cameras and markers to the estimate's faults.
 
-    A body learned without a URDF tells nothing of that; `bias = "off"` asks for nothing.
+    Without effect for a body learned without a URDF, and with `bias = "off"`.
     """
     from .body.kinematic import change
 
@@ -34,7 +34,7 @@ def compared(features: Features, body: BodyModel, found: Estimate, settings: Est
 
 
 def _usable(features: Features, found: Estimate) -> Features:
-    """Tracks that were used, dated as the estimate dates them, until an encoder or a camera began to lie otherwise."""
+    """Used tracks with corrected times, up to the first fault that is not a constant encoder offset."""
     from .estimation.timing import correction
 
     delays = found.settings.get("delay", {})
@@ -58,7 +58,7 @@ def _constant(fault: Fault) -> bool:
 
 
 def merged(changes: "Sequence[Change]", found: Estimate) -> tuple[tuple[Fault, ...], tuple[Finding, ...]]:
-    """The estimate's faults with the changes, those that are the same named once, and a remark on each."""
+    """Merge the estimate's faults with the changes, and return a remark on each."""
     start = float(found.joints.t[0]) if len(found.joints.t) else 0.0
     own, findings = [_fault(one, start) for one in changes], list[Finding]()
     kept = []
@@ -82,22 +82,22 @@ def _names(fault: Fault) -> set[str]:
 
 
 def _fault(one: "Change", start: float) -> Fault:
-    """A joint's encoder reads too much by what its zero is too small."""
-    name = EITHER.join((one.name, *one.rivals))
+    """The change as a fault; an encoder's offset has the opposite sign of its joint's zero."""
+    name = EITHER.join((one.name, *one.alternatives))
     since = start if one.since is None else one.since
     if one.kind == "joint":
-        size, std = (nan, None) if one.rivals else (-float(one.value[0]), float(one.std[0]))
+        size, std = (nan, None) if one.alternatives else (-float(one.value[0]), float(one.std[0]))
         return Fault("encoders", name, "offset", since, size, one.unit, std)
     turned = one.kind == "camera"
     value, spread = (one.value[3:], one.std[3:]) if turned else (one.value[:3], one.std[:3])
     size = float(value @ value) ** 0.5
     sure = float((value / max(size, 1e-12)) ** 2 @ spread**2) ** 0.5
-    size, std = (nan, None) if one.rivals else (size, sure)
+    size, std = (nan, None) if one.alternatives else (size, sure)
     return Fault("vision", name, "moved", since, size, "rad" if turned else "m", std)
 
 
 def _differing(same: Fault, fault: Fault) -> Iterable[Finding]:
-    """A remark where the filter's size of an offset is another."""
+    """Yield a remark where the filter's size of an offset differs."""
     if same.std is None or fault.size != fault.size:
         return
     if abs(same.size - fault.size) > APART * same.std + 0.1 * abs(same.size):

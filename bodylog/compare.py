@@ -9,7 +9,7 @@ from .body_model import BodyModel
 from .checks import log_context, loss_note, same_camera, same_size
 from .default_features import of_body
 from .errors import EvidenceError, InputError, UsageError
-from .fault_findings import named
+from .fault_findings import fault_warnings
 from .observed import Progress
 from .pipeline import infer, observe
 from .scoring import score_estimate
@@ -91,7 +91,7 @@ def _row(features: Features, learned: BodyModel, settings: Settings, read: Recor
     started = time.process_time()
     found = infer(features, learned, settings)
     seconds = time.process_time() - started
-    warnings = (*(f for f in found.findings if f.severity != "info"), *named(found.faults))
+    warnings = (*(f for f in found.findings if f.severity != "info"), *fault_warnings(found.faults))
     asked = settings.estimate
     return Row(asked.method, asked.senses or (), (*score_estimate(found, read), *heldout), seconds, warnings)
 

@@ -1,4 +1,4 @@
-"""An estimate in metres and by kinematics alone: the effector's poses, what chains foretell, the joints' zeros."""
+"""Kinematic results of an estimate: effector poses in metres, predictions without the residual process, joint zeros."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -13,20 +13,20 @@ FIRST = "effector"
 
 
 def added(body: BodyModel, found: Estimate) -> Estimate:
-    """The estimate with what a body that was learned with a URDF says beside it; as it is where there is none."""
+    """Add kinematic results to an estimate; unchanged for a body learned without a URDF."""
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.offsets import learned, plain
 
     senses = {name: s for name, s in body.senses.items() if isinstance(s, KinematicGP)}
     if not senses or not len(found.joints.t):
         return found
-    told = {**found.settings, "offsets": plain(learned(body))}
+    used = {**found.settings, "offsets": plain(learned(body))}
     kinematic = {name: _kinematic(senses[name], found, name) for name in found.predicted if name in senses}
-    return replace(found, effector=_effector(senses, found), kinematic=kinematic, settings=told)
+    return replace(found, effector=_effector(senses, found), kinematic=kinematic, settings=used)
 
 
 def _effector(senses: "dict[str, KinematicGP]", found: Estimate) -> Poses | None:
-    """Poses of the thing that is called effector, else of the first by name."""
+    """Poses of the effector, or of the first track by name."""
     from .kinematics.pose import posed
     from .kinematics.rotations import quaternions
 
@@ -39,7 +39,7 @@ def _effector(senses: "dict[str, KinematicGP]", found: Estimate) -> Poses | None
 
 
 def _kinematic(sense: "KinematicGP", found: Estimate, name: str) -> Series:
-    """Where kinematics alone expects a track, px: what was predicted without the process's part at the belief."""
+    """A track's predictions by kinematics alone, px: without the residual process."""
     import numpy as np
 
     predicted, joints = found.predicted[name], found.joints

@@ -1,4 +1,4 @@
-"""What the pipeline remarks on beside its results: sensors that lied, and why there is no error against truth."""
+"""Remarks of the pipeline: faults found, sightings per track, missing ground truth."""
 
 from collections.abc import Sequence
 
@@ -6,14 +6,14 @@ from .evaluation.figures import FIRST
 from .types import Estimate, Fault, Features, Finding, Series
 
 
-def named(faults: Sequence[Fault]) -> tuple[Finding, ...]:
-    """Which sensor lied, how, since when and how much."""
-    return tuple(Finding("warning", _lie(fault)) for fault in faults)
+def fault_warnings(faults: Sequence[Fault]) -> tuple[Finding, ...]:
+    """A warning for each fault: sensor, kind, since when, size."""
+    return tuple(Finding("warning", _text(fault)) for fault in faults)
 
 
-def _lie(fault: Fault) -> str:
+def _text(fault: Fault) -> str:
     since = f"{fault.sense} {fault.name}: {fault.kind} since {fault.since:.3f} s"
-    # a fault that is one of several joints' has no size
+    # the size of an ambiguous fault is NaN
     known = fault.size == fault.size
     sure = "" if fault.std is None else f" ± {fault.std:.2g}"
     size = f", {fault.size:.4g}{sure} {fault.unit}" if known else "; the log cannot tell which of them it is"
@@ -23,15 +23,15 @@ def _lie(fault: Fault) -> str:
     return since + size + first * (fault.kind == "drifting" and fault.since < FIRST) + body * compared
 
 
-def sightings(found: Features) -> tuple[Finding, ...]:
+def sighting_findings(found: Features) -> tuple[Finding, ...]:
     """In how many images each track was seen, and why not in the others, by reason."""
     from .body.data import trainable
 
     return tuple(Finding("info", f"{name}: {trainable.seen([found], name)}") for name in found.tracks)
 
 
-def untold(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:
-    """A remark where there is no error against truth: no truth, or truth of other joints than the estimate's."""
+def truth_findings(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:
+    """A remark where errors against truth cannot be computed: no truth, or truth of other joints."""
     if truth is None:
         return (Finding("warning", "no truth topic, so no error against truth; name one in [topics] truth"),)
     if set(truth.names) & set(found.joints.names):

@@ -1,4 +1,4 @@
-"""Joints' zeros and scales as files that people use: a table in YAML or JSON, or a URDF that has the zeros in it."""
+"""Write joint zeros and scales as a table in YAML or JSON, or into a URDF."""
 
 import json
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ FORMS = (".yaml", ".yml", ".json", ".urdf")
 
 
 def zeros(body: Path) -> "tuple[tuple[Offset, ...], tuple[Offset, ...]]":
-    """The joints' zeros of a body that was learned with a URDF, and their scales where these were unknown."""
+    """The joint zeros of a body learned with a URDF, and the scales if they are unknowns."""
     from .body import storage
     from .body.kinematic import offsets
 
@@ -29,7 +29,7 @@ def zeros(body: Path) -> "tuple[tuple[Offset, ...], tuple[Offset, ...]]":
 
 
 def write(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]", out: Path, urdf: Path | None) -> None:
-    """Write them by the file's suffix; a URDF is `urdf` with the identifiable zeros in it. UsageError as typed."""
+    """Write by the file's suffix; a URDF is `urdf` with the identifiable zeros added. UsageError for other suffixes."""
     from .io.atomic_files import replacing
 
     if out.suffix not in FORMS:
@@ -45,7 +45,7 @@ def write(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]", out: Path, 
 def _table(values: Mapping[str, Mapping[str, Any]], suffix: str) -> str:
     if suffix == ".json":
         return json.dumps(values, indent=2) + "\n"
-    # JSON's scalars are YAML's
+    # JSON's scalars are valid YAML
     lines = []
     for key, of in values.items():
         lines += [f"{key}:\n", *(f"  {json.dumps(name)}: {json.dumps(one)}\n" for name, one in of.items())]

@@ -1,4 +1,4 @@
-"""A log without a body: what its joints' own sensors show, its images left alone."""
+"""Logs without a body: encoders alone, without images."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +11,7 @@ from .types import Features, Finding, Recording, Series
 
 
 def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
-    """A log's joints without its pictures, and what is odd about how they were read; LogError without joints."""
+    """Read a log's joints, with remarks on their readings; LogError without joints."""
     from . import estimation
     from .recording import recording
 
@@ -25,7 +25,7 @@ def joints_alone(log: Path, settings: Settings) -> tuple[Recording, Features]:
 
 
 def _outside(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]:
-    """Which joints leave the limits of their URDF; the log's own, which nobody asked for, may be unreadable."""
+    """Remarks on joints beyond the limits of their URDF; the log's own URDF may be invalid."""
     from . import estimation
 
     try:
@@ -37,7 +37,7 @@ def _outside(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]
 
 
 def without_body(read: Recording, settings: Settings) -> BodyModel:
-    """What stands for a body where none was learned: the joints' names, and how they move at most."""
+    """A body of joint names alone, with limits on their motion."""
     from . import estimation
 
     assert read.joints is not None

@@ -1,4 +1,4 @@
-"""Beside a live robot: the filter for any learned body, also where encoders read a function of the angle."""
+"""The live filter for any learned body, including bodies whose encoders read a function of the angle."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,33 +13,34 @@ from .settings import Estimation
 
 
 class Estimator(estimator.Estimator):
-    """A filter fed as readings come: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
+    """A filter fed as readings arrive: `est.step(t, joints=…, effector=…)`; noise is the body's own, or a log's."""
 
     def __init__(
         self, body: BodyModel, settings: Estimation | None = None, lag: float = estimator.LAG,
         delay: Mapping[str, float] | None = None, learned: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
-        """A filter for `body` with the senses, start and bias of `settings`; what comes up to `lag` s late is heard.
+        """A filter for `body` with the senses, start and bias of `settings`; readings may be up to `lag` s late.
 
-        `delay`: how much later (s) than it was each camera dates what it shows, {name: s}; None: as where the body was
-        learned · `learned`: the settings of an estimate, whose variances are used. UsageError for settings that need
-        the whole log, for variances that are not this body's, and where a reading does not tell the angle.
+        `delay`: how far (s) each camera's timestamps lag, {name: s}; None: as in the body's exploration log ·
+        `learned`: settings of an estimate, whose variances are used. UsageError for settings that need the whole log,
+        for variances of another body, and where a reading does not determine the angle.
         """
-        to_angles = encoder_function.teller(body)  # refuses where a slope vanishes, by which plain divides
+        to_angles = encoder_function.angle_reader(body)  # refuses zero slopes, by which `plain` divides
         super().__init__(encoder_function.plain(body), settings, lag, to_angles, learned)
         cameras = correction.cameras(body.senses)
         self._delays = correction.learned_delays(body) if delay is None else correction.fixed_delays(delay, cameras)
 
     def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> estimator.Belief:
-        """The belief after all that is dated t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
+        """The belief after all readings stamped t (s): joints in rad, places (u, v) or (u, v, std_u, std_v) in px.
 
-        None, or NaN, is what was not heard. What is told may come out of order by up to `lag` s; the belief is about
-        the latest instant. UsageError or ModelError for what is not the body's, LogError until all joints were told.
+        None, or NaN, is a missing reading. Readings may arrive out of order by up to `lag` s; the belief is about the
+        latest instant. UsageError or ModelError for readings that do not fit the body, LogError until every joint has
+        been read once.
         """
-        t, late, own = finite(t), dict[float, dict[str, Place | None]](), self._delays.get(correction.JOINTS, 0.0)
+        t, by_delay, own = finite(t), dict[float, dict[str, Place | None]](), self._delays.get(correction.JOINTS, 0.0)
         if joints is not None or not places:
-            late[own] = {}
+            by_delay[own] = {}
         for name, place in places.items():
             by = 0.0 if name == "touch" else self._delays.get(camera(name), 0.0)
-            late.setdefault(by, {})[name] = place
-        return self._step_all([(t - by, joints if by == own else None, given) for by, given in late.items()])
+            by_delay.setdefault(by, {})[name] = place
+        return self._step_all([(t - by, joints if by == own else None, given) for by, given in by_delay.items()])

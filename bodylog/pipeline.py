@@ -19,7 +19,7 @@ from .checks import (
     to_learn,
 )
 from .errors import UsageError
-from .fault_findings import named, sightings, untold
+from .fault_findings import fault_warnings, sighting_findings, truth_findings
 from .io.atomic_files import sha256
 from .io.outputs import Output
 from .joints_only import joints_alone, without_body
@@ -92,7 +92,7 @@ def extract(
     if tables is not None:
         export.export_features(features, tables)
     health = {**read.health, **features.health}
-    found = (*read.findings, *features.findings, *sightings(features), *lost)
+    found = (*read.findings, *features.findings, *sighting_findings(features), *lost)
     return Result(out, (), health, found, plain(read.settings))
 
 
@@ -113,7 +113,9 @@ def fit(
     from .body import storage
 
     distinct(
-        [*logs, *test, *(() if update is None else (update,)), *robot_model.named(settings)], [Output(out)], settings
+        [*logs, *test, *(() if update is None else (update,)), *robot_model.urdf_files(settings)],
+        [Output(out)],
+        settings,
     )
     known = None if update is None else storage.load(update)
     settings = settings if known is None else default_features.of_body(known, settings)
@@ -130,7 +132,7 @@ def fit(
         require_trainable(log, found, settings)
         remarks += same_camera(log, cameras, read, found)
     origin = provenance(digests, settings) | ({} if update is None else {"update_sha256": sha256(update)})
-    findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
+    findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
     robot, unfit = robot_model.robot(logs, features, settings)
     with log_context(logs[0], findings, len(logs) - 1):
         learned = camera_delay.learned(features, settings, origin, known, robot)
@@ -149,7 +151,7 @@ def _tested(
     from .estimation.timing import correction
 
     observed = [(log, *observe(log, settings, progress)) for log in logs]
-    remarks = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sightings(found))]
+    remarks = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
     for log, read, found in observed:
         remarks += same_camera(log, learned.provenance.get("cameras", ()), read, found)
     timely = [correction.shifted(found, correction.learned_delays(learned)) for _, _, found in observed]
@@ -164,7 +166,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
     from .annotating import annotate, estimate_metadata
     from .body import storage
 
-    distinct([log, *(robot_model.named(settings) if body is None else [body])], [Output(out)], settings)
+    distinct([log, *(robot_model.urdf_files(settings) if body is None else [body])], [Output(out)], settings)
     known = None if body is None else storage.load(body)
     if known is not None:
         settings = default_features.of_body(known, settings)
@@ -183,7 +185,7 @@ def estimate(log: Path, body: Path | None, out: Path, settings: Settings, progre
         written.about(
             origin | ({} if body is None else {"body_sha256": sha256(body)}) | estimate_metadata.describe(found)
         )
-    remarks = (*read.findings, *features.findings, *cameras, *found.findings, *named(found.faults), *lost)
+    remarks = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
     health = {**read.health, **features.health, **found.used}
     return Result(out, scores, health, remarks, dict(found.settings), found.faults, bounded(found, scores))
 
@@ -223,7 +225,7 @@ def evaluate(log: Path, settings: Settings, truth: Path | None = None) -> Result
     read = with_true_poses(log, found, read)
     if truth is not None:
         read = against(truth, found, read, settings)
-    remarks = (*read.findings, *named(found.faults), *untold(found, read.truth))
+    remarks = (*read.findings, *fault_warnings(found.faults), *truth_findings(found, read.truth))
     scores = score_estimate(found, read)
     return Result(log, scores, found.used, remarks, dict(found.settings), found.faults, bounded(found, scores))
 

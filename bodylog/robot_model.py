@@ -1,4 +1,4 @@
-"""The robot that a body is learned of: its URDF, from a file or the log, and what the log says of its cameras."""
+"""The robot of a body: its URDF, from a file or the log, and its cameras as the log describes them."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 
 FROM_LOG = "log"
-"""In place of a file: the log's own /robot_description."""
+"""Stands for the log's own /robot_description."""
 
 
-def named(settings: Settings) -> tuple[Path, ...]:
-    """The URDF's file, where one is named and used."""
+def urdf_files(settings: Settings) -> tuple[Path, ...]:
+    """The URDF's file, if one is named and used."""
     urdf = settings.kinematics.urdf if settings.kinematics.use else None
     return () if urdf in (None, FROM_LOG) else (Path(str(urdf)),)
 
@@ -30,10 +30,10 @@ def named(settings: Settings) -> tuple[Path, ...]:
 def robot(
     logs: Sequence[Path], features: Sequence[Features], settings: Settings
 ) -> "tuple[Robotics | None, tuple[Finding, ...]]":
-    """What is known of the robot, or None where there is no URDF or none is to be used; a remark on one that is unfit.
+    """The robot, or None without a URDF or if it is not to be used; a remark on an unsuitable one.
 
-    A log's own URDF is used unasked. FormatError where one that is asked for cannot be read, LogError where the log's
-    own is asked for and it has none.
+    A log's own URDF is used by default. FormatError where a requested URDF cannot be read, LogError where the log's own
+    is requested but missing.
     """
     chosen = settings.kinematics
     if not chosen.use or settings.fit.preset == "paper":
@@ -44,8 +44,8 @@ def robot(
     from .kinematics import urdf
     from .recording.robot_description import described
 
-    told = [described(log, settings.input) for log in logs]
-    texts = [(log, one.urdf) for log, one in zip(logs, told, strict=True) if one.urdf]
+    descriptions = [described(log, settings.input) for log in logs]
+    texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
         found = urdf.load(Path(str(chosen.urdf)))
     elif texts:
@@ -60,12 +60,13 @@ def robot(
     else:
         raise LogError(_NO_URDF.format(logs[0]))
     asked = chosen.urdf is not None
-    hints = _hints(found, told, features)
+    hints = _hints(found, descriptions, features)
     return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
 
 
 def check(logs: Sequence[Path], settings: Settings) -> None:
-    """Refuse a URDF before images are read: FormatError where it cannot be read, ModelError where it is of no joint."""
+    """Check a URDF before images are read: FormatError if it is invalid, ModelError if it contains none of the joints.
+    """
     chosen = settings.kinematics
     if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
         return
@@ -81,9 +82,9 @@ def check(logs: Sequence[Path], settings: Settings) -> None:
 
 
 def limits(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
-    """Joints' limits, of the URDF that is named or else the log's own, and where they are from; none where it has none.
+    """Joint limits and their source, by the named URDF or else the log's own; empty without a URDF.
 
-    FormatError where the URDF that is named cannot be read, LogError where the log's own is named and it has none.
+    FormatError where the named URDF cannot be read, LogError where the log's own is named but missing.
     """
     from .kinematics import urdf
     from .recording.robot_description import described
@@ -112,7 +113,7 @@ def _from_log(log: Path, text: str) -> "Robot":
 
 
 def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:
-    """The body whose senses with kinematics know how the robot's root carries what they see."""
+    """Add to each kinematic sense the chain from the robot's root."""
     if known is None:
         return body
     from dataclasses import replace
@@ -131,8 +132,10 @@ def based(body: BodyModel, known: "Robotics | None", features: Sequence[Features
     return replace(body, senses=senses)
 
 
-def _hints(robot: "Robot", told: "Sequence[Described]", features: Sequence[Features]) -> "dict[str, CameraHint]":
-    """Of each camera by name, what the logs say."""
+def _hints(
+    robot: "Robot", descriptions: "Sequence[Described]", features: Sequence[Features]
+) -> "dict[str, CameraHint]":  # fmt: skip
+    """Hints on each camera by name, from the logs."""
     from .kinematics.links import CameraHint
 
     names = {name.rpartition("/")[0] for found in features for name in found.tracks}
@@ -140,9 +143,9 @@ def _hints(robot: "Robot", told: "Sequence[Described]", features: Sequence[Featu
     hints = {}
     for name in sorted(names):
         size = next((found.picture_size for found in features if found.picture_size and not name), None)
-        infos = [info for one in told if (info := _info(topics.get(name), one.cameras)) is not None]
+        infos = [info for one in descriptions if (info := _info(topics.get(name), one.cameras)) is not None]
         hint = CameraHint(size=size or _extent(name, features))
-        for one, info in zip(told, infos, strict=False):
+        for one, info in zip(descriptions, infos, strict=False):
             link, pose = _placed(info.frame, robot, one.transforms)
             hint = CameraHint(link, pose, _lens(info), (info.width, info.height))
             break
@@ -151,7 +154,7 @@ def _hints(robot: "Robot", told: "Sequence[Described]", features: Sequence[Featu
 
 
 def _info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":
-    """The CameraInfo beside an image topic."""
+    """The CameraInfo of an image topic."""
     from .recording.cameras import camera_name
 
     if topic is None:
@@ -161,7 +164,7 @@ def _info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo
 
 
 def _extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
-    """A size of image (px) that holds all that was seen; None where nothing was."""
+    """An image size (px) that contains all positions; None without any."""
     import numpy as np
 
     seen = [s.values for f in features for n, s in f.tracks.items() if n.rpartition("/")[0] == name]
@@ -175,7 +178,7 @@ def _extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
 def _placed(
     frame: str, robot: "Robot", transforms: "Mapping[str, tuple[str, Array]]"
 ) -> "tuple[str | None, Array | None]":
-    """The link that a frame hangs on by fixed transforms, and its pose (4,4) there, None where it is that link."""
+    """The link to which fixed transforms attach a frame, and its pose (4,4) there, None where it is that link."""
     import numpy as np
 
     pose, seen = np.eye(4), {frame}
@@ -191,7 +194,7 @@ def _placed(
 
 
 def _lens(info: "CameraInfo") -> "Array":
-    """The six numbers of a lens; distortion of other than radial models is left out."""
+    """The six lens parameters; distortion other than radial is ignored."""
     import numpy as np
 
     radial = info.distortion[:2] if info.model == "plumb_bob" and len(info.distortion) > 1 else np.zeros(2)

@@ -87,11 +87,11 @@ def test_pictures_of_another_width_than_learned_are_refused_unless_they_are_not_
 
 
 def test_an_encoder_that_is_off_from_the_first_on_may_be_the_camera() -> None:
-    from bodylog.fault_findings import named
+    from bodylog.fault_findings import fault_warnings
     from bodylog.types import Fault
 
     told = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))
-    first, later, jump = named([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in told])
+    first, later, jump = fault_warnings([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in told])
     assert first.text == (
         "encoders a: drifting since 0.200 s, 0.1 rad; from the first on: homed differently, or the camera has moved "
         "since the body was learned"

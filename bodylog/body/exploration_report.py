@@ -6,7 +6,7 @@ import numpy as np
 
 from ..body_model import Noise
 from ..types import Features, Finding, Score
-from .data.pairs import Joint, joints, moves, silent
+from .data.pairs import Joint, joints, moves, sparse_joints
 from .gp.model import GP
 
 
@@ -22,9 +22,9 @@ def scores(chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> I
         yield Score(f"std_over_noise/model/{name}", float(np.sqrt(spread.mean() / np.mean(noise.senses[name]))), "1")
 
 
-def findings(heard: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:
+def findings(known: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[str, GP], noise: Noise) -> list[Finding]:
     """Joints that vision does not observe: those that did not move, and those with less influence than pixel noise."""
-    still = [joint for joint in heard if joint not in chosen]
+    still = [joint for joint in known if joint not in chosen]
     left_out = "left out: vision says nothing about it"
     found = [Finding("info", f"{j.name}: moved {j.range:.3f} rad, {left_out}") for j in still]
     for name, gp in senses.items():
@@ -36,12 +36,12 @@ def findings(heard: Sequence[Joint], chosen: Sequence[Joint], senses: Mapping[st
     return found
 
 
-def unlearned(features: Sequence[Features], names: Sequence[str], wanted: Sequence[str] | None) -> list[Finding]:
+def missing_findings(features: Sequence[Features], names: Sequence[str], wanted: Sequence[str] | None) -> list[Finding]:
     """Warnings for joints that are not learned but move what is seen: too few readings, or not selected."""
-    deaf = silent(features)
-    found = [Finding("warning", f"{text}; left out: vision errs by what it moved") for text in deaf.values()]
+    sparse = sparse_joints(features)
+    found = [Finding("warning", f"{text}; left out: vision errs by what it moved") for text in sparse.values()]
     shared = [set(f.joints.names) for f in features if f.joints is not None]
-    rest = tuple(n for n in sorted(set.intersection(*shared)) if n not in names and n not in deaf) if wanted else ()
+    rest = tuple(n for n in sorted(set.intersection(*shared)) if n not in names and n not in sparse) if wanted else ()
     for joint in joints(features, rest) if rest else ():
         if moves(joint):
             moved = f"{joint.name}: moved {joint.range:.3f} rad but is not among the joints learned"

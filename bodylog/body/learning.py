@@ -13,8 +13,19 @@ from ..settings import Fit, Settings
 from ..types import Features, Finding, Score
 from . import exploration_report, noise_estimates, pose_errors
 from .data import trainable
-from .data.exploration import shown
-from .data.pairs import Joint, Pairs, earlier, joined, joints, moves, pairs, plausible, restless, silent
+from .data.exploration import select_joints
+from .data.pairs import (
+    Joint,
+    Pairs,
+    joined,
+    joints,
+    moves,
+    moving_joints,
+    pairs,
+    pairs_of_samples,
+    plausible,
+    sparse_joints,
+)
 from .gp.model import GP
 from .senses import encoder_calibration, encoder_function, touch, track
 
@@ -50,46 +61,72 @@ def learn(
     """
     features, absurd = plausible(features)
     wanted = settings.body.joints if update is None else _same(features, update)
-    told = [encoder_function.referred(f, update) for f in features]
+    angled = [encoder_function.with_true_angles(f, update) for f in features]
     if update is None and not any(name != "hand" for f in features for name in f.tracks):
-        raise EvidenceError(_nothing_seen(told))  # before joints are smoothed, which takes long
-    heard = joints(told, wanted)
-    chosen = [j for j in heard if wanted or moves(j)]
-    if not chosen:
-        possible = ", ".join(j.name for j in heard) or f"none ({'; '.join(silent(told).values())})"
-        raise EvidenceError(f"no joint moved; heard: {possible}; record an exploration, or name them in [body] joints")
-    chosen, unseen = (chosen, []) if wanted else shown(features, chosen, settings.fit)
-    tracks = dict(_tracks(features, chosen, settings.fit, update))
-    senses, poor = _senses(tracks, chosen, settings.fit, hopeful)
+        raise EvidenceError(_nothing_seen(angled))  # before joints are smoothed, which takes long
+    available = joints(angled, wanted)
+    chosen = _moved(angled, available, wanted)
+    chosen, unseen = (chosen, []) if wanted else select_joints(features, chosen, settings.fit)
+    senses, poor = _senses(dict(_tracks(features, chosen, settings.fit, update)), chosen, settings.fit, hopeful)
     if not senses:
         raise EvidenceError(_refusal(features, poor, chosen))
     names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
-    learned = noise_estimates.learned(
-        [j.acceleration for j in chosen], gps, {n: found.floor for n, found in senses.items()}
-    )
-    learned, repeated = _posed(learned, senses, len(chosen)) if all(f.poses for f in features) else (learned, {})
-    learned = learned if update is None else noise_estimates.pooled(learned, update.noise)
-    constants, cells, touched = touch.learned(told, names, gps.get("effector"))
+    learned, repeated = _noise(features, chosen, senses, update)
+    constants, cells, touched = touch.learned(angled, names, gps.get("effector"))
     read = encoder_calibration.learned(features, chosen, learned)
     given: Mapping[str, ForwardModel] = {}
     if update is not None:
         given = {n: g for n, g in update.senses.items() if n not in _seen(update)}
         constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
-    scores = [s for name, found in senses.items() for s in track.scores(name, found, names, learned)]
-    scores += [Score(f"explained/{name}", trainable.explained(found), "1") for name, found in senses.items()]
-    useless = [name for name in poor if name not in senses]
-    few = [Finding("warning", f"{n}: left out: {poor[n]}; {trainable.seen(features, n)}") for n in useless]
-    left_out = [f for name, found in senses.items() for f in track.findings(name, found)]
-    covered = exploration_report.findings([j for j in heard if j in chosen or not moves(j)], chosen, gps, learned)
-    gaps, pictures = exploration_report.unlearned(told, [j.name for j in heard], wanted), _pictures(features)
-    about = {**pictures, **repeated, **provenance}
+    scores = (*exploration_report.scores(chosen, gps, learned), *_scores(senses, names, learned), *read.scores)
+    covered = exploration_report.findings([j for j in available if j in chosen or not moves(j)], chosen, gps, learned)
+    gaps = exploration_report.missing_findings(angled, [j.name for j in available], wanted)
+    dropped = _dropped(features, senses, poor)
+    about = {**_pictures(features), **repeated, **provenance}
     return Learned(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
-        (*exploration_report.scores(chosen, gps, learned), *scores, *read.scores),
-        (trainable.moved(heard, chosen), *covered, *absurd, *unseen, *gaps, *few, *left_out, *touched, *read.findings),
+        scores,
+        (trainable.moved(available, chosen), *covered, *absurd, *unseen, *gaps, *dropped, *touched, *read.findings),
         tuple(chosen),
-        {name: why for name, why in poor.items() if name in senses},
+        {name: reason for name, reason in poor.items() if name in senses},
     )
+
+
+def _moved(features: Sequence[Features], available: list[Joint], wanted: tuple[str, ...] | None) -> list[Joint]:
+    """The joints wanted, or those that moved; EvidenceError without any."""
+    chosen = [j for j in available if wanted or moves(j)]
+    if not chosen:
+        possible = ", ".join(j.name for j in available) or f"none ({'; '.join(sparse_joints(features).values())})"
+        raise EvidenceError(f"no joint moved; the log has {possible}; record an exploration, or name [body] joints")
+    return chosen
+
+
+def _noise(
+    features: Sequence[Features], chosen: Sequence[Joint], senses: Mapping[str, track.Sense], update: BodyModel | None
+) -> tuple[Noise, dict[str, Any]]:
+    """Noise of joints and senses, pooled with that of a body to update, and its part of the provenance."""
+    gps, floors = ({n: getattr(found, part) for n, found in senses.items()} for part in ("gp", "floor"))
+    learned = noise_estimates.learned([j.acceleration for j in chosen], gps, floors)
+    learned, repeated = _posed(learned, senses, len(chosen)) if all(f.poses for f in features) else (learned, {})
+    return learned if update is None else noise_estimates.pooled(learned, update.noise), repeated
+
+
+def _scores(senses: Mapping[str, track.Sense], names: tuple[str, ...], noise: Noise) -> Iterator[Score]:
+    """Scores of all tracks."""
+    for name, found in senses.items():
+        yield from track.scores(name, found, names, noise)
+    for name, found in senses.items():
+        yield Score(f"explained/{name}", trainable.explained(found), "1")
+
+
+def _dropped(
+    features: Sequence[Features], senses: Mapping[str, track.Sense], poor: Mapping[str, str]
+) -> Iterator[Finding]:
+    """Remarks on tracks without a model, and on sightings left out of the others."""
+    for name in (name for name in poor if name not in senses):
+        yield Finding("warning", f"{name}: left out: {poor[name]}; {trainable.seen(features, name)}")
+    for name, found in senses.items():
+        yield from track.findings(name, found)
 
 
 def _posed(
@@ -110,18 +147,18 @@ def _senses(
     """Each track's model, and the reasons why others have none; `hopeful` keeps poor models, too."""
     found, poor = dict[str, track.Sense](), dict[str, str]()
     for name, part in tracks.items():
-        why = trainable.unfit(part, [] if hopeful else chosen)
-        if why is None:
+        reason = trainable.unfit(part, [] if hopeful else chosen)
+        if reason is None:
             try:
                 found[name] = track.sense(part, chosen, fit)
             except np.linalg.LinAlgError as problem:
-                why = f"no model of its {len(part.x)} sightings: {problem}"
+                reason = f"no model of its {len(part.x)} sightings: {problem}"
             else:
-                why = trainable.unexplained(found[name])
-        if why is not None and fit.preset == "paper" and name in found:
+                reason = trainable.unexplained(found[name])
+        if reason is not None and fit.preset == "paper" and name in found:
             continue  # the paper's constants are used whatever they predict
-        if why is not None:
-            poor[name] = why
+        if reason is not None:
+            poor[name] = reason
             if not hopeful:
                 found.pop(name, None)
     return found, poor
@@ -129,17 +166,17 @@ def _senses(
 
 def _nothing_seen(features: Sequence[Features]) -> str:
     """The message without any track, with the joints that moved."""
-    names = restless(features)
+    names = moving_joints(features)
     moved = f"though {len(names)} joints moved ({', '.join(names)})" if names else "and no joint moved"
     return f"no track to learn from, {moved}; type: bodylog info LOG, and name a marker in [features]"
 
 
 def _refusal(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[Joint]) -> str:
-    """The message when no track can be learned, with what to record or type."""
+    """The message when no track can be learned, and advice."""
     moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
-    said = "; ".join(f"{name}: {why}, {trainable.seen(features, name)}" for name, why in poor.items())
+    reasons = "; ".join(f"{name}: {reason}, {trainable.seen(features, name)}" for name, reason in poor.items())
     advice = "type bodylog features LOG to see what else there is, or record a marker that all joints move in view"
-    return f"no track teaches a body, though {moved}: {said}; {advice}"
+    return f"no track can be learned, though {moved}: {reasons}; {advice}"
 
 
 def _tracks(
@@ -149,7 +186,7 @@ def _tracks(
     for name in sorted({name for f in features for name in f.tracks if name != "hand"} | set(known)):
         parts = [pairs(features, name, chosen, fit.every)] if any(name in f.tracks for f in features) else []
         if name in known:
-            parts.append(earlier(known[name].samples, known[name].targets, known[name].spread))
+            parts.append(pairs_of_samples(known[name].samples, known[name].targets, known[name].spread))
         yield name, joined(parts)
 
 
@@ -171,6 +208,6 @@ def _same(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:
         names = () if found.joints is None else found.joints.names
         missing = [name for name in update.joints if name not in names]
         if names and missing:
-            which, heard = f"log {index + 1} of {len(features)}", ", ".join(names)
-            raise ModelError(f"{which}: joint {missing[0]!r} of the body to update is not there; heard: {heard}")
+            which, available = f"log {index + 1} of {len(features)}", ", ".join(names)
+            raise ModelError(f"{which}: joint {missing[0]!r} of the body to update is missing; it has {available}")
     return update.joints

@@ -65,8 +65,8 @@ def _rows(senses: Sequence[Sense], joints: int) -> _Rows:
         mine, columns = (at >= 0) & (found.variance <= SURE * noise).all(axis=1), slice(2 * k, 2 * k + 2)
         r[at[mine], columns], var[at[mine], columns] = found.residual[mine], found.variance[mine]
         jac[at[mine], columns] = found.gp.means(found.used.x)[1][mine]
-    told = np.isfinite(var).any(axis=1)
-    return _Rows(r[told], jac[told], var[told])
+    seen = np.isfinite(var).any(axis=1)
+    return _Rows(r[seen], jac[seen], var[seen])
 
 
 def _loss(p: Array, rows: _Rows) -> float:

@@ -23,12 +23,12 @@ def score(
     Angles are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the body's,
     ModelError where one lacks its joints.
     """
-    features, remarks = plausible([encoder_function.referred(found, model) for found in features])
+    features, findings = plausible([encoder_function.with_true_angles(found, model) for found in features])
     for index, found in enumerate(features):
         names = () if found.joints is None else found.joints.names
         if missing := [name for name in model.joints if name not in names]:
-            heard = ", ".join(names) or "none"
-            raise ModelError(f"test log {index + 1}: joint {missing[0]!r} of the body is not there; heard: {heard}")
+            have = ", ".join(names) or "none"
+            raise ModelError(f"test log {index + 1}: joint {missing[0]!r} of the body is not there; it has {have}")
     chosen = joints(features, model.joints)
     seen = sorted({name for found in features for name in found.tracks} & set(model.senses))
     parts = {name: pairs(features, name, chosen, 1) for name in seen}
@@ -37,17 +37,17 @@ def score(
         shown = ", ".join(sorted({name for found in features for name in found.tracks})) or "none"
         raise EvidenceError(f"test: no sighting of {', '.join(model.senses)}; tracks: {shown}; give another log")
     unseen = [name for name in model.senses if name not in scored and name != "encoders"]
-    remarks += [Finding("warning", f"{name}: not scored, the test logs do not show it") for name in unseen]
-    told = {name: _told(name, part, model) for name, part in scored.items()}
+    findings += [Finding("warning", f"{name}: not scored, the test logs do not show it") for name in unseen]
+    errors = {name: _errors(name, part, model) for name, part in scored.items()}
     groups: dict[str, list[str]] = {}
-    for name in told:
+    for name in errors:
         groups.setdefault(group_of(name), []).append(name)
-    boards = {group: [told[name] for name in names] for group, names in groups.items() if len(names) > 1}
+    boards = {group: [errors[name] for name in names] for group, names in groups.items() if len(names) > 1}
     joint = {group: tuple(np.concatenate(column) for column in zip(*of, strict=True)) for group, of in boards.items()}
-    return tuple(s for name, one in {**joint, **told}.items() for s in _scores(name, *one)), tuple(remarks)
+    return tuple(s for name, one in {**joint, **errors}.items() for s in _scores(name, *one)), tuple(findings)
 
 
-def _told(name: str, part: Pairs, model: BodyModel) -> tuple[Array, Array]:
+def _errors(name: str, part: Pairs, model: BodyModel) -> tuple[Array, Array]:
     """Errors (N,2) px of one track and their predicted variances (N,2) px²."""
     mean, jac, var = model.senses[name].predict(part.x)
     return part.y - mean, var + _pixels(name, part, model) + np.einsum("ndm,nm->nd", jac**2, part.variance)

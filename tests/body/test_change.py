@@ -8,7 +8,7 @@ import pytest
 from bodylog import body, change_findings
 from bodylog.body.kinematic import change
 from bodylog.body.kinematic.learn import Robotics, learn
-from bodylog.fault_findings import named
+from bodylog.fault_findings import fault_warnings
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import CameraHint
 from bodylog.settings import Estimation, Settings
@@ -58,7 +58,7 @@ def test_a_sound_run_has_no_change(known):
 @pytest.mark.parametrize(("joint", "degrees"), [("pan", 1.0), ("lift", -2.0), ("elbow", 5.0)])
 def test_a_zero_that_moved_is_told_with_its_size(known, joint, degrees):
     (one,) = change.changes(run(offset={joint: degrees * DEGREE}), known)
-    assert (one.kind, one.name, one.since, one.rivals) == ("joint", joint, None, ())
+    assert (one.kind, one.name, one.since, one.alternatives) == ("joint", joint, None, ())
     assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.GAIN
 
 
@@ -109,7 +109,7 @@ def test_an_estimate_names_it_once_with_its_std(known):
     (fault,) = told.faults
     assert (fault.sense, fault.name, fault.kind) == ("encoders", "elbow", "offset")
     assert abs(fault.size + 3 * DEGREE) < 3 * fault.std
-    (text,) = named(told.faults)
+    (text,) = fault_warnings(told.faults)
     assert f"± {fault.std:.2g} rad; beside where it was when the body was learned" in text.text
     assert any(f.text.startswith("elbow: reads -") and "nats likelier" in f.text for f in told.findings)
 
@@ -147,7 +147,7 @@ def test_sizes_that_differ_are_both_said(known):
 def test_what_cannot_be_told_apart_is_named_together(known):
     found, _ = _estimate(run(), known)
     (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
-    (fault,), _ = change_findings.merged([replace(one, rivals=("camera",))], found)
+    (fault,), _ = change_findings.merged([replace(one, alternatives=("camera",))], found)
     assert fault.name == "elbow or camera" and fault.size != fault.size and fault.std is None
 
 

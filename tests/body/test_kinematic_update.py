@@ -63,5 +63,5 @@ def test_a_camera_that_was_moved_is_named_and_the_chain_not_used(known):
     hopeful = body.learn([moved], Settings(), {}, known, hopeful=True)
     found = update.learn([moved], Settings(), hopeful, known)
     assert found.model is hopeful.model and "the URDF is not used" in found.findings[-1].text
-    with pytest.raises(EvidenceError, match="no track teaches a body"):
+    with pytest.raises(EvidenceError, match="no track can be learned"):
         body.with_kinematics([moved], Settings(), hopeful, None, known)

@@ -86,7 +86,7 @@ def test_a_body_learns_on_from_another_log(explored) -> None:
     assert error(twice) < 0.9 * error(once)
     assert error(twice) == pytest.approx(error(both), rel=0.15)
     other = replace(second.features, joints=replace(second.features.joints, names=("pan", "lift", "e", "wrist")))
-    with pytest.raises(ModelError, match="log 1 of 1: joint 'elbow' of the body to update is not there; heard: pan"):
+    with pytest.raises(ModelError, match="log 1 of 1: joint 'elbow' of the body to update is missing; it has pan"):
         learn([other], Settings(), {}, once.model)
 
 
@@ -98,7 +98,7 @@ def test_every_named_track_gets_its_model_and_the_hand_none(explored) -> None:
     tracks = {"effector": track, "knob": knob, "hand": track, "rare": few}
     found = learn([replace(features, tracks=tracks)], Settings(), {})
     assert set(found.model.senses) == {"effector", "knob"} == set(found.model.noise.senses)
-    assert any(f.text.startswith("rare: left out: only 5 sightings while joints were heard") for f in found.findings)
+    assert any(f.text.startswith("rare: left out: only 5 sightings with joint readings") for f in found.findings)
 
 
 def test_thinning_is_said_and_costs_little(explored) -> None:
@@ -152,7 +152,7 @@ def test_nothing_to_learn_from_is_an_error_that_says_so(explored) -> None:
     with pytest.raises(EvidenceError, match="no track to learn from, though 3 joints moved"):
         learn([replace(features, tracks={})], Settings(), {})
     still = replace(features.joints, values=0 * features.joints.values)
-    with pytest.raises(EvidenceError, match="no joint moved; heard: pan, lift, elbow, wrist"):
+    with pytest.raises(EvidenceError, match="no joint moved; the log has pan, lift, elbow, wrist"):
         learn([replace(features, joints=still)], Settings(), {})
 
 
@@ -175,7 +175,7 @@ def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
     with pytest.raises(EvidenceError, match=f"{said}, but it is asked for"):
         learn([features], Settings(body=Body(joints=("pan", "elbow"))), {})
     values = np.full_like(features.joints.values, np.nan)
-    with pytest.raises(EvidenceError, match=r"no joint moved; heard: none \(pan: only 0 of 1000"):
+    with pytest.raises(EvidenceError, match=r"no joint moved; the log has none \(pan: only 0 of 1000"):
         learn([replace(features, joints=replace(features.joints, values=values))], Settings(), {})
 
 

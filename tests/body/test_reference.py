@@ -133,5 +133,5 @@ def test_what_is_missing_is_named(explored) -> None:
     with pytest.raises(EvidenceError, match="pan: 50 readings while the reference spoke, at least 200"):
         learn([replace(features, joints=short)], Settings(), {})
     others = replace(features.joints, names=("a", *JOINTS[1:]))
-    with pytest.raises(ConfigError, match="its joint 'pan' has no encoder; heard: a, lift, elbow, wrist"):
+    with pytest.raises(ConfigError, match="its joint 'pan' has no encoder; possible: a, lift, elbow, wrist"):
         learn([replace(features, joints=others)], Settings(), {})

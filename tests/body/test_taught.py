@@ -50,7 +50,7 @@ def test_a_track_that_foreign_things_move_is_refused(run, seed):
     t = track.t[:, None] * draw.uniform(0.3, 1.5, 2)
     walking = [160.0, 120.0] + 50.0 * np.sin(t + draw.uniform(0, 6, 2)) + draw.normal(0, 0.4, track.values.shape)
     for places in (noise, walking):
-        assert "it does not move as the joints do" in _refused(_only(run, places))
+        assert "it does not move with the joints" in _refused(_only(run, places))
 
 
 def test_false_sightings_do_not_hide_that_the_arm_is_seen(run):
@@ -67,7 +67,7 @@ def test_a_still_track_beside_a_moving_one_is_left_out_with_a_warning(run):
     assert set(found.model.senses) == {"effector"}
     warned = [f.text for f in found.findings if f.severity == "warning"]
     assert any(text.startswith("other: left out: stands still at (40.0, 30.0) px") for text in warned)
-    assert any(text.startswith("poster: left out: held out, the joints foretell") for text in warned)
+    assert any(text.startswith("poster: left out: joints predict") for text in warned)
     x = alone.model.senses["effector"].samples
     np.testing.assert_array_equal(
         alone.model.senses["effector"].predict(x)[0], found.model.senses["effector"].predict(x)[0]
@@ -79,7 +79,7 @@ def test_too_few_sightings_for_the_joints_are_refused_with_the_counts(run):
     places[8:] = np.nan
     lost = replace(_only(run, places), health={"effector": Health(199, 8, {"too small": 180, "out of view": 11})})
     said = _refused(lost)
-    assert "effector: only 8 sightings while joints were heard, 9 are needed as 3 joints moved" in said
+    assert "effector: only 8 sightings with joint readings, 9 are needed as 3 joints moved" in said
     assert "seen in 8 of 199 images (others: 180 too small, 11 out of view)" in said
 
 
@@ -109,6 +109,6 @@ def test_a_table_of_few_poses_is_refused(tmp_path, run_cli, capsys):
     (tmp_path / "poses.csv").write_text("\n".join(["pan,lift,tip_u,tip_v", *rows]) + "\n")
     assert run_cli("fit", tmp_path / "poses.csv", "-o", tmp_path / "body.npz") == 65
     said = capsys.readouterr().err
-    assert "tip: only 5 sightings while joints were heard, 8 are needed" in said and "seen in 5 of 5 images" in said
+    assert "tip: only 5 sightings with joint readings, 8 are needed" in said and "seen in 5 of 5 images" in said
     assert not (tmp_path / "body.npz").exists()
 

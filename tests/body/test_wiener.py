@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from bodylog.body.data.wiener import banded, covariance, log_determinant, precision, selected_inverse, solve, transition
+from bodylog.body.data.wiener import banded, covariance, log_determinant, precision, solve, transition
+from bodylog.linear_algebra import selected_inverse
 from bodylog.types import Array
 
 

@@ -164,7 +164,7 @@ def test_another_robots_body_is_not_learned_on_from(tmp_path, capsys, run_cli, r
     np.savez(body, **arrays)
     capsys.readouterr()
     assert run_cli("fit", robot / "reach.mcap", "--update", body, "-o", tmp_path / "out.npz") == 65
-    assert "joint 'knee_joint' of the body to update is not there; heard: " in capsys.readouterr().err
+    assert "joint 'knee_joint' of the body to update is missing; it has " in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == [body]
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.estimation import METHODS
 from bodylog.evaluation.scores import scores
-from bodylog.fault_findings import untold
+from bodylog.fault_findings import truth_findings
 from bodylog.types import Estimate, Health, Series
 
 
@@ -103,9 +103,9 @@ def test_without_truth_only_what_needs_none():
     stranger = Series(truth.t, truth.values, ("x", "y"), "rad", truth.source_ns)
     assert "rmse/joint" not in named(found, stranger)
     assert named(found, stranger, truth).keys() == named(found, None, truth).keys()
-    assert untold(found, truth) == ()
-    assert "the truth is of x, y, the estimate of" in untold(found, stranger)[0].text
-    assert "no truth topic" in untold(found, None)[0].text
+    assert truth_findings(found, truth) == ()
+    assert "the truth is of x, y, the estimate of" in truth_findings(found, stranger)[0].text
+    assert "no truth topic" in truth_findings(found, None)[0].text
 
 
 def test_evidence_is_summed_for_methods_that_have_one():

@@ -5,8 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...linear_algebra import selected_inverse
 from ...types import Array
-from .wiener import banded, covariance, log_determinant, precision, selected_inverse, solve, transition
+from .wiener import banded, covariance, log_determinant, precision, solve, transition
 
 _BIN_S = 0.01
 _NEAR = 0.25

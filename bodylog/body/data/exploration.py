@@ -17,7 +17,7 @@ SAMPLES, FEWEST = 200, 8
 """Sightings that suffice to see whether a joint moves a track, and the fewest that are judged."""
 
 
-def shown(
+def select_joints(
     features: Sequence[Features], chosen: Sequence[Joint], fit: Fit
 ) -> tuple[list[Joint], list[Finding]]:
     """Drop joints of further topics that move no track by more than the model's residual.

@@ -78,30 +78,30 @@ def joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list
     unknown = [n for n in wanted or () if n not in common]
     if unknown:
         raise ConfigError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(common)}; type: bodylog info LOG")
-    deaf = silent(features)
-    if told := [deaf[n] for n in wanted or () if n in deaf]:
-        raise EvidenceError(f"{told[0]}, but it is asked for; type: bodylog info LOG")
+    sparse = sparse_joints(features)
+    if missing := [sparse[n] for n in wanted or () if n in sparse]:
+        raise EvidenceError(f"{missing[0]}, but it is asked for; type: bodylog info LOG")
     still = [f.poses for f in features]
-    return [_joint(n, readings, still) for n in wanted or common if n not in deaf]
+    return [_joint(n, readings, still) for n in wanted or common if n not in sparse]
 
 
-def silent(features: Sequence[Features]) -> dict[str, str]:
+def sparse_joints(features: Sequence[Features]) -> dict[str, str]:
     """A message for each joint with too few readings in some log."""
     found, few = {}, f"{_FEWEST} are needed"
     for index, readings in enumerate(f.joints for f in features if f.joints is not None):
         for name, column in zip(readings.names, readings.values.T, strict=True):
-            heard = len(np.unique(readings.t[np.isfinite(column)]))
-            if heard < _FEWEST:
-                found[name] = f"{name}: only {heard} of {len(column)} readings in log {index + 1} are numbers, {few}"
+            count = len(np.unique(readings.t[np.isfinite(column)]))
+            if count < _FEWEST:
+                found[name] = f"{name}: only {count} of {len(column)} readings in log {index + 1} are numbers, {few}"
     return found
 
 
 def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
     """Remove impossible readings and positions, and return a remark for each joint and track that had some."""
-    kept, said = [], []
+    kept, findings = [], []
     for index, found in enumerate(features):
         found, far = _near(found, index)
-        said += far
+        findings += far
         for role in ("joints", "reference"):
             series = getattr(found, role)
             absurd = np.zeros((0, 0), bool) if series is None else np.abs(series.values) > _ABSURD
@@ -111,21 +111,21 @@ def plausible(features: Sequence[Features]) -> tuple[list[Features], list[Findin
             for m in np.flatnonzero(absurd.any(axis=0)):
                 example = f"{series.values[absurd[:, m], m][0]:.3g} {series.unit}"
                 what = f"{series.names[m]}: {absurd[:, m].sum()} of {len(absurd)} readings in log {index + 1}"
-                said.append(Finding("warning", f"{what} left out: no joint is at {example}"))
+                findings.append(Finding("warning", f"{what} left out: no joint is at {example}"))
         kept.append(found)
-    return kept, said
+    return kept, findings
 
 
 def _near(found: Features, index: int) -> tuple[Features, list[Finding]]:
     """Remove positions beyond any image, and return a remark for each track that had some."""
-    tracks, said = dict(found.tracks), []
+    tracks, findings = dict(found.tracks), []
     for name, track in found.tracks.items():
         far: Array = np.asarray((np.abs(track.values) > _FAR_PX).any(axis=1))
         if far.any():
             tracks[name] = replace(track, values=np.where(far[:, None], np.nan, track.values))
             what = f"{name}: {far.sum()} of {len(far)} places in log {index + 1} left out"
-            said.append(Finding("warning", f"{what}: beyond {_FAR_PX:g} px"))
-    return replace(found, tracks=tracks), said
+            findings.append(Finding("warning", f"{what}: beyond {_FAR_PX:g} px"))
+    return replace(found, tracks=tracks), findings
 
 
 def moves(joint: Joint) -> bool:
@@ -133,7 +133,7 @@ def moves(joint: Joint) -> bool:
     return joint.range > _LEAST_RANGE
 
 
-def restless(features: Sequence[Features]) -> list[str]:
+def moving_joints(features: Sequence[Features]) -> list[str]:
     """Joints whose raw readings span more than those of a joint at rest."""
     found: dict[str, None] = {}
     for series in (f.joints for f in features if f.joints is not None):
@@ -151,7 +151,7 @@ def pairs(features: Sequence[Features], track: str, chosen: Sequence[Joint], eve
     return joined([_shuffled(part) if posed else part for part, posed in zip(parts, still, strict=True)])
 
 
-def earlier(x: Array, y: Array, spread: Array) -> Pairs:
+def pairs_of_samples(x: Array, y: Array, spread: Array) -> Pairs:
     """The samples of an existing body, whose variance spread (n,D) already includes that of the angles."""
     label, block = np.full(len(x), _EARLIER), np.arange(len(x)) * _BLOCKS // len(x) - _BLOCKS
     return Pairs(x, np.zeros(x.shape), y, spread, block, label, np.arange(len(x), dtype=float), len(x))

@@ -22,7 +22,7 @@ def unfit(part: Pairs, chosen: Sequence[Joint]) -> str | None:
     least = max(FEWEST, PER_JOINT * len(chosen))
     if len(part.x) < least:
         moved = f"{len(chosen)} joint{'s' * (len(chosen) != 1)} moved"
-        return f"only {len(part.x)} sightings while joints were heard, {least} are needed as {moved}"
+        return f"only {len(part.x)} sightings with joint readings, {least} are needed as {moved}"
     if (np.ptp(part.y, axis=0) < STILL).all():
         u, v = part.y[0]
         return f"stands still at ({u:.1f}, {v:.1f}) px in all {len(part.x)} sightings"
@@ -37,8 +37,8 @@ def unexplained(found: Sense) -> str | None:
         return None
     own, constant = (float(np.median(np.linalg.norm(r, axis=1))) for r in (found.residual, found.constant))
     return (
-        f"held out, the joints foretell its {len(found.residual)} sightings to {own:.2f} px (median), a constant to "
-        f"{constant:.2f} px: it does not move as the joints do"
+        f"joints predict its {len(found.residual)} sightings, held out, to {own:.2f} px (median), a constant to "
+        f"{constant:.2f} px: it does not move with the joints"
     )
 
 
@@ -79,9 +79,9 @@ def counted(found: Features, name: str) -> tuple[int, int, dict[str, int]]:
     return len(track.t), shown, {"not seen": len(track.t) - shown} if shown < len(track.t) else {}
 
 
-def moved(heard: Sequence[Joint], chosen: Sequence[Joint]) -> Finding:
+def moved(known: Sequence[Joint], chosen: Sequence[Joint]) -> Finding:
     """The joints learned over and their ranges."""
     ranges = ", ".join(f"{joint.name} {joint.range:.3g}" for joint in chosen)
-    rest = [joint.name for joint in heard if joint not in chosen]
+    rest = [joint.name for joint in known if joint not in chosen]
     others = f"; not learned over: {', '.join(rest)}" if rest else ""
     return Finding("info", f"joints: {len(chosen)} learned over, which moved by {ranges} rad{others}")

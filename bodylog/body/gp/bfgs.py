@@ -53,7 +53,7 @@ def _step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array)
 def _search(
     loss: Loss, here: Array, value: float, gradient: Array, step: Array, low: Array, high: Array
 ) -> tuple[Array, float, Array] | None:
-    """The first point along the step, shortened each time, with enough decrease; None if there is none."""
+    """The first point along the step, shortened each time, with enough decrease, or None."""
     share = 1.0
     for _ in range(20):
         there = np.minimum(np.maximum(here + share * step, low), high)

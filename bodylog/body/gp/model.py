@@ -158,7 +158,7 @@ class _Single:
     def at(self, offset: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and variance (D,) at an offset (M,) from the origin of `near`."""
         kernel, tilt = self.kernel(offset)
-        return self.told(self.rows.dot(kernel), tilt)
+        return self.evaluate(self.rows.dot(kernel), tilt)
 
     def kernel(self, offset: Array) -> tuple[Array, Array]:
         """At an offset (M,) from the origin of `near`: k (n,) of amplitude 1; the offset times the precision (M,)."""
@@ -169,7 +169,7 @@ class _Single:
         kernel -= 0.5 * offset.dot(tilt)
         return np.exp(kernel, out=kernel), tilt
 
-    def told(self, sums: Array, tilt: Array) -> tuple[Array, Array, Array]:
+    def evaluate(self, sums: Array, tilt: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and variance (D,) of rows · k."""
         outputs, inputs = len(self.mean), len(tilt)
         value, leans, seen = sums[:outputs], sums[outputs : outputs * (1 + inputs)], sums[outputs * (1 + inputs) :]

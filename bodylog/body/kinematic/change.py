@@ -52,7 +52,7 @@ class Change:
     std: Array
     nats: float
     since: float | None = None
-    rivals: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
     unit: str = "rad"
 
 
@@ -74,10 +74,10 @@ def changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
     if sum(len(kept) for kept in problem.kept) < FEWEST:
         return ()
     found = _paired(_searched(problem, len(body.joints)), problem)
-    return tuple(one for one in _told(found) if one.kind != "joint" or abs(one.value[0]) > LEAST)
+    return tuple(one for one in _weighted_changes(found) if one.kind != "joint" or abs(one.value[0]) > LEAST)
 
 
-_Rivals = tuple[tuple[str, str], ...]
+_Alternatives = tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,21 +87,21 @@ class _Search:
     problem: Problem
     parts: tuple[Part, ...]
     fit: Fit
-    rivals: Mapping[tuple[str, str], _Rivals]
+    alternatives: Mapping[tuple[str, str], _Alternatives]
 
 
 def _searched(problem: Problem, most: int) -> _Search:
     """Add one part after the other while each wins GAIN nats; drop parts that later ones explain."""
-    accepted, known, won = tuple[Part, ...](), fitted(problem, ()), dict[tuple[str, str], _Rivals]()
+    accepted, known, won = tuple[Part, ...](), fitted(problem, ()), dict[tuple[str, str], _Alternatives]()
     while len(accepted) < most:
-        taken = {*won, *(rival for rivals in won.values() for rival in rivals)}
+        taken = {*won, *(other for alternatives in won.values() for other in alternatives)}
         tried = _tried(problem, accepted, known, taken)
         if not tried or tried[0][1].evidence < known.evidence + GAIN:
             break
         part, best = tried[0]
         if np.isfinite(part.onset):
             problem, part, best = _timed(problem, accepted, part, best)
-        won[part.thing] = _rivals(part, tried)
+        won[part.thing] = _alternatives(part, tried)
         accepted, known = _needed(problem, (*accepted, part), best)
     return _Search(problem, accepted, known, won)
 
@@ -114,17 +114,17 @@ def _paired(found: _Search, problem: Problem) -> _Search:
     about = linearised(problem, found.fit.unknowns)
     best = max(combinations(constant, 2), key=lambda pair: linear(about, problem, pair))
     fit = fitted(problem, best)
-    if fit.evidence <= found.fit.evidence or {part.thing for part in best} == set(found.rivals):
+    if fit.evidence <= found.fit.evidence or {part.thing for part in best} == set(found.alternatives):
         return found
     return _Search(problem, best, fit, dict.fromkeys((part.thing for part in best), ()))
 
 
-def _told(found: _Search) -> Iterator[Change]:
+def _weighted_changes(found: _Search) -> Iterator[Change]:
     """Yield every part with the nats lost without it."""
     for part in found.parts:
         others = tuple(one for one in found.parts if one is not part)
         without = fitted(found.problem, others, found.fit.unknowns)
-        yield _change(part, found.fit, found.fit.evidence - without.evidence, found.rivals[part.thing])
+        yield _change(part, found.fit, found.fit.evidence - without.evidence, found.alternatives[part.thing])
 
 
 def _needed(problem: Problem, parts: tuple[Part, ...], fit: Fit) -> tuple[tuple[Part, ...], Fit]:
@@ -157,8 +157,8 @@ def _timed(problem: Problem, accepted: tuple[Part, ...], part: Part, fit: Fit) -
 
 def _posed(features: Features, body: BodyModel) -> Problem | None:
     senses = {n: s for n, s in body.senses.items() if isinstance(s, KinematicGP) and n in features.tracks}
-    heard = () if features.joints is None else features.joints.names
-    if not senses or not comparable(body) or not set(body.joints) <= set(heard):
+    names = () if features.joints is None else features.joints.names
+    if not senses or not comparable(body) or not set(body.joints) <= set(names):
         return None
     try:
         chosen = joints([features], body.joints)
@@ -224,15 +224,15 @@ def _tried(
     return sorted(costed, key=lambda one: -one[1].evidence)
 
 
-def _rivals(best: Part, tried: Sequence[tuple[Part, Fit]]) -> _Rivals:
+def _alternatives(best: Part, tried: Sequence[tuple[Part, Fit]]) -> _Alternatives:
     """Other things whose change explains the sightings within APART nats of the best."""
     top = tried[0][1].evidence
     near = [part.thing for part, fit in tried if fit.evidence > top - APART and part.thing != best.thing]
     return tuple(dict.fromkeys(near))
 
 
-def _change(part: Part, fit: Fit, nats: float, rivals: _Rivals) -> Change:
+def _change(part: Part, fit: Fit, nats: float, alternatives: _Alternatives) -> Change:
     since = None if np.isinf(part.onset) else part.onset
-    names = tuple(name for _, name in rivals)
+    names = tuple(name for _, name in alternatives)
     value, std = fit.unknowns[part.place], fit.std[part.place]
     return Change(part.kind, part.name, value, std, nats, since, names, part.unit)

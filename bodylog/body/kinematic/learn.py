@@ -78,8 +78,8 @@ def _without(found: Learned, left_out: Mapping[str, str]) -> Learned:
     if not left_out:
         return found
     senses = {name: model for name, model in found.model.senses.items() if name not in left_out}
-    said = [Finding("warning", f"{name}: left out: {found.poor[name]}; {why}") for name, why in left_out.items()]
-    return replace(found, model=replace(found.model, senses=senses), findings=(*found.findings, *said))
+    findings = [Finding("warning", f"{name}: left out: {found.poor[name]}; {why}") for name, why in left_out.items()]
+    return replace(found, model=replace(found.model, senses=senses), findings=(*found.findings, *findings))
 
 
 def track(name: str, shown: Sightings) -> Track:
@@ -91,8 +91,8 @@ def track(name: str, shown: Sightings) -> Track:
 def still(features: Sequence[Features], names: Sequence[str]) -> dict[str, float]:
     """The median angle, rad, of joints with readings that are not among the names."""
     found: dict[str, float] = {}
-    told = (encoder_function.referred(one, None).joints for one in features)
-    for series in (joints for joints in told if joints is not None):
+    joint_series = (encoder_function.with_true_angles(one, None).joints for one in features)
+    for series in (joints for joints in joint_series if joints is not None):
         for name, column in zip(series.names, series.values.T, strict=True):
             if name not in names and np.isfinite(column).any():
                 found.setdefault(name, float(np.nanmedian(column)))
@@ -126,7 +126,7 @@ def learned(
     for k, part in enumerate(parts.values()):
         off = stretched(rig, k, theta, part, RESIDUAL)
         if off is not None and off.wrong:
-            return unused(found, off.said)
+            return unused(found, off.text)
     both = together(rig, theta, parts)
     gains = {
         name: gain(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())
@@ -138,9 +138,9 @@ def learned(
     zeroed = identifiability.offsets(rig, both.theta, covariance)
     offsets = (*zeroed, *identifiability.scales(rig, both.theta, covariance))
     senses = {name: models(rig, k, both, name) for k, name in enumerate(both.parts)}
-    told = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
+    all_scores = [*(s for name, of in senses.items() for s in scores(name, of, both.parts[name])), *zeros(offsets)]
     found = _apart(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
-    kept = {score.name: score for score in (*found.scores, *told)}
+    kept = {score.name: score for score in (*found.scores, *all_scores)}
     return replace(
         _with(found, senses, both),
         scores=tuple(kept.values()),

@@ -39,7 +39,7 @@ class Stretch:
         return abs(self.share) > max(WRONG, _SURE * self.std)
 
     @property
-    def said(self) -> str:
+    def text(self) -> str:
         """The stretch in words."""
         way = "longer" if self.share > 0 else "shorter"
         size = f"{abs(self.share):.1%} ± {self.std:.1%}"
@@ -57,12 +57,12 @@ def stretched(rig: Rig, index: int, theta: Array, learned: Part, prior: Prior) -
         return None
     stretch = learned.view.of(rig.see(rig.sights[index], theta, learned.view.q).stretch)[rows]
     part, kernel = thinned(learned.rows, SEARCHED), learned.kernel
-    more = replace(part, design=np.concatenate([part.design, stretch[..., long] @ spread], axis=2))
+    extended = replace(part, design=np.concatenate([part.design, stretch[..., long] @ spread], axis=2))
     z = part.x / kernel.scales
     before = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), part).evidence
-    kernel = search(more, prior, 0)
+    kernel = search(extended, prior, 0)
     z = part.x / kernel.scales
-    found = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), more)
+    found = solved(cholesky(se(z, z, kernel.amplitude), part.spread, kernel.noise), extended)
     if found.evidence < before + np.log(part.residual.size):
         return None
     extra = slice(part.design.shape[2], None)
@@ -84,9 +84,9 @@ def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stre
     """
     weight = np.linalg.solve(root @ root.T, np.ones(len(share)))
     weight /= weight.sum()
-    alike = Stretch("", "", float(weight @ share), float(np.linalg.norm(weight @ root)))
-    if alike.wrong:
-        return alike
+    uniform = Stretch("", "", float(weight @ share), float(np.linalg.norm(weight @ root)))
+    if uniform.wrong:
+        return uniform
     share, root = share - weight @ share, root - weight @ root
     worst = int(np.argmax(np.abs(share)))
     return Stretch(*_names(rig, index, long)[worst], float(share[worst]), float(np.linalg.norm(root[worst])))

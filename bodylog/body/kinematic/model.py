@@ -59,7 +59,7 @@ class KinematicGP(GP):
         single, (image, by_joints, design) = self._singles[0], self._instant(x)
         kernel, tilt = single.kernel(x - self._origin)
         sums, own = self._rows.dot(kernel), len(single.rows)
-        value, slope, spread = single.told(sums[:own], tilt)
+        value, slope, spread = single.evaluate(sums[:own], tilt)
         unknown = design.dot(self.root)
         unknown -= sums[own:].reshape(unknown.shape)
         spread = spread + self.drift

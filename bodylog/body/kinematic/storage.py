@@ -67,8 +67,8 @@ def names(model: KinematicGP) -> dict[str, str]:
     values = (camera.name, camera.link, marker.name, marker.link, sight.name, sight.chain.start, sight.chain.end)
     base, carried = model.base, dict[str, str]()
     if base is not None:
-        told = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
-        carried = dict(zip(_BASE_NAMES, told, strict=True))
+        texts = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
+        carried = dict(zip(_BASE_NAMES, texts, strict=True))
     scaled = {_SCALED: "unknown"} if len(rig.scale_doubt) else dict[str, str]()
     return dict(zip(_NAMES, values, strict=True)) | carried | scaled
 
@@ -77,30 +77,30 @@ def _steps(chain: Chain) -> Array:
     return np.column_stack([chain.column, chain.scale, chain.zero, chain.slides])
 
 
-def shapes(said: Mapping[str, Any]) -> dict[str, str]:
+def shapes(header: Mapping[str, Any]) -> dict[str, str]:
     """The arrays of a model with these names, and their shapes."""
-    return SHAPES | (BASE if _BASE_NAMES[0] in said else {})
+    return SHAPES | (BASE if _BASE_NAMES[0] in header else {})
 
 
-def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> KinematicGP:
+def build(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> KinematicGP:
     """Build a model from a residual process, arrays as SHAPES and names; ValueError for inconsistent fields."""
     steps, doubt, count = found["steps"], found["doubt"], len(joints)
-    own = 2 * count if _SCALED in said else count
+    own = 2 * count if _SCALED in header else count
     turns = len(doubt) == 18 + own
     _insist(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
     _insist((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
-    chain = _chain(said["start"], said["end"], joints, found["chain"], steps, "steps")
+    chain = _chain(header["start"], header["end"], joints, found["chain"], steps, "steps")
     end = 18 if turns else 15
     rig = Rig(
-        (Camera(said["camera"], said["camera_link"], found["camera"], found["lens"], doubt[:12]),),
-        (Carrier(said["marker"], said["marker_link"], found["marker"], doubt[12:end]),),
-        (Sight(said["sight"], 0, 0, chain, found["points"]),),
+        (Camera(header["camera"], header["camera_link"], found["camera"], found["lens"], doubt[:12]),),
+        (Carrier(header["marker"], header["marker_link"], found["marker"], doubt[12:end]),),
+        (Sight(header["sight"], 0, 0, chain, found["points"]),),
         joints,
         doubt[end : end + count],
         doubt[end + count :],
     )
     model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"])
-    return replace(model, base=_base(joints, found, said))
+    return replace(model, base=_base(joints, found, header))
 
 
 def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
@@ -111,27 +111,27 @@ def _chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: A
     return Chain(start, end, joints, fixed, column, steps[:, 1], steps[:, 2], slides > 0)
 
 
-def _base(joints: tuple[str, ...], found: Mapping[str, Array], said: Mapping[str, Any]) -> Base | None:
-    if _BASE_NAMES[0] not in said:
+def _base(joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> Base | None:
+    if _BASE_NAMES[0] not in header:
         return None
-    start, end, link, thing = (said[name] for name in _BASE_NAMES)
+    start, end, link, thing = (header[name] for name in _BASE_NAMES)
     chain = _chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
     return Base(chain, found["base_tool"], link, thing == _THINGS[1])
 
 
-def checked(said: Any) -> dict[str, str]:
+def checked(header: Any) -> dict[str, str]:
     """The names of a header; ValueError where one is missing."""
-    if not isinstance(said, dict) or not all(isinstance(said.get(name), str) for name in _NAMES):
-        raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_NAMES)}")
-    scaled = {_SCALED: "unknown"} if _SCALED in said else dict[str, str]()
-    if said.get(_SCALED, "unknown") != "unknown":
-        raise ValueError(f"kinematics.{_SCALED}: found {str(said[_SCALED])[:80]!r}, possible: unknown")
-    if _BASE_NAMES[0] not in said:
-        return {name: said[name] for name in _NAMES} | scaled
-    carried = all(isinstance(said.get(name), str) for name in _BASE_NAMES)
-    if not carried or said[_BASE_NAMES[-1]] not in _THINGS:
-        raise ValueError(f"kinematics: found {str(said)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}")
-    return {name: said[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
+    if not isinstance(header, dict) or not all(isinstance(header.get(name), str) for name in _NAMES):
+        raise ValueError(f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_NAMES)}")
+    scaled = {_SCALED: "unknown"} if _SCALED in header else dict[str, str]()
+    if header.get(_SCALED, "unknown") != "unknown":
+        raise ValueError(f"kinematics.{_SCALED}: found {str(header[_SCALED])[:80]!r}, possible: unknown")
+    if _BASE_NAMES[0] not in header:
+        return {name: header[name] for name in _NAMES} | scaled
+    carried = all(isinstance(header.get(name), str) for name in _BASE_NAMES)
+    if not carried or header[_BASE_NAMES[-1]] not in _THINGS:
+        raise ValueError(f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}")
+    return {name: header[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
 
 
 def _insist(sound: Any, field: str, found: object, possible: str) -> None:

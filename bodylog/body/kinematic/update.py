@@ -12,7 +12,7 @@ from ...kinematics.rig import Camera, Carrier, Rig, Sight
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
 from ...types import Array, Features
-from ..data.pairs import earlier, joined, pairs
+from ..data.pairs import joined, pairs, pairs_of_samples
 from ..data.subsampling import farthest
 from ..gp.model import GP
 from ..learning import Learned
@@ -40,7 +40,7 @@ def learn(features: Sequence[Features], settings: Settings, found: Learned, upda
     for name, sense in known.items():
         seen = any(name in one.tracks for one in features)
         new = [pairs(features, name, found.joints, settings.fit.every)] if seen else []
-        part = joined([*new, earlier(sense.samples, sense.targets, sense.spread)])
+        part = joined([*new, pairs_of_samples(sense.samples, sense.targets, sense.spread)])
         part = part.rows(farthest(part.x, settings.fit.samples))
         parts[name] = Sightings(part, part.y[:, None], part.floor[:, None], sense.rig.sights[0].points, (name,))
     rig, theta = _whole(known)

@@ -38,12 +38,13 @@ def learned(features: Sequence[Features], chosen: Sequence[Joint], noise: Noise)
     read = replace(noise, encoder=tuple(variance), std_error={**noise.std_error, "encoder": sure})
     names = tuple(joint.name for joint in chosen)
     scores = tuple(Score(f"rmse/held_out_encoders/{n}", v**0.5, "rad") for n, v in zip(names, variance, strict=True))
-    said = ", ".join(f"{n} {_formula(c)}" for n, c in zip(names, curves, strict=True))
+    formulas = ", ".join(f"{n} {_formula(c)}" for n, c in zip(names, curves, strict=True))
     if all(curve.tolist() == [0.0, 1.0] for curve in curves):
         return Read(read, {}, scores, (Finding("info", "encoders: by the reference they read the angles themselves"),))
     width = max(len(curve) for curve in curves)
     model = Polynomial(names, np.array([np.pad(curve, (0, width - len(curve))) for curve in curves]))
-    return Read(read, {"encoders": model}, scores, (Finding("info", f"encoders: by the reference they read {said}"),))
+    finding = Finding("info", f"encoders: by the reference they read {formulas}")
+    return Read(read, {"encoders": model}, scores, (finding,))
 
 
 def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array, Array]:
@@ -52,7 +53,8 @@ def _readings(features: Sequence[Features], joint: Joint) -> tuple[Array, Array,
     for log, found in enumerate(features):
         names = () if found.joints is None else found.joints.names
         if found.joints is None or joint.name not in names:
-            raise ConfigError(f"[topics] reference: its joint {joint.name!r} has no encoder; heard: {', '.join(names)}")
+            have = ", ".join(names)
+            raise ConfigError(f"[topics] reference: its joint {joint.name!r} has no encoder; possible: {have}")
         x = joint.angles[log].at(found.joints.t)[0]
         y = found.joints.values[:, names.index(joint.name)]
         sound = np.isfinite(x) & np.isfinite(y)

@@ -37,7 +37,7 @@ class Polynomial:
         return (powers * self.coefficients).sum(axis=2), slope[:, :, None] * np.eye(x.shape[1]), np.zeros(x.shape)
 
 
-def referred(found: Features, known: BodyModel | None) -> Features:
+def with_true_angles(found: Features, known: BodyModel | None) -> Features:
     """Replace joints by true angles: the reference's, or those that a known body's encoders give."""
     if found.reference is not None:
         return replace(found, joints=found.reference)
@@ -72,7 +72,7 @@ def plain(body: BodyModel) -> BodyModel:
     return replace(body, senses=senses, noise=replace(body.noise, encoder=tuple(variance.tolist())))
 
 
-def teller(body: BodyModel) -> Callable[[Array], Array]:
+def angle_reader(body: BodyModel) -> Callable[[Array], Array]:
     """Return a function from readings (…,M) in the body's order to angles in rad, over the explored range.
 
     UsageError where different angles give (almost) the same reading.
@@ -98,7 +98,7 @@ def _angles(joints: Series, body: BodyModel) -> Series:
     readings = np.full((len(values), len(body.joints)), np.nan)
     places = [joints.names.index(name) for name in known], [body.joints.index(name) for name in known]
     readings[:, places[1]] = values[:, places[0]]
-    values[:, places[0]] = teller(body)(readings)[:, places[1]]
+    values[:, places[0]] = angle_reader(body)(readings)[:, places[1]]
     return replace(joints, values=values)
 
 

@@ -47,7 +47,7 @@ def learned(
     px = _blended(_APART_PX, len(sound), float(np.sqrt(np.mean([f.square for f in sound]))) if sound else 0.0)
     constants = TouchConstants(1.0, 1.0 / (2.0 * px**2))
     found = cells(sound)
-    return constants, found, _remarks(len(delays), len(sound), late, px, len(found))
+    return constants, found, _findings(len(delays), len(sound), late, px, len(found))
 
 
 def cells(felt: Sequence[Felt]) -> Cells:
@@ -71,13 +71,14 @@ def _place(felt: Sequence[Felt], common: Array, about: float) -> tuple[float, fl
 
 def _felt(features: Features, joints: tuple[str, ...], effector: GP) -> list[Felt]:
     """Touches with a stroke in time, while hand and angles are known."""
-    hand, heard = features.hand, features.joints
-    if hand is None or heard is None or not features.touches or not set(joints) <= set(heard.names):
+    hand, angles_read = features.hand, features.joints
+    if hand is None or angles_read is None or not features.touches or not set(joints) <= set(angles_read.names):
         return []
     rows = np.flatnonzero(np.isfinite(hand.values).all(axis=1))
     t = hand.t[rows]
-    angles = np.column_stack([np.interp(t, heard.t, heard.values[:, heard.names.index(name)]) for name in joints])
-    inside = (t >= heard.t[0]) & (t <= heard.t[-1]) & np.isfinite(angles).all(axis=1)
+    columns = (angles_read.values[:, angles_read.names.index(name)] for name in joints)
+    angles = np.column_stack([np.interp(t, angles_read.t, column) for column in columns])
+    inside = (t >= angles_read.t[0]) & (t <= angles_read.t[-1]) & np.isfinite(angles).all(axis=1)
     t, apart = t[inside], (hand.values[rows] - effector.means(angles)[0])[inside]
     timely = {s.touch for s in features.synchrony if abs(s.delay) < _NEAR_S}
     touches = [features.touches[index] for index in sorted(timely)]
@@ -96,7 +97,7 @@ def _blended(assumed: float, count: int, found: float) -> float:
     return float(np.sqrt((_ASSUMED * assumed**2 + count * found**2) / (_ASSUMED + count)))
 
 
-def _remarks(delays: int, touches: int, late: float, px: float, places: int) -> tuple[Finding, ...]:
+def _findings(delays: int, touches: int, late: float, px: float, places: int) -> tuple[Finding, ...]:
     if max(delays, touches) == 0:
         return ()
     seen = f"{touches} touches seen, spread {px:.1f} px; place of {places} cells"

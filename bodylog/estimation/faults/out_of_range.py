@@ -29,8 +29,8 @@ def range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
     beyond = [one for one in ranges if not _within(*one[1:])]
     wide = any(np.ptp(np.nanpercentile(readings, [5, 95])) > max(TURN, high - low) for _, readings, low, high in beyond)
     if wide and all(_within(np.deg2rad(readings), low, high) for _, readings, low, high in ranges):
-        said = "; ".join(_ranges_text(*one) for one in beyond)
-        raise ModelError(f'joints: {said}: these are degrees; type [body] unit = "deg" in robot.toml')
+        text = "; ".join(_ranges_text(*one) for one in beyond)
+        raise ModelError(f'joints: {text}: these are degrees; type [body] unit = "deg" in robot.toml')
     for name, readings, low, high in beyond:
         turns = round(float(np.nanmedian(readings) - (low + high) / 2.0) / TURN)
         off = turns and _within(readings - turns * TURN, low, high)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ...linear_algebra import selected_inverse
 from ...types import Array
 from .banded import System
 
@@ -17,34 +18,3 @@ def marginals(given: System) -> tuple[Array, Array]:
         own = slice(j * s, j * s + s)
         upper[:, own, own] = np.moveaxis(given.ahead.across[:, :, j], -1, 0)
     return selected_inverse(np.ascontiguousarray(np.moveaxis(given.own, -1, 0)), upper)
-
-
-def selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:
-    """Diagonal (B,k,k) and upper (B−1,k,k) blocks of the inverse, by cyclic reduction: O(B), log B rounds."""
-    count = len(diagonal)
-    if count == 1:
-        return np.linalg.inv(diagonal), np.zeros((0, *diagonal.shape[1:]))
-    odd = np.linalg.inv(diagonal[1::2])
-    before, after = upper[0::2], upper[1::2]
-    left = np.matmul(before, odd)
-    right = np.matmul(odd[: len(after)], after)
-    even = diagonal[0::2].copy()
-    even[: len(left)] -= np.matmul(left, before.transpose(0, 2, 1))
-    even[1 : 1 + len(after)] -= np.matmul(after.transpose(0, 2, 1), right)
-    kept, between = selected_inverse(even, -np.matmul(left[: len(after)], after))
-    return _restored(kept, between, odd, left, right, count)
-
-
-def _restored(kept: Array, between: Array, odd: Array, left: Array, right: Array, count: int) -> tuple[Array, Array]:
-    """Put the eliminated blocks back: Σ_oe = −D⁻¹ B Σ_ee, Σ_oo = D⁻¹ − Σ_oe Bᵀ D⁻¹."""
-    inner, order = len(right), kept.shape[1]
-    diagonal, upper = np.empty((count, order, order)), np.empty((count - 1, order, order))
-    diagonal[0::2] = kept
-    before = -np.matmul(kept[: len(left)], left)
-    before[:inner] -= np.matmul(between[:inner], right.transpose(0, 2, 1))
-    after = -np.matmul(right, kept[1 : 1 + inner])
-    after -= np.matmul(left[:inner].transpose(0, 2, 1), between[:inner])
-    upper[0::2], upper[1::2] = before, after
-    diagonal[1::2] = odd - np.matmul(before.transpose(0, 2, 1), left)
-    diagonal[1 : 2 * inner : 2] -= np.matmul(after, right.transpose(0, 2, 1))
-    return diagonal, upper

@@ -144,7 +144,7 @@ def offset(problem: Problem, solved: Solution) -> Problem | None:
     chosen = encoder_offset.choose(problem, solved, suspected, partial(cost, warm=solved))
     if chosen.problem is problem:
         return None
-    names = {joint: rivals for joint, rivals in chosen.rivals.items() if rivals}
+    names = {joint: others for joint, others in chosen.alternatives.items() if others}
     return replace(chosen.problem, rivals=names)
 
 

@@ -1,0 +1,186 @@
+"""The JSON header of a body's .npz: joints, senses, noise, touch, provenance; written, and checked when read."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..body_model import BodyModel, Noise, TouchConstants
+from ..errors import ModelError
+from ..io.values import read_json, text
+from .gp.model import GP
+from .kinematic import storage
+from .kinematic.model import KinematicGP
+from .senses.encoder_function import Polynomial
+
+VERSION = 1
+_KIND = "bodylog body model"
+_WIDEST = 1 << 20
+KINDS: dict[type, str] = {GP: "gp", Polynomial: "polynomial", KinematicGP: "kinematic"}
+"""Names of the classes of senses that can be saved."""
+_UNITS = {
+    "joints": "rad",
+    "encoder": "rad^2",
+    "process": "rad^2/s^3",
+    "b1": "1/px^2",
+    "cells": "px",
+}
+_UNUSED = {"b2": "1/s^2"}
+"""Older bodies have it, with a2 and b2 among their touch constants, which nothing used."""
+LEAST, LARGEST = 1e-30, 1e30
+"""Bounds of positive numbers and of any number: products of four of these are finite and not 0."""
+
+
+class Header(NamedTuple):
+    """The checked header; senses: {name: (kind, outputs, unit)}, links: names of kinematic senses by name."""
+
+    joints: tuple[str, ...]
+    noise: Noise
+    touch: TouchConstants
+    cells: dict[int, tuple[float, float, float]]
+    senses: dict[str, tuple[str, tuple[str, ...], str]]
+    links: dict[str, dict[str, str]]
+    provenance: dict[str, Any]
+
+
+def written(model: BodyModel) -> dict[str, Any]:
+    """The header of a model."""
+    senses = {
+        name: {"kind": KINDS[type(sense)], "outputs": sense.outputs, "unit": getattr(sense, "unit", "")}
+        | ({"kinematics": storage.names(sense)} if isinstance(sense, KinematicGP) else {})
+        for name, sense in model.senses.items()
+    }
+    return {
+        "kind": _KIND,
+        "version": VERSION,
+        "joints": model.joints,
+        "units": _UNITS,
+        "senses": senses,
+        "noise": asdict(model.noise),
+        "touch": asdict(model.touch),
+        "cells": {str(cell): place for cell, place in model.cells.items()},
+        "provenance": dict(model.provenance),
+    }
+
+
+def read(path: Path, header_text: str) -> Header:
+    """Parse and check a header; ModelError, naming the field, where it is invalid."""
+    header = _parsed(path, header_text)
+    try:
+        joints = _joints(header["joints"])
+        noise, touch = _noise(header["noise"]), _touch(header["touch"])
+        cells = {int(cell): _floats(f"cells.{cell}", place) for cell, place in header.get("cells", {}).items()}
+        senses = {text(n): _about(n, sense) for n, sense in header["senses"].items()}
+        linked = {text(n): s for n, s in header["senses"].items() if s.get("kind") == KINDS[KinematicGP]}
+        links = {name: storage.checked(sense.get("kinematics")) for name, sense in linked.items()}
+        provenance = _provenance(header["provenance"])
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ModelError(f"{path}: field header: {error}; fit the body again") from error
+    _check_noise(path, joints, {name: len(about[1]) for name, about in senses.items()}, noise, touch)
+    bad = {cell: place for cell, place in cells.items() if cell < 0 or len(place) != 3 or place[2] <= 0.0}
+    if bad:
+        raise ModelError(f"{path}: field cells: found {bad}, possible: cell from 0 on, u, v and a positive spread, px")
+    places = {cell: (u, v, spread) for cell, (u, v, spread) in cells.items()}
+    return Header(joints, noise, touch, places, senses, links, provenance)
+
+
+def _parsed(path: Path, header_text: str) -> Mapping[str, Any]:
+    try:
+        header = read_json(header_text)
+    except ValueError as error:
+        raise ModelError(f"{path}: field header: {error}; fit the body again") from error
+    if not isinstance(header, dict) or header.get("kind") != _KIND:
+        raise ModelError(f"{path}: field kind: not a {_KIND}; type: bodylog fit LOG -o {path}")
+    if header.get("version") != VERSION:
+        raise ModelError(f"{path}: field version: found {header.get('version')!r}, possible: {VERSION}; fit it again")
+    units = header.get("units", _UNITS)
+    if units not in (_UNITS, _UNITS | _UNUSED):
+        raise ModelError(f"{path}: field units: found {str(units)[:200]}, possible: {json.dumps(_UNITS)}; fit it again")
+    return header
+
+
+def _touch(fields: Mapping[str, Any]) -> TouchConstants:
+    """Touch constants without those of `_UNUSED`."""
+    return TouchConstants(**{name: value for name, value in fields.items() if name not in ("a2", "b2")})
+
+
+def _about(name: str, sense: Mapping[str, Any]) -> tuple[str, tuple[str, ...], str]:
+    """Kind, outputs and unit of a sense."""
+    return _kind(sense), _texts(f"senses.{name}.outputs", sense["outputs"]), text(str(sense["unit"]))
+
+
+def _kind(sense: Mapping[str, Any]) -> str:
+    kind = str(sense.get("kind", "gp"))
+    if kind not in KINDS.values():
+        raise ValueError(f"sense of kind {kind!r}, possible: {', '.join(KINDS.values())}")
+    return kind
+
+
+def _joints(found: Any) -> tuple[str, ...]:
+    names = _texts("joints", found)
+    twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+    if twice is not None or not names:
+        raise ValueError(f"joints: found {twice or found!r}, possible: a list that names each joint once")
+    return names
+
+
+def _texts(field: str, found: Any) -> tuple[str, ...]:
+    if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
+        raise ValueError(f"{field}: found {str(found)[:200]}, possible: a list of texts")
+    return tuple(text(name) for name in found)
+
+
+def _provenance(found: Any) -> dict[str, Any]:
+    provenance = dict(found)
+    if "cameras" in provenance:
+        provenance["cameras"] = list(_texts("provenance.cameras", provenance["cameras"]))
+    if "pose_std" in provenance:
+        std = _floats("provenance.pose_std", provenance["pose_std"])
+        if any(value < 0.0 for value in std):
+            raise ValueError(f"provenance.pose_std: found {min(std)!r}, possible: 0 rad and more")
+        provenance["pose_std"] = list(std)
+    width = provenance.get("image_width", 1)
+    if isinstance(width, bool) or not isinstance(width, int | float) or not 1 <= width <= _WIDEST:
+        raise ValueError(f"provenance.image_width: found {width!r}, possible: 1 to {_WIDEST} px")
+    return provenance
+
+
+def _noise(found: Mapping[str, Any]) -> Noise:
+    parts = ("senses", "std_error")
+    senses, errors = ({n: _floats(f"noise.{part}.{n}", v) for n, v in found[part].items()} for part in parts)
+    return Noise(_floats("noise.encoder", found["encoder"]), senses, _floats("noise.process", found["process"]), errors)
+
+
+def _floats(field: str, values: Any) -> tuple[float, ...]:
+    if not isinstance(values, list) or not all(_is_number(v) for v in values):
+        raise ValueError(f"{field}: found {str(values)[:200]}, possible: a list of finite numbers")
+    return tuple(float(v) for v in values)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+
+
+def _check_noise(
+    path: Path,
+    joints: tuple[str, ...],
+    senses: Mapping[str, int],
+    noise: Noise,
+    touch: TouchConstants,
+) -> None:
+    expected = {"encoder": (noise.encoder, len(joints)), "process": (noise.process, len(joints))}
+    for name, count in senses.items():
+        if name != "encoders":
+            expected[f"senses.{name}"] = (noise.senses.get(name, ()), count)
+    for field, (values, count) in expected.items():
+        if len(values) != count or not all(v >= LEAST for v in values):
+            raise ModelError(f"{path}: field noise.{field}: found {values}, possible: {count} positive variances")
+    counts = {"encoder": len(joints), "process": len(joints), **senses}
+    for name, errors in noise.std_error.items():
+        if name not in counts or len(errors) != counts[name] or min(errors, default=0.0) < 0.0:
+            wanted = f"{counts[name]} numbers of at least 0" if name in counts else f"one of {', '.join(counts)}"
+            raise ModelError(f"{path}: field noise.std_error.{name}: found {errors}, possible: {wanted}")
+    bad = {k: v for k, v in asdict(touch).items() if not _is_number(v) or v < 0}
+    if bad:
+        raise ModelError(f"{path}: field touch: found {bad}, possible: finite numbers of at least 0")

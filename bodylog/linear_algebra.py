@@ -1,0 +1,37 @@
+"""The selected inverse of a block-tridiagonal matrix: its blocks on and beside the diagonal, in linear time."""
+
+import numpy as np
+
+from .types import Array
+
+
+def selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:
+    """Diagonal (K,p,p) and upper (K-1,p,p) blocks of the inverse, by cyclic reduction: O(K), log K rounds."""
+    count = len(diagonal)
+    if count == 1:
+        return np.linalg.inv(diagonal), np.zeros((0, *diagonal.shape[1:]))
+    odd = np.linalg.inv(diagonal[1::2])
+    before, after = upper[0::2], upper[1::2]
+    left = np.matmul(before, odd)
+    right = np.matmul(odd[: len(after)], after)
+    even = diagonal[0::2].copy()
+    even[: len(left)] -= np.matmul(left, before.transpose(0, 2, 1))
+    even[1 : 1 + len(after)] -= np.matmul(after.transpose(0, 2, 1), right)
+    joined = -np.matmul(left[: len(after)], after)
+    kept, between = selected_inverse(even, joined)
+    return _restored(kept, between, odd, left, right, count)
+
+
+def _restored(kept: Array, between: Array, odd: Array, left: Array, right: Array, count: int) -> tuple[Array, Array]:
+    """Put back the eliminated blocks: Σ_oe = −D⁻¹ B Σ_ee, Σ_oo = D⁻¹ − Σ_oe Bᵀ D⁻¹."""
+    inner, order = len(right), kept.shape[1]
+    diagonal, upper = np.empty((count, order, order)), np.empty((count - 1, order, order))
+    diagonal[0::2] = kept
+    before = -np.matmul(kept[: len(left)], left)
+    before[:inner] -= np.matmul(between[:inner], right.transpose(0, 2, 1))
+    after = -np.matmul(right, kept[1 : 1 + inner])
+    after -= np.matmul(left[:inner].transpose(0, 2, 1), between[:inner])
+    upper[0::2], upper[1::2] = before, after
+    diagonal[1::2] = odd - np.matmul(before.transpose(0, 2, 1), left)
+    diagonal[1 : 2 * inner : 2] -= np.matmul(after, right.transpose(0, 2, 1))
+    return diagonal, upper
