@@ -65,20 +65,20 @@ def test_corners_are_foretold_by_one_calibration(learned):
     assert ratio.mean() < 1.6 and (ratio < 4).mean() > 0.9
 
 
-def test_zeros_are_told_and_a_joint_that_is_turned_moves_its_own_alone(learned, explored):
-    told = {one.joint: one for one in offsets(learned.model)}
-    assert not told["pan"].identifiable and not told["wrist"].identifiable
+def test_zeros_are_found_and_turning_one_joint_moves_its_own_alone(learned, explored):
+    by_joint = {one.joint: one for one in offsets(learned.model)}
+    assert not by_joint["pan"].identifiable and not by_joint["wrist"].identifiable
     for name in ("lift", "elbow"):
-        assert told[name].identifiable and told[name].std < 0.6 * DEGREE
-        assert abs(told[name].value - OFFSETS[name]) < 3 * told[name].std
+        assert by_joint[name].identifiable and by_joint[name].std < 0.6 * DEGREE
+        assert abs(by_joint[name].value - OFFSETS[name]) < 3 * by_joint[name].std
     turned = features(robots.angles(40), turned=np.array([0.0, 0.0, DEGREE, 0.0]))
     plain = body.learn([turned], Settings(), {}, None, True)
     after = {one.joint: one for one in offsets(learn([turned], Settings(), plain, given()).model)}
-    assert after["elbow"].value - told["elbow"].value == pytest.approx(-DEGREE, abs=0.15 * DEGREE)
-    assert after["lift"].value == pytest.approx(told["lift"].value, abs=0.15 * DEGREE)
+    assert after["elbow"].value - by_joint["elbow"].value == pytest.approx(-DEGREE, abs=0.15 * DEGREE)
+    assert after["lift"].value == pytest.approx(by_joint["lift"].value, abs=0.15 * DEGREE)
 
 
-def test_what_is_said_is_of_the_board_and_not_of_each_corner(learned):
+def test_scores_and_findings_name_the_board_and_not_each_corner(learned):
     names = {score.name for score in learned.scores}
     assert "rmse/held_out/board" in names and "rmse/kinematics/board" in names
     assert not any(name.startswith("rmse/held_out/board.") for name in names)

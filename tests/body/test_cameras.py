@@ -26,7 +26,7 @@ def _angles(t: Array, seed: int) -> Array:
     return np.column_stack([motion(t, seed), 0.15 * np.sin(0.9 * t + seed) + 0.1 * np.sin(1.7 * t)])
 
 
-def _heard(seed: int, duration: float, noise: float, cameras: tuple[Array, ...] = (BASE,)) -> Features:
+def _run(seed: int, duration: float, noise: float, cameras: tuple[Array, ...] = (BASE,)) -> Features:
     """Encoders at 100 Hz, and frames of each camera at instants of its own, 0.2 px of noise."""
     draw = np.random.default_rng(seed)
     t = np.arange(0.0, duration, 0.01)
@@ -42,7 +42,7 @@ def _heard(seed: int, duration: float, noise: float, cameras: tuple[Array, ...] 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_turning_head_is_learned_as_a_joint(seed) -> None:
-    learned = learn([_heard(seed, 60.0, 0.003)], Settings(), {})
+    learned = learn([_run(seed, 60.0, 0.003)], Settings(), {})
     assert learned.model.joints == JOINTS
     later = _angles(np.arange(0.0, 20.0, 0.1), seed)
     mean, slope, _ = learned.model.senses["effector"].predict(later)
@@ -53,9 +53,9 @@ def test_a_turning_head_is_learned_as_a_joint(seed) -> None:
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (1, 2))])
 def test_two_cameras_with_stamps_of_their_own_beat_either(seed) -> None:
     cameras = BASE, np.array([1.3, 0.5, 0.7])
-    body = learn([_heard(seed, 60.0, 0.003, cameras)], Settings(), {}).model
+    body = learn([_run(seed, 60.0, 0.003, cameras)], Settings(), {}).model
     assert set(body.senses) == {"effector", "side/effector"}
-    features = _heard(seed, 20.0, 0.02, cameras)
+    features = _run(seed, 20.0, 0.02, cameras)
     errors = {}
     for without in ((), ("effector",), ("side/effector",), ("vision",)):
         found = estimate(features, body, Estimation(without=without))

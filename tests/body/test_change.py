@@ -56,18 +56,18 @@ def test_a_sound_run_has_no_change(known):
 
 
 @pytest.mark.parametrize(("joint", "degrees"), [("pan", 1.0), ("lift", -2.0), ("elbow", 5.0)])
-def test_a_zero_that_moved_is_told_with_its_size(known, joint, degrees):
+def test_a_moved_zero_is_found_with_its_size(known, joint, degrees):
     (one,) = change.changes(run(offset={joint: degrees * DEGREE}), known)
     assert (one.kind, one.name, one.since, one.alternatives) == ("joint", joint, None, ())
     assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.GAIN
 
 
-def test_a_gear_that_slipped_is_told_with_its_time(known):
+def test_a_slipped_gear_is_found_with_its_time(known):
     (one,) = change.changes(run(offset={"lift": 2 * DEGREE}, since=6.0), known)
     assert one.name == "lift" and abs(one.since - 6.0) < 0.3 and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
 
 
-def test_two_joints_are_told_where_one_thing_might_stand_for_both(known):
+def test_two_joints_are_found_where_one_thing_might_imitate_both(known):
     found = change.changes(run(offset={"lift": 2 * DEGREE, "elbow": -3 * DEGREE}), known)
     assert {one.name: round(float(np.degrees(one.value[0]))) for one in found} == {"lift": 2, "elbow": -3}
 
@@ -104,19 +104,19 @@ def _estimate(features, known, **settings):
 
 
 def test_an_estimate_names_it_once_with_its_std(known):
-    found, told = _estimate(run(offset={"elbow": 3 * DEGREE}), known)
+    found, estimated = _estimate(run(offset={"elbow": 3 * DEGREE}), known)
     assert [fault.kind for fault in found.faults] == ["drifting"]
-    (fault,) = told.faults
+    (fault,) = estimated.faults
     assert (fault.sense, fault.name, fault.kind) == ("encoders", "elbow", "offset")
     assert abs(fault.size + 3 * DEGREE) < 3 * fault.std
-    (text,) = fault_warnings(told.faults)
+    (text,) = fault_warnings(estimated.faults)
     assert f"± {fault.std:.2g} rad; beside where it was when the body was learned" in text.text
-    assert any(f.text.startswith("elbow: reads -") and "nats likelier" in f.text for f in told.findings)
+    assert any(f.text.startswith("elbow: reads -") and "nats likelier" in f.text for f in estimated.findings)
 
 
 def test_a_slip_that_the_filter_names_is_left_to_it(known):
-    found, told = _estimate(run(offset={"lift": 3 * DEGREE}, since=6.0), known)
-    assert told.faults == found.faults and len(found.faults) == 1
+    found, estimated = _estimate(run(offset={"lift": 3 * DEGREE}, since=6.0), known)
+    assert estimated.faults == found.faults and len(found.faults) == 1
 
 
 def test_nothing_is_laid_to_joints_of_what_a_camera_shows_once_it_was_pushed(known):
@@ -130,12 +130,12 @@ def test_nothing_is_laid_to_joints_of_what_a_camera_shows_once_it_was_pushed(kno
     assert change_findings.compared(features, known, displaced, Estimation()).faults == displaced.faults
 
 
-def test_who_asks_for_no_offset_is_told_of_none(known):
-    found, told = _estimate(run(offset={"elbow": 3 * DEGREE}), known, bias="off")
-    assert told is found and not told.faults
+def test_bias_off_reports_no_offset(known):
+    found, estimated = _estimate(run(offset={"elbow": 3 * DEGREE}), known, bias="off")
+    assert estimated is found and not estimated.faults
 
 
-def test_sizes_that_differ_are_both_said(known):
+def test_sizes_that_differ_are_both_reported(known):
     found, _ = _estimate(run(), known)
     (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
     other = replace(found, faults=(Fault("encoders", "elbow", "drifting", 0.1, 0.2, "rad"),))
@@ -144,7 +144,7 @@ def test_sizes_that_differ_are_both_said(known):
     assert any("by the filter its offset is 0.2 rad" in finding.text for finding in findings)
 
 
-def test_what_cannot_be_told_apart_is_named_together(known):
+def test_ambiguous_changes_are_named_together(known):
     found, _ = _estimate(run(), known)
     (one,) = change.changes(run(offset={"elbow": 3 * DEGREE}), known)
     (fault,), _ = change_findings.merged([replace(one, alternatives=("camera",))], found)
@@ -153,13 +153,13 @@ def test_what_cannot_be_told_apart_is_named_together(known):
 
 @pytest.mark.soak
 def test_over_many_draws_no_sound_run_is_accused_and_sizes_are_as_sure_as_they_say():
-    draw, within, told, false = np.random.default_rng(7), 0, 0, 0
+    draw, within, count, false = np.random.default_rng(7), 0, 0, 0
     for seed in range(10):
         one = explored(seed)
         false += sum(bool(change.changes(run(1000 + 10 * seed + k), one)) for k in range(2))
         for k in range(4):
             joint, size = JOINTS[draw.integers(4)], draw.uniform(1, 5) * draw.choice([-1, 1]) * DEGREE
             found = [c for c in change.changes(run(2000 + 10 * seed + k, offset={joint: size}), one) if c.name == joint]
-            told += len(found)
+            count += len(found)
             within += sum(abs(c.value[0] - size) < 2 * c.std[0] for c in found)
-    assert false == 0 and told >= 38 and within >= 0.9 * told
+    assert false == 0 and count >= 38 and within >= 0.9 * count

@@ -17,14 +17,14 @@ def test_influence_is_how_far_each_input_moved_the_outputs() -> None:
 
 def test_joints_vision_says_nothing_about_are_named(explored) -> None:
     run = explored(0, 0.003, 15.0)
-    heard = joints([run.features], None)
+    known = joints([run.features], None)
     x = run.angles.copy()
     x[:, 2] = np.random.default_rng(0).normal(0, 1e-3, len(x))
     y = np.column_stack([100 * x[:, 0], 80 * x[:, 1]]) + np.random.default_rng(1).normal(0, 0.3, (len(x), 2))
     gp, noise = train(samples(x, y), ("u", "v"), "px"), Noise((1e-5,) * 3, {"effector": (0.09, 0.09)}, (0.1,) * 3)
-    said = findings(heard, heard[:3], {"effector": gp}, noise)
-    assert [(f.severity, f.text.split(":")[0]) for f in said] == [("info", "wrist"), ("warning", "elbow")]
-    values = {s.name: s for s in scores(heard[:3], {"effector": gp}, noise)}
+    texts = findings(known, known[:3], {"effector": gp}, noise)
+    assert [(f.severity, f.text.split(":")[0]) for f in texts] == [("info", "wrist"), ("warning", "elbow")]
+    values = {s.name: s for s in scores(known[:3], {"effector": gp}, noise)}
     assert values["range/pan"].unit == "rad" and values["influence/effector/pan"].value > 10
     ratio = values["std/model/effector"].value / 0.3
     assert values["std_over_noise/model/effector"].value == pytest.approx(ratio)

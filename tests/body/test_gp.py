@@ -160,5 +160,5 @@ def test_errors_go_apart_as_reach_says(seed: int) -> None:
     for joint, reach in enumerate(gp.reach):
         step = 0.3 * reach * np.eye(3)[joint]
         both = [gp.covariance(np.stack([at, at + step]))[0] for at in x]
-        alike = np.sum([c[0, 1] for c in both]) / np.sum([np.sqrt(c[0, 0] * c[1, 1]) for c in both])
-        assert alike == pytest.approx(np.exp(-0.5 * 0.3**2), abs=0.02)
+        correlation = np.sum([c[0, 1] for c in both]) / np.sum([np.sqrt(c[0, 0] * c[1, 1]) for c in both])
+        assert correlation == pytest.approx(np.exp(-0.5 * 0.3**2), abs=0.02)

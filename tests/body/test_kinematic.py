@@ -96,7 +96,7 @@ def test_slopes_are_finite_differences_and_one_point_is_as_many(learned):
     np.testing.assert_allclose(gp.covariance(x)[0].diagonal(), (spread - gp.drift).mean(axis=1), rtol=0.05)
 
 
-def test_zeros_are_told_and_what_is_not_is_said(learned):
+def test_zeros_are_found_and_unidentified_ones_are_named(learned):
     scores = {score.name: score.value for score in learned.scores}
     assert "offset/pan" not in scores and "offset/wrist" not in scores
     for name, true in OFFSETS.items():
@@ -147,8 +147,8 @@ OTHERS = {
 def test_another_robots_urdf_is_named_and_not_used(plain, which):
     found = learn([features()], Settings(), plain, given(OTHERS[which]))
     assert found.model is plain.model
-    said = found.findings[-1]
-    assert said.severity == "warning" and said.text.startswith("the URDF is not used: ")
+    answer = found.findings[-1]
+    assert answer.severity == "warning" and answer.text.startswith("the URDF is not used: ")
 
 
 def test_a_joint_that_the_log_lacks_is_named(plain):
@@ -236,11 +236,11 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     files.save(plain.model, tmp_path / "plain.npz")
     (tmp_path / "arm.urdf").write_text(ARM)
     assert run_cli("offsets", tmp_path / "body.npz", "--json", "-o", tmp_path / "zeros.yaml") == 0
-    said = json.loads(capsys.readouterr().out)["offsets"]
-    assert said["pan"]["value"] is None and not said["pan"]["identifiable"] and said["pan"]["confused_with"]
-    assert abs(said["lift"]["value"] - OFFSETS["lift"]) < 3 * said["lift"]["std"]
+    answer = json.loads(capsys.readouterr().out)["offsets"]
+    assert answer["pan"]["value"] is None and not answer["pan"]["identifiable"] and answer["pan"]["confused_with"]
+    assert abs(answer["lift"]["value"] - OFFSETS["lift"]) < 3 * answer["lift"]["std"]
     lines = (tmp_path / "zeros.yaml").read_text().splitlines()
-    assert lines[0] == "offsets:" and json.loads(lines[2].partition(": ")[2]) == said["lift"]
+    assert lines[0] == "offsets:" and json.loads(lines[2].partition(": ")[2]) == answer["lift"]
     typed = ("offsets", tmp_path / "body.npz", "-o", tmp_path / "new.urdf")
     assert run_cli(*typed) == 2 and run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
     again = learn([features()], Settings(), plain, given((tmp_path / "new.urdf").read_text()))
@@ -249,9 +249,10 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
             std = next(s.value for s in again.scores if s.name == score.name.replace("offset/", "std/offset/"))
             assert abs(score.value) < 2 * std
     assert run_cli("info", tmp_path / "body.npz") == 0
-    told = capsys.readouterr().out
-    assert "effector (u, v): camera on base, marker on hand; " in told
-    assert "  offset pan: not identifiable: camera's turn" in told and "  offset lift: +" in told and " rad)" in told
+    printed = capsys.readouterr().out
+    assert "effector (u, v): camera on base, marker on hand; " in printed
+    assert "  offset pan: not identifiable: camera's turn" in printed
+    assert "  offset lift: +" in printed and " rad)" in printed
     assert run_cli("plot", tmp_path / "body.npz", "-o", tmp_path / "body.png") == 0
     assert run_cli("plot", tmp_path / "plain.npz", "-o", tmp_path / "plain.png") == 0
     sizes = [int.from_bytes((tmp_path / name).read_bytes()[20:24]) for name in ("body.png", "plain.png")]

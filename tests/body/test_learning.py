@@ -101,7 +101,7 @@ def test_every_named_track_gets_its_model_and_the_hand_none(explored) -> None:
     assert any(f.text.startswith("rare: left out: only 5 sightings with joint readings") for f in found.findings)
 
 
-def test_thinning_is_said_and_costs_little(explored) -> None:
+def test_thinning_is_reported_and_costs_little(explored) -> None:
     run = explored(0, 0.003)
     thin = learn([run.features], Settings(fit=Fit(samples=120)), {})
     assert len(thin.model.senses["effector"].samples) == 120
@@ -111,7 +111,7 @@ def test_thinning_is_said_and_costs_little(explored) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_false_sightings_are_left_out_and_said(explored, seed: int) -> None:
+def test_false_sightings_are_left_out_and_reported(explored, seed: int) -> None:
     run, draw = explored(seed, 0.003), np.random.default_rng(seed)
     track = run.features.tracks["effector"]
     wrong = draw.random(len(track.t)) < 0.04
@@ -119,8 +119,8 @@ def test_false_sightings_are_left_out_and_said(explored, seed: int) -> None:
     found = learn([replace(run.features, tracks={"effector": replace(track, values=values)})], Settings(), {})
     error = found.model.senses["effector"].predict(run.angles)[0] - run.pixels
     assert np.sqrt(np.mean(error**2)) < 0.3
-    said = [f.text for f in found.findings if f.severity == "warning"]
-    assert len(said) == 1 and abs(int(said[0].split()[1]) - wrong.sum()) <= 2
+    texts = [f.text for f in found.findings if f.severity == "warning"]
+    assert len(texts) == 1 and abs(int(texts[0].split()[1]) - wrong.sum()) <= 2
 
 
 def test_sound_sightings_are_all_kept(learned: Learned) -> None:
@@ -156,7 +156,7 @@ def test_nothing_to_learn_from_is_an_error_that_says_so(explored) -> None:
         learn([replace(features, joints=still)], Settings(), {})
 
 
-def _heard_as(features: Features, column: int, value: float, rows: slice = slice(None)) -> Features:
+def _with_readings(features: Features, column: int, value: float, rows: slice = slice(None)) -> Features:
     values = features.joints.values.copy()
     values[rows, column] = value
     return replace(features, joints=replace(features.joints, values=values))
@@ -167,12 +167,12 @@ def _warnings(found: Learned) -> list[str]:
 
 
 def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
-    features = _heard_as(explored(0, 0.003, 10.0).features, 2, np.nan)
+    features = _with_readings(explored(0, 0.003, 10.0).features, 2, np.nan)
     found = learn([features], Settings(), {})
     assert found.model.joints == ("pan", "lift")
-    said = "elbow: only 0 of 1000 readings in log 1 are numbers, 4 are needed"
-    assert any(text.startswith(f"{said}; left out") for text in _warnings(found))
-    with pytest.raises(EvidenceError, match=f"{said}, but it is asked for"):
+    texts = "elbow: only 0 of 1000 readings in log 1 are numbers, 4 are needed"
+    assert any(text.startswith(f"{texts}; left out") for text in _warnings(found))
+    with pytest.raises(EvidenceError, match=f"{texts}, but it is asked for"):
         learn([features], Settings(body=Body(joints=("pan", "elbow"))), {})
     values = np.full_like(features.joints.values, np.nan)
     with pytest.raises(EvidenceError, match=r"no joint moved; the log has none \(pan: only 0 of 1000"):
@@ -181,13 +181,13 @@ def test_a_joint_that_is_never_a_number_is_named(explored) -> None:
 
 def test_readings_that_no_joint_can_have_are_left_out_by_name(explored) -> None:
     whole = explored(0, 0.003, 10.0).features
-    found = learn([_heard_as(whole, 1, 1e300, slice(100, 103))], Settings(), {})
+    found = learn([_with_readings(whole, 1, 1e300, slice(100, 103))], Settings(), {})
     assert "lift: 3 of 1000 readings in log 1 left out: no joint is at 1e+300 rad" in _warnings(found)
-    without = learn([_heard_as(whole, 1, np.nan, slice(100, 103))], Settings(), {})
+    without = learn([_with_readings(whole, 1, np.nan, slice(100, 103))], Settings(), {})
     assert found.model.joints == ("pan", "lift", "elbow") and found.model.noise == without.model.noise
 
 
-def test_logs_of_two_robots_are_told_apart(explored) -> None:
+def test_logs_of_two_robots_are_refused(explored) -> None:
     features = explored(0, 0.003, 10.0).features
     other = replace(features, joints=replace(features.joints, names=("a", "b", "c", "d")))
     with pytest.raises(EvidenceError, match="share no joint: log 1 has pan, lift, elbow, wrist; log 2 has a, b, c, d"):
@@ -240,7 +240,7 @@ def test_recorded_arm_is_predicted_along_paths_it_never_took() -> None:
         assert np.sqrt(np.mean(error**2)) < allowed, log
 
 
-def test_the_pictures_width_is_remembered_where_all_logs_agree(explored) -> None:
+def test_the_image_width_is_kept_where_all_logs_agree(explored) -> None:
     features = explored(0, 0.003, 15.0).features
     wide, other = (replace(features, picture_size=(width, 240)) for width in (320, 640))
     assert learn([wide], Settings(), {"by": "test"}).model.provenance == {"image_width": 320, "by": "test"}
@@ -275,10 +275,10 @@ def test_learning_on_keeps_what_was_given_and_felt(explored) -> None:
 
 def test_an_exploration_whose_encoders_fell_silent_is_learned_from_the_rest(explored) -> None:
     run = explored(0, 0.003)
-    told = run.features.joints
-    values = told.values.copy()
-    values[(told.t > 12.0) & (told.t < 26.0)] = np.nan
-    learned = learn([replace(run.features, joints=replace(told, values=values))], Settings(), {})
+    readings = run.features.joints
+    values = readings.values.copy()
+    values[(readings.t > 12.0) & (readings.t < 26.0)] = np.nan
+    learned = learn([replace(run.features, joints=replace(readings, values=values))], Settings(), {})
     error = learned.model.senses["effector"].predict(run.angles)[0] - run.pixels
     assert np.median(np.abs(error)) < 0.3
     assert 0.5 < _scores(learned)["used_share/effector"] < 0.75

@@ -9,8 +9,8 @@ from bodylog.errors import ConfigError, LogError
 
 @pytest.mark.parametrize("encoder", [0.0, 0.0005, 0.02])
 def test_joints_that_only_carry_noise_do_not_move(explored, encoder: float) -> None:
-    heard = joints([explored(0, encoder, 20.0).features], None)
-    assert [j.name for j in heard if moves(j)] == ["pan", "lift", "elbow"]
+    found = joints([explored(0, encoder, 20.0).features], None)
+    assert [j.name for j in found if moves(j)] == ["pan", "lift", "elbow"]
 
 
 def test_wanted_joints_come_in_the_order_wanted(explored) -> None:
@@ -54,11 +54,11 @@ def test_only_sightings_with_angles_are_paired(explored) -> None:
 @pytest.mark.parametrize("part", [slice(None), slice(0, 1)])
 def test_sightings_while_encoders_were_silent_for_long_teach_nothing(explored, part: slice) -> None:
     features = explored(0, 0.003, duration=20.0).features
-    told = features.joints
-    assert told is not None
-    values, silent = told.values.copy(), (told.t > 6.0) & (told.t < 13.0)
+    readings = features.joints
+    assert readings is not None
+    values, silent = readings.values.copy(), (readings.t > 6.0) & (readings.t < 13.0)
     values[silent, part] = np.nan
-    fewer = replace(features, joints=replace(told, values=values))
+    fewer = replace(features, joints=replace(readings, values=values))
     found = pairs([fewer], "effector", joints([fewer], ("pan", "lift", "elbow")), 1)
     within = (found.t > 8.5) & (found.t < 10.5)
     assert not within.any() and len(found.t) > 120

@@ -24,7 +24,7 @@ def _places(q: np.ndarray, turn: float, fore: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_what_joints_are_off_by_is_learned_from_what_tracks_err_alike(seed, tmp_path):
+def test_errors_of_joints_are_learned_from_residuals_that_tracks_share(seed, tmp_path):
     draw, std = np.random.default_rng(seed), np.array([0.002, 0.004, 0.003])
     q = np.array([0.0, 0.3, 0.6]) + draw.uniform(-0.5, 0.5, (200, 3))
     t, ns = np.arange(200.0), np.arange(200) * 10**9
@@ -42,7 +42,7 @@ def test_what_joints_are_off_by_is_learned_from_what_tracks_err_alike(seed, tmp_
     np.testing.assert_allclose(storage.load(tmp_path / "body.npz").provenance["pose_std"], learned)
 
 
-def test_what_models_of_too_few_poses_err_alike_is_laid_to_no_encoder():
+def test_shared_errors_of_models_of_too_few_poses_are_no_encoder_errors():
     """Two dozen poses of three joints: tracks are off by tens of pixels, and alike."""
     draw = np.random.default_rng(5)
     q = draw.uniform(-1.5, 1.5, (24, 3))

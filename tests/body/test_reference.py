@@ -110,11 +110,11 @@ def test_readings_become_angles_by_name_and_go_straight_on_beyond_what_was_explo
     wide = np.column_stack([x[:, [2, 0, 1]], np.full(400, 7.0)])
     there = replace(joints, t=np.arange(400.0), values=wide, names=("elbow", "pan", "lift", "wrist"))
     there.values[:, :3] = body.senses["encoders"].predict(x)[0][:, [2, 0, 1]]
-    told, plain, _ = understood(replace(explored(0, 0.0).features, joints=there), body, Estimation())
-    assert np.abs(told.joints.values[:, [1, 2, 0]] - x).max() < 1e-3
+    angled, plain, _ = understood(replace(explored(0, 0.0).features, joints=there), body, Estimation())
+    assert np.abs(angled.joints.values[:, [1, 2, 0]] - x).max() < 1e-3
     inside = ((x > low) & (x < high)).all(axis=1)
-    assert np.abs(told.joints.values[inside][:, [1, 2, 0]] - x[inside]).max() < 1e-6
-    assert (told.joints.values[:, 3] == 7.0).all() and set(plain.senses) == {"effector"}
+    assert np.abs(angled.joints.values[inside][:, [1, 2, 0]] - x[inside]).max() < 1e-6
+    assert (angled.joints.values[:, 3] == 7.0).all() and set(plain.senses) == {"effector"}
 
 
 def test_learning_on_without_a_reference_reads_by_the_body_known(explored) -> None:

@@ -33,23 +33,24 @@ def learned(tmp_path_factory):
     return folder, result
 
 
-def test_the_scale_is_found_with_its_uncertainty_and_said(learned):
+def test_the_scale_is_found_with_its_uncertainty_and_reported(learned):
     folder, result = learned
-    told = {one.joint: one for one in offsets.scaled(files.load(folder / "body.npz"))}
-    lift = told["lift"]
+    by_joint = {one.joint: one for one in offsets.scaled(files.load(folder / "body.npz"))}
+    lift = by_joint["lift"]
     assert lift.identifiable and abs(lift.value - SCALE) < 2 * lift.std and lift.value > 2 * lift.std
     text = [one.text for one in result.findings]
     assert any(one.startswith("lift: its scale is off by +") and one.endswith("%") for one in text)
-    assert all(abs(one.value) < 2 * one.std for one in told.values() if one.identifiable and one is not lift)
+    assert all(abs(one.value) < 2 * one.std for one in by_joint.values() if one.identifiable and one is not lift)
 
 
 def test_it_is_printed_and_written(learned, run_cli, capsys):
     folder, _ = learned
     for name in ("zeros.yaml", "zeros.json"):
         assert run_cli("offsets", folder / "body.npz", "--json", "-o", folder / name) == 0
-        said = json.loads(capsys.readouterr().out)
-        assert YAML(typ="safe").load((folder / name).read_text()) == {key: said[key] for key in ("offsets", "scales")}
-        assert said["scales"]["lift"]["unit"] == "1" and said["scales"]["lift"]["identifiable"]
+        printed = json.loads(capsys.readouterr().out)
+        tables = {key: printed[key] for key in ("offsets", "scales")}
+        assert YAML(typ="safe").load((folder / name).read_text()) == tables
+        assert printed["scales"]["lift"]["unit"] == "1" and printed["scales"]["lift"]["identifiable"]
     assert run_cli("offsets", folder / "body.npz", "-o", folder / "new.urdf", "--urdf", folder / "arm.urdf") == 0
     both = capsys.readouterr()
     assert "lift   scale +" in both.out and "holds the zeros alone" in both.err

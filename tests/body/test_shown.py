@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body.data.exploration import shown
+from bodylog.body.data.exploration import select_joints
 from bodylog.body.data.pairs import joints, moves
 from bodylog.recording import recording
 from bodylog.settings import Body, Settings
@@ -36,8 +36,8 @@ def test_a_gripper_that_moves_unseen_changes_nothing(explored):
     x = one.model.senses["effector"].samples[:5]
     means = [learned.model.senses["effector"].predict(x)[0] for learned in (one, two)]
     np.testing.assert_array_equal(*means)
-    (said,) = (f.text for f in two.findings if f.text.startswith("finger"))
-    assert "left out: no track shows it" in said and "[body] joints" in said
+    (text,) = (f.text for f in two.findings if f.text.startswith("finger"))
+    assert "left out: no track shows it" in text and "[body] joints" in text
     asked = body.learn([both], Settings(body=Body(joints=("pan", "lift", "elbow", "finger"))), {})
     assert asked.model.joints == ("pan", "lift", "elbow", "finger")
 
@@ -60,5 +60,5 @@ def test_a_gripper_beside_a_track_of_hardly_any_noise_is_left_out():
     places = np.where(truth["seen"][:, None] > 0.5, truth["uv"], np.nan)
     track = Series(t, places, ("u", "v"), "px", np.rint(t * 1e9).astype(np.int64), np.full(places.shape, 0.01))
     found = Features(read.joints, {"effector": track}, None, (), (), {}, beside=read.beside)
-    kept, said = shown([found], [j for j in joints([found], None) if moves(j)], Settings().fit)
-    assert len(kept) == 6 and {f.text.split(":")[0] for f in said} == {"left_finger_joint", "right_finger_joint"}
+    kept, text = select_joints([found], [j for j in joints([found], None) if moves(j)], Settings().fit)
+    assert len(kept) == 6 and {f.text.split(":")[0] for f in text} == {"left_finger_joint", "right_finger_joint"}

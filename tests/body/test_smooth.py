@@ -80,7 +80,7 @@ def test_smoothed_angles_are_as_good_as_they_say(seed: int) -> None:
     assert 0.4 < np.mean(error**2 / variance) < 1.8
 
 
-def test_nothing_is_said_outside_the_readings_and_gaps_are_admitted() -> None:
+def test_angles_are_unknown_outside_the_readings_and_gaps_widen_error_bars() -> None:
     t = np.concatenate([np.arange(0, 5, 0.05), np.arange(8, 12, 0.05)])
     signal = chain(t, np.sin(t) + np.random.default_rng(0).normal(0, 0.01, len(t)))
     motion = fit([signal], 2)

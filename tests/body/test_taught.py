@@ -38,9 +38,9 @@ def run(explored):
 
 def test_a_track_that_stands_still_is_refused_by_name(run):
     still = np.full(run.tracks["effector"].values.shape, [40.0, 30.0])
-    said = _refused(_only(run, still))
-    assert "effector: stands still at (40.0, 30.0) px in all 199 sightings, seen in 199 of 199 images" in said
-    assert "3 joints moved (pan, lift, elbow)" in said and "type bodylog features LOG" in said
+    text = _refused(_only(run, still))
+    assert "effector: stands still at (40.0, 30.0) px in all 199 sightings, seen in 199 of 199 images" in text
+    assert "3 joints moved (pan, lift, elbow)" in text and "type bodylog features LOG" in text
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -78,17 +78,17 @@ def test_too_few_sightings_for_the_joints_are_refused_with_the_counts(run):
     places = run.tracks["effector"].values.copy()
     places[8:] = np.nan
     lost = replace(_only(run, places), health={"effector": Health(199, 8, {"too small": 180, "out of view": 11})})
-    said = _refused(lost)
-    assert "effector: only 8 sightings with joint readings, 9 are needed as 3 joints moved" in said
-    assert "seen in 8 of 199 images (others: 180 too small, 11 out of view)" in said
+    text = _refused(lost)
+    assert "effector: only 8 sightings with joint readings, 9 are needed as 3 joints moved" in text
+    assert "seen in 8 of 199 images (others: 180 too small, 11 out of view)" in text
 
 
 def test_what_was_learned_says_how_much_the_joints_explain(run):
     found = body.learn([run], Settings(), {})
     (explained,) = (s.value for s in found.scores if s.name == "explained/effector")
     assert 0.999 < explained < 1.0
-    (said,) = (f.text for f in found.findings if f.text.startswith("joints: 3 learned over"))
-    assert "pan" in said and said.endswith("not learned over: wrist")
+    (text,) = (f.text for f in found.findings if f.text.startswith("joints: 3 learned over"))
+    assert "pan" in text and text.endswith("not learned over: wrist")
 
 
 def test_places_beyond_any_camera_are_left_out(run):
@@ -108,7 +108,7 @@ def test_a_table_of_few_poses_is_refused(tmp_path, run_cli, capsys):
     rows = [f"{a},{b},{c},{d}" for a, b, c, d in draw.normal(size=(5, 4)).tolist()]
     (tmp_path / "poses.csv").write_text("\n".join(["pan,lift,tip_u,tip_v", *rows]) + "\n")
     assert run_cli("fit", tmp_path / "poses.csv", "-o", tmp_path / "body.npz") == 65
-    said = capsys.readouterr().err
-    assert "tip: only 5 sightings with joint readings, 8 are needed" in said and "seen in 5 of 5 images" in said
+    text = capsys.readouterr().err
+    assert "tip: only 5 sightings with joint readings, 8 are needed" in text and "seen in 5 of 5 images" in text
     assert not (tmp_path / "body.npz").exists()
 

@@ -38,11 +38,11 @@ def _features(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_many_touches_give_back_their_own_spread(seed: int) -> None:
-    constants, _, said = learned([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
+    constants, _, findings = learned([_features(seed, 300, 0.03, 6.0)], ("pan",), _Still())
     assert constants.a1 == 1.0
     assert np.sqrt(1 / (2 * constants.b1)) == pytest.approx(6.0, rel=0.15)
-    told = float(re.search(r"300 delays, spread ([\d.]+) s", said[0].text)[1])
-    assert told == pytest.approx(0.03, rel=0.15)
+    printed = float(re.search(r"300 delays, spread ([\d.]+) s", findings[0].text)[1])
+    assert printed == pytest.approx(0.03, rel=0.15)
 
 
 def test_a_log_that_keeps_delays_but_no_strokes_teaches_the_same() -> None:
@@ -58,15 +58,15 @@ def test_few_touches_move_the_assumption_only_a_little() -> None:
 
 def test_without_touches_what_is_assumed_stands() -> None:
     features = replace(_features(0, 1, 0.0, 0.0), touches=None, synchrony=())
-    constants, _, said = learned([features], ("pan",), _Still())
-    assert said == () and np.sqrt(1 / (2 * constants.b1)) == pytest.approx(12.0)
+    constants, _, findings = learned([features], ("pan",), _Still())
+    assert findings == () and np.sqrt(1 / (2 * constants.b1)) == pytest.approx(12.0)
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_cells_have_each_their_place_beside_the_effector(seed: int) -> None:
     offsets = ((0.0, -15.0), (2.0, -40.0), (-8.0, 10.0))
-    _, cells, said = learned([_features(seed, 90, 0.0, 3.0, offsets)], ("pan",), _Still())
-    assert set(cells) == {1, 2, 3} and "place of 3 cells" in said[0].text
+    _, cells, findings = learned([_features(seed, 90, 0.0, 3.0, offsets)], ("pan",), _Still())
+    assert set(cells) == {1, 2, 3} and "place of 3 cells" in findings[0].text
     for cell, offset in enumerate(offsets, 1):
         u, v, spread = cells[cell]
         # thirty touches: a mean's own error is 3/√30 px, and one touch's weight draws it to the common place
@@ -99,5 +99,5 @@ def test_strokes_seen_late_or_far_away_say_nothing_of_the_limb() -> None:
 def test_pairs_half_a_second_apart_are_no_pairs() -> None:
     features = _features(0, 50, 0.02, 5.0)
     far = tuple(replace(s, delay=0.6) for s in features.synchrony)
-    _, cells, said = learned([replace(features, synchrony=far)], ("pan",), _Still())
-    assert cells == {} and said == ()
+    _, cells, findings = learned([replace(features, synchrony=far)], ("pan",), _Still())
+    assert cells == {} and findings == ()

@@ -17,8 +17,8 @@ def _arm(seed: int, count: int, angle: float, camera) -> tuple[Array, Samples]:
     return q, Samples(x, y, np.zeros(y.shape), np.full(x.shape, max(angle, 1e-9) ** 2))
 
 
-def test_input_noise_is_told_from_pixel_noise(camera) -> None:
-    told, blinded, squares = [], [], []
+def test_input_noise_is_separated_from_pixel_noise(camera) -> None:
+    informed, blinded, squares = [], [], []
     for seed in range(6):
         _, data = _arm(seed, 250, 0.01, camera)
         gp = assemble(data, fit(data, ROTATION, True, 0), ("u", "v"), "px")
@@ -27,9 +27,9 @@ def test_input_noise_is_told_from_pixel_noise(camera) -> None:
         fresh, _ = _arm(seed + 100, 400, 0.0, camera)
         (value, _, spread), truth = gp.predict(fresh), camera(fresh)
         squares.append(np.mean((value - truth) ** 2 / spread))
-        told.append(np.mean((value - truth) ** 2))
+        informed.append(np.mean((value - truth) ** 2))
         blinded.append(np.mean((blind.predict(fresh)[0] - truth) ** 2))
-    assert np.mean(told) < 1.1 * np.mean(blinded)
+    assert np.mean(informed) < 1.1 * np.mean(blinded)
     assert 0.7 < np.mean(squares) < 1.7
 
 

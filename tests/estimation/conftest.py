@@ -83,7 +83,7 @@ def draw(
     both = np.concatenate([t, frames])
     x = motion(both, rng, speed)
     truth, at_frames = x[: len(t)], x[len(t) :]
-    heard = truth + rng.normal(0, encoder_std, truth.shape)
+    readings = truth + rng.normal(0, encoder_std, truth.shape)
     seen = model.predict(at_frames)[0] + rng.normal(0, pixel_std, (len(frames), 2))  # type: ignore[attr-defined]
     wrong = rng.random(len(frames)) < blunder
     seen[wrong] += rng.normal(0, 60, (int(wrong.sum()), 2))
@@ -91,7 +91,7 @@ def draw(
     order = [2, 0, 1]  # alphabetical, as drivers publish
     names = tuple(JOINTS[i] for i in order)
     ns, frames_ns = (t * 1e9).astype(np.int64), (frames * 1e9).astype(np.int64)
-    joints = Series(t, heard[:, order], names, "rad", ns)
+    joints = Series(t, readings[:, order], names, "rad", ns)
     track = Series(frames, seen, ("u", "v"), "px", frames_ns, np.full(seen.shape, pixel_std))
     features = Features(joints, {"effector": track}, None, (), (), {})
     noise = Noise((encoder_std**2,) * 3, {"effector": (pixel_std**2,) * 2}, (0.3,) * 3)

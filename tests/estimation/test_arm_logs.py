@@ -101,9 +101,9 @@ def test_touch_in_time_corrects_a_wrong_start_and_touch_out_of_time_does_not(see
         start = truth.values[0, [NAMES.index(joint) for joint in model.joints]] + shift
         settings = Estimation(without=("encoders", "vision"), start=tuple(start))
         found = estimate(features, model, settings)
-        heard = found.used["touch"]
-        assert heard.used == (heard.seen if name == "touch.mcap" else 0)
-        assert sum(heard.rejected.values()) == heard.seen - heard.used
+        health = found.used["touch"]
+        assert health.used == (health.seen if name == "touch.mcap" else 0)
+        assert sum(health.rejected.values()) == health.seen - health.used
         joints = {s.name: s.value for s in scores(found, truth, None)}["rmse/joint"]
         error[name] = np.array([displaced(found, truth, model, features.touches), joints])
     apart = model.senses["effector"].predict(np.stack([start, start - shift]))[0]

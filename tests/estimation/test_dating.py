@@ -17,7 +17,7 @@ def nees(found, drawn):
     return next(s.value for s in against_truth(found, drawn.truth, list(drawn.truth.names)) if s.name == "nees/joint")
 
 
-def said(found, severity="warning"):
+def delay_texts(found, severity="warning"):
     return [f.text for f in found.findings if f.severity == severity and "image timestamps" in f.text]
 
 
@@ -43,7 +43,7 @@ def with_side(drawn):
 def test_sound_logs_are_left_as_they_are(world, method):
     drawn, settings = world(0, duration=8.0), Estimation(method=method)
     auto, off = (estimate(drawn.features, drawn.body, settings, delay) for delay in ("auto", "off"))
-    assert not said(auto) and "delay" not in auto.settings
+    assert not delay_texts(auto) and "delay" not in auto.settings
     for one in ("joints", "rate"):
         assert np.array_equal(getattr(auto, one).values, getattr(off, one).values)
     assert np.array_equal(auto.cov, off.cov) and np.array_equal(auto.free_energy, off.free_energy)
@@ -51,13 +51,13 @@ def test_sound_logs_are_left_as_they_are(world, method):
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", pytest.param("ekf", marks=pytest.mark.soak)])
 @pytest.mark.parametrize("seconds", [-0.1, 0.05, pytest.param(0.2, marks=pytest.mark.soak)])
-def test_a_delay_is_said_and_taken_off(world, method, seconds):
+def test_a_delay_is_reported_and_corrected(world, method, seconds):
     settings, truly, found_to_be = Estimation(method=method), [], []
     for seed in range(3):
         drawn = world(seed, camera_hz=20.0)
         features = delayed(drawn.features, seconds)
         found = estimate(features, drawn.body, settings)
-        (text,) = said(found)
+        (text,) = delay_texts(found)
         assert text.startswith("camera: image timestamps ") and "--delay off" in text
         assert (" lag the encoders" in text) == (seconds > 0)
         assert abs(found.settings["delay"]["camera"] - seconds) < 4.0 * found.settings["delay_std"]["camera"]
@@ -76,23 +76,23 @@ def test_each_camera_has_its_own(world):
         found = estimate(delayed(drawn.features, own), drawn.body, Estimation())
         by_name = {name or "camera": seconds for name, seconds in own.items() if seconds}
         assert found.settings["delay"] == pytest.approx(by_name, abs=0.01)
-        assert sorted(text.partition(":")[0] for text in said(found)) == sorted(by_name)
+        assert sorted(text.partition(":")[0] for text in delay_texts(found)) == sorted(by_name)
 
 
-def test_what_is_given_is_heard_as_it_is_and_contradicted_where_the_log_knows_better(world):
+def test_given_delays_are_used_and_contradicted_where_the_log_knows_better(world):
     drawn = world(2, camera_hz=20.0)
     features = delayed(drawn.features, 0.05)
     right = estimate(features, drawn.body, Estimation(), {"camera": 0.05})
     sound = estimate(drawn.features, drawn.body, Estimation())
-    assert not said(right) and right.settings["delay"] == {"camera": 0.05}
+    assert not delay_texts(right) and right.settings["delay"] == {"camera": 0.05}
     np.testing.assert_allclose(right.joints.values, sound.joints.values, atol=1e-9)
     np.testing.assert_allclose(right.cov, sound.cov, atol=1e-12)
     off = "not corrected"
     for given, named in (({"camera": 0.0}, off), ({"camera": 0.12}, "--delay camera=0.12"), ("off", off)):
         wrong = estimate(features, drawn.body, Estimation(bias="off"), given)
-        (text,) = said(wrong)
+        (text,) = delay_texts(wrong)
         assert named in text and float(text.rpartition("type --delay camera=")[2]) == pytest.approx(0.05, abs=0.01)
-    (text,) = said(estimate(drawn.features, drawn.body, Estimation(bias="off"), {"camera": 0.05}))
+    (text,) = delay_texts(estimate(drawn.features, drawn.body, Estimation(bias="off"), {"camera": 0.05}))
     assert text.endswith("type --delay camera=0")  # and not how far from it the log happens to have it
     with pytest.raises(UsageError, match=r"delay: 'left' found, possible: joints, camera; type --delay camera=0\.05"):
         estimate(features, drawn.body, Estimation(), {"left": 0.05})
@@ -103,7 +103,7 @@ def test_joints_that_are_late_are_dated_as_given(world):
     joints = drawn.features.joints
     behind = replace(drawn.features, joints=replace(joints, t=joints.t + 0.05))
     found = estimate(behind, drawn.body, Estimation(), {"joints": 0.05})
-    assert not said(found)
+    assert not delay_texts(found)
     np.testing.assert_allclose(found.joints.t, joints.t, atol=1e-12)
     sound = nees(estimate(drawn.features, drawn.body, Estimation()), drawn)
     assert nees(found, drawn) == pytest.approx(sound, rel=1e-3)
@@ -114,13 +114,13 @@ def test_a_body_learned_with_a_delay_lends_it_to_logs_that_do_not_contradict(wor
     body = replace(drawn.body, provenance={"delay": {"camera": 0.05}})
     for one in (drawn, still):
         found = estimate(delayed(one.features, 0.05), body, Estimation())
-        assert not said(found) and found.settings["delay"] == {"camera": 0.05}
+        assert not delay_texts(found) and found.settings["delay"] == {"camera": 0.05}
         late = "camera: image timestamps lag the encoders by 0.0500 s"
-        assert said(found, "info") == [f"{late}, as in the exploration log, corrected"]
+        assert delay_texts(found, "info") == [f"{late}, as in the exploration log, corrected"]
     mended = estimate(drawn.features, body, Estimation())
-    assert not said(mended) and "delay" not in mended.settings
+    assert not delay_texts(mended) and "delay" not in mended.settings
     other = estimate(delayed(drawn.features, -0.1), body, Estimation())
-    assert other.settings["delay"]["camera"] == pytest.approx(-0.1, abs=0.01) and said(other)
+    assert other.settings["delay"]["camera"] == pytest.approx(-0.1, abs=0.01) and delay_texts(other)
     for wrong in ("late", {"camera": "late"}, {"camera": np.inf}, {"camera": True, "side": 1e9}):
         with pytest.raises(ModelError, match=r"provenance\.delay: found"):
             estimate(drawn.features, replace(body, provenance={"delay": wrong}), Estimation())

@@ -56,7 +56,7 @@ def test_other_faults_neither_feign_a_delay_nor_hide_it(world, how, seconds):
 
 
 def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
-    told = 0
+    count = 0
     for seed in range(4):
         drawn = world(seed, blunder=0.08, hidden=(5.0, 8.0), camera_hz=20.0, duration=25.0)
         track = drawn.features.tracks["effector"]
@@ -65,10 +65,10 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
             features = replace(drawn.features, tracks={"effector": seen})
             for seconds in (0.0, 0.08):
                 for found in measured_delays(delayed(features, seconds), drawn.body).values():
-                    told += 1
+                    count += 1
                     assert abs(found.seconds - seconds) < 4.0 * found.std_error
                     assert (found.nats > GAIN) == (seconds > 0.0)
-    assert told >= 12
+    assert count >= 12
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.01])

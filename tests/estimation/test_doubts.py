@@ -23,15 +23,15 @@ def test_a_sound_estimate_is_not_doubted(world, method, seed):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
-def test_noise_that_is_not_the_bodys_is_said_with_what_to_type(world, method):
+def test_noise_unlike_the_bodys_gives_a_warning_and_what_to_type(world, method):
     drawn = world(3, duration=5.0)
-    calm = replace(drawn.body.noise, encoder=tuple(v / 30.0 for v in drawn.body.noise.encoder))
-    found = estimate(drawn.features, replace(drawn.body, noise=calm), Estimation(method=method, precision="model"))
+    quiet = replace(drawn.body.noise, encoder=tuple(v / 30.0 for v in drawn.body.noise.encoder))
+    found = estimate(drawn.features, replace(drawn.body, noise=quiet), Estimation(method=method, precision="model"))
     (text,) = [text for text in doubted(found) if text.startswith("encoders: ")]
     assert text.endswith("type --precision auto")
 
 
-def test_an_offset_that_may_not_be_estimated_is_said(world):
+def test_an_offset_with_bias_off_gives_a_warning(world):
     drawn = world(4, duration=12.0, encoder_std=0.005)
     joints = drawn.features.joints
     values = joints.values + np.outer(np.clip((joints.t - 4.0) * 0.03, 0.0, None), np.arange(3) == 0)
@@ -48,6 +48,6 @@ def test_two_publishers_on_one_topic_are_suspected(world):
     joints = drawn.features.joints
     values = np.where(np.arange(len(joints.t))[:, None] % 2, 0.5, joints.values)
     features = replace(drawn.features, joints=replace(joints, values=values))
-    said = [f.text for f in estimate(features, drawn.body, Estimation()).findings]
-    assert any(f"{joints.names[0]} has noise of" in text and "do two nodes publish" in text for text in said)
+    texts = [f.text for f in estimate(features, drawn.body, Estimation()).findings]
+    assert any(f"{joints.names[0]} has noise of" in text and "do two nodes publish" in text for text in texts)
     assert not any("scatters" in f.text for f in estimate(drawn.features, drawn.body, Estimation()).findings)

@@ -29,14 +29,14 @@ def read(drawn, change):
     return replace(drawn.features, joints=replace(joints, values=change(joints.values)))
 
 
-def said(drawn, change):
+def range_texts(drawn, change):
     found = estimate(read(drawn, change), drawn.body, Estimation())
     return [f.text for f in found.findings if f.severity == "warning" and f.text.startswith("joints: ")]
 
 
 def test_angles_that_were_explored_go_without_a_word(drawn):
-    assert not said(drawn, lambda x: x)
-    assert not said(drawn, lambda x: x + 0.3)
+    assert not range_texts(drawn, lambda x: x)
+    assert not range_texts(drawn, lambda x: x + 0.3)
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "kalman", "predictive-coding"])
@@ -54,19 +54,20 @@ def test_degrees_are_refused_where_encoders_say_but_where_to_begin(drawn):
 def test_a_joint_about_zero_that_moves_elsewhere_is_not_taken_for_degrees(world):
     around = Learned(samples=motion(np.arange(0.0, 40.0, 0.1), np.random.default_rng(0)) * [0.1, 1.0, 1.0])
     drawn = world(1, duration=8.0, model=around)
-    (text,) = said(drawn, lambda x: x)
+    (text,) = range_texts(drawn, lambda x: x)
     assert "beyond that" in text
 
 
 def test_a_joint_that_is_a_turn_off_is_named(drawn):
-    (text,) = said(drawn, lambda x: x + np.array([0.0, 2.0 * np.pi, 0.0]))
+    (text,) = range_texts(drawn, lambda x: x + np.array([0.0, 2.0 * np.pi, 0.0]))
     assert text.startswith(f"joints: {drawn.features.joints.names[1]} reads ") and "+1 whole turns off" in text
 
 
 def test_a_joint_that_moves_where_it_was_not_explored_is_named(drawn):
-    (text,) = said(drawn, lambda x: x + np.array([0.0, 0.0, 3.0]))
+    (text,) = range_texts(drawn, lambda x: x + np.array([0.0, 0.0, 3.0]))
     assert text.startswith(f"joints: {drawn.features.joints.names[2]} reads ") and "beyond that" in text
 
 
 def test_an_encoder_that_says_nothing_is_not_accused(drawn):
-    assert not said(drawn, lambda x: np.where([False, False, True] & (np.arange(len(x)) > 0)[:, None], np.nan, x))
+    silenced = lambda x: np.where([False, False, True] & (np.arange(len(x)) > 0)[:, None], np.nan, x)  # noqa: E731
+    assert not range_texts(drawn, silenced)

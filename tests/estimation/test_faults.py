@@ -126,9 +126,9 @@ def test_a_single_spike_is_no_jump():
 def test_where_a_joint_is_after_a_silence_is_no_jump():
     t = np.arange(0.0, 20.0, 0.02)
     y = np.sin(t) + np.random.default_rng(2).normal(0, 0.01, len(t))
-    heard = (t < 6.0) | (t > 9.0)
-    assert jumps(t[heard], y[heard]) == []
-    assert jumps(t, np.where(heard, y, np.nan)) == []
+    read = (t < 6.0) | (t > 9.0)
+    assert jumps(t[read], y[read]) == []
+    assert jumps(t, np.where(read, y, np.nan)) == []
 
 
 def test_the_steps_of_a_coarse_encoder_are_no_jumps():
@@ -194,7 +194,7 @@ def test_images_tell_a_frozen_encoder_from_one_that_counts_in_steps_and_rests(mo
 
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
-def test_an_offset_that_stays_is_told_by_the_whole_log(world, joint):
+def test_a_constant_offset_is_found_by_the_whole_log(world, joint):
     drawn = world(0, duration=16.0, encoder_std=0.01)
     (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
     assert fault.name == joint and fault.size == pytest.approx(0.0873, abs=0.004)
@@ -203,7 +203,7 @@ def test_an_offset_that_stays_is_told_by_the_whole_log(world, joint):
 @pytest.mark.parametrize(("joint", "named"), [("lift", {"lift", "elbow"}), ("pan", {"pan"})])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_joints_that_images_cannot_tell_apart_are_both_named_without_a_size(world, joint, named, seed):
-    alike = Linear(np.array([[300.0, 120.0, 120.0], [15.0, 250.0, 250.0]]), np.array([160.0, 120.0]))
-    drawn = world(seed, duration=16.0, encoder_std=0.01, model=alike)
+    similar = Linear(np.array([[300.0, 120.0, 120.0], [15.0, 250.0, 250.0]]), np.array([160.0, 120.0]))
+    drawn = world(seed, duration=16.0, encoder_std=0.01, model=similar)
     (fault,) = estimate(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, Estimation()).faults
     assert set(fault.name.split(" or ")) == named and np.isnan(fault.size) == (len(named) > 1)

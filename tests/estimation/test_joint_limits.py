@@ -22,21 +22,21 @@ def healthy():
     return Series(t, motion, NAMES, "rad", (t * 1e9).astype(np.int64))
 
 
-def _said(joints, values):
+def _texts(joints, values):
     moved = Series(joints.t, values, joints.names, joints.unit, joints.source_ns)
     return [(finding.severity, finding.text) for finding in limit_findings(moved, LIMITS, "arm.urdf")]
 
 
 def test_a_joint_that_keeps_its_limits_is_not_named(healthy):
-    assert _said(healthy, healthy.values) == []
-    assert _said(healthy, np.full_like(healthy.values, np.nan)) == []
-    assert _said(healthy, healthy.values + np.array([0.015, 0.0, 0.0, 0.0])) == []  # 2.005 rad: how 2.00 is rounded
+    assert _texts(healthy, healthy.values) == []
+    assert _texts(healthy, np.full_like(healthy.values, np.nan)) == []
+    assert _texts(healthy, healthy.values + np.array([0.015, 0.0, 0.0, 0.0])) == []  # 2.005 rad: how 2.00 is rounded
 
 
 def test_a_joint_outside_is_named_with_how_often_and_by_how_much(healthy):
     values = healthy.values.copy()
     values[100:150, 2] = 2.25
-    ((severity, text),) = _said(healthy, values)
+    ((severity, text),) = _texts(healthy, values)
     assert severity == "warning" and "elbow: 50 of 2000 readings outside of -2 to 2 rad (arm.urdf)" in text
     assert "by up to 0.25 rad, first at 1.000 s" in text
 
@@ -45,25 +45,25 @@ def test_one_wild_reading_does_not_hide_what_another_joint_does(healthy):
     values = healthy.values.copy()
     values[7, 0] = 1e6
     values[100:150, 2] = 2.25
-    assert [severity for severity, _ in _said(healthy, values)] == ["warning", "warning"]
+    assert [severity for severity, _ in _texts(healthy, values)] == ["warning", "warning"]
 
 
 @pytest.mark.parametrize("factor", [180.0 / np.pi, 4096.0 / (2 * np.pi)])
 def test_degrees_and_ticks_accuse_no_joint(healthy, factor):
-    ((severity, text),) = _said(healthy, healthy.values * factor)
+    ((severity, text),) = _texts(healthy, healthy.values * factor)
     assert severity == "info" and "other units or zeros" in text
 
 
 def test_a_gripper_in_percent_is_not_accused_and_hides_nothing(healthy):
     values = healthy.values * [1.0, 1.0, 1.0, 2500.0]
-    ((severity, text),) = _said(healthy, values)
+    ((severity, text),) = _texts(healthy, values)
     assert severity == "info" and "grip: " in text and "pan" not in text
     values[:50, 0] = -2.1
-    assert sorted(severity for severity, _ in _said(healthy, values)) == ["info", "warning"]
+    assert sorted(severity for severity, _ in _texts(healthy, values)) == ["info", "warning"]
 
 
 def test_zeros_of_another_robot_accuse_no_joint(healthy):
-    assert [severity for severity, _ in _said(healthy, healthy.values + 1.5)] == ["info"]
+    assert [severity for severity, _ in _texts(healthy, healthy.values + 1.5)] == ["info"]
 
 
 JOINT = """<robot name="r"><link name="a"/><link name="b"/>

@@ -90,14 +90,14 @@ def test_it_may_move_twice():
     assert sorted(round(fault.since) for fault in faults) == [8, 16]
 
 
-def test_the_evidence_is_told_and_what_a_model_knows_stays_known():
+def test_the_evidence_is_reported_and_a_wrapped_model_keeps_its_attributes():
     world = drawn(104, Drawn("reach", noise=0.01))
     verdict = detect(screened(world.features, world.body, Estimation()), world.body)
     ((hypothesis),) = verdict.hypotheses
     assert hypothesis.name == "camera moved" and hypothesis.nats < 0.0 and not hypothesis.chosen
     plain, x = Explored(), np.array([[-0.9, -0.9, 1.0]])
-    told = estimate(world.features, world.body, Estimation()).settings["hypotheses"]
-    assert [(one["name"], one["chosen"], one["threshold"]) for one in told] == [
+    hypotheses = estimate(world.features, world.body, Estimation()).settings["hypotheses"]
+    assert [(one["name"], one["chosen"], one["threshold"]) for one in hypotheses] == [
         ("camera late", False, 8.0), ("camera moved", False, 20.0),
     ]  # fmt: skip
     unsure = InflatedVariance(plain, np.array([0.1, 0.2]))

@@ -61,7 +61,7 @@ def test_nothing_at_all_is_an_error(world):
         estimate(replace(unseen(drawn), joints=None), drawn.body, Estimation())
 
 
-def test_vision_alone_needs_to_be_told_where_it_starts(world):
+def test_vision_alone_needs_a_start(world):
     drawn = world(0, duration=2.0)
     features = replace(drawn.features, joints=None)
     with pytest.raises(LogError, match=r"type in robot.toml \[estimate\] start = "):
@@ -83,9 +83,9 @@ def test_settings_that_make_no_sense(world, field, value):
 def test_more_silent_joints_than_numbers_seen_are_warned_of(world, without, warned):
     drawn = world(0, duration=2.0)
     found = estimate(drawn.features, drawn.body, Estimation(without=without))
-    said = [finding.text for finding in found.findings if finding.text.startswith("vision: 2 numbers")]
-    assert bool(said) == warned
-    assert not warned or "3 joints without an encoder (pan, lift, elbow)" in said[0]
+    texts = [finding.text for finding in found.findings if finding.text.startswith("vision: 2 numbers")]
+    assert bool(texts) == warned
+    assert not warned or "3 joints without an encoder (pan, lift, elbow)" in texts[0]
     assert not any(finding.text.startswith("encoders: nothing usable") for finding in found.findings)
 
 
@@ -116,7 +116,7 @@ def test_a_silent_joint_is_counted_refused_when_asked_for_and_named_where_it_sta
     assert found.used["encoders"].rejected == {"without lift": len(values)}
 
 
-def test_tracks_are_heard_in_the_order_the_log_has_them(world):
+def test_tracks_are_gathered_in_the_logs_order(world):
     """Else the same log gives other bytes in the next process, whose names hash otherwise."""
     drawn = world(0, duration=2.0)
     names = ("side/effector", "effector", "tip", "wrist", "back", "arm")
@@ -127,22 +127,22 @@ def test_tracks_are_heard_in_the_order_the_log_has_them(world):
 
 def _quiet(drawn, begin, end, joints=(0, 1, 2)):
     """The features with some encoders silent from begin to end, and what is said of that."""
-    told = drawn.features.joints
-    values, rows = told.values.copy(), (told.t > begin) & (told.t < end)
+    joints = drawn.features.joints
+    values, rows = joints.values.copy(), (joints.t > begin) & (joints.t < end)
     values[np.ix_(rows, joints)] = np.nan
-    found = estimate(replace(drawn.features, joints=replace(told, values=values)), drawn.body, Estimation(bias="off"))
+    found = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, Estimation(bias="off"))
     return [finding.text for finding in found.findings if " silent from " in finding.text]
 
 
 @pytest.mark.parametrize(
-    ("begin", "end", "said"),
+    ("begin", "end", "text_part"),
     [(4.01, 6.49, "from 4.000 to 6.500 s"), (7.01, 99.0, "from 7.000 s on"), (-1.0, 2.49, "first image to 2.500 s")],
 )
-def test_a_long_silence_of_all_encoders_is_named_with_what_pictures_cannot_do(world, begin, end, said):
+def test_a_long_silence_of_all_encoders_is_named_with_its_consequence(world, begin, end, text_part):
     (text,) = _quiet(world(0, duration=9.0), begin, end)
-    assert said in text and "2 numbers per image do not determine 3 joints" in text
+    assert text_part in text and "2 numbers per image do not determine 3 joints" in text
 
 
-def test_shorter_silences_and_those_of_joints_that_pictures_hold_go_without_a_word(world):
+def test_short_silences_and_those_that_images_cover_give_no_warning(world):
     assert not _quiet(world(0, duration=9.0), 4.0, 4.9)
     assert not _quiet(world(0, duration=9.0), 4.0, 7.0, joints=(1,))

@@ -40,8 +40,8 @@ def lab(request):
 
 def believed(lab, scenario, seed, options):
     elsewhere = ELSEWHERE * (scenario in ("touch", "horizontal"))
-    heard, body = lab.heard(scenario, seed + elsewhere, **options), lab.body("default", seed)
-    return heard, estimate(heard.features, body, Estimation())
+    run, body = lab.heard(scenario, seed + elsewhere, **options), lab.body("default", seed)
+    return run, estimate(run.features, body, Estimation())
 
 
 @pytest.mark.parametrize(("scenario", "options"), SOUND)
@@ -54,9 +54,9 @@ def test_no_sound_encoder_is_accused(lab, scenario, options):
 @pytest.mark.parametrize(("scenario", "kind", "joint", "exceeds"), LYING)
 def test_a_lying_encoder_is_named_within_two_seconds_and_does_no_harm(lab, scenario, kind, joint, exceeds):
     for seed in SEEDS:
-        heard, found = believed(lab, scenario, seed, {})
+        run, found = believed(lab, scenario, seed, {})
         (fault,) = found.faults
-        error = found.joints.values - heard.true(found.joints.names, found.joints.t)
+        error = found.joints.values - run.true(found.joints.names, found.joints.t)
         late = np.sqrt(np.mean(error[found.joints.t > found.joints.t[-1] - 8.0] ** 2, axis=0))
         print(f"{scenario:8s} {seed} since {fault.since:.2f} s, {fault.size:.3f} rad; last 8 s", late.round(4))
         assert (fault.kind, fault.name) == (kind, joint)
@@ -94,8 +94,8 @@ def test_a_seen_hand_draws_the_belief_when_in_time_only(lab):
     for seed in SEEDS:
         body, drift = lab.body("default", seed), {}
         for variant in ("synchronous", "asynchronous"):
-            heard = lab.heard("rubber-hand", seed, duration=20.0, variant=variant, place="left")
-            with_it, without = ours(heard, body), ours(heard, body, ("encoders",))
+            run = lab.heard("rubber-hand", seed, duration=20.0, variant=variant, place="left")
+            with_it, without = ours(run, body), ours(run, body, ("encoders",))
             apart = [body.senses["effector"].predict(belief.x)[0][:, 0] for belief in (with_it, without)]
             drift[variant] = float(np.abs(apart[0] - apart[1])[with_it.t > 5.0].max())
         print(seed, drift)

@@ -31,7 +31,7 @@ ANGLE, SPREAD, NATS = 1e-9, 1e-7, 1e-6
 Message = tuple[float, str, object]
 
 
-def told(features: Features, body: BodyModel, late: Callable[[str], float] = lambda sense: 0.0) -> list[Message]:
+def messages_of(features: Features, body: BodyModel, late: Callable[[str], float] = lambda sense: 0.0) -> list[Message]:
     """All a log says as (time, sense, reading), in the order in which it comes when senses are `late` (s)."""
     messages: list[tuple[float, Message]] = []
     joints = features.joints
@@ -72,13 +72,13 @@ def assert_same(beliefs: list[Belief], batch: Estimate) -> None:
 def assert_same_errors(beliefs: list[Belief], messages: list[Message], batch: Estimate) -> None:
     for name, errors in batch.errors.items():
         sense = "joints" if name == "encoders" else name
-        heard = {m[0]: b.errors[name] for b, m in zip(beliefs, messages, strict=True) if m[1] == sense and b.errors}
-        ours = [heard[t] for t in errors.t]
+        accepted = {m[0]: b.errors[name] for b, m in zip(beliefs, messages, strict=True) if m[1] == sense and b.errors}
+        ours = [accepted[t] for t in errors.t]
         np.testing.assert_allclose(ours, errors.values, atol=SPREAD)
 
 
 def check(features: Features, body: BodyModel, settings: Estimation = MODEL) -> None:
-    messages, batch = told(features, body), estimate(features, body, settings)
+    messages, batch = messages_of(features, body), estimate(features, body, settings)
     live = Estimator(body, settings)
     beliefs = step(live, messages)
     assert_same(beliefs, batch)
@@ -115,10 +115,11 @@ def test_a_lost_belief_is_found_again_as_in_the_batch(world, seed, names):
     joints = replace(joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep])
     features = replace(drawn.features, joints=joints)
     check(features, drawn.body)
-    beliefs, batch = step(Estimator(drawn.body), told(features, drawn.body)), estimate(features, drawn.body, MODEL)
+    beliefs = step(Estimator(drawn.body), messages_of(features, drawn.body))
+    batch = estimate(features, drawn.body, MODEL)
     lost = [belief for belief in beliefs if belief.lost is not None]
-    said = [finding.text for finding in batch.findings if finding.text.startswith("belief: lost")]
-    assert len(lost) == len(said) and all(f"{belief.t:.3f} s" in text for belief, text in zip(lost, said, strict=True))
+    texts = [finding.text for finding in batch.findings if finding.text.startswith("belief: lost")]
+    assert len(lost) == len(texts) and all(f"{b.t:.3f} s" in text for b, text in zip(lost, texts, strict=True))
     assert lost or len(names) == 2
 
 
@@ -140,16 +141,16 @@ def test_whatever_is_the_faster(world, encoder_hz):
     check(drawn.features, drawn.body, replace(MODEL, rate=None if encoder_hz < 100 else 100.0))
 
 
-def test_variances_that_a_log_taught_are_heard_beside_a_robot(world, swept):
+def test_variances_learned_from_a_log_are_used_live(world, swept):
     for seed, speed in ((0, 0.5), (1, 0.0)):
         drawn = world(seed, duration=6.0, speed=speed, blunder=0.05)
         batch = estimate(drawn.features, drawn.body, Estimation(bias="off"))
-        messages, settings = told(drawn.features, drawn.body), json.loads(json.dumps(batch.settings))
+        messages, settings = messages_of(drawn.features, drawn.body), json.loads(json.dumps(batch.settings))
         assert_same(step(Estimator(drawn.body, MODEL, learned=settings), messages), batch)
         assert (min(settings["stated"]) < 1.0) is (speed == 0.0)
     drawn = world(0, duration=6.0)
     one, whole = (estimate(drawn.features, drawn.body, Estimation(m, bias="off")) for m in ("laplace", "smoother"))
-    beliefs = step(Estimator(drawn.body, MODEL, learned=whole.settings), told(drawn.features, drawn.body))
+    beliefs = step(Estimator(drawn.body, MODEL, learned=whole.settings), messages_of(drawn.features, drawn.body))
     assert_same(beliefs, one)
 
 
@@ -158,7 +159,7 @@ def test_a_log_solved_as_one_says_what_a_live_filter_hears_by(world):
     alone = Estimation("smoother", senses=("encoders",))
     settings = json.loads(json.dumps(estimate(drawn.features, drawn.body, alone).settings))
     assert settings["order"] == 3
-    messages, learned = told(drawn.features, drawn.body), (settings, settings["live"])
+    messages, learned = messages_of(drawn.features, drawn.body), (settings, settings["live"])
     whole, part = (step(Estimator(drawn.body, MODEL, learned=one), messages) for one in learned)
     for belief, same in zip(whole, part, strict=True):
         np.testing.assert_array_equal(belief.x, same.x)
@@ -178,8 +179,8 @@ def test_without_pixel_noise_it_is_the_bodys(world, seed):
     drawn = world(seed, duration=5.0)
     track = drawn.features.tracks["effector"]
     std = np.where(np.random.default_rng(seed).random(track.values.shape) < 0.5, np.nan, track.std)
-    for said in (None, std, np.zeros_like(std)):
-        check(replace(drawn.features, tracks={"effector": replace(track, std=said)}), drawn.body)
+    for stated in (None, std, np.zeros_like(std)):
+        check(replace(drawn.features, tracks={"effector": replace(track, std=stated)}), drawn.body)
 
 
 def test_missing_joints_gaps_and_times_that_run_backwards(world):
@@ -200,7 +201,7 @@ def test_missing_joints_gaps_and_times_that_run_backwards(world):
 def test_simultaneous_senses_in_any_order_and_in_one_call(world, seed):
     features, body = simultaneous(world, seed, blunder=0.1)
     settings = replace(MODEL, start=(-0.9, -0.9, 1.0))
-    messages, batch = told(features, body), estimate(features, body, settings)
+    messages, batch = messages_of(features, body), estimate(features, body, settings)
     order = np.random.default_rng(seed).permutation(len(messages))
     mixed = sorted((messages[k] for k in order), key=lambda message: message[0])
     assert [m[1] for m in mixed] != [m[1] for m in messages]
@@ -213,10 +214,10 @@ def test_simultaneous_senses_in_any_order_and_in_one_call(world, seed):
 
 
 @pytest.mark.parametrize("seed", seeds(2, 3))
-def test_late_pictures_are_heard_where_they_belong(world, seed):
+def test_late_images_are_applied_at_their_time(world, seed):
     features, body = simultaneous(world, seed, blunder=0.05)
     late, rng = {"effector": 0.08, "side/effector": 0.13}, np.random.default_rng(seed)
-    messages = told(features, body, lambda sense: late.get(sense, 0.0) * rng.uniform(0.9, 1.1))
+    messages = messages_of(features, body, lambda sense: late.get(sense, 0.0) * rng.uniform(0.9, 1.1))
     assert any(one[0] > next_[0] for one, next_ in pairwise(messages))
     live, batch = Estimator(body), estimate(features, body, MODEL)
     beliefs = step(live, messages)
@@ -242,7 +243,7 @@ def test_what_is_too_late_is_left_out_and_counted(world):
 
 
 @pytest.mark.parametrize("weight", [1.0, 0.01])
-def test_touch_is_told_as_the_hands_place_and_its_spread(world, stroked, weight):
+def test_touch_is_the_hands_place_and_its_spread(world, stroked, weight):
     features = stroked(world(0, duration=12.0, encoder_std=0.1), weight, (3.0, -2.0))
     check(features, world(0, encoder_std=0.1).body)
 
@@ -266,7 +267,7 @@ def test_the_belief_may_be_asked_for_at_any_time(world):
     batch = estimate(drawn.features, drawn.body, replace(MODEL, rate=37.0))
     live, beliefs = Estimator(drawn.body), []
     asked = [(t, "", None) for t in batch.joints.t]
-    for t, sense, reading in sorted([*told(drawn.features, drawn.body), *asked], key=lambda message: message[0]):
+    for t, sense, reading in sorted([*messages_of(drawn.features, drawn.body), *asked], key=lambda message: message[0]):
         beliefs.append(live.step(t, **({sense: reading} if sense else {})))  # type: ignore[arg-type]
     assert_same(beliefs, batch)
 
@@ -334,14 +335,14 @@ def test_a_lag_is_no_negative_time(world):
         Estimator(world(0, duration=1.0).body, lag=-1.0)
 
 
-def test_what_is_told_before_all_joints_are_is_heard_once_they_are(world):
+def test_readings_before_all_joints_are_known_are_applied_then(world):
     drawn = world(0, duration=3.0)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
     values = joints.values.copy()
     values[:3, 1] = np.nan
     features = replace(drawn.features, joints=replace(joints, t=joints.t + 0.1, values=values))
     live, beliefs = Estimator(drawn.body), []
-    for message in told(features, drawn.body):
+    for message in messages_of(features, drawn.body):
         try:
             beliefs += step(live, [message])
         except LogError as problem:
@@ -356,7 +357,7 @@ def test_what_is_told_before_all_joints_are_is_heard_once_they_are(world):
     assert late.used["effector"].rejected == {"too late": 1}
 
 
-def test_joints_that_come_by_halves_begin_once_all_were_told(world):
+def test_joints_in_two_halves_start_once_all_are_known(world):
     drawn = world(0, duration=1.0)
     robot = Estimator(drawn.body)
     first, second, third = ({name: 0.1} for name in drawn.body.joints)
@@ -377,13 +378,13 @@ def test_an_instant_in_plain_floats_is_that_of_matrices(seed, offsets):
     k = motion._still.shape[0]
     root = rng.normal(size=(k, k))
     z, p, var = rng.normal(size=k), root @ root.T / k, rng.uniform(1e-4, 1e-2, m)
-    said = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 9.0))  # the last is gated
+    stated = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 9.0))  # the last is gated
     moved_z, moved_p = motion.move(z, p, 0.013)
-    found = hear(motion, moved_z, moved_p, said, var, [])
+    found = hear(motion, moved_z, moved_p, stated, var, [])
     process = [float(v) for v in motion._spread[0].diagonal()[m : 2 * m]]
     ours_z, ours_p = scalar_steps.moved(z.tolist(), p.tolist(), 0.013, process, [] if drift is None else drift.tolist())
     np.testing.assert_allclose(ours_p, moved_p, atol=1e-12, rtol=0)
-    ours_z, ours_p, nats, d = scalar_steps.heard(ours_z, ours_p, said.tolist(), var.tolist())
+    ours_z, ours_p, nats, d = scalar_steps.heard(ours_z, ours_p, stated.tolist(), var.tolist())
     scalar_steps.even(ours_p)
     np.testing.assert_allclose(ours_z, found.z, atol=1e-12, rtol=0)
     np.testing.assert_allclose(ours_p, found.p, atol=1e-12, rtol=0)

@@ -79,11 +79,11 @@ def filtered(features, body, process, poses=None):
     move = Motion(Dynamics(np.full(3, process), drift))
     like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0, PAST)
     z, p = np.concatenate([joints.values[0], np.zeros(3)]), np.eye(6)
-    told = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
+    rows = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
     if poses is not None:
-        told += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
+        rows += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
     last, means, covs = joints.t[0], [], []
-    for t, y, row in sorted(told, key=lambda one: one[0]):
+    for t, y, row in sorted(rows, key=lambda one: one[0]):
         z, p = move.move(z, p, t - last)
         last = t
         sights = () if row is None else (
@@ -138,7 +138,7 @@ def test_a_filter_hears_a_pose_and_is_as_sure_as_it_errs():
     assert rmse < 0.7 * without and 0.8 < nees < 1.25
 
 
-def test_of_a_far_tag_that_tells_two_poses_none_is_told():
+def test_a_far_tag_with_two_poses_gives_none():
     at, turn = np.array([0.0, 0.0, 6.0]), exponential(np.array([0.25, 0.0, 0.0]))
     corners = project(POINTS @ turn.T + at, LENS)[0]
     assert unambiguous(corners, np.full(8, 0.04), POINTS, LENS) is None

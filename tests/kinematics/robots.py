@@ -50,8 +50,8 @@ def rig(doubt: float = np.radians(5.0), known: bool = True, text: str = ARM) -> 
     robot = urdf.parse(text, "arm.urdf")
     pose = np.array([0.01] * 3 + [np.radians(1.0)] * 3) if known else np.full(6, 10.0)
     lens_doubt = np.array([0.01, 0.002, 3.0, 3.0, 0.01, 0.01]) if known else np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
-    anchor, doubts = camera_pose() if known else np.eye(4), np.append(pose, lens_doubt)
-    camera = Camera("camera", "base", anchor, lens(600.0, 640, 480), doubts)
+    anchor, stds = camera_pose() if known else np.eye(4), np.append(pose, lens_doubt)
+    camera = Camera("camera", "base", anchor, lens(600.0, 640, 480), stds)
     sight = Sight("point", 0, 0, between(robot, "base", "tool").over(JOINTS))
     return Rig((camera,), (Carrier("point", "tool", np.eye(4), np.full(3, 0.3)),), (sight,), JOINTS, np.full(4, doubt))
 

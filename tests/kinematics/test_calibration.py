@@ -66,7 +66,7 @@ def test_false_sightings_do_not_move_it():
     assert np.abs(moved).max() < 1.0
 
 
-def test_what_cannot_be_told_is_named_and_not_numbered():
+def test_unidentified_unknowns_are_named_without_a_value():
     rig = robots.rig(known=False)
     found = solve(rig, robots.seen(rig, robots.truth(rig), robots.angles(80), 0.3))
     offsets = {one.joint: one for one in identifiability.offsets(found.rig, found.theta, found.covariance)}

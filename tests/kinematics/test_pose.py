@@ -49,7 +49,7 @@ def test_the_pose_is_that_of_the_chain_and_its_covariance_that_of_small_steps(th
     np.testing.assert_allclose(spread, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_a_camera_that_moves_before_a_still_marker_is_what_is_told():
+def test_a_moving_camera_before_a_still_marker_is_the_effector():
     from dataclasses import replace
 
     from bodylog.kinematics.chain import between
@@ -95,20 +95,20 @@ def _some(count=400, seed=0, cov=True):
 
 def test_errors_that_are_as_large_as_stated_have_a_nees_of_one():
     found, true = _some()
-    told = {score.name: score.value for score in figures.scores(found, true)}
-    assert told["rmse/effector_position"] == pytest.approx(np.sqrt(6e-4), rel=0.1)
-    assert told["rmse/effector_rotation"] == pytest.approx(np.sqrt(5e-3), rel=0.1)
+    values = {score.name: score.value for score in figures.scores(found, true)}
+    assert values["rmse/effector_position"] == pytest.approx(np.sqrt(6e-4), rel=0.1)
+    assert values["rmse/effector_rotation"] == pytest.approx(np.sqrt(5e-3), rel=0.1)
     for part in ("position", "rotation"):
-        assert told[f"nees/effector_{part}"] == pytest.approx(1.0, abs=0.1)
-        assert 93 < told[f"coverage_2sigma/effector_{part}"] < 98
+        assert values[f"nees/effector_{part}"] == pytest.approx(1.0, abs=0.1)
+        assert 93 < values[f"coverage_2sigma/effector_{part}"] < 98
 
 
 def test_a_table_of_places_is_scored_without_turns(tmp_path):
     found, true = _some()
     rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(true.t, true.place, strict=True))
     (tmp_path / "laser.csv").write_text("t,x,y,z\n" + rows)
-    told = {s.name: s.value for s in figures.scores(found, load_poses(tmp_path / "laser.csv", 0))}
-    assert told["nees/effector_position"] == pytest.approx(1.0, abs=0.1) and "rmse/effector_rotation" not in told
+    values = {s.name: s.value for s in figures.scores(found, load_poses(tmp_path / "laser.csv", 0))}
+    assert values["nees/effector_position"] == pytest.approx(1.0, abs=0.1) and "rmse/effector_rotation" not in values
     (tmp_path / "joints.csv").write_text("t,pan\n0,1\n")
     assert load_poses(tmp_path / "joints.csv", 0) is None and load_poses(tmp_path / "x.npz", 0) is None
 

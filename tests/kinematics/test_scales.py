@@ -79,14 +79,14 @@ def test_a_joint_that_reads_three_percent_too_little_is_found_and_others_are_not
     assert np.mean(np.abs(of_others) < 2) >= 0.85
 
 
-def test_where_scales_are_right_none_is_said_and_where_they_are_known_none_is_there():
+def test_fixed_scales_are_neither_reported_nor_unknowns():
     rig = robots.rig()
     data = robots.seen(rig, robots.truth(rig, {"elbow": 0.02}), robots.angles(60), 0.3)
     found = solve(rig, data)
     assert identifiability.scales(found.rig, found.theta, found.covariance) == ()
     unknown = solve(scaled(rig), data)
-    told = identifiability.scales(unknown.rig, unknown.theta, unknown.covariance)
-    assert [one.joint for one in told] == list(JOINTS)
-    assert all(abs(one.value) < 2.5 * one.std for one in told)
-    silent = [one for one in told if not one.identifiable]
+    found = identifiability.scales(unknown.rig, unknown.theta, unknown.covariance)
+    assert [one.joint for one in found] == list(JOINTS)
+    assert all(abs(one.value) < 2.5 * one.std for one in found)
+    silent = [one for one in found if not one.identifiable]
     assert all("its scale cannot be separated from" in line for line in identifiability.unidentified(silent))

@@ -77,7 +77,8 @@ def _added(found: Chosen, suspected: Array, cost: Callable[[Problem], float]) ->
             (_walks(way)[j], nats, j, way) for j, (nats, way) in zip(near, ways, strict=True) if nats < least + GAIN
         ]
         _, nats, joint, chosen = min(near_best, key=lambda one: one[:3])
-        found = Chosen(chosen, nats, {**found.alternatives, joint: tuple(sorted(j for *_, j, _ in near_best if j != joint))})
+        others = tuple(sorted(j for *_, j, _ in near_best if j != joint))
+        found = Chosen(chosen, nats, {**found.alternatives, joint: others})
         # once one offset is modelled, another may show
         suspected = _walks(found.problem) == 0
     return found
