@@ -36,12 +36,9 @@ class _Turn:
 
 
 def learned(
-    features: Sequence[Features],
-    settings: Settings,
-    provenance: Mapping[str, Any],
-    known: BodyModel | None,
+    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None,
     robot: "Robotics | None" = None,
-) -> "Learned":
+) -> "Learned":  # fmt: skip
     """Learn a body from features with each camera's delay corrected, as given or as measured in each log.
 
     The body keeps the delays of the logs with the smallest standard errors. UsageError for an unknown camera.
@@ -139,8 +136,7 @@ def _prior(model: ForwardModel) -> "Prior":
 
 
 def _surest(residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]) -> dict[str, int]:
-    """For each camera with a significant delay, the log with its smallest standard error; any delay for `started` ones.
-    """
+    """The log with the smallest error of each camera with a delay, significant unless the camera is `started`."""
     from .estimation.timing import correction
 
     found = {}

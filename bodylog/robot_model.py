@@ -65,8 +65,7 @@ def robot(
 
 
 def check(logs: Sequence[Path], settings: Settings) -> None:
-    """Check a URDF before images are read: FormatError if it is invalid, ModelError if it contains none of the joints.
-    """
+    """Check a URDF before images are read: FormatError if it is invalid, ModelError without any of the joints."""
     chosen = settings.kinematics
     if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
         return

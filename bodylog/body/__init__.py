@@ -17,12 +17,9 @@ __all__ = ["Polynomial", "learn", "with_kinematics"]
 
 
 def learn(
-    features: Sequence[Features],
-    settings: Settings,
-    provenance: Mapping[str, Any],
-    update: BodyModel | None = None,
+    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
     hopeful: bool = False,
-) -> "Learned":
+) -> "Learned":  # fmt: skip
     """Call `learning.learn`; the import is late, since predicting needs none of it."""
     from . import learning
 
@@ -30,12 +27,9 @@ def learn(
 
 
 def with_kinematics(
-    features: Sequence[Features],
-    settings: Settings,
-    found: "Learned",
-    robot: "Robotics | None",
+    features: Sequence[Features], settings: Settings, found: "Learned", robot: "Robotics | None",
     update: BodyModel | None = None,
-) -> "Learned":
+) -> "Learned":  # fmt: skip
     """Add the URDF's kinematics to a learned body; return it unchanged without a URDF, or with an unsuitable one.
 
     A body to update keeps its own chain unless a URDF is requested. Tracks that only kinematics could have explained
@@ -49,12 +43,9 @@ def with_kinematics(
 
 
 def _with_kinematics(
-    features: Sequence[Features],
-    settings: Settings,
-    found: "Learned",
-    robot: "Robotics | None",
+    features: Sequence[Features], settings: Settings, found: "Learned", robot: "Robotics | None",
     update: BodyModel | None,
-) -> "Learned":
+) -> "Learned":  # fmt: skip
     if settings.kinematics.use and (robot is None or not robot.asked) and update is not None:
         from .kinematic import update as kinematic_update
 

@@ -163,11 +163,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _check_noise(
-    path: Path,
-    joints: tuple[str, ...],
-    senses: Mapping[str, int],
-    noise: Noise,
-    touch: TouchConstants,
+    path: Path, joints: tuple[str, ...], senses: Mapping[str, int], noise: Noise, touch: TouchConstants
 ) -> None:
     expected = {"encoder": (noise.encoder, len(joints)), "process": (noise.process, len(joints))}
     for name, count in senses.items():

@@ -46,12 +46,9 @@ class Learned:
 
 @one_thread("scipy.linalg")
 def learn(
-    features: Sequence[Features],
-    settings: Settings,
-    provenance: Mapping[str, Any],
-    update: BodyModel | None = None,
+    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
     hopeful: bool = False,
-) -> Learned:
+) -> Learned:  # fmt: skip
     """Learn a body model from the features of one or many exploration logs.
 
     A body to update keeps its joints, its given senses, and touch unless a log has touches; its own samples count as

@@ -86,15 +86,9 @@ def _read(path: Path, archive: zipfile.ZipFile) -> BodyModel:
 
 
 def _sense(
-    path: Path,
-    archive: zipfile.ZipFile,
-    name: str,
-    kind: str,
-    outputs: tuple[str, ...],
-    unit: str,
-    joints: tuple[str, ...],
-    links: Mapping[str, str] | None,
-) -> GP | Polynomial:
+    path: Path, archive: zipfile.ZipFile, name: str, kind: str, outputs: tuple[str, ...], unit: str,
+    joints: tuple[str, ...], links: Mapping[str, str] | None,
+) -> GP | Polynomial:  # fmt: skip
     sizes = {"d": len(outputs), "m": len(joints), **_SIZES}
     arrays: dict[str, Array] = {}
     for field, letters in (_SHAPES[kind] if links is None else _LEARNED | storage.shapes(links)).items():

@@ -67,14 +67,9 @@ class Found:
 
 
 def find(
-    robot: Robot,
-    joints: Sequence[str],
-    still: Mapping[str, float],
-    tracks: Mapping[str, Track],
-    hints: Mapping[str, CameraHint],
-    doubt: float,
-    scale: float = 0.0,
-) -> Found:
+    robot: Robot, joints: Sequence[str], still: Mapping[str, float], tracks: Mapping[str, Track],
+    hints: Mapping[str, CameraHint], doubt: float, scale: float = 0.0,
+) -> Found:  # fmt: skip
     """Find the most likely links of camera and marker for each track, then calibrate all tracks together.
 
     joints: names of the data's columns · still: angles of joints that did not move · doubt: prior std of joint zeros,
@@ -195,12 +190,9 @@ class Space:
         return [name for name in between(self.robot, a, b).joints if name in self.joints]
 
     def rig(
-        self,
-        tracks: Sequence[Track],
-        placed: Mapping[str, str],
-        markers: Mapping[str, str],
+        self, tracks: Sequence[Track], placed: Mapping[str, str], markers: Mapping[str, str],
         hints: Mapping[str, CameraHint],
-    ) -> Rig:
+    ) -> Rig:  # fmt: skip
         """The rig of some tracks with their cameras and markers on given links."""
         names = list(dict.fromkeys(track.camera for track in tracks))
         cameras = tuple(_camera(name, placed[name], hints.get(name, CameraHint()), self.robot) for name in names)

@@ -86,8 +86,7 @@ def posed(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array)
 
 
 def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:
-    """The thing's pose (4,4) on its link and its derivatives (6,P) by θ: place, m, and rotation about the link's axes.
-    """
+    """The thing's pose (4,4) on its link and its derivatives (6,P) by θ: place, m, and rotation in the link."""
     found = _thing(base, rig, theta)
     by, part = np.zeros((6, len(theta))), rig.of_camera(0) if base.camera else rig.of_carrier(0)
     for k in range(part.start, part.start + 6 if base.camera else part.stop):

@@ -1,4 +1,4 @@
-"""Encoders that lie: named with what, since when and how much, and replaced by vision."""
+"""Faulty encoders: named with kind, time and size, and replaced by vision."""
 
 from dataclasses import replace
 

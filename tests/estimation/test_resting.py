@@ -32,7 +32,7 @@ def test_a_quantised_encoder_is_believed_as_far_as_its_step(method, senses, step
     found = estimate(world.features, world.body, Estimation(method=method, senses=senses))
     error, nees = judged(world, found.joints, found.cov)
     assert error < 0.75 * max(step, noise) and nees < 1.8
-    # no encoder is held for better than a microradian, and what rests may err by half its step
+    # no encoder is held for better than a microradian, and a joint at rest may be off by half a step
     assert nees > (0.4 if noise else 0.025 if step < 1e-5 else 0.15)
 
 

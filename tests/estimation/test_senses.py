@@ -126,7 +126,7 @@ def test_tracks_are_gathered_in_the_logs_order(world):
 
 
 def _quiet(drawn, begin, end, joints=(0, 1, 2)):
-    """The features with some encoders silent from begin to end, and what is said of that."""
+    """The features with some encoders silent from begin to end, and the remark on it."""
     joints = drawn.features.joints
     values, rows = joints.values.copy(), (joints.t > begin) & (joints.t < end)
     values[np.ix_(rows, joints)] = np.nan
@@ -143,6 +143,6 @@ def test_a_long_silence_of_all_encoders_is_named_with_its_consequence(world, beg
     assert text_part in text and "2 numbers per image do not determine 3 joints" in text
 
 
-def test_short_silences_and_those_that_images_cover_give_no_warning(world):
+def test_short_gaps_and_those_that_images_cover_give_no_warning(world):
     assert not _quiet(world(0, duration=9.0), 4.0, 4.9)
     assert not _quiet(world(0, duration=9.0), 4.0, 7.0, joints=(1,))

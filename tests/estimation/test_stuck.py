@@ -1,4 +1,4 @@
-"""A camera that repeats its last picture: named and not heard, where two encoders say that the arm moved."""
+"""A frozen camera: named and its images removed where two encoders show that the arm moved."""
 
 from dataclasses import replace
 

@@ -119,7 +119,7 @@ def test_the_six_rows_err_as_their_covariance_says(seed):
     error = (poses.values - poses.model.predict(at_frames)[0])[rows]
     nees = np.einsum("nd,nd->n", error, np.linalg.solve(poses.cov[rows], error[..., None])[..., 0])
     assert 0.85 < nees.mean() / 6.0 < 1.15
-    # they err together: depth and tilt are told by the same pixels
+    # their errors are correlated: depth and tilt come from the same pixels
     scale = np.sqrt(np.einsum("ndd->nd", poses.cov[rows]))
     assert np.abs(poses.cov[rows] / (scale[:, :, None] * scale[:, None]) - np.eye(6)).max() > 0.5
 

@@ -1,4 +1,4 @@
-"""θ from sightings: as the data was made, as sure as it says, on the right links, and silent of what cannot be told."""
+"""Calibration: θ as the data was made, with true error bars, on the right links; unidentified unknowns are named."""
 
 from dataclasses import replace
 

@@ -23,9 +23,7 @@ def transition(order: int, gap: Array) -> Array:
 
 
 def precision(order: int, gap: Array) -> tuple[Array, Array]:
-    """Precision of (angle, rate, …) on nodes with gaps (K-1,), unit density, diffuse start: diagonal (K,p,p), upper
-    (K-1,p,p).
-    """
+    """Precision of (angle, rate, …) on nodes with gaps (K-1,), unit density: diagonal (K,p,p), upper (K-1,p,p)."""
     step = transition(order, gap)
     grow = gap[:, None] ** (order - np.arange(order) - 0.5)
     unit = np.linalg.inv(covariance(order, np.ones(1))[0])

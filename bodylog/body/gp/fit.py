@@ -159,15 +159,9 @@ def inducing_bases(data: Samples, found: Fitted) -> list[Basis]:
 
 
 def _gp(
-    data: Samples,
-    found: Fitted,
-    outputs: tuple[str, ...],
-    unit: str,
-    centres: Array,
-    weights: Array,
-    factor: Array,
+    data: Samples, found: Fitted, outputs: tuple[str, ...], unit: str, centres: Array, weights: Array, factor: Array,
     mean: Array,
-) -> GP:
+) -> GP:  # fmt: skip
     each = [np.ones(g.stop - g.start) * s.share for g, s in zip(found.groups, found.spreads, strict=True)]
     return GP(
         outputs,

@@ -20,8 +20,7 @@ from .change_system import Fit, Part, Problem, Track, cleaned, fitted, linear, l
 from .model import KinematicGP
 
 GAIN, APART = 20.0, 5.0
-"""Nats that a change must win, and its margin over any other for a unique name; as `estimation` requires for offsets.
-"""
+"""Nats that a change must win, and its margin over any other for a unique name, as for offsets in estimation/."""
 LEAST = 0.01
 """rad: smallest offset that counts as a fault, as in `estimation`."""
 SLIP, SLIDE = np.radians(5.0), 0.1

@@ -41,8 +41,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Tracks, the unknowns' parts with their prior std (P,), onsets (S,) s; rows in use, and the factor on the noise.
-    """
+    """Tracks, the unknowns' parts with their prior std (P,), onsets (S,) s; rows in use, factor on the noise."""
 
     tracks: tuple[Track, ...]
     parts: tuple[Part, ...]

@@ -79,9 +79,7 @@ def _doubt(rig: Rig, index: int) -> tuple[Array, Array | None]:
 
 
 def _worst(rig: Rig, index: int, long: Array, share: Array, root: Array) -> Stretch:
-    """The link with the largest stretch against the others; all links alike if that is significant. share (K,) ± root
-    rootᵀ.
-    """
+    """The link with the largest stretch, or all links alike if that is significant; share (K,) ± root rootᵀ."""
     weight = np.linalg.solve(root @ root.T, np.ones(len(share)))
     weight /= weight.sum()
     uniform = Stretch("", "", float(weight @ share), float(np.linalg.norm(weight @ root)))

@@ -20,13 +20,7 @@ from .sightings import Sightings, viewed
 
 
 def gain(
-    rig: Rig,
-    index: int,
-    found: Together,
-    name: str,
-    shown: Sightings,
-    plain: Mapping[str, GP],
-    chosen: Sequence[Joint],
+    rig: Rig, index: int, found: Together, name: str, shown: Sightings, plain: Mapping[str, GP], chosen: Sequence[Joint]
 ) -> float:
     """Nats won by kinematics over a Gaussian process alone, on the same sightings.
 

@@ -17,8 +17,7 @@ WINDOW, STEADY = 16, 0.2
 
 
 def frozen(t: Array, y: Array) -> list[tuple[int, int]]:
-    """Return stretches [begin, end) of readings y (N,) rad at t (N,) s in which a noisy encoder repeats itself exactly.
-    """
+    """Return stretches [begin, end) of readings y (N,) rad at t (N,) s where a noisy encoder repeats itself exactly."""
     long = repeats(t, y)
     if not long or not noisy(np.delete(y, np.concatenate([np.arange(*run) for run in long]))):
         return []

@@ -28,9 +28,7 @@ PASSES, STILL = 8, 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Frames:
-    """F sightings of a track: events (F,), J (D,M,F), S⁻¹ (D,D,F) of the innovation, S⁻¹ν (D,F) clipped, information
-    (M,M,F) after gating.
-    """
+    """F sightings of a track: events (F,), J (D,M,F), S⁻¹ (D,D,F), S⁻¹ν (D,F) clipped, gated information (M,M,F)."""
 
     events: Array
     jac: Array
@@ -127,8 +125,7 @@ def _first_shift(weight: Array) -> Array:
 def _propagate(
     shift: Array, moved: Array, dt: Array, stiff: Array, weight: Array, p: Array
 ) -> Array:  # fmt: skip
-    """Propagate derivatives `moved` (2M,M,C) of angles and rates through all segments, filling `shift`; return the end.
-    """
+    """Propagate derivatives `moved` (2M,M,C) of angles and rates through all segments into `shift`; return the end."""
     m = weight.shape[1]
     own = np.arange(m)
     for i, step in enumerate(dt):

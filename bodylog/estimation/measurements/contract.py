@@ -9,8 +9,7 @@ from .records import Sighting
 
 
 class Measured(NamedTuple):
-    """Measurements of one name (t (N,) · values (N,D) · cov (N,D,D) or var (N,D) · model), and counts of what was used.
-    """
+    """Measurements of one name (t (N,) · values (N,D) · cov (N,D,D) or var (N,D) · model), and counts of use."""
 
     sighting: Sighting
     health: Health

@@ -17,9 +17,7 @@ MOST = 0.99
 
 @dataclass(frozen=True)
 class _Outside:
-    """A joint's readings beyond its limits: count, readings in all, largest and MOST quantile of the excess, first time
-    (s).
-    """
+    """A joint's readings beyond its limits: count, of how many, largest and MOST quantile of the excess, since (s)."""
 
     name: str
     limits: Limits

@@ -47,8 +47,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """A regression at R instants t: misfit (R,2) on slopes (R,2,1+P), and noise terms of the first slope's sums (R,).
-    """
+    """A regression at R instants t: misfit (R,2) on slopes (R,2,1+P), noise terms of the first slope's sums (R,)."""
 
     t: Array
     misfit: Array
@@ -72,8 +71,7 @@ def regression_rows(curve: Curve, late: float) -> Rows:
 
 
 def interpolated(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array]:
-    """Positions (B,2) px and speeds (B,2) px/s of a curve delayed by `late` s, their weights, and where they are valid.
-    """
+    """Positions (B,2) px and speeds (B,2) px/s of a curve delayed by `late` s, their weights, and validity."""
     at, value, speed, sound = _cubic(curve.t, curve.at + late, GAP * curve.step)
     near = curve.places[at[:, None] + np.arange(4)]
     return np.einsum("bk,bkd->bd", value, near), np.einsum("bk,bkd->bd", speed, near), value, speed, sound
@@ -138,8 +136,7 @@ def _clean(seen: Sighting) -> tuple[Array, Array, Array]:
 
 
 def _means(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
-    """Mean times (B,), angles (B,M) and counts (B,M) of readings in spans of `width` s in which all joints were read.
-    """
+    """Mean times (B,), angles (B,M) and counts (B,M) of readings in spans of `width` s with all joints."""
     begins = spans(encoders.t, width)
     begins = begins[:: max(1, -(-len(begins) // most))]
     low, high = np.searchsorted(encoders.t, begins), np.searchsorted(encoders.t, begins + width)

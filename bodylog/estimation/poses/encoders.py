@@ -131,7 +131,7 @@ def _best(rows: _Rows, known: Array, free: Array, noise: bool, begin: list[Array
 
 
 def _evidence(log_var: Array, rows: _Rows, free: Array) -> tuple[float, Array]:
-    """ln density (nats) of all ν with offsets integrated out, and its gradient in ln of the encoders' variances (M,).
+    """ln density (nats) of all ν, offsets integrated out, and its gradient in ln of the encoders' variances (M,).
     """
     variance = np.exp(log_var)
     inner = _inner(rows, variance)

@@ -29,9 +29,7 @@ JOINTS = "joints"
 
 @dataclass(frozen=True, eq=False)
 class Corrected:
-    """Features with `delays` (s, by camera; zeros left out) subtracted, standard errors (s) of the measured ones, and
-    remarks.
-    """
+    """Features with nonzero `delays` (s, by camera) subtracted, standard errors (s) of measured ones, and remarks."""
 
     features: Features
     delays: Mapping[str, float]
