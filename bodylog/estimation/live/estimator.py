@@ -131,8 +131,9 @@ class Estimator:
         drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
         posture = usual(self._inputs.silent, self._inputs.wanted, precision.process, x)
         dynamics = Dynamics(precision.process, drift, None if posture is None else posture.joints)
-        models, near = self._inputs.models, precision.near
-        like = {n: ErrorCorrelation(precision.process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
+        models = self._inputs.models
+        process, near = precision.process, precision.near
+        like = {n: ErrorCorrelation(process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
         adrift = wont(self._inputs.wanted, precision.process, x)
         steady = Steady(
             precision.process.tolist(), [] if drift is None else drift.tolist(), precision.encoder.tolist()
