@@ -127,10 +127,10 @@ def test_tracks_are_gathered_in_the_logs_order(world):
 
 def _quiet(drawn, begin, end, joints=(0, 1, 2)):
     """The features with some encoders silent from begin to end, and the remark on it."""
-    joints = drawn.features.joints
-    values, rows = joints.values.copy(), (joints.t > begin) & (joints.t < end)
+    read = drawn.features.joints
+    values, rows = read.values.copy(), (read.t > begin) & (read.t < end)
     values[np.ix_(rows, joints)] = np.nan
-    found = estimate(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, Estimation(bias="off"))
+    found = estimate(replace(drawn.features, joints=replace(read, values=values)), drawn.body, Estimation(bias="off"))
     return [finding.text for finding in found.findings if " silent from " in finding.text]
 
 

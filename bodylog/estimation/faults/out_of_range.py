@@ -27,15 +27,15 @@ def range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
         return
     ranges = list(zip(body.joints, readings.T, explored.min(axis=0), explored.max(axis=0), strict=True))
     beyond = [one for one in ranges if not _within(*one[1:])]
-    wide = any(np.ptp(np.nanpercentile(readings, [5, 95])) > max(TURN, high - low) for _, readings, low, high in beyond)
-    if wide and all(_within(np.deg2rad(readings), low, high) for _, readings, low, high in ranges):
+    wide = any(np.ptp(np.nanpercentile(y, [5, 95])) > max(TURN, high - low) for _, y, low, high in beyond)
+    if wide and all(_within(np.deg2rad(y), low, high) for _, y, low, high in ranges):
         text = "; ".join(_ranges_text(*one) for one in beyond)
         raise ModelError(f'joints: {text}: these are degrees; type [body] unit = "deg" in robot.toml')
-    for name, readings, low, high in beyond:
-        turns = round(float(np.nanmedian(readings) - (low + high) / 2.0) / TURN)
-        off = turns and _within(readings - turns * TURN, low, high)
+    for name, y, low, high in beyond:
+        turns = round(float(np.nanmedian(y) - (low + high) / 2.0) / TURN)
+        off = turns and _within(y - turns * TURN, low, high)
         why = f"{turns:+d} whole turns off, home it again" if off else "beyond that"
-        text = f"joints: {_ranges_text(name, readings, low, high)}: {why}, or fit a body from a log that explores it"
+        text = f"joints: {_ranges_text(name, y, low, high)}: {why}, or fit a body from a log that explores it"
         yield Finding("warning", f"{text}; images are of little use there")
 
 

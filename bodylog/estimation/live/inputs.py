@@ -94,12 +94,12 @@ class Inputs:
 
     def _accepted_angles(self, t: float, x: Array, late: bool) -> Array:
         known, fresh = np.isfinite(x), t > self._newest_angles
-        accepted = known & fresh & ~self.silent
+        usable = known & fresh & ~self.silent
         if not late:
             self._newest_angles[known & fresh] = t
         rejected = {"too late": late, "not a number": not known.any(), "time runs backwards": not (known & fresh).any()}
-        accepted = self._count("encoders", {**rejected, "not asked for": not accepted.any()})
-        return np.where(accepted & accepted, x, np.nan)
+        accepted = self._count("encoders", {**rejected, "not asked for": not usable.any()})
+        return np.where(usable & accepted, x, np.nan)
 
     def _count(self, sense: str, rejected: Mapping[str, bool]) -> bool:
         counts = self._counts.setdefault(sense, {})
