@@ -112,11 +112,8 @@ def fit(
     from .annotating.background_copy import Copy
     from .body import storage
 
-    distinct(
-        [*logs, *test, *(() if update is None else (update,)), *robot_model.urdf_files(settings)],
-        [Output(out)],
-        settings,
-    )
+    bodies = () if update is None else (update,)
+    distinct([*logs, *test, *bodies, *robot_model.urdf_files(settings)], [Output(out)], settings)
     known = None if update is None else storage.load(update)
     settings = settings if known is None else default_features.of_body(known, settings)
     robot_model.check(logs, settings)
