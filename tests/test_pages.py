@@ -28,7 +28,7 @@ RUN_ELSEWHERE = {"docs/tutorial.md": "tests/test_docs.py", "docs/logs.md": "test
 """Pages whose blocks another test runs word for word."""
 
 NOT_RUN = {
-    r"https?://|s3://": "no network: tests/test_stores.py reads logs behind URLs",
+    r"https?://|s3://": "no network: tests/test_remote.py reads logs behind URLs",
     r"bodylog reproduce": "takes minutes: tests/experiments runs it with few seeds",
     r"bodylog view \S+$": "opens a window",
     r"bodylog compare": "takes seconds: the test of README's figures below and docs/tutorial.md run it",

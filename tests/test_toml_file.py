@@ -32,14 +32,14 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_bomb_is_refused_in_a_line(tmp_path, name):
+def test_read_refuses_bombs_in_one_line(tmp_path, name):
     path = tmp_path / "robot.toml"
     path.write_bytes(BOMBS[name].encode(errors="surrogatepass"))
     with at_most(calls=5_000_000), pytest.raises(ConfigError, match=r"^.*robot\.toml: [^\n]{1,300}$"):
         toml_file.read(path)
 
 
-def test_what_people_write_is_read(tmp_path):
+def test_read_reads_ordinary_files(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text("""
     [colours.markers."a.b"]   # ...................................... and 1.2.3.4.5.6
@@ -55,12 +55,12 @@ def test_what_people_write_is_read(tmp_path):
     assert found["topics"]["joints"] == "/a.b.c.d" and found["estimate"]["start"]["x"]["y"] == {"z": 1}
 
 
-def test_keys_are_counted_where_they_are_keys():
+def test_longest_key_counts_parts():
     for content, parts in (("a = 1", 1), ("a.b = 1.5", 2), ('a . "b.c" . d', 3), ("a b.c", 2), (". . .", 0)):
         assert toml_file._longest_key(content) == parts, content
 
 
-def test_a_pipe_that_nobody_writes_to_is_refused(tmp_path, monkeypatch):
+def test_read_refuses_a_pipe_without_a_writer(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "robot.toml")
     monkeypatch.setattr(atomic_files, "PATIENCE", 0.2)
     with pytest.raises(ConfigError, match="did not come to its end"):
@@ -71,7 +71,7 @@ MANIFESTS = ("pipe", "/dev/zero", "/dev/full", "folder", "bomb")
 
 
 @pytest.mark.parametrize("name", MANIFESTS)
-def test_a_manifest_that_has_no_end_is_refused_in_a_line(tmp_path, name):
+def test_read_refuses_an_endless_manifest_in_one_line(tmp_path, name):
     """As a process of its own, with little memory and patience."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "bomb").write_text(BOMBS["dotted"])

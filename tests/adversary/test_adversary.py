@@ -21,7 +21,7 @@ def _said(problems):
     )
 
 
-def test_hostile_files_and_settings_are_read_or_refused_in_one_line(base, tmp_path):
+def test_commands_read_or_refuse_hostile_input_in_one_line(base, tmp_path):
     problems, figures = meet(base, tmp_path, range(12), range(4))
     assert not problems, _said(problems)
     assert figures["commands"] > 50
@@ -48,18 +48,18 @@ def test_hostile_files_and_settings_are_read_or_refused_in_one_line(base, tmp_pa
         71000041,  # a count of messages of 401 digits
     ],
 )
-def test_files_that_once_ended_badly(base, tmp_path, seed):
+def test_commands_survive_known_bad_seeds(base, tmp_path, seed):
     assert not (problems := cases.file_case(base, tmp_path, seed)[2]), _said(problems)
 
 
-def test_a_run_that_is_stopped_leaves_its_figures(base, tmp_path):
+def test_meet_writes_progress_before_it_is_stopped(base, tmp_path):
     meet(base, tmp_path, range(2), range(0), tmp_path)
     left = json.loads((tmp_path / "figures.json").read_text())
     assert left["files"] == 2 and left["last seed"] == 1 and left["worst MB"][0] > 0
 
 
 @pytest.mark.soak
-def test_twenty_thousand_hostile_files_and_settings(base, tmp_path):
+def test_commands_survive_20000_hostile_inputs(base, tmp_path):
     problems, figures = meet(base, tmp_path, range(1000, 20_000), range(1000, 2000))
     print(figures)
     assert not problems, _said(problems)
@@ -84,15 +84,15 @@ def _outcome(**how):
         ({"command": ("fit", "x", "-o", "/nowhere/b.npz")}, "success without an output"),
     ],
 )
-def test_what_does_not_hold_is_noticed(how, what):
+def test_wrong_reports_each_violation(how, what):
     assert what in list(cases._wrong(_outcome(**how)))
 
 
-def test_a_sound_case_has_no_problem():
+def test_wrong_reports_nothing_for_a_sound_run():
     assert not list(cases._wrong(_outcome()))
 
 
-def test_a_message_that_is_read_otherwise_is_noticed(tmp_path, monkeypatch):
+def test_same_reports_a_changed_message(tmp_path, monkeypatch):
     cases.WRITERS["log.mcap"](Draw(3, 0.0), tmp_path / "log.mcap")
     assert cases._same(tmp_path / "log.mcap", []) is None
     read = cases._by_mcap
@@ -100,7 +100,7 @@ def test_a_message_that_is_read_otherwise_is_noticed(tmp_path, monkeypatch):
     assert "messages" in cases._same(tmp_path / "log.mcap", [])
 
 
-def test_files_that_are_lost_or_left_are_noticed():
+def test_left_reports_lost_and_left_over_files():
     before, run = {"a": (1, 1), "b": (2, 2)}, _outcome(code=65)
     assert list(cases._left(before, before, [run])) == []
     assert list(cases._left(before, {"a": (1, 1)}, [run])) == ["an input changed or is gone"]

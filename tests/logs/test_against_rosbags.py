@@ -139,14 +139,14 @@ def assert_the_same(path: Path, topics: Sequence[Sent]) -> None:
 
 
 @pytest.mark.parametrize("name", SITUATIONS)
-def test_every_container_packing_and_profile_gives_the_same_columns(tmp_path, name):
+def test_columns_equal_rosbags_in_every_container(tmp_path, name):
     dialect, write = SITUATIONS[name]
     topics = sent(sum(map(ord, name)), dialect)
     assert_the_same(write(tmp_path, topics), topics)
 
 
 @pytest.mark.parametrize("name", ["mcap zstd", "mcap without chunks", "bag lz4", "db3 version 9, none"])
-def test_rows_are_in_order_of_log_time(tmp_path, name):
+def test_table_rows_are_in_log_time_order(tmp_path, name):
     dialect, write = SITUATIONS[name]
     topics = sent(7, dialect, in_order=False)
     assert_the_same(write(tmp_path, topics), topics)
@@ -154,7 +154,7 @@ def test_rows_are_in_order_of_log_time(tmp_path, name):
 
 @pytest.mark.parametrize("dialect", ["ros1", "ros2"])
 @pytest.mark.parametrize("seed", range(25))
-def test_random_definitions(tmp_path, seed, dialect):
+def test_columns_equal_rosbags_for_random_definitions(tmp_path, seed, dialect):
     topics = sent(1000 + seed, dialect)
     assert_the_same(SITUATIONS["mcap none" if dialect == "ros2" else "mcap of ros1 none"][1](tmp_path, topics), topics)
 
@@ -162,13 +162,13 @@ def test_random_definitions(tmp_path, seed, dialect):
 @pytest.mark.soak
 @pytest.mark.parametrize("dialect", ["ros1", "ros2"])
 @pytest.mark.parametrize("seed", range(400))
-def test_many_random_definitions(tmp_path, seed, dialect):
+def test_columns_equal_rosbags_for_many_random_definitions(tmp_path, seed, dialect):
     topics = sent(5000 + seed, dialect)
     assert_the_same(SITUATIONS["mcap none" if dialect == "ros2" else "mcap of ros1 none"][1](tmp_path, topics), topics)
 
 
 @pytest.mark.parametrize("name", ["mcap zstd", "mcap without chunks", "bag", "db3 version 9, none"])
-def test_a_log_without_messages(tmp_path, name):
+def test_open_reads_a_log_without_messages(tmp_path, name):
     dialect, write = SITUATIONS[name]
     with pytest.MonkeyPatch.context() as none:
         none.setattr("tests.logs.test_against_rosbags.COUNT", 0)

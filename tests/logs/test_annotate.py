@@ -55,7 +55,7 @@ def data_section(path):
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
-def test_source_bytes_stay_and_every_reader_finds_everything(tmp_path, seed, compression):
+def test_annotate_keeps_source_bytes_for_every_reader(tmp_path, seed, compression):
     from mcap.writer import CompressionType
 
     log, messages = source(tmp_path / "in.mcap", seed, compression=CompressionType[compression]), outgoing(seed)
@@ -70,7 +70,7 @@ def test_source_bytes_stay_and_every_reader_finds_everything(tmp_path, seed, com
 
 
 @pytest.mark.parametrize("how", UNSUITED)
-def test_logs_that_cannot_be_appended_to_are_rewritten_whole(tmp_path, messages, how):
+def test_annotate_rewrites_logs_without_a_reusable_prefix(tmp_path, messages, how):
     log = source(tmp_path / "in.mcap", **UNSUITED[how])
     annotate(log, messages, SAID, tmp_path / "out.mcap")
     every = streamed(tmp_path / "out.mcap")
@@ -80,7 +80,7 @@ def test_logs_that_cannot_be_appended_to_are_rewritten_whole(tmp_path, messages,
 
 
 @pytest.mark.parametrize("how", ["chunked", *UNSUITED])
-def test_attachments_and_metadata_stay(tmp_path, messages, how):
+def test_annotate_keeps_attachments_and_metadata(tmp_path, messages, how):
     log = source(tmp_path / "in.mcap", **UNSUITED.get(how, {}))
     annotate(log, messages, SAID, tmp_path / "out.mcap")
     with (tmp_path / "out.mcap").open("rb") as stream:
@@ -93,7 +93,7 @@ def test_attachments_and_metadata_stay(tmp_path, messages, how):
     assert (stats.attachment_count, stats.metadata_count) == (1, 2)
 
 
-def test_truncated_logs_are_rewritten_up_to_the_damage(tmp_path, messages, log):
+def test_annotate_rewrites_a_truncated_log_up_to_the_damage(tmp_path, messages, log):
     whole = log.read_bytes()
     log.write_bytes(whole[: len(whole) // 2])
     findings = annotate(log, messages, SAID, tmp_path / "out.mcap")
@@ -104,7 +104,7 @@ def test_truncated_logs_are_rewritten_up_to_the_damage(tmp_path, messages, log):
 
 @pytest.mark.parametrize("crcs", [False, True])
 @pytest.mark.parametrize("how", ["chunked", "unchunked"])
-def test_same_input_same_bytes_and_a_second_run_replaces_the_first(tmp_path, messages, crcs, how):
+def test_annotate_is_deterministic_and_replaces_an_earlier_run(tmp_path, messages, crcs, how):
     log = source(tmp_path / "in.mcap", enable_data_crcs=crcs, **UNSUITED.get(how, {}))
     annotate(log, messages, SAID, tmp_path / "first.mcap")
     annotate(log, messages, SAID, tmp_path / "again.mcap")
@@ -115,7 +115,7 @@ def test_same_input_same_bytes_and_a_second_run_replaces_the_first(tmp_path, mes
     assert first != (tmp_path / "other.mcap").read_bytes()
 
 
-def test_our_messages_between_others_are_replaced_too(tmp_path, messages, log):
+def test_annotate_replaces_own_messages_between_others(tmp_path, messages, log):
     from mcap.writer import Writer
 
     annotate(log, messages, SAID, tmp_path / "first.mcap")
@@ -135,7 +135,7 @@ def test_our_messages_between_others_are_replaced_too(tmp_path, messages, log):
     assert foreign(every) == streamed(log) and len(every) == 400 + amount(outgoing(7))
 
 
-def test_foreign_metadata_behind_ours_is_kept(tmp_path, messages, log):
+def test_annotate_keeps_foreign_metadata_after_its_own(tmp_path, messages, log):
     with (tmp_path / "later.mcap").open("wb") as stream:
         kept = reusable_prefix(log)
         stream.write(log.read_bytes()[: kept.end])
@@ -148,7 +148,7 @@ def test_foreign_metadata_behind_ours_is_kept(tmp_path, messages, log):
         assert {m.name for m in make_reader(stream).iter_metadata()} == {"operator", "reviewed", "bodylog"}
 
 
-def test_the_crc_of_the_data_section_goes_on(tmp_path, messages):
+def test_annotate_continues_the_data_section_crc(tmp_path, messages):
     from mcap.stream_reader import StreamReader
 
     log = source(tmp_path / "in.mcap", enable_data_crcs=True)
@@ -158,20 +158,20 @@ def test_the_crc_of_the_data_section_goes_on(tmp_path, messages):
     assert ends[0].data_section_crc != 0
 
 
-def test_only_some_topics_can_be_kept(tmp_path, messages, log):
+def test_annotate_keeps_only_requested_topics(tmp_path, messages, log):
     annotate(log, messages, SAID, tmp_path / "out.mcap", only=["/b"])
     kept = foreign(streamed(tmp_path / "out.mcap"))
     assert kept == [message for message in streamed(log) if message[0] == "/b"] and len(kept) == 200
 
 
-def test_a_log_of_our_own(tmp_path, messages):
+def test_write_makes_a_log_of_only_our_messages(tmp_path, messages):
     write(messages, SAID, tmp_path / "out.mcap")
     every = streamed(tmp_path / "out.mcap")
     assert len(every) == amount(messages) and sought(tmp_path / "out.mcap") == every
     assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap") == sorted(without_times(every))
 
 
-def test_pybag_decodes_everything_we_write(tmp_path, messages):
+def test_annotate_output_is_decoded_by_pybag(tmp_path, messages):
     from pybag.mcap_reader import McapFileReader
 
     write(messages, SAID, tmp_path / "out.mcap")
@@ -179,7 +179,7 @@ def test_pybag_decodes_everything_we_write(tmp_path, messages):
         assert sum(1 for topic in reader.get_topics() for _ in reader.messages(topic)) == amount(messages)
 
 
-def test_the_log_itself_is_never_written_to(tmp_path, messages, log):
+def test_annotate_refuses_the_input_as_output(tmp_path, messages, log):
     before = log.read_bytes()
     (tmp_path / "link.mcap").symlink_to(log)
     for out in (log, tmp_path / "link.mcap"):
@@ -188,7 +188,7 @@ def test_the_log_itself_is_never_written_to(tmp_path, messages, log):
     assert log.read_bytes() == before
 
 
-def test_a_log_that_shrinks_meanwhile_leaves_no_file(tmp_path, messages, log, monkeypatch):
+def test_annotate_leaves_no_file_if_the_log_shrinks(tmp_path, messages, log, monkeypatch):
     base = reusable_prefix(log)
     monkeypatch.setattr(module, "reusable_prefix", lambda _: type(base)(base.end + 10**6, None, base.contents))
     with pytest.raises(LogError, match="was it still being recorded"):
@@ -196,7 +196,7 @@ def test_a_log_that_shrinks_meanwhile_leaves_no_file(tmp_path, messages, log, mo
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
-def test_a_file_that_came_out_wrong_is_not_left_behind(tmp_path, messages, log, monkeypatch):
+def test_annotate_removes_a_file_that_fails_verification(tmp_path, messages, log, monkeypatch):
     monkeypatch.setattr(module.Writer, "write", lambda *_: None)
     with pytest.raises(LogError, match=r"holds 400 messages where \d+ were written"):
         annotate(log, messages, SAID, tmp_path / "out.mcap")
@@ -215,7 +215,7 @@ LIES = {
 
 
 @pytest.mark.parametrize("said", LIES)
-def test_a_summary_that_lies_is_not_built_upon(tmp_path, messages, log, said):
+def test_reusable_prefix_refuses_a_wrong_summary(tmp_path, messages, log, said):
     opcode, byte, keeps_crc = LIES[said]
     raw = bytearray(log.read_bytes())
     footer = len(raw) - 8 - 20
@@ -231,7 +231,7 @@ def test_a_summary_that_lies_is_not_built_upon(tmp_path, messages, log, said):
     assert len(foreign(every)) == 400 and sought(tmp_path / "out.mcap") == every
 
 
-def test_the_recorded_arm_is_read_back_by_everyone(tmp_path, arm, messages):
+def test_annotate_of_the_arm_is_read_by_every_reader(tmp_path, arm, messages):
     log = shutil.copy(arm / "reach.mcap", tmp_path / "reach.mcap")
     annotate(log, messages, SAID, tmp_path / "out.mcap")
     every = streamed(tmp_path / "out.mcap")
@@ -239,7 +239,7 @@ def test_the_recorded_arm_is_read_back_by_everyone(tmp_path, arm, messages):
     assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap") == sorted(without_times(every))
 
 
-def test_damaged_metadata_is_left_out_and_said(tmp_path, messages):
+def test_annotate_reports_damaged_metadata(tmp_path, messages):
     log = source(tmp_path / "in.mcap", **UNSUITED["unchunked"])
     raw = bytearray(log.read_bytes())
     at = raw.index(b"\x08\0\0\0operator")
@@ -252,7 +252,7 @@ def test_damaged_metadata_is_left_out_and_said(tmp_path, messages):
 
 
 @pytest.mark.soak
-def test_every_recorded_log_can_be_annotated(tmp_path, arm, messages):
+def test_annotate_accepts_every_recorded_log(tmp_path, arm, messages):
     suffixes = (".mcap", ".bag", ".db3", ".zst", ".active")
     logs = [path for path in arm.parent.rglob("*") if path.suffix in suffixes or (path / "metadata.yaml").exists()]
     written = 0
@@ -272,7 +272,7 @@ def test_every_recorded_log_can_be_annotated(tmp_path, arm, messages):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_damage_anywhere_gives_a_sound_file_or_one_line(tmp_path, seed):
+def test_annotate_survives_damage_anywhere(tmp_path, seed):
     rng, messages = np.random.default_rng(seed), outgoing(seed, 20, 10)
     log, out = source(tmp_path / "in.mcap", count=60), tmp_path / "out.mcap"
     annotate(log, messages, SAID, tmp_path / "annotated.mcap")
@@ -295,7 +295,7 @@ def test_damage_anywhere_gives_a_sound_file_or_one_line(tmp_path, seed):
 
 
 @pytest.mark.parametrize("text", [b"uint8 count\n", None])
-def test_a_log_with_its_own_definition_of_our_type_stays_readable(tmp_path, messages, text):
+def test_annotate_renames_conflicting_types(tmp_path, messages, text):
     kind, ours = "foxglove_msgs/msg/ImageAnnotations", next(o for o in messages if o.topic == "/bodylog/annotations")
     with (tmp_path / "in.mcap").open("wb") as stream:
         writer = Writer(stream)

@@ -11,7 +11,7 @@ from bodylog.logs.decode import batch_decoders
 from bodylog.logs.decode.columns import columns
 
 from .test_columns import Messages
-from .test_objects import STATE, topic
+from .test_dynamic import STATE, topic
 from .writing import wire
 
 JSON = topic(b"", "json", "x")
@@ -64,7 +64,7 @@ def state(draw, count):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_json_of_any_values(seed, monkeypatch):
+def test_json_decoder_equals_single_decoding(seed, monkeypatch):
     draw = random.Random(seed)
     plain = seed % 2
     separators = draw.choice([None, (",", ":"), (" ,\n", ": ")])
@@ -84,23 +84,23 @@ MALFORMED = ("+1", "01", "-01", "1.", ".5", "-.5", "1.e5", "1e", "1e-", "--1", "
 
 
 @pytest.mark.parametrize("written", MALFORMED)
-def test_a_number_is_one_of_json_or_the_message_is_rejected(written, monkeypatch):
+def test_json_decoder_rejects_invalid_numbers(written, monkeypatch):
     sound = [f'{{"q": [{k}.5, 2.25], "x": 1}}'.encode() for k in range(20)]
     odd = [f'{{"q": [{written}, 2.25], "x": 1}}'.encode() for _ in range(8)]
     assert_the_same([*sound, *odd, *sound], JSON, ("q", "q[0]", "q[0:0]"), monkeypatch, least=0)
 
 
-def test_digits_that_move_from_one_text_to_another_move_no_number(monkeypatch):
+def test_json_decoder_ignores_digits_in_texts(monkeypatch):
     some = [b'{"s": "12", "x": 5, "t": ""}', b'{"s": "", "x": 5, "t": "12"}'] * 20
     assert_the_same(some, JSON, ("x", "s", "t"), monkeypatch)
 
 
-def test_a_byte_that_json_forbids_is_none_of_ours(monkeypatch):
+def test_json_decoder_handles_forbidden_bytes(monkeypatch):
     some = [b'{"x": 1\x01-5}'] * 20 + [b'{"x": 1e-5}'] * 20
     assert_the_same(some, JSON, ("x",), monkeypatch)
 
 
-def test_other_encodings_of_json(monkeypatch):
+def test_json_decoder_reads_other_encodings(monkeypatch):
     some = [json.dumps({"x": k, "y": 1}).encode("utf-16") for k in range(100, 120)]
     assert_the_same(some, JSON, ("x",), monkeypatch)
 
@@ -125,7 +125,7 @@ def proto(draw):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_protobuf_of_any_values(seed, monkeypatch):
+def test_protobuf_decoder_equals_single_decoding(seed, monkeypatch):
     draw = random.Random(seed)
     fields = ("timestamp", "timestamp.nanos", "joints[:].angle", "joints[:].name", "temperature", "offset", "level",
               "packed_values", "packed_values[1]", "counts", "label", "wide", 'joints[:]{name=="b"}.angle')  # fmt: skip
@@ -135,7 +135,7 @@ def test_protobuf_of_any_values(seed, monkeypatch):
     assert_the_same(many, STATE, fields, monkeypatch, least=10)
 
 
-def test_messages_that_are_alike_are_not_read_one_by_one():
+def test_decoders_read_equal_layouts_together():
     some = [json.dumps({"q": [k / 7, -k / 3e7], "t": "x"}).encode() for k in range(1, 200)]
     got = columns(Messages(some, 500), JSON, ("q",))
     assert (got.fast, got.fallback) == (199, 0)

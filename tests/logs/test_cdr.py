@@ -33,7 +33,7 @@ def declared(kind, width):
     width=st.integers(0, 5),
     texts=st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=9), max_size=3),
 )
-def test_any_layout_is_what_rosbags_serialises(kinds, seed, width, texts):
+def test_serialise_equals_rosbags(kinds, seed, width, texts):
     rng, count = np.random.default_rng(seed), 3
     widths = [max(width, 1) if kind.endswith("*") else width for kind in kinds]
     store = get_typestore(Stores.EMPTY)
@@ -52,7 +52,7 @@ def test_any_layout_is_what_rosbags_serialises(kinds, seed, width, texts):
         assert ours.data[ours.offset[i] :][: ours.length[i]].tobytes() == bytes(theirs)
 
 
-def test_groups_are_merged_in_the_order_of_the_messages():
+def test_merge_keeps_message_order():
     odd = cdr.serialise(2, [("uint8", np.array([1, 3]))])
     even = cdr.serialise(2, [("uint32", np.array([0, 2]))])
     merged = cdr.merge([(np.array([1, 3]), odd), (np.array([0, 2]), even)], 4)
@@ -61,12 +61,12 @@ def test_groups_are_merged_in_the_order_of_the_messages():
 
 
 @pytest.mark.parametrize("ns", [0, 999_999_999, 1_700_000_000_000_000_001, 2**31 * 10**9 - 1])
-def test_times_split_into_seconds_and_nanoseconds(ns):
+def test_time_splits_seconds_and_nanoseconds(ns):
     payload = cdr.serialise(1, cdr.time(np.array([ns]))).data[4:].tobytes()
     assert int.from_bytes(payload[:4], "little") * 10**9 + int.from_bytes(payload[4:], "little") == ns
 
 
-def test_a_signalling_nan_is_written_as_a_nan_without_a_warning():
+def test_serialise_writes_a_signalling_nan_without_warning():
     signalling = np.array([0x7FF0000000000001], np.uint64).view(np.float64)
     made = cdr.serialise(1, [("float32", signalling)])
     assert np.isnan(made.data[-4:].view(np.float32)[0])

@@ -9,7 +9,7 @@ T0 = 1_700_000_000_000_000_000
 MS = 1_000_000
 
 
-def test_the_header_is_preferred_when_it_moves():
+def test_date_prefers_a_moving_header():
     stamp = T0 + 20 * MS * np.arange(50)
     dated = date(stamp + 4 * MS, stamp, "auto")
     assert dated.clock == "header"
@@ -18,14 +18,14 @@ def test_the_header_is_preferred_when_it_moves():
 
 
 @pytest.mark.parametrize("apart", [1, T0 - 7, 7 - T0])
-def test_offset_and_spread_are_exact_however_far_the_clocks_are_apart(apart):
+def test_date_offset_is_exact_for_distant_clocks(apart):
     stamp = T0 + 20 * MS * np.arange(101)
     dated = date(stamp + apart + MS * np.arange(101), stamp, "header")
     assert (dated.offset_ns, dated.spread_s) == (apart + 50 * MS, pytest.approx(0.09))
 
 
 @pytest.mark.parametrize("stamp", [np.zeros(50, np.int64), np.full(50, T0), None])
-def test_the_log_is_used_when_the_header_is_unset_stuck_or_absent(stamp):
+def test_date_uses_the_log_without_a_usable_header(stamp):
     log = T0 + 20 * MS * np.arange(50)
     dated = date(log, stamp, "auto")
     assert dated.clock == "log"
@@ -33,7 +33,7 @@ def test_the_log_is_used_when_the_header_is_unset_stuck_or_absent(stamp):
 
 
 @pytest.mark.parametrize("later", [1000, 6 * MS])
-def test_messages_that_two_publish_with_one_stamp_do_not_make_the_header_worthless(later):
+def test_date_accepts_stamps_shared_by_two_publishers(later):
     stamp = np.repeat(T0 + 20 * MS * np.arange(50), 2)
     log = stamp + 4 * MS + np.tile([0, later], 50)
     dated = date(log, stamp, "auto")
@@ -41,7 +41,7 @@ def test_messages_that_two_publish_with_one_stamp_do_not_make_the_header_worthle
 
 
 @pytest.mark.parametrize("by", [2, 30])
-def test_a_header_that_rises_is_believed_where_the_recorders_clock_was_set_back(by):
+def test_date_uses_a_rising_header_when_the_log_clock_is_set_back(by):
     stamp = T0 + 20 * MS * np.arange(1000)
     log = stamp + 4 * MS - by * 1000 * MS * (np.arange(1000) > 400)
     dated = date(log, stamp, "auto")
@@ -50,19 +50,19 @@ def test_a_header_that_rises_is_believed_where_the_recorders_clock_was_set_back(
     assert date(stamp + 4 * MS, log, "auto").clock == "log"
 
 
-def test_a_header_clock_that_ticks_too_slowly_is_not_used():
+def test_date_rejects_a_slow_header_clock():
     log = T0 + 20 * MS * np.arange(50)
     assert date(log, T0 + (log - T0) // (100 * MS) * (100 * MS), "auto").clock == "log"
 
 
-def test_robot_toml_has_the_last_word():
+def test_date_follows_an_explicit_choice():
     stamp = T0 + 20 * MS * np.arange(50)
     assert date(stamp + 4 * MS, stamp, "log").t_ns[0] == T0 + 4 * MS
     assert date(stamp + 4 * MS, np.zeros(50, np.int64), "header", distinct=False).clock == "header"
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_shuffled_messages_are_sorted_and_counted(seed):
+def test_date_sorts_and_counts_shuffled_messages(seed):
     rng = np.random.default_rng(seed)
     order = rng.permutation(200)
     t = T0 + 10 * MS * order
@@ -72,7 +72,7 @@ def test_shuffled_messages_are_sorted_and_counted(seed):
     assert dated.out_of_order == (np.diff(t) < 0).sum()
 
 
-def test_of_equal_stamps_the_first_in_the_file_is_kept_and_the_rest_counted():
+def test_date_keeps_the_first_of_equal_stamps():
     t = T0 + MS * np.array([0, 2, 1, 2, 3, 2])
     dated = date(t, None, "auto")
     assert dated.rows.tolist() == [0, 2, 1, 4]
@@ -81,28 +81,28 @@ def test_of_equal_stamps_the_first_in_the_file_is_kept_and_the_rest_counted():
 
 
 @pytest.mark.parametrize("wrong", [0, 5 * MS, T0 // 2, 2 * T0, -T0])
-def test_one_message_years_away_is_rejected(wrong):
+def test_date_rejects_one_message_years_off(wrong):
     t = np.insert(T0 + 10 * MS * np.arange(40), 17, wrong)
     dated = date(t, None, "auto")
     assert (len(dated.t_ns), dated.rejected) == (40, {"time years away": 1})
     assert 17 not in dated.rows
 
 
-def test_two_messages_of_which_one_is_at_time_zero():
+def test_date_rejects_time_zero_of_two_messages():
     assert date(np.array([0, T0]), None, "auto").t_ns.tolist() == [T0]
 
 
-def test_clocks_starting_in_1970_are_no_outliers():
+def test_date_accepts_clocks_starting_in_1970():
     t = 20 * MS * np.arange(50)
     assert len(date(t, None, "auto").t_ns) == 50
 
 
-def test_a_log_of_two_days_keeps_both():
+def test_date_keeps_both_days():
     t = np.concatenate([T0 + MS * np.arange(60), T0 + 3 * 86_400_000 * MS + MS * np.arange(40)])
     assert len(date(t, None, "auto").t_ns) == 100
 
 
-def test_no_messages_at_all():
+def test_date_accepts_no_messages():
     empty = np.empty(0, np.int64)
     dated = date(empty, empty, "auto")
     assert (len(dated.t_ns), dated.offset_ns) == (0, None)
@@ -110,16 +110,16 @@ def test_no_messages_at_all():
     assert largest_gap(empty) == 0
 
 
-def test_nanoseconds_survive_the_way_to_seconds():
+def test_seconds_keep_nanoseconds():
     t = T0 + np.array([0, 1, 123_456_789])
     np.testing.assert_array_equal(seconds(t, T0), [0.0, 1e-9, 0.123456789])
 
 
-def test_the_largest_gap():
+def test_largest_gap_is_the_longest_step():
     assert largest_gap(T0 + MS * np.array([0, 1, 11, 12])) == pytest.approx(0.010)
 
 
-def test_a_header_clock_that_is_set_back_for_good_gives_way_to_the_log():
+def test_date_uses_the_log_if_the_header_is_set_back():
     log = T0 + 20 * MS * np.arange(300) + 4 * MS
     stamp = log - 4 * MS - 2000 * MS * (np.arange(300) >= 150)
     dated = date(log, stamp, "auto")
@@ -130,7 +130,7 @@ def test_a_header_clock_that_is_set_back_for_good_gives_way_to_the_log():
     assert (insisted.clock, insisted.rejected) == ("header", {"time runs backwards": 99, "same stamp again": 1})
 
 
-def test_a_reversed_header_clock_gives_way_to_the_log():
+def test_date_uses_the_log_if_the_header_is_reversed():
     log = T0 + 20 * MS * np.arange(300)
     dated = date(log, log[::-1] - 4 * MS, "auto")
     assert dated.clock == "log" and len(dated.backwards) > 270
@@ -138,7 +138,7 @@ def test_a_reversed_header_clock_gives_way_to_the_log():
 
 
 @pytest.mark.parametrize("astray_s", [-30.003, -1.0, 1.0, 30.003])
-def test_a_few_messages_dated_apart_from_the_rest_are_left_out(astray_s):
+def test_date_rejects_few_messages_far_from_the_rest(astray_s):
     log = T0 + 20 * MS * np.arange(300)
     wrong = (np.arange(300) >= 100) & (np.arange(300) < 110)
     stamp = log - 4 * MS + round(astray_s * 1000) * MS * wrong
@@ -149,7 +149,7 @@ def test_a_few_messages_dated_apart_from_the_rest_are_left_out(astray_s):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_late_messages_of_one_of_two_publishers_are_sorted(seed):
+def test_date_sorts_late_messages_of_a_second_publisher(seed):
     rng = np.random.default_rng(seed)
     stamp = np.sort(np.concatenate([T0 + 20 * MS * np.arange(300), T0 + MS + 20 * MS * np.arange(300)]))
     log = stamp + rng.integers(0, 400 * MS, 600) * (np.arange(600) % 2)
@@ -160,7 +160,7 @@ def test_late_messages_of_one_of_two_publishers_are_sorted(seed):
 
 
 @pytest.mark.parametrize("back_ms", [800, 2001])
-def test_where_the_logs_own_clock_was_set_back_what_was_dated_twice_is_left_out(back_ms):
+def test_date_rejects_overlaps_after_the_log_clock_is_set_back(back_ms):
     t = T0 + 20 * MS * np.arange(300) - back_ms * MS * (np.arange(300) >= 150)
     for dated in (date(t, None, "auto"), date(t, t - 3 * MS, "auto")):
         twice = back_ms // 20
@@ -168,16 +168,16 @@ def test_where_the_logs_own_clock_was_set_back_what_was_dated_twice_is_left_out(
         assert dated.rows.tolist() == sorted(dated.rows) and len(dated.rows) >= 300 - twice - 1
 
 
-def test_a_part_written_late_is_no_clock_set_back():
+def test_repeats_accepts_a_part_written_late():
     t = T0 + 20 * MS * np.concatenate([np.arange(100), np.arange(200, 300), np.arange(100, 200)])
     dated = date(t, None, "auto")
     assert (len(dated.t_ns), dated.rejected, dated.out_of_order) == (300, {}, 1)
 
 
-def test_whether_times_fall():
+def test_falls_detects_reversed_files():
     t = T0 + 20 * MS * np.arange(50)
     assert [date(given, None, "auto").falls for given in (t, t[::-1], t[:1], t[:0])] == [False, True, False, False]
 
 
-def test_repeats_of_a_clock_that_never_rises_are_none():
+def test_repeats_is_empty_for_a_constant_clock():
     assert not repeats(np.array([T0] * 99 + [T0 - 10_000 * MS])).any()

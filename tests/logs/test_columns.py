@@ -182,7 +182,7 @@ def check(found: Columns, messages: list[dict[str, Any]], fields: list[str]) -> 
 @pytest.mark.parametrize("kind", ["little", "big", "ros1"])
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
-def test_any_definition_and_values_decode_as_rosbags_wrote_them(kind: str, data: st.DataObject) -> None:
+def test_columns_equal_rosbags_for_any_definition(kind: str, data: st.DataObject) -> None:
     types, messages = data.draw(cases(kind == "ros1"))
     payloads = encode(types, messages, kind)
     fields = paths(types)
@@ -193,7 +193,7 @@ def test_any_definition_and_values_decode_as_rosbags_wrote_them(kind: str, data:
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
-def test_any_one_field_alone_decodes_the_same(data: st.DataObject) -> None:
+def test_columns_of_one_field_equal_those_of_all(data: st.DataObject) -> None:
     types, messages = data.draw(cases(False))
     field = data.draw(st.sampled_from(paths(types)))
     check(columns(Messages(encode(types, messages, "little")), topic(text_of(types)), [field]), messages, [field])
@@ -201,7 +201,7 @@ def test_any_one_field_alone_decodes_the_same(data: st.DataObject) -> None:
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(data=st.data())
-def test_damaged_payloads_are_counted_and_never_crash(data: st.DataObject) -> None:
+def test_columns_count_damaged_payloads(data: st.DataObject) -> None:
     types, messages = data.draw(cases(False))
     payloads = encode(types, messages, "little")
     place = data.draw(st.integers(0, len(payloads) - 1))
@@ -236,7 +236,7 @@ def joint_topic(encoding: str = "cdr") -> Topic:
     return topic(JOINT_STATE, encoding, "sensor_msgs/msg/JointState")
 
 
-def test_trailing_bytes_and_empty_or_nan_velocities_are_fine():
+def test_columns_accept_trailing_bytes_and_empty_velocities():
     plain = joint_state(T0, ("a", "b"), (1.0, 2.0))
     payloads = [plain, plain + bytes(8), joint_state(T0, ("a", "b"), (3.0, 4.0), (np.nan, np.nan))]
     found = columns(Messages(payloads), joint_topic(), JOINT_FIELDS)
@@ -244,7 +244,7 @@ def test_trailing_bytes_and_empty_or_nan_velocities_are_fine():
     np.testing.assert_array_equal(found.column("position"), [[1, 2], [1, 2], [3, 4]])
 
 
-def test_equal_length_is_not_equal_layout():
+def test_columns_separate_layouts_of_equal_length():
     payloads = [
         joint_state(T0, ("aa", "bb"), (1.0, 2.0)),
         joint_state(T0 + 1, ("bb", "aa"), (3.0, 4.0)),
@@ -261,7 +261,7 @@ def test_equal_length_is_not_equal_layout():
     }
 
 
-def test_padding_is_never_compared():
+def test_columns_ignore_padding():
     first = bytearray(joint_state(T0, ("a",), (1.0,)))
     second = bytearray(first)
     place = first.index(b"base\0") + 5
@@ -271,14 +271,14 @@ def test_padding_is_never_compared():
     assert (found.fast, len(found.parts)) == (2, 1)
 
 
-def test_more_layouts_than_are_remembered_fall_back_and_are_counted():
+def test_columns_fall_back_beyond_the_known_layouts():
     payloads = [joint_state(T0 + n, (f"joint{'x' * (n % 20)}",), (float(n),)) for n in range(60)]
     found = columns(Messages(payloads, 60), joint_topic(), JOINT_FIELDS)
     assert (found.fast, found.fallback) == (24, 36)
     np.testing.assert_array_equal(found.column("position")[:, 0], np.arange(60.0))
 
 
-def test_arrays_that_vary_in_length_come_back_in_file_order():
+def test_columns_keep_file_order_of_variable_arrays():
     payloads = [joint_state(T0 + n, ("a", "b")[: 1 + n % 2], (1.0 * n, -1.0)[: 1 + n % 2]) for n in range(6)]
     got = columns(Messages(payloads), joint_topic(), ("position",)).column("position")
     np.testing.assert_array_equal(got[:, 0], np.arange(6.0))
@@ -286,7 +286,7 @@ def test_arrays_that_vary_in_length_come_back_in_file_order():
 
 
 @pytest.mark.parametrize("count", [3, 10_000, 0x7FFFFFFF, 0xFFFFFFFF])
-def test_a_length_that_lies_is_refused_before_memory_is_taken(count):
+def test_columns_refuse_a_wrong_length_before_allocation(count):
     payload = bytearray(joint_state(T0, ("a",), (1.0,)))
     place = len(payload) - 4 - 4 - 8 - 4
     place -= (place - 4) % 4
@@ -301,7 +301,7 @@ def test_a_length_that_lies_is_refused_before_memory_is_taken(count):
     assert found.sound.tolist() == [1]
 
 
-def test_a_long_message_takes_a_few_times_its_own_memory():
+def test_columns_bound_memory_of_long_messages():
     payload = b"\0\1\0\0" + struct.pack("<I", 1 << 20) + bytes(1 << 20)
     tracemalloc.start()
     found = columns(Messages([payload]), topic("uint8[] x"), ("x",))
@@ -311,7 +311,7 @@ def test_a_long_message_takes_a_few_times_its_own_memory():
 
 
 @pytest.mark.parametrize("text", ["float64[2000000000] x", "Inner[2000000000] x\n===\nMSG: test_msgs/Inner\nfloat64 a"])
-def test_a_definition_that_lies_about_its_size_is_refused_at_once(text):
+def test_columns_refuse_huge_fixed_sizes_quickly(text):
     tracemalloc.start()
     found = columns(Messages([bytes(64)]), topic(text), ("x" if "Inner" not in text else "x[:].a",))
     assert tracemalloc.get_traced_memory()[1] < 1 << 20
@@ -319,13 +319,13 @@ def test_a_definition_that_lies_about_its_size_is_refused_at_once(text):
     assert dict(found.rejected) == {"malformed": 1}
 
 
-def test_structs_of_nothing_cost_nothing():
+def test_columns_skip_empty_structs():
     text = "Inner[2000000000] x\nuint8 y\n=====\nMSG: test_msgs/Inner\n"
     found = columns(Messages([b"\7"]), topic(text, "ros1"), ("y",))
     assert found.column("y").tolist() == [7]
 
 
-def test_ros1_payloads_labelled_cdr_are_recognised():
+def test_columns_detect_ros1_labelled_cdr():
     types = {ROOT: (Member("f0", "uint32", ""), Member("f1", "string", ""), Member("f2", "float64", "[]"))}
     types |= {LEAF: (Member("f0", "bool", ""),), INNER: (Member("f0", "bool", ""),)}
     messages = [{"f0": n, "f1": "abc", "f2": [0.5 * n, 1.5]} for n in range(5)]
@@ -333,7 +333,7 @@ def test_ros1_payloads_labelled_cdr_are_recognised():
     check(found, messages, paths(types))
 
 
-def test_skin_cells_become_one_array_of_cells():
+def test_columns_read_skin_cells_as_one_array():
     payloads = [_skin(cells=117, message=n) for n in range(9)]
     fields = ("data[:].prox[0]", "data[:].cellId", "data[:]{cellId==3}.ts")
     found = columns(Messages(payloads), topic(SKIN, "ros1"), fields)
@@ -352,14 +352,14 @@ def _skin(cells: int, message: int, silent: int = -1) -> bytes:
     return out
 
 
-def test_a_cell_without_a_reading_is_nan_and_does_not_shift_the_others():
+def test_columns_give_nan_for_a_missing_cell():
     found = columns(Messages([_skin(4, 0, silent=1)]), topic(SKIN, "ros1"), ("data[:].prox[0]",))
     np.testing.assert_array_equal(found.column("data[:].prox[0]"), [[0, np.nan, 2 / 256, 3 / 256]])
 
 
 @pytest.mark.parametrize("size", [0, 1, 2, 7, 400])
 @pytest.mark.parametrize("inner", [("uint8", "float64", "uint16"), ("uint16", "uint8", "time"), ("uint8",) * 3])
-def test_long_arrays_of_fixed_structs_are_stepped_over(size, inner):
+def test_columns_skip_long_arrays_of_fixed_structs(size, inner):
     inner = tuple(kind.replace("time", "builtin_interfaces/Time") for kind in inner)
     types = {
         LEAF: tuple(Member(f"f{n}", kind, "") for n, kind in enumerate(inner)),
@@ -372,7 +372,7 @@ def test_long_arrays_of_fixed_structs_are_stepped_over(size, inner):
     assert found.column("f1").tolist() == [9.5]
 
 
-def test_unknown_encapsulation_is_rejected():
+def test_columns_reject_unknown_encapsulation():
     found = columns(Messages([b"\0\3\0\0" + bytes(60)]), joint_topic(), JOINT_FIELDS)
     assert dict(found.rejected) == {"malformed": 1}
 
@@ -386,24 +386,24 @@ def test_unknown_encapsulation_is_rejected():
         ("position.x", r"write position\[:\].x"),
     ],
 )
-def test_a_field_that_is_not_there_is_named_with_those_that_are(path, says):
+def test_columns_list_fields_for_a_missing_one(path, says):
     with pytest.raises(ConfigError, match=says):
         columns(Messages([]), joint_topic(), (path,))
 
 
-def test_an_unknown_encoding_names_those_known():
+def test_decoder_lists_encodings_for_an_unknown_one():
     with pytest.raises(FormatError, match="/x: the messages are 'wrong_format'; known are cdr, ros1, json, protobuf"):
         columns(Messages([]), topic("bool x", "wrong_format"), ("x",))
     with pytest.raises(FormatError, match="/x: the definition is 'flatbuffer'; known are ros2msg"):
         columns(Messages([]), replace(topic("bool x"), definition_encoding="flatbuffer"), ("x",))
 
 
-def test_a_broken_definition_names_its_topic():
+def test_decoder_names_the_topic_of_a_broken_definition():
     with pytest.raises(FormatError, match=r"^/x: test_msgs/msg/Root: cannot read"):
         columns(Messages([]), topic("}{"), ("x",))
 
 
-def test_json_messages_become_columns():
+def test_columns_read_json_messages():
     stamps = [{"stamp": {"sec": 5, "nsec": n}} for n in range(3)]
     payloads = [json.dumps({"header": stamps[n], "q": [1.0 * n, 2], "name": "left"}).encode() for n in range(3)]
     found = columns(Messages([*payloads, b"{", b"[]", b"{}"]), topic("{}", "json"), ("header.stamp", "q", "name"))
@@ -413,7 +413,7 @@ def test_json_messages_become_columns():
 
 
 @pytest.mark.parametrize("batch", [1, 3])
-def test_a_message_cut_inside_its_numbers_does_not_borrow_its_neighbour(batch):
+def test_columns_reject_a_truncated_message_in_a_batch(batch):
     payloads = [joint_state(T0 + n, ("a", "b"), (1.0, 2.0)) for n in range(3)]
     place = payloads[1].index(struct.pack("<d", 2.0))
     payloads[1] = payloads[1][: place + 4]
@@ -432,7 +432,7 @@ def _wide(text: str, size: int, x: float) -> bytes:
 
 
 @pytest.mark.parametrize("size", [1, 2, 4])
-def test_the_width_of_a_text_is_what_the_length_of_its_message_tells(size):
+def test_widened_finds_character_size_from_message_length(size):
     """The first message, without any text, does not tell, and need not."""
     some = [("", 1.5), ("\N{GREEK SMALL LETTER ALPHA}bcdefghi", 2.5), ("jk", 3.5), ("lmnopq", 4.5)]
     log = Messages([_wide(text, size, x) for text, x in some])
@@ -441,7 +441,7 @@ def test_the_width_of_a_text_is_what_the_length_of_its_message_tells(size):
     assert found.column("y").ravel().tolist() == [text for text, _ in some]
 
 
-def test_text_whose_width_nothing_tells_is_rejected_and_what_comes_before_it_is_not():
+def test_columns_reject_only_text_of_unknown_width():
     """Of three characters, of any size, and four bytes or more that are left over."""
     log, wide = Messages([b"\0\1\0\0" + struct.pack("<dI10s", 2.5, 3, b"a\0b\0c")]), topic("float64 x\nwstring y")
     assert columns(log, wide, ("x",)).column("x").tolist() == [2.5]
@@ -449,7 +449,7 @@ def test_text_whose_width_nothing_tells_is_rejected_and_what_comes_before_it_is_
 
 
 @pytest.mark.parametrize("odd", [0, 511, 512, 700, 1199])
-def test_one_odd_message_in_a_large_batch_is_found(odd):
+def test_columns_find_one_odd_message_in_a_large_batch(odd):
     payloads = [joint_state(T0 + n, ("aa", "bb") if n != odd else ("bb", "aa"), (1.0 * n, 0.5)) for n in range(1200)]
     found = columns(Messages(payloads, 1200), joint_topic(), JOINT_FIELDS)
     assert {part.values[1]: len(part.rows) for part in found.parts} == {("aa", "bb"): 1199, ("bb", "aa"): 1}

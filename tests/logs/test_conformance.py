@@ -33,18 +33,18 @@ def expected(path: Path) -> list[dict[str, Any]]:
     return [{"type": record["type"], "fields": sorted(record["fields"])} for record in records]
 
 
-def test_all_variants_are_here() -> None:
+def test_conformance_files_are_complete() -> None:
     assert len(FILES) == 154
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_records_equal_the_json(path: Path) -> None:
+def test_records_equal_the_conformance_json(path: Path) -> None:
     found = [told(r) for r in every_record(memoryview(path.read_bytes())) if r.opcode not in (CHUNK, MESSAGE_INDEX)]
     assert found == expected(path)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_every_message_is_read_without_a_remark(path: Path) -> None:
+def test_open_reads_conformance_files_without_findings(path: Path) -> None:
     told_messages = [dict(record["fields"]) for record in expected(path) if record["type"] == "Message"]
     with open_log(path, strict=True) as log:
         batches = [(batch.log_ns.tolist(), [bytes(part) for part in payloads(batch)]) for batch in log.batches()]

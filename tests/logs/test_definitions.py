@@ -22,7 +22,7 @@ def fields(text: str, encoding: str = "ros2msg") -> tuple[Field, ...]:
     return parse(text.encode(), "p/msg/T", encoding).types["p/msg/T"]
 
 
-def test_every_kind_of_line():
+def test_parse_reads_every_kind_of_line():
     text = """
 # a remark
 int32 TYPE=3           # a constant
@@ -51,7 +51,7 @@ bool ok
     )
 
 
-def test_ros1_spellings():
+def test_parse_reads_ros1_spellings():
     found = fields("Header header\ntime t\nduration d\nbyte b\nchar c\n", "ros1msg")
     assert [(f.name, f.type) for f in found] == [
         ("header", "std_msgs/msg/Header"),
@@ -62,29 +62,29 @@ def test_ros1_spellings():
     ]
 
 
-def test_ros1_headers_have_a_sequence_number_and_ros2_ones_do_not():
+def test_parse_gives_only_ros1_headers_a_sequence_number():
     ros1 = parse(b"Header header\n", "p/msg/T", "ros1msg").types["std_msgs/msg/Header"]
     ros2 = parse(b"std_msgs/Header header\n", "p/msg/T", "ros2msg").types["std_msgs/msg/Header"]
     assert [f.name for f in ros1] == ["seq", "stamp", "frame_id"]
     assert [f.name for f in ros2] == ["stamp", "frame_id"]
 
 
-def test_a_type_of_the_same_package_is_found_without_its_package():
+def test_parse_resolves_types_of_the_same_package():
     found = parse(TUM, "tum_ics_skin_msgs/msg/SkinCellDataArray", "ros1msg")
     assert found.types[found.root] == (Field("data", "tum_ics_skin_msgs/msg/SkinCellData", -1),)
 
 
-def test_an_empty_definition_of_a_standard_type_is_looked_up():
+def test_parse_looks_up_standard_types():
     found = parse(b"", "sensor_msgs/msg/JointState", "ros2msg")
     assert [f.name for f in found.types[found.root]] == ["header", "name", "position", "velocity", "effort"]
 
 
-def test_an_empty_message_takes_a_byte_in_ros2_and_none_in_ros1():
+def test_parse_gives_empty_ros2_messages_a_byte():
     assert len(parse(b"", "std_msgs/msg/Empty", "ros2msg").types["std_msgs/msg/Empty"]) == 1
     assert parse(b"", "std_msgs/msg/Empty", "ros1msg").types["std_msgs/msg/Empty"] == ()
 
 
-def test_idl():
+def test_parse_reads_idl():
     text = """================================================================================
 IDL: p/msg/T
 #include "p/msg/Inner.idl"
@@ -124,17 +124,17 @@ module p { module msg { struct Inner { boolean ok; octet raw; }; }; };
         ("\n".join(["A a", "=" * 9, "MSG: p/A", "B b", "=" * 9, "MSG: p/B", "A a"]), "contains itself"),
     ],
 )
-def test_what_cannot_be_understood_is_named(text, says):
+def test_parse_names_what_it_cannot_read(text, says):
     with pytest.raises(FormatError, match=says):
         fields(text)
 
 
-def test_bytes_that_are_no_text_are_refused():
+def test_parse_refuses_bytes_that_are_not_text():
     with pytest.raises(FormatError, match="not text"):
         parse(b"\xff\xfe\x00", "p/msg/T", "ros2msg")
 
 
-def test_a_definition_that_doubles_at_every_level_is_read_at_once():
+def test_parse_is_fast_for_doubling_definitions():
     levels = [f"MSG: p/L{n}\nL{n + 1} a\nL{n + 1} b\n" for n in range(40)]
     text = ("=" * 9 + "\n").join(["L0 x\n", *levels, "MSG: p/L40\n"])
     with at_most(calls=50_000):
@@ -142,7 +142,7 @@ def test_a_definition_that_doubles_at_every_level_is_read_at_once():
 
 
 @pytest.mark.parametrize("version", [1, 2])
-def test_all_standard_types_parse_as_rosbags_describes_them(version):
+def test_parse_agrees_with_rosbags_on_standard_types(version):
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
     dialect = f"ros{version}msg"
     for name in sorted(store.fielddefs):

@@ -38,7 +38,7 @@ def _joints(path, times, make=None):
 
 
 @pytest.mark.parametrize("odd", [2**62 + 1, 2**63 - 1, 2**63, 2**64 - 1])
-def test_log_times_that_no_clock_shows_date_nothing(tmp_path, odd):
+def test_open_ignores_impossible_log_times(tmp_path, odd):
     path = _joints(tmp_path / "x.mcap", [T0 + k * 10**7 for k in range(30)] + [odd])
     read = recording.read(path, Settings())
     assert len(read.joints.t) == 30 and read.joints.t[-1] == pytest.approx(0.29)
@@ -46,7 +46,7 @@ def test_log_times_that_no_clock_shows_date_nothing(tmp_path, odd):
     assert any("log times such as" in finding.text for finding in read.findings)
 
 
-def test_a_database_with_times_below_zero_is_read(tmp_path):
+def test_open_reads_a_database_with_negative_times(tmp_path):
     by_hand.db3(tmp_path / "x.db3", [("/a", t, b"\0\1\0\0" + bytes(8)) for t in (-(2**63), -5, T0)], KIND, None)
     with open_log(tmp_path / "x.db3") as log:
         assert (log.start_ns, log.end_ns) == (T0, T0)
@@ -54,7 +54,7 @@ def test_a_database_with_times_below_zero_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("stamp", ["1e999", "-1e999", "9" * 401, "9" * 5000, "null", '"x"', "[[[]]]"])
-def test_stamps_that_are_none_cost_their_message_alone(tmp_path, stamp):
+def test_read_rejects_only_messages_with_invalid_stamps(tmp_path, stamp):
     said = [
         (T0 + k * 10**7, b'{"header": {"stamp": {"sec": %d, "nanosec": %d}}, "name": ["a"], "position": [%d]}'
          % (T0 // 10**9, k * 10**7, k)) for k in range(30)
@@ -69,7 +69,7 @@ def test_stamps_that_are_none_cost_their_message_alone(tmp_path, stamp):
 @pytest.mark.parametrize(
     "position", ["[" * 900 + "1" + "]" * 900, "[" + "9" * 401 + ", 1]", '["x", "y"]', "[1e999, 1]", "{}"]
 )
-def test_positions_that_are_none_are_counted_or_passed_over(tmp_path, position):
+def test_read_counts_invalid_positions(tmp_path, position):
     times = [T0 + k * 10**7 for k in range(31)]
     marked = _joints(tmp_path / "y.mcap", times, lambda k: {"name": ["a", "b"], "position": "@" if k == 30 else [k, 1]})
     with open_log(marked) as log:
@@ -82,7 +82,7 @@ def test_positions_that_are_none_are_counted_or_passed_over(tmp_path, position):
     assert np.isfinite(read.joints.values[:30]).all() and np.nanmax(np.abs(read.joints.values)) <= 30
 
 
-def test_names_that_are_half_a_surrogate_pair_can_be_written(tmp_path, run_cli):
+def test_ingest_writes_names_with_lone_surrogates(tmp_path, run_cli):
     times = [T0 + k * 10**7 for k in range(30)]
     path = _joints(tmp_path / "x.mcap", times, lambda k: {"name": ["\ud800"], "position": [k]})
     assert run_cli("ingest", path, "-o", tmp_path / "out.mcap") == 0
@@ -95,7 +95,7 @@ def _raw(**fields):
 
 @pytest.mark.parametrize("field", ["height", "width", "step"])
 @pytest.mark.parametrize("value", ["1e999", "-1", "9" * 401, "{}", "null", "NaN", "true", '"4"'])
-def test_sizes_of_images_that_are_none_are_refused(field, value):
+def test_decoder_refuses_invalid_image_sizes(field, value):
     topic = Topic(0, "/cam", "foxglove.RawImage", "json", b"{}", "jsonschema", 1)
     payload = _raw(**{field: "@"}).replace(b'"@"', value.encode())
     with pytest.raises(FormatError, match="/cam: "):
@@ -104,7 +104,7 @@ def test_sizes_of_images_that_are_none_are_refused(field, value):
 
 @pytest.mark.parametrize("encoding", ["yuv422", "uyvy", "yuyv", "yuv422_yuy2", "nv12", "bayer_rggb8", "bayer_gbrg16"])
 @pytest.mark.parametrize(("height", "width"), [(1, 1), (1, 3), (3, 1), (3, 5), (2, 2)])
-def test_odd_and_tiny_images_are_converted_or_refused(encoding, height, width):
+def test_decoder_converts_or_refuses_odd_and_tiny_images(encoding, height, width):
     import base64
 
     topic = Topic(0, "/cam", "foxglove.RawImage", "json", b"{}", "jsonschema", 1)
@@ -118,7 +118,7 @@ def test_odd_and_tiny_images_are_converted_or_refused(encoding, height, width):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_images_of_more_pixels_than_the_setting_are_refused_before_memory_is_taken(suffix):
+def test_decoder_refuses_large_images_before_allocation(suffix):
     payload = writing.compressed(T0, np.zeros((600, 2000), np.uint8), suffix, suffix[1:])
     kind = "sensor_msgs/msg/CompressedImage"
     topic = Topic(0, "/cam", kind, "cdr", writing.define(kind), "ros2msg", 1)
@@ -149,7 +149,7 @@ _STATEMENTS = {
 
 
 @pytest.mark.parametrize("what", _STATEMENTS)
-def test_databases_that_compute_their_rows_are_refused(tmp_path, what):
+def test_open_refuses_databases_with_computed_rows(tmp_path, what):
     path = tmp_path / "x.db3"
     by_hand.db3(path, [("/a", T0, b"\0\1\0\0" + bytes(8))], KIND, None)
     with closing(sqlite3.connect(path)) as store, store:
@@ -159,7 +159,7 @@ def test_databases_that_compute_their_rows_are_refused(tmp_path, what):
         open_log(path)
 
 
-def test_a_signal_ends_a_query_of_sqlite(tmp_path, monkeypatch):
+def test_rows_end_a_query_on_a_signal(tmp_path, monkeypatch):
     """What the progress handler says no to is an interrupt, not damage that is read past."""
     from bodylog.logs.rosbag2 import rows
     from bodylog.logs.rosbag2 import sqlite3 as sqlite
@@ -175,16 +175,16 @@ def test_a_signal_ends_a_query_of_sqlite(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("depth", [5, 20, 400])
-def test_idl_in_itself_is_refused_in_no_time(depth):
+def test_parse_refuses_nested_idl_quickly(depth):
     _refused(f"struct X {{ {'sequence<' * depth}double{'>' * depth} data; }};", "brackets in one another")
 
 
 @pytest.mark.parametrize("count", [301, 3000])
-def test_idl_of_very_many_dimensions_is_refused_in_no_time(count):
+def test_parse_refuses_idl_of_many_dimensions_quickly(count):
     _refused(f"struct X {{ double data{'[2]' * count}; }};", "array sizes and operators")
 
 
-def test_idl_of_long_expressions_and_texts_is_refused_in_no_time():
+def test_parse_refuses_long_idl_expressions_quickly():
     _refused(f"const long A = {'1 + ' * 5000}1; struct X {{ double data; }};", "array sizes and operators")
     _refused(f"@unit({chr(34) * 9000}) struct X {{ double data; }};", "quotes")
 
@@ -194,7 +194,7 @@ def _refused(inner, why):
         definitions.parse(f"module m {{ module msg {{ {inner} }}; }};".encode(), "m/msg/X", "ros2idl")
 
 
-def test_idl_as_rosidl_writes_it_is_read():
+def test_parse_reads_rosidl_output():
     text = """module m { module msg {
       typedef double double__36[36];
       @verbatim (language="comment", text="one (1)" "\\n" "two >>>>>> [[[")
@@ -204,7 +204,7 @@ def test_idl_as_rosidl_writes_it_is_read():
     assert [(field.name, field.size) for field in found.types["m/msg/X"]] == [("cov", 36), ("names", -1), ("a", 4)]
 
 
-def test_long_definitions_are_refused():
+def test_parse_refuses_long_definitions():
     with pytest.raises(FormatError, match="at most 1048576 are read"):
         definitions.parse(b"float64 x\n" * 200_000, "m/msg/X", "ros2msg")
 
@@ -216,7 +216,7 @@ def _packed_messages(path, sizes):
     return path
 
 
-def test_packed_messages_are_unpacked_a_few_megabytes_at_a_time(tmp_path):
+def test_decompress_messages_limits_memory(tmp_path):
     path = _packed_messages(tmp_path / "x.db3", [9 << 20] * 6 + [100] * 50)
     with open_log(path) as log:
         found = [batch.data.size for batch in log.batches()]
@@ -224,14 +224,14 @@ def test_packed_messages_are_unpacked_a_few_megabytes_at_a_time(tmp_path):
         assert not log.findings
 
 
-def test_messages_larger_than_the_setting_are_lost_by_name(tmp_path):
+def test_open_reports_messages_beyond_the_limit(tmp_path):
     path = _packed_messages(tmp_path / "x.db3", [100, 3_000_000, 100])
     with open_log(path, limits=Input(max_message_mb=2)) as log:
         assert sum(len(batch.log_ns) for batch in log.batches()) == 2
         assert "[input] max_message_mb = 4" in log.findings[-1].text and log.findings[-1].severity == "lost"
 
 
-def test_logs_that_unpack_to_more_than_the_setting_are_refused(tmp_path):
+def test_open_refuses_logs_beyond_the_limit(tmp_path):
     path = _packed_messages(tmp_path / "x.db3", [30_000_000] * 3)
     with open_log(path, limits=Input(max_unpacked_gb=0.05)) as log, pytest.raises(LogError, match="gb = 1"):
         list(log.batches())
@@ -239,7 +239,7 @@ def test_logs_that_unpack_to_more_than_the_setting_are_refused(tmp_path):
         assert sum(len(batch.log_ns) for batch in log.batches()) == 3
 
 
-def test_chunks_larger_than_the_setting_are_lost_by_name(tmp_path):
+def test_open_reports_chunks_beyond_the_limit(tmp_path):
     path = _joints(tmp_path / "x.mcap", [T0, T0 + 1], lambda k: {"name": [], "x": "0" * 3_000_000})
     with open_log(path, limits=Input(max_message_mb=2)) as log:
         assert not list(log.batches()) and "[input] max_message_mb = " in log.findings[-1].text
@@ -250,21 +250,21 @@ def _zst(path, data):
     return path
 
 
-def test_a_packed_log_is_looked_at_before_it_is_unpacked(tmp_path, monkeypatch):
+def test_unpack_file_checks_the_first_bytes(tmp_path, monkeypatch):
     path = _zst(tmp_path / "x.mcap.zst", b"no log" + bytes(20_000_000))
     monkeypatch.setattr(zstd_files, "_PIECE", 1 << 10)
     with pytest.raises(LogError, match=r"not a log: it begins with b'no log"):
         open_log(path, limits=Input(max_unpacked_gb=1e-3))  # else refused for its size
 
 
-def test_a_packed_log_of_more_than_the_setting_is_refused(tmp_path):
+def test_unpack_file_refuses_logs_beyond_the_limit(tmp_path):
     path = _zst(tmp_path / "x.mcap.zst", b"\x89MCAP0\r\n" + bytes(30_000_000))
     with pytest.raises(LogError, match=r"more than 0.01 GB.*max_unpacked_gb = 1"):
         open_log(path, limits=Input(max_unpacked_gb=0.01))
 
 
 @pytest.mark.parametrize("listed", ["5", "2.5", "[5, null]", "{a: 1}", "true", "[[x.db3]]", "x.db3"])
-def test_metadata_that_lists_no_names_is_remarked_on_and_not_used(tmp_path, listed):
+def test_members_ignore_invalid_metadata_with_a_warning(tmp_path, listed):
     by_hand.db3(tmp_path / "x.db3", [("/a", T0, b"\0\1\0\0" + bytes(8))], KIND, None)
     (tmp_path / "metadata.yaml").write_text(f"rosbag2_bagfile_information:\n  relative_file_paths: {listed}\n")
     with open_log(tmp_path) as log:
@@ -272,7 +272,7 @@ def test_metadata_that_lists_no_names_is_remarked_on_and_not_used(tmp_path, list
         assert any("relative_file_paths is" in finding.text for finding in log.findings)
 
 
-def test_metadata_with_aliases_is_not_expanded(tmp_path):
+def test_metadata_of_refuses_aliases(tmp_path):
     lines = ["a: &a [x,x,x,x,x,x,x,x]"]
     lines += [f"{b}: &{b} [{','.join(8 * ['*' + a])}]" for a, b in zip("abcdefgh", "bcdefghi", strict=True)]
     lines += ["rosbag2_bagfile_information: {relative_file_paths: *i}"]
@@ -282,7 +282,7 @@ def test_metadata_with_aliases_is_not_expanded(tmp_path):
 
 
 @pytest.mark.parametrize("folder", [False, True])
-def test_logs_whose_names_are_not_utf_8_are_read_and_written(tmp_path, run_cli, folder):
+def test_commands_handle_names_that_are_not_utf_8(tmp_path, run_cli, folder):
     log = os.fsencode(tmp_path) + b"/\xff\xfe.db3"
     times = [T0 + k * 10**7 for k in range(30)]
     messages = [("/joint_states", t, writing.joint_state(t, ["a"], [0.1 * k])) for k, t in enumerate(times)]
@@ -297,7 +297,7 @@ def test_logs_whose_names_are_not_utf_8_are_read_and_written(tmp_path, run_cli, 
         assert run_cli(command[0], os.fsdecode(log), *command[1:]) == 0
 
 
-def test_of_times_decades_apart_the_most_are_used(tmp_path):
+def test_read_uses_most_of_times_decades_apart(tmp_path):
     times = [T0 + k * 10**7 for k in range(30)] + [2 * T0 + k * 10**7 for k in range(20)]
     read = recording.read(_joints(tmp_path / "x.mcap", times), Settings())
     assert len(read.joints.t) == 30 and read.health["/joint_states"].rejected == {"time years away": 20}

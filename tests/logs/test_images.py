@@ -65,7 +65,7 @@ PACKED = ("bgr8", "rgb8", "bgra8", "rgba8", "mono8")
 
 @pytest.mark.parametrize("padding", [0, 5])
 @pytest.mark.parametrize("encoding", PACKED)
-def test_packed_encodings(encoding, padding):
+def test_decoder_reads_packed_encodings(encoding, padding):
     bgr = scene(1)
     pixels = stored(encoding, bgr)
     want = np.repeat(pixels, 3, axis=2) if encoding == "mono8" else bgr
@@ -76,7 +76,7 @@ def test_packed_encodings(encoding, padding):
 
 @pytest.mark.parametrize("big", [False, True])
 @pytest.mark.parametrize("encoding", ["bgr16", "rgb16", "bgra16", "rgba16", "mono16", "16UC1"])
-def test_sixteen_bits_keep_their_high_byte(encoding, big):
+def test_decoder_keeps_the_high_byte_of_16_bits(encoding, big):
     bgr = scene(2)
     high = stored(encoding.replace("16UC1", "mono16"), bgr)
     low = scene(3, channels=high.shape[2])
@@ -88,7 +88,7 @@ def test_sixteen_bits_keep_their_high_byte(encoding, big):
 
 @pytest.mark.parametrize("size", [8, 16])
 @pytest.mark.parametrize("pattern", ["rggb", "bggr", "gbrg", "grbg"])
-def test_bayer_patterns_give_back_the_colour_behind_the_filters(pattern, size):
+def test_decoder_reads_bayer_patterns(pattern, size):
     colour = {"b": 20, "g": 120, "r": 230}
     cell = np.array([[colour[pattern[0]], colour[pattern[1]]], [colour[pattern[2]], colour[pattern[3]]]], np.uint8)
     mosaic = np.tile(cell, (6, 8))
@@ -104,7 +104,7 @@ def halved(encoding: str, y: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("encoding", ["nv12", "nv21", "i420"])
-def test_yuv420_is_bt601_and_has_half_as_many_lines_again(encoding):
+def test_decoder_reads_yuv420_as_bt601(encoding):
     rng = np.random.default_rng(5)
     y, uv = rng.integers(60, 180, (10, 12)).astype(np.uint8), rng.integers(100, 156, (5, 6, 2)).astype(np.uint8)
     u, v = (np.repeat(np.repeat(uv[:, :, n].astype(float) - 128, 2, axis=1), 2, axis=0) for n in (0, 1))
@@ -134,7 +134,7 @@ def test_yuv420_is_bt601_and_has_half_as_many_lines_again(encoding):
 @pytest.mark.parametrize(
     ("encoding", "luma"), [("yuv422", 1), ("uyvy", 1), ("yuv422_yuy2", 0), ("yuyv", 0), ("yuy2", 0)]
 )
-def test_yuv422_is_bt601(encoding, luma):
+def test_decoder_reads_yuv422_as_bt601(encoding, luma):
     rng = np.random.default_rng(4)
     y, uv = rng.integers(60, 180, (10, 12)).astype(np.uint8), rng.integers(100, 156, (10, 6, 2)).astype(np.uint8)
     packed = np.empty((10, 12, 2), np.uint8)
@@ -148,7 +148,7 @@ def test_yuv422_is_bt601(encoding, luma):
     np.testing.assert_array_equal(decoder(topic(IMAGE))(raw(encoding, packed, 12), 2), image[::2, ::2])
 
 
-def test_every_encoding_of_the_table_is_tested_above():
+def test_encodings_are_all_tested():
     yuv = {"yuv422", "uyvy", "yuv422_yuy2", "yuyv", "yuy2", "nv12", "nv21", "i420"}
     wide = {"bgr16", "rgb16", "bgra16", "rgba16", "mono16", "16UC1"}
     bayer = {f"bayer_{p}{s}" for p in ("rggb", "bggr", "gbrg", "grbg") for s in (8, 16)}
@@ -161,7 +161,7 @@ def test_every_encoding_of_the_table_is_tested_above():
 @pytest.mark.parametrize(
     ("suffix", "form"), [(".png", "png"), (".png", "bgr8; png compressed bgr8"), (".webp", "webp")]
 )
-def test_lossless_pictures_come_back_exactly(suffix, form):
+def test_decoder_returns_lossless_images_exactly(suffix, form):
     bgr = scene(5)
     options = [cv2.IMWRITE_WEBP_QUALITY, 101] if suffix == ".webp" else []
     data = cv2.imencode(suffix, bgr, options)[1].ravel()
@@ -175,7 +175,7 @@ def test_lossless_pictures_come_back_exactly(suffix, form):
 
 @pytest.mark.parametrize("form", ["jpeg", "jpg", "bgr8; jpeg compressed bgr8", ""])
 @pytest.mark.parametrize("shape", [(48, 64), (47, 61)])
-def test_jpeg_is_close_and_shrinks_while_decoding(form, shape):
+def test_decoder_shrinks_jpeg_while_decoding(form, shape):
     row, column = np.mgrid[: shape[0], : shape[1]]
     bgr = np.stack([row * 4, column * 3, 200 - row - column], axis=2).astype(np.uint8)
     payload = compressed(T0, bgr, ".jpg", form)
@@ -202,7 +202,7 @@ def _jpegs() -> Iterator[tuple[str, bytes]]:
 
 
 @pytest.mark.parametrize(("kind", "data"), list(_jpegs()), ids=lambda value: value if isinstance(value, str) else "")
-def test_jpegs_sound_or_not_are_what_opencv_makes_of_them_to_the_byte(kind, data):
+def test_decoder_equals_opencv_for_any_jpeg(kind, data):
     payload = cdr(COMPRESSED, header=header(T0), format="jpeg", data=np.frombuffer(data, np.uint8))
     flags = {1: cv2.IMREAD_COLOR, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4}
     for k, flag in flags.items():
@@ -214,7 +214,7 @@ def test_jpegs_sound_or_not_are_what_opencv_makes_of_them_to_the_byte(kind, data
             np.testing.assert_array_equal(decoder(topic(COMPRESSED))(payload, k), expected)
 
 
-def test_a_colour_jpeg_keeps_red_red_and_is_not_turned_by_its_orientation_tag():
+def test_decoder_ignores_the_jpeg_orientation_tag():
     red = np.zeros((16, 32, 3), np.uint8)
     red[:, :, 2] = 255
     plain = cv2.imencode(".jpg", red)[1].tobytes()
@@ -226,7 +226,7 @@ def test_a_colour_jpeg_keeps_red_red_and_is_not_turned_by_its_orientation_tag():
     assert np.abs(image.astype(int) - [0, 0, 255]).max() < 5
 
 
-def test_foxglove_pictures_in_json_and_ros2msg():
+def test_decoder_reads_foxglove_json_and_ros2msg():
     bgr = scene(6)
     png = cv2.imencode(".png", bgr)[1].tobytes()
     held = json.dumps({"timestamp": {"sec": 1, "nsec": 2}, "format": "png", "data": base64.b64encode(png).decode()})
@@ -241,7 +241,7 @@ def test_foxglove_pictures_in_json_and_ros2msg():
     np.testing.assert_array_equal(read(payload, 1), bgr)
 
 
-def test_foxglove_pictures_in_protobuf():
+def test_decoder_reads_foxglove_protobuf():
     bgr = scene(7)
     stamp = ("timestamp", 1, 11, ".google.protobuf.Timestamp")
     times = descriptors("google.protobuf", {"Timestamp": [("seconds", 1, 3, ""), ("nanos", 2, 5, "")]})
@@ -263,7 +263,7 @@ def test_foxglove_pictures_in_protobuf():
         {"step": {"a": 1}}, {"encoding": 7},
     ],
 )  # fmt: skip
-def test_json_pictures_that_hold_something_else_are_refused(odd):
+def test_decoder_refuses_other_json_values(odd):
     held = {"width": 1, "height": 1, "encoding": "mono8", "step": 1, "data": "AA=="}
     read = decoder(topic("foxglove.RawImage", b"{}", "json"))
     assert read(json.dumps(held).encode(), 1).shape == (1, 1, 3)
@@ -281,7 +281,7 @@ def test_json_pictures_that_hold_something_else_are_refused(odd):
         (COMPRESSED, "jpeg", None),
     ],
 )
-def test_refusals_say_why(type_, text, says):
+def test_refusal_gives_a_reason(type_, text, says):
     reason = refusal(topic(type_), text)
     assert (reason is None) == (says is None)
     assert says is None or says in str(reason)
@@ -297,7 +297,7 @@ def test_refusals_say_why(type_, text, says):
         (lambda: _raw_sizes(4000, 4000, 12000), "4000 x 12000 needed"),
     ],
 )
-def test_raw_pictures_that_contradict_themselves_are_refused(payload, says):
+def test_decoder_refuses_inconsistent_raw_images(payload, says):
     with pytest.raises(FormatError, match=says):
         decoder(topic(IMAGE))(payload(), 1)
 
@@ -324,13 +324,13 @@ JPEG = cv2.imencode(".jpg", scene(9))[1].tobytes()
         ("png", PNG[:60] + bytes([PNG[60] ^ 1]) + PNG[61:], "chunk IDAT fails its checksum"),
     ],
 )
-def test_compressed_pictures_that_are_none_are_refused(form, data, says):
+def test_decoder_refuses_invalid_compressed_images(form, data, says):
     payload = cdr(COMPRESSED, header=header(T0), format=form, data=np.frombuffer(data, np.uint8))
     with pytest.raises(FormatError, match=says):
         decoder(topic(COMPRESSED))(payload, 1)
 
 
-def test_what_libraries_say_of_damaged_pictures_stays_unsaid(capfd):
+def test_decoder_suppresses_library_output(capfd):
     """Cameras that put a few bytes too many before the end of each JPEG would fill the screen."""
     jpeg = cv2.imencode(".jpg", scene(9))[1].tobytes()
     broken = {"jpeg": [jpeg[:-2] + bytes(9) + jpeg[-2:], *(_changed(jpeg, at) for at in range(640, len(jpeg) - 2, 50))]}
@@ -352,7 +352,7 @@ def _changed(data: bytes, at: int) -> bytes:
     seed=st.integers(0, 2**31),
     flips=st.lists(st.tuples(st.integers(0, 400), st.integers(1, 255)), min_size=1, max_size=4),
 )
-def test_damaged_payloads_are_pictures_or_refused(seed, flips):
+def test_decoder_survives_damaged_payloads(seed, flips):
     whole = raw("bgr8", scene(seed), 31) if seed % 2 else compressed(T0, scene(seed), ".jpg", "jpeg")
     broken = bytearray(whole)
     for where, bits in flips:
@@ -377,7 +377,7 @@ def test_damaged_payloads_are_pictures_or_refused(seed, flips):
         max_size=6,
     )
 )
-def test_what_is_picked_from_a_message_does_not_depend_on_those_before(messages):
+def test_picker_is_independent_of_earlier_messages(messages):
     definition = definition_of(topic(COMPRESSED))
     wanted = (("header", "frame_id"), ("format",), ("data",))
     shared = Picker(definition, wanted, False)
@@ -396,14 +396,14 @@ def test_what_is_picked_from_a_message_does_not_depend_on_those_before(messages)
             assert results[0] == [frame, form, data]
 
 
-def test_pictures_may_be_drawn_upon():
+def test_frame_image_is_writable():
     payload = raw("bgr8", scene(11), 31)
     image = Frame(0.0, 0, partial(decoder(topic(IMAGE)), payload)).image
     image[:] = 0
     np.testing.assert_array_equal(decoder(topic(IMAGE))(payload, 1), scene(11))
 
 
-def test_decoding_on_threads_gives_the_same_pictures():
+def test_decoder_is_thread_safe():
     payloads = [compressed(T0, scene(seed, 60, 80), ".jpg", "jpeg") for seed in range(24)]
     read = decoder(topic(COMPRESSED))
     alone = [read(payload, 2) for payload in payloads]

@@ -22,7 +22,7 @@ READ = {
 }
 
 
-def test_a_unit_of_counts_says_what_a_turn_is_and_where_nought_is():
+def test_counts_parses_turn_and_zero():
     assert counts("4096 counts from 2048") == (4096.0, 2048.0) and counts("1024.5 counts") == (1024.5, 0.0)
     for text in ("rad", "deg", "counts", "0 counts", "-1 counts", "4096 counts from", "9 counts from x", "nan counts"):
         assert counts(text) is None
@@ -32,7 +32,7 @@ def test_a_unit_of_counts_says_what_a_turn_is_and_where_nought_is():
     assert joint_unit({UNIT: "counts"}, "rad").unit == "counts"
 
 
-def test_settings_take_it_and_name_what_is_possible(tmp_path):
+def test_settings_accept_counts_and_list_choices(tmp_path):
     path = tmp_path / "robot.toml"
     path.write_text('[body]\nunit = "4096 counts from 2048"\n')
     assert load(path, {}).body.unit == "4096 counts from 2048"
@@ -59,7 +59,7 @@ def bodies(tmp_path_factory):
 
 
 @pytest.mark.parametrize("unit", list(READ)[1:])
-def test_the_same_pixels_are_foretold_and_the_same_zeros_found_in_any_unit(bodies, unit):
+def test_fit_predicts_the_same_in_any_unit(bodies, unit):
     plain, other = bodies["rad"], bodies[unit]
     x = angles(40, seed=9)
     foretold = [one.senses["effector"].predict(x)[0] for one in (plain, other)]

@@ -34,7 +34,7 @@ def two(tmp_path) -> Path:
     return write(tmp_path / "two.mcap", [arm, _topic(*head)])
 
 
-def test_topics_without_namesakes_are_found_by_themselves(two):
+def test_series_merges_topics_without_shared_names(two):
     found = read(two, Settings())
     assert found.roles["joints"] == "/arm/joint_states" and found.roles["joints/head"] == "/head/joint_states"
     assert found.joints.names == ("pan", "lift", "neck") and found.beside == ("neck",)
@@ -48,7 +48,7 @@ def test_topics_without_namesakes_are_found_by_themselves(two):
     assert info(two, Settings())["joints"] == ["pan", "lift", "neck"]
 
 
-def test_each_topic_may_be_late_by_its_own(two):
+def test_series_applies_each_topics_delay(two):
     settings = Settings(time=Time(delay={"joints/head": 0.003}))
     found = read(two, settings)
     assert len(found.joints.t) == 300  # the head's readings now stand beside every other one of the arm
@@ -58,7 +58,7 @@ def test_each_topic_may_be_late_by_its_own(two):
         read(two, Settings(time=Time(delay={"joints/neck": 0.003})))
 
 
-def test_namesakes_get_their_topics_name_where_they_are_asked_for(tmp_path):
+def test_names_add_the_topic_to_shared_names(tmp_path):
     left, right = (_topic(f"/{side}/joint_states", ("elbow", side), 10, 50) for side in ("left", "right"))
     path = write(tmp_path / "sides.mcap", [left, right])
     guessed = read(path, Settings())
@@ -81,11 +81,11 @@ def test_namesakes_get_their_topics_name_where_they_are_asked_for(tmp_path):
     ("topic", "name"),
     [("/head/joint_states", "head"), ("/joint_states", "joint_states"), ("/a/b/joint_state", "a/b"), ("/arm", "arm")],
 )
-def test_a_topic_is_called_by_what_tells_it_apart(topic, name):
+def test_topic_name_drops_generic_words(topic, name):
     assert topic_name(topic) == name
 
 
-def test_commands_and_copies_are_not_joined(tmp_path):
+def test_roles_ignore_commands_and_copies(tmp_path):
     parts = [
         _topic("/joint_states", ("pan", "lift"), 10, 50),
         _topic("/pan_command", ("other",), 10, 50),
@@ -99,7 +99,7 @@ def _texts(path: Path) -> str:
     return " | ".join(f"{f.severity}: {f.text}" for f in read(path, Settings()).findings)
 
 
-def test_two_publishers_on_one_topic_are_named(tmp_path):
+def test_read_reports_two_publishers_on_one_topic(tmp_path):
     one, two = _topic("/joint_states", ("pan", "lift"), 10, 100), _topic("/joint_states", ("neck",), 10, 100, 4.0)
     messages = [m for pair in zip(one.messages, two.messages, strict=True) for m in pair]
     path = write(tmp_path / "x.mcap", [replace(one, messages=messages)])
@@ -107,7 +107,7 @@ def test_two_publishers_on_one_topic_are_named(tmp_path):
     assert said in _texts(path)
 
 
-def test_a_set_that_changes_and_joints_that_vanish_are_named(tmp_path):
+def test_read_reports_changing_and_vanishing_joints(tmp_path):
     whole, less = _topic("/joint_states", ("pan", "lift"), 10, 600), _topic("/joint_states", ("pan",), 10, 600)
     messages = [*whole.messages[:300], *less.messages[300:]]
     said = _texts(write(tmp_path / "x.mcap", [replace(whole, messages=messages)]))
@@ -119,7 +119,7 @@ def test_a_set_that_changes_and_joints_that_vanish_are_named(tmp_path):
     assert "lift has no reading before 3.000 s" in said
 
 
-def test_positions_that_are_texts_are_counted(tmp_path):
+def test_read_counts_positions_that_are_texts(tmp_path):
     def message(k: int) -> bytes:
         ns = T0 + k * 10 * MS
         position = ["0.1", "x"] if k % 4 == 3 else [0.1 * k, 0.2]

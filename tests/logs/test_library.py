@@ -53,7 +53,7 @@ def test_table_pads_texts_of_several_counts(tmp_path):
         assert log["/joint_states"].name[:2].tolist() == [["j0", ""], ["j0", "j1"]]
 
 
-def test_rows_are_messages_in_which_every_field_decodes(tmp_path):
+def test_table_rows_are_messages_in_which_every_field_decodes(tmp_path):
     none = {"velocity": np.zeros(0), "effort": np.zeros(0)}
     payloads = [cdr(JOINTS, header=header(T0 + k), name=["a"], position=np.array([1.0]), **none) for k in range(9)]
     payloads[4] = payloads[4][:30]
@@ -67,7 +67,7 @@ def test_rows_are_messages_in_which_every_field_decodes(tmp_path):
         assert len(list(log.messages())) == 8 and log.rejected == {"/j": 1}
 
 
-def test_unknown_names_are_one_line_with_those_there_are(tmp_path):
+def test_open_log_lists_names_for_an_unknown_one(tmp_path):
     with logs.open(joints(tmp_path / "a.mcap")) as log:
         with pytest.raises(ConfigError, match=r"no topic '/joint_state'; did you mean /joint_states\?"):
             log["/joint_state"]
@@ -84,7 +84,7 @@ def test_read_takes_several_topics_in_one_pass(tmp_path, robot):
             np.testing.assert_array_equal(table.position, log[name].position)
 
 
-def test_frames_are_pictures(robot):
+def test_frames_are_images(robot):
     with logs.open(robot / "reach.mcap") as log:
         frame = next(log.frames("/camera/image/compressed"))
     assert frame.image.shape == (120, 160, 3)
@@ -98,7 +98,7 @@ def test_url_gives_the_same_arrays(robot):
     np.testing.assert_array_equal(there.position, here.position)
 
 
-def test_every_container_gives_the_same_table(arm):
+def test_table_is_the_same_in_every_container(arm):
     tables = [logs.open(arm / name)[topic] for name, topic in
               (("reach.bag", "/tomm/right_arm/joint_states"), ("reach_rosbag2", "/lbr/joint_states"))]  # fmt: skip
     np.testing.assert_array_equal(*(table.position for table in tables))
@@ -121,7 +121,7 @@ RECORDED = "cruise-automation__rosbag.js dantheman3333__frost geocamxyz__rosbags
 
 
 @pytest.mark.parametrize("name", RECORDED.split())
-def test_tables_of_recorded_logs_hold_what_rosbags_decodes(name):
+def test_table_of_recorded_logs_equals_rosbags(name):
     """Each message of small topics, each field that is not inside an array of messages."""
     if not (SHARED / name).is_dir():
         pytest.skip(f"{SHARED / name} is not here")
@@ -193,7 +193,7 @@ VALUES: dict[str, Any] = {
 }  # fmt: skip
 
 
-def test_written_fields_are_read_back_by_us_and_by_rosbags(tmp_path):
+def test_writer_fields_are_read_by_us_and_by_rosbags(tmp_path):
     from rosbags.highlevel import AnyReader
 
     path = tmp_path / "w.mcap"
@@ -218,14 +218,14 @@ def test_written_fields_are_read_back_by_us_and_by_rosbags(tmp_path):
     ({"positon": 1}, "no field 'positon'"), ({"position": np.zeros((5, 2))}, "has 5 values for 6 messages"),
     ({"position": np.zeros((6, 2, 2))}, "has shape"), ({"header.stamp": np.zeros((6, 2), int)}, "has shape"),
 ])  # fmt: skip
-def test_what_cannot_be_written_is_one_line_and_leaves_no_file(tmp_path, fields, problem):
+def test_writer_refuses_bad_fields_and_leaves_no_file(tmp_path, fields, problem):
     with pytest.raises(ConfigError, match=problem), logs.Writer(tmp_path / "w.mcap") as out:
         out.write("/joint_states", JOINTS, T0 + np.arange(6), fields)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("kind", sorted(set(PRIMITIVES) | TEXTS - {"wstring"}))
-def test_every_kind_of_field_is_written_and_read(tmp_path, kind):
+def test_writer_writes_every_kind_of_field(tmp_path, kind):
     values = np.array([0, 1, 1]) if kind in PRIMITIVES else ["a", "", "ü"]
     with logs.Writer(tmp_path / "w.mcap") as out:
         fields = {"v": values, "w": [[v] for v in values]}
@@ -235,7 +235,7 @@ def test_every_kind_of_field_is_written_and_read(tmp_path, kind):
     assert [v[0] for v in table.w] == list(values)
 
 
-def test_unknown_definitions_and_uses_are_one_line(tmp_path):
+def test_writer_refuses_unknown_definitions_in_one_line(tmp_path):
     with pytest.raises(ConfigError, match="not a standard type"), logs.Writer(tmp_path / "w.mcap") as out:
         out.write("/x", "my/msg/X", np.arange(3), {})
     with pytest.raises(UsageError, match="inside a with"):
@@ -244,7 +244,7 @@ def test_unknown_definitions_and_uses_are_one_line(tmp_path):
         logs.open(tmp_path / "none.mcap")
 
 
-def test_importing_the_library_loads_no_opencv_or_scipy():
+def test_import_loads_no_opencv_or_scipy():
     code = "import sys, bodylog.logs as logs\nlogs.open(sys.argv[1])['/joint_states'].position\nprint(*sys.modules)"
     path = next(FIXTURES.glob("zstd.mcap"))
     done = subprocess.run([sys.executable, "-c", code.replace("['/joint_states'].position", ""), path],
@@ -265,7 +265,7 @@ def kitchen(tmp_path_factory, robot) -> Path:
 RECIPES = re.findall(r"### (.*?)\n\n```python\n(.*?)```", COOKBOOK, re.DOTALL)
 
 
-def test_every_recipe_runs_in_the_order_of_the_page(kitchen):
+def test_recipes_run_in_page_order(kitchen):
     for package in ("pandas", "pyarrow", "av"):
         pytest.importorskip(package)
     code = "\n".join(recipe for _, recipe in RECIPES)
@@ -281,7 +281,7 @@ def test_every_recipe_runs_in_the_order_of_the_page(kitchen):
     assert not logs.examine(kitchen / "both.mcap")
 
 
-def test_conversion_without_its_package_is_one_line(tmp_path, monkeypatch):
+def test_to_pandas_names_a_missing_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with (
         logs.open(joints(tmp_path / "a.mcap")) as log,

@@ -64,7 +64,7 @@ def write(path: Path, some: list[tuple[int, int, bytes]], **options: Any) -> Wri
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(some=messages, options=options)
-def test_whatever_the_writer_does_all_is_read(
+def test_open_reads_whatever_a_writer_does(
     tmp_path: Path, some: list[tuple[int, int, bytes]], options: dict[str, Any]
 ) -> None:
     path = tmp_path / "x.mcap"
@@ -80,7 +80,7 @@ def test_whatever_the_writer_does_all_is_read(
         assert log.findings == ()
 
 
-def test_a_schema_in_a_chunk_without_its_messages_is_found(tmp_path: Path) -> None:
+def test_open_finds_a_schema_in_another_chunk(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     options = {"chunk_size": 1, "repeat_schemas": False, "use_statistics": False}
     write(path, [(3, 0, b"{}"), (0, 0, b"x")], **options).finish()
@@ -89,7 +89,7 @@ def test_a_schema_in_a_chunk_without_its_messages_is_found(tmp_path: Path) -> No
         assert log.findings == ()
 
 
-def test_one_name_with_two_schemas_is_two_topics_and_types_are_normalised(tmp_path: Path) -> None:
+def test_open_separates_schemas_of_one_name(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     write(path, [(channel, 1, b"x") for channel in range(4)]).finish()
     with open_log(path) as log:
@@ -103,7 +103,7 @@ def test_one_name_with_two_schemas_is_two_topics_and_types_are_normalised(tmp_pa
         assert [topic.id for topic in log.topics] == [0, 1, 2, 3]
 
 
-def test_two_publishers_of_one_topic_are_one_topic_in_file_order(tmp_path: Path) -> None:
+def test_open_merges_publishers_in_file_order(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     writer = Writer(str(path))
     writer.start()
@@ -118,7 +118,7 @@ def test_two_publishers_of_one_topic_are_one_topic_in_file_order(tmp_path: Path)
         assert [bytes(payload) for payload in payloads(batch)] == [bytes([number]) for number in range(10)]
 
 
-def test_only_the_chunks_of_the_topic_are_opened(tmp_path: Path) -> None:
+def test_batches_open_only_the_topics_chunks(tmp_path: Path) -> None:
     """All chunks but the one that holds /b are spoilt: reading /b neither sees nor says so."""
     path, some = tmp_path / "x.mcap", [(0, time, bytes(500)) for time in range(50)]
     some[25] = (2, 25, b"here")
@@ -139,7 +139,7 @@ def test_only_the_chunks_of_the_topic_are_opened(tmp_path: Path) -> None:
         assert {finding.severity for finding in log.findings} == {"lost"}
 
 
-def test_messages_outside_the_chunks_that_the_summary_lists_are_read_too(tmp_path: Path) -> None:
+def test_open_reads_messages_outside_chunks(tmp_path: Path) -> None:
     """A log without chunks to which chunks were appended: seeking readers give only the appended messages."""
     loose, chunked = tmp_path / "loose.mcap", tmp_path / "chunked.mcap"
     write(loose, [(0, 1, b"first"), (0, 2, b"second")], use_chunking=False).finish()
@@ -179,7 +179,7 @@ def _move(data: bytearray, at: int, shift: int) -> None:
     struct.pack_into("<Q", data, at, struct.unpack_from("<Q", data, at)[0] + shift)
 
 
-def test_payloads_packed_one_by_one_are_unpacked_and_damaged_ones_said(tmp_path: Path) -> None:
+def test_batches_decompress_single_payloads(tmp_path: Path) -> None:
     import zstandard
 
     packed = [zstandard.ZstdCompressor().compress(b"\x00\x01\x00\x00" + bytes([number]) * 50) for number in range(4)]
@@ -202,13 +202,13 @@ def test_payloads_packed_one_by_one_are_unpacked_and_damaged_ones_said(tmp_path:
         (8, struct.pack("<QQQQI", 0, 0, 0, 0, 11) + bytes(11)),
     ],
 )
-def test_a_record_whose_fields_pass_its_end_is_refused(opcode: int, body: bytes) -> None:
+def test_parse_refuses_fields_past_the_end(opcode: int, body: bytes) -> None:
     with pytest.raises(FormatError):
         parse(opcode, memoryview(body))
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd", "bz2"])
-def test_a_chunk_that_claims_too_much_takes_no_memory(compression: str) -> None:
+def test_load_allocates_nothing_for_a_false_size(compression: str) -> None:
     tracemalloc.start()
     with pytest.raises(FormatError, match="packed bytes declare"):
         Buffer().load(compression, memoryview(bytes(100)), 1 << 40)
@@ -216,7 +216,7 @@ def test_a_chunk_that_claims_too_much_takes_no_memory(compression: str) -> None:
     tracemalloc.stop()
 
 
-def test_a_bomb_is_stopped_at_the_size_it_declares() -> None:
+def test_load_stops_at_the_declared_size() -> None:
     import zstandard
 
     bomb = zstandard.ZstdCompressor().compress(bytes(50 << 20))
@@ -238,7 +238,7 @@ def _peak(path: Path) -> int:
 
 
 @pytest.mark.parametrize("chunked", [True, False])
-def test_memory_does_not_grow_with_the_log(tmp_path: Path, chunked: bool) -> None:
+def test_batches_use_constant_memory(tmp_path: Path, chunked: bool) -> None:
     noise = np.random.default_rng(0).integers(0, 256, 1 << 20, np.uint8).tobytes()
     some = [(0, time, noise[time % 1000 : time % 1000 + 2000]) for time in range(60_000)]
     paths = [tmp_path / "short.mcap", tmp_path / "long.mcap"]
@@ -248,7 +248,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path, chunked: bool) -> Non
     assert _peak(paths[1]) < 1.1 * _peak(paths[0]) + (1 << 18)
 
 
-def test_a_batch_stays_whole_until_the_next_is_asked_for(tmp_path: Path) -> None:
+def test_batch_is_valid_until_the_next(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     some = [(0, time, bytes([time]) * 300) for time in range(30)]
     write(path, some, chunk_size=1000).finish()
@@ -259,7 +259,7 @@ def test_a_batch_stays_whole_until_the_next_is_asked_for(tmp_path: Path) -> None
     assert found == [(time, payload) for _, time, payload in some]
 
 
-def test_the_same_records_come_from_a_stream(tmp_path: Path) -> None:
+def test_every_record_equals_the_streaming_reader(tmp_path: Path) -> None:
     stream = BytesIO()
     writer = Writer(stream)
     writer.start()
@@ -271,7 +271,7 @@ def test_the_same_records_come_from_a_stream(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel does not say what is resident")
-def test_pages_read_do_not_stay(tmp_path: Path) -> None:
+def test_batches_drop_pages(tmp_path: Path) -> None:
     path = tmp_path / "long.mcap"
     payload = np.random.default_rng(0).integers(0, 256, 100_000, np.uint8).tobytes()
     writer = Writer(str(path), compression=CompressionType.NONE, chunk_size=90_000)
@@ -291,7 +291,7 @@ def test_pages_read_do_not_stay(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the kernel does not say what is resident")
-def test_pictures_are_looked_at_where_they_are_and_do_not_stay(tmp_path: Path) -> None:
+def test_frames_are_not_copied_and_drop_pages(tmp_path: Path) -> None:
     path, size = tmp_path / "long.mcap", 1 << 20
     noise = np.random.default_rng(0).integers(0, 256, (1, size), np.uint8)
     fields: list[CdrField] = [("uint32", 1), ("uint32", 0), ("string", ""), ("uint32", 512), ("uint32", 2048)]

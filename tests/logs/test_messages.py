@@ -35,12 +35,12 @@ def written(request):
     return features, estimate, {message.topic: message for message in outgoing(request.param)}
 
 
-def test_every_message_is_byte_for_byte_what_rosbags_serialises(written):
+def test_messages_equal_rosbags_byte_for_byte(written):
     for message in written[2].values():
         assert len(decoded(message)) == len(message.log_ns)
 
 
-def test_log_times_are_those_of_the_causing_messages_and_stamps_are_true(written):
+def test_messages_have_the_causing_log_times(written):
     features, estimate, messages = written
     for topic, cause in [("track/hand", features.hand), ("joint_states", estimate.joints)]:
         message = messages[f"/bodylog/{topic}"]
@@ -49,14 +49,14 @@ def test_log_times_are_those_of_the_causing_messages_and_stamps_are_true(written
         assert np.array_equal(stamps, cause.source_ns - LATE)
 
 
-def test_log_times_ascend_even_where_stamps_and_arrival_disagree():
+def test_messages_ascend_in_log_time():
     late = Series(np.array([0.0, 1.0, 2.0]), np.eye(3), JOINTS, "rad", START + np.array([30, 10, 20]))
     message = from_joints("/j", late, START)
     assert message.log_ns.tolist() == [START + 10, START + 20, START + 30]
     assert [m.position.argmax() for m in decoded(message)] == [1, 2, 0]
 
 
-def test_points_are_only_those_seen_and_tracks_are_complete(written):
+def test_from_features_writes_seen_points_and_whole_tracks(written):
     features, _, messages = written
     seen = np.isfinite(features.effector.values).all(1)
     points = decoded(messages["/bodylog/effector"])
@@ -66,13 +66,13 @@ def test_points_are_only_those_seen_and_tracks_are_complete(written):
     assert np.array_equal(rows, np.hstack([features.effector.values, features.effector.std]), equal_nan=True)
 
 
-def test_the_strongest_cell_comes_first_and_durations_are_kept(written):
+def test_from_features_orders_cells_and_keeps_durations(written):
     for touch, message in zip(written[0].touches, decoded(written[2]["/bodylog/touch"]), strict=True):
         assert message.cells[0] == touch.strongest and sorted(message.cells) == sorted({*touch.cells, touch.strongest})
         assert stamp_ns(message.duration) == 250_000_000
 
 
-def test_covariances_errors_and_free_energy_go_with_the_belief(written):
+def test_from_estimate_aligns_covariances_with_the_belief(written):
     _, estimate, messages = written
     covariance = decoded(messages["/bodylog/joint_covariance"])
     assert np.array_equal([m.data.reshape(3, 3) for m in covariance], estimate.cov)
@@ -81,7 +81,7 @@ def test_covariances_errors_and_free_energy_go_with_the_belief(written):
     assert np.array_equal([m.data for m in errors], estimate.errors["effector"].values)
 
 
-def test_annotations_show_what_was_seen_and_the_two_sigma_ellipse(written):
+def test_annotations_show_points_and_the_two_sigma_ellipse(written):
     features, estimate, messages = written
     shown = decoded(messages["/bodylog/annotations"])
     assert len(shown) == len(features.hand.t)
@@ -96,7 +96,7 @@ def test_annotations_show_what_was_seen_and_the_two_sigma_ellipse(written):
         assert loop.type == 2 and np.allclose(distance, 4.0)
 
 
-def test_faults_are_dated_since_when_the_sensor_lied(written):
+def test_from_estimate_stamps_faults_at_their_onset(written):
     faults = decoded(written[2]["/bodylog/faults"])
     assert [(f.sense, f.name, f.kind, f.size, f.unit) for f in faults] == [
         ("encoders", "elbow", "drift", 0.25, "rad"),
@@ -105,7 +105,7 @@ def test_faults_are_dated_since_when_the_sensor_lied(written):
     assert [stamp_ns(f.header.stamp) - START for f in faults] == [1_500_000_000, 2_000_000_000]
 
 
-def test_skin_is_written_with_a_header():
+def test_from_skin_writes_a_header():
     values = np.array([[0.25, 0.5], [0.75, 1.0]])
     cells = Series(np.array([0.0, 0.01]), values, ("0", "1"), "0..1", START + np.arange(2))
     messages = decoded(from_skin("/skin", cells, START))
@@ -113,7 +113,7 @@ def test_skin_is_written_with_a_header():
     assert stamp_ns(messages[1].header.stamp) == START + 10_000_000
 
 
-def test_definitions_are_complete():
+def test_schemas_are_complete():
     for kind in WRITTEN:
         types = get_types_from_msg(definition(kind).decode(), kind)
         named = {d[1] if d[0] == 2 else d[1][0][1] for _, fields in types.values() for _, d in fields if d[0] >= 2}
@@ -122,12 +122,12 @@ def test_definitions_are_complete():
 
 
 @given(st.text(max_size=20))
-def test_sense_names_survive_as_topic_names(name):
+def test_escape_round_trips_names(name):
     assert unescape(escape(name)) == name
     for part in escape(name).split("/") if name else ():
         assert part and all(c.isascii() and (c.isalnum() or c == "_") for c in part)
         assert not part[0].isdigit()
 
 
-def test_plain_names_are_topic_names_as_they_are():
+def test_escape_keeps_plain_names():
     assert escape("end_effector2") == "end_effector2" and escape("elbow-dot 1") == "elbow_x2d_dot_x20_1"

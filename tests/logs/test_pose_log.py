@@ -38,7 +38,7 @@ def table(tmp_path) -> Path:
     return _csv(tmp_path, "pose,pan,lift,tip_u,tip_v,remark,tip_std", *rows)
 
 
-def test_columns_become_joints_and_tracks(table):
+def test_open_reads_joints_and_tracks(table):
     read_, found = observe(table, Settings())
     assert read_.format == "csv" and read_.poses and found.poses
     assert found.joints is not None and found.joints.names == NAMES
@@ -50,7 +50,7 @@ def test_columns_become_joints_and_tracks(table):
     assert "columns not used: remark, pose" in said and "t is the row's number, counted from 0" in said
 
 
-def test_parquet_and_yaml_say_the_same_as_csv(table, tmp_path):
+def test_open_reads_parquet_and_yaml_as_csv(table, tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
     columns = {"pan": Q[:, 0], "lift": Q[:, 1], "tip_u": UV[:, 0], "tip_v": UV[:, 1]}
@@ -67,7 +67,7 @@ def test_parquet_and_yaml_say_the_same_as_csv(table, tmp_path):
         np.testing.assert_array_equal(found.tracks["tip"].values, UV)
 
 
-def test_times_are_those_of_a_column_where_it_dates_every_row(tmp_path):
+def test_open_uses_a_column_of_times(tmp_path):
     path = _csv(tmp_path, "unix_s,pan", "1400834744.5,0.1", "1400834748.25,0.2")
     read_ = recording.read(path, Settings())
     assert read_.joints is not None and read_.start_ns == 1400834744500000000
@@ -80,7 +80,7 @@ def test_times_are_those_of_a_column_where_it_dates_every_row(tmp_path):
         assert "t is the row's number" in _texts(path)
 
 
-def test_what_is_no_joint_is_left_out_by_its_name(tmp_path):
+def test_poses_skip_columns_that_are_not_joints(tmp_path):
     header = "id;frame_index;arm_x;arm_y;arm_z;base_qx;base_qy;base_qz;base_qw;left_U;tip_u;pan;void"
     path = _csv(tmp_path, header, "1;2;3;4;5;0;0;0;1;0.7;5;0.2;", "2;2;3;4;5;0;0;0;1;0.8;5;0.3;")
     found = poses(read(path, "csv"), str(path))
@@ -88,14 +88,14 @@ def test_what_is_no_joint_is_left_out_by_its_name(tmp_path):
     assert found.notes[-1].startswith("columns not used: id, frame_index, arm_x")
 
 
-def test_degrees_are_asked_for_and_turned(tmp_path):
+def test_open_reports_and_converts_degrees(tmp_path):
     path = _csv(tmp_path, "pan", "-90", "0", "90")
     assert 'type: [body] unit = "deg"' in _texts(path)
     found = recording.read(path, Settings(body=Body(unit="deg"))).joints.values
     np.testing.assert_allclose(found[:, 0], [-np.pi / 2, 0, np.pi / 2])
 
 
-def test_cells_that_are_no_numbers_and_rows_that_do_not_fit_are_counted(tmp_path):
+def test_open_counts_bad_cells_and_rows(tmp_path):
     path = _csv(tmp_path, "pan,lift", "0.1,0.2", "0.2,oops", "0.3,1e999", "0.4,0.1,7", "0.5", "0.6,0.3", "0.7,0.2")
     found = recording.read(path, Settings())
     assert found.joints.values.shape == (6, 2) and np.isnan(found.joints.values[:, 1]).sum() == 3
@@ -107,7 +107,7 @@ def test_cells_that_are_no_numbers_and_rows_that_do_not_fit_are_counted(tmp_path
         open_log(path, strict=True)
 
 
-def test_images_are_looked_at_beside_the_table(tmp_path):
+def test_open_reads_images_beside_the_table(tmp_path):
     for k, place in enumerate([(40, 30), (80, 60)]):
         image = np.full((120, 160, 3), 60, np.uint8)
         cv2.circle(image, place, 9, (0, 255, 0), -1)
@@ -119,7 +119,7 @@ def test_images_are_looked_at_beside_the_table(tmp_path):
     assert any("1 images cannot be read: gone.png" in f.text and f.severity == "lost" for f in read_.findings)
 
 
-def test_poses_stay_poses_in_the_mcap_that_ingest_writes(table, tmp_path):
+def test_ingest_keeps_poses_independent(table, tmp_path):
     ingest(table, tmp_path / "poses.mcap", Settings())
     read_, found = observe(tmp_path / "poses.mcap", Settings())
     assert read_.poses and found.poses
@@ -139,7 +139,7 @@ def test_poses_stay_poses_in_the_mcap_that_ingest_writes(table, tmp_path):
         ("pan\n\xff\xfe\n", "not a csv table"),
     ],
 )
-def test_what_is_no_table_of_poses_is_refused_in_one_line(tmp_path, text, said):
+def test_open_refuses_other_tables_in_one_line(tmp_path, text, said):
     path = tmp_path / "poses.csv"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(InputError, match=said) as caught:
@@ -151,14 +151,14 @@ YAMLS = ("a: 1\n", "- 1\n- 2\n", "- {a: &x 1}\n- {a: *x}\n", "- {a: 1\n", "[]\n"
 
 
 @pytest.mark.parametrize("text", YAMLS, ids=range(len(YAMLS)))
-def test_yaml_that_is_no_list_of_mappings_is_refused(tmp_path, text):
+def test_open_refuses_yaml_without_a_list_of_mappings(tmp_path, text):
     path = tmp_path / "poses.yaml"
     path.write_text(text)
     with pytest.raises(FormatError, match="not a yaml table"):
         open_log(path)
 
 
-def test_a_damaged_parquet_file_is_refused(tmp_path):
+def test_open_refuses_a_damaged_parquet_file(tmp_path):
     pytest.importorskip("pyarrow")
     path = tmp_path / "poses.parquet"
     path.write_bytes(b"PAR1" + b"\0" * 20 + b"PAR1")

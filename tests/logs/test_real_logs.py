@@ -62,13 +62,13 @@ def test_info_of_the_conformance_files():
         (f"{CALIBRATION}/calibration_poses.bag", "calibration_joint_states", 15, None),
     ],
 )
-def test_joints_are_found(name, topic, count, first):
+def test_info_finds_joints(name, topic, count, first):
     said = info(LOGS / name, Settings())
     assert (said["roles"]["joints"], len(said["joints"])) == (topic, count)
     assert first is None or said["joints"][0] == first
 
 
-def test_simulated_stamps_beside_wall_clock_log_times():
+def test_read_handles_simulated_stamps():
     got = read(LOGS / "vbarcena2020__abitobot/rosbag/rosbag2_2025_05_09-18_01_02_0.mcap", Settings())
     assert got.joints is not None
     assert (got.joints.values.shape, got.start_ns) == ((1866, 10), 101_550_000_000)
@@ -96,7 +96,7 @@ def pictures(name: str) -> Iterator[tuple[Topic, bytes]]:
                 yield from ((topic, bytes(p)) for batch in log.batches([topic.id]) for p in payloads(batch))
 
 
-def test_every_picture_in_the_logs_decodes_at_every_scale():
+def test_decoder_decodes_every_image_at_every_scale():
     for name, count in PICTURES.items():
         found = list(pictures(name))
         assert len(found) == count, name
@@ -106,7 +106,7 @@ def test_every_picture_in_the_logs_decodes_at_every_scale():
                 assert decoder(topic)(payload, k).shape == (-(-whole.shape[0] // k), -(-whole.shape[1] // k), 3)
 
 
-def test_no_file_with_pictures_is_forgotten():
+def test_image_files_are_all_listed():
     seen = set()
     for name in FILES:
         try:
@@ -118,7 +118,7 @@ def test_no_file_with_pictures_is_forgotten():
     assert seen - placeholders == set(PICTURES)
 
 
-def test_the_moving_disc_moves():
+def test_frames_show_the_moving_disc():
     got = read(LOGS / "gagalo123__mcap-explorer/examples/demo.mcap", Settings())
     assert got.frames is not None
     places = []
@@ -209,7 +209,7 @@ def check_topic(name: str, topic: Topic) -> int:
         return len(messages)
 
 
-def test_every_field_of_every_topic_equals_what_rosbags_decodes():
+def test_columns_equal_rosbags_for_every_field():
     topics = comparable()
     checked = {(name, topic.name): check_topic(name, topic) for name, topic in topics}
     silent = sorted(f"{name} {topic}" for (name, topic), count in checked.items() if not count)
@@ -217,7 +217,7 @@ def test_every_field_of_every_topic_equals_what_rosbags_decodes():
     assert len(silent) <= 19, silent
 
 
-def test_three_containers_of_one_motion_are_one_recording():
+def test_read_is_the_same_in_three_containers():
     bag, rosbag2 = (read(LOGS / "arm" / name, Settings()) for name in ("reach.bag", "reach_rosbag2"))
     assert (bag.start_ns, bag.duration_s) == (rosbag2.start_ns, rosbag2.duration_s)
     for role in ("joints", "skin", "truth"):
@@ -232,7 +232,7 @@ def test_three_containers_of_one_motion_are_one_recording():
 
 
 @pytest.mark.parametrize("name", ["explore.mcap", "reach.mcap", "reach.bag", "drift.mcap", "touch.mcap"])
-def test_the_arm_is_where_its_makers_say(name):
+def test_read_gives_the_published_arm_positions(name):
     got = read(LOGS / "arm" / name, Settings())
     made = np.load(LOGS / "arm" / f"{name}.truth.npz")
     assert got.joints is not None and got.truth is not None and got.frames is not None and got.skin is not None

@@ -44,7 +44,7 @@ def settings(**sections: Any) -> Settings:
     return replace(PLAIN, **sections)
 
 
-def test_signals_are_dated_by_header_or_log_and_carry_their_log_time(tmp_path):
+def test_read_uses_header_or_log_time(tmp_path):
     skin = np.linspace(0, 1, 60).reshape(20, 3)
     log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)), arrays("/skin", skin)])
     got = read(log, PLAIN)
@@ -60,7 +60,7 @@ def test_signals_are_dated_by_header_or_log_and_carry_their_log_time(tmp_path):
     assert got.roles == {"joints": "/joint_states", "skin": "/skin.data"}
 
 
-def test_joints_go_by_name_whatever_their_order(tmp_path):
+def test_read_orders_joints_by_name(tmp_path):
     turned = moves(10, ("elbow", "wrist", "shoulder"))
     log = write(tmp_path / "a.mcap", [joints("/j", [*moves(10)[:5], *turned[5:]])])
     got = read(log, PLAIN).joints
@@ -71,12 +71,12 @@ def test_joints_go_by_name_whatever_their_order(tmp_path):
     np.testing.assert_allclose(chosen.values, np.arange(10.0)[:, None] + [0.2, 0], atol=1e-15)
 
 
-def test_the_arm_is_preferred_to_its_gripper(tmp_path):
+def test_read_prefers_the_arm_to_its_gripper(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/a_gripper", moves(12, ("finger",))), joints("/arm", moves(10))])
     assert read(log, PLAIN).roles == {"joints": "/arm", "joints/a_gripper": "/a_gripper"}
 
 
-def test_halves_of_the_joints_in_turn_leave_nan_and_of_one_stamp_are_joined(tmp_path):
+def test_read_merges_joints_of_equal_stamps(tmp_path):
     arm, hand = ("shoulder", "elbow"), ("wrist",)
     alternating = [(arm, hand)[i % 2] for i in range(6)]
     rows = [m for i, names in enumerate(alternating) for m in moves(6, names)[i : i + 1]]
@@ -90,7 +90,7 @@ def test_halves_of_the_joints_in_turn_leave_nan_and_of_one_stamp_are_joined(tmp_
     assert (got.health["/j"].seen, got.health["/j"].used) == (12, 12)
 
 
-def test_nameless_joints_need_names_and_as_many_as_there_are(tmp_path):
+def test_read_needs_names_for_nameless_joints(tmp_path):
     rows = [(t, joint_state(t, (), (1.0, 2.0, 3.0))) for t, _ in moves(4)]
     log = write(tmp_path / "a.mcap", [joints("/j", rows)])
     with pytest.raises(LogError, match=r"a.mcap: /j: the 3 joints have no names; type in robot.toml: \[body\] joints"):
@@ -105,13 +105,13 @@ def test_nameless_joints_need_names_and_as_many_as_there_are(tmp_path):
     assert said["joints"] == [] and any("have no names" in f["text"] for f in said["findings"])
 
 
-def test_an_unknown_joint_is_named_with_those_there_are(tmp_path):
+def test_read_lists_joints_for_an_unknown_one(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
     with pytest.raises(LogError, match="'knee'; the log has elbow, shoulder, wrist"):
         read(log, settings(body=Body(joints=("elbow", "knee"))))
 
 
-def test_degrees_become_radians(tmp_path):
+def test_read_converts_degrees(tmp_path):
     truth = [(t, joint_state(t, NAMES, (90.0, 0.0, -180.0))) for t, _ in moves(3)]
     log = write(tmp_path / "a.mcap", [joints("/j", truth), joints("/truth", truth)])
     got = read(log, settings(body=Body(unit="deg")))
@@ -120,7 +120,7 @@ def test_degrees_become_radians(tmp_path):
     np.testing.assert_array_equal(got.truth.values, got.joints.values)
 
 
-def test_a_joint_that_wraps_around_moves_on(tmp_path):
+def test_read_unwraps_joints(tmp_path):
     angle = np.linspace(2.0, 9.0, 60)
     turned = (angle + np.pi) % (2.0 * np.pi) - np.pi
     times = T0 + 20 * MS * np.arange(60)
@@ -131,7 +131,7 @@ def test_a_joint_that_wraps_around_moves_on(tmp_path):
     assert any("wraps around, 1 times" in f.text and NAMES[1] in f.text for f in found.findings)
 
 
-def test_stamps_go_on_after_2038(tmp_path):
+def test_read_handles_stamps_after_2038(tmp_path):
     begin = 4_102_444_800 * 10**9
     moved = [begin + k * 20 * MS for k in range(9)]
     rows = [(ns, joint_state(ns - 2**32 * 10**9, NAMES, [0.1, 0.2, 0.3])) for ns in moved]  # sec is int32
@@ -140,7 +140,7 @@ def test_stamps_go_on_after_2038(tmp_path):
     np.testing.assert_allclose(found.joints.t, np.arange(9) * 0.02)
 
 
-def test_readings_no_joint_can_have_are_taken_for_none(tmp_path):
+def test_read_rejects_impossible_readings(tmp_path):
     rows = []
     for k in range(40):
         said = [0.1, 1e300 if k == 5 else -1e18 if k == 9 else 0.01 * k, 0.2]
@@ -151,7 +151,7 @@ def test_readings_no_joint_can_have_are_taken_for_none(tmp_path):
     assert any("2 readings beyond 1e+09" in f.text for f in found.findings)
 
 
-def test_a_joint_that_one_message_names_twice_is_believed_in_neither_place(tmp_path):
+def test_read_drops_a_joint_named_twice(tmp_path):
     rows = [(T0 + MS * i, joint_state(T0 + MS * i, ("a", "b", "a"), (0.1 * i, 0.2 * i, 0.3 * i))) for i in range(9)]
     got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
     assert got.joints is not None and got.joints.names == ("b",)
@@ -161,14 +161,14 @@ def test_a_joint_that_one_message_names_twice_is_believed_in_neither_place(tmp_p
     assert got.joints is None and any("9 (every joint is named more than once)" in f.text for f in got.findings)
 
 
-def test_truth_follows_the_joints_asked_for(tmp_path):
+def test_read_orders_truth_like_the_joints(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), joints("/truth", moves(5, ("wrist", "elbow")))])
     got = read(log, settings(body=Body(joints=("elbow", "shoulder"))))
     assert got.joints is not None and got.truth is not None
     assert (got.joints.names, got.truth.names) == (("elbow", "shoulder"), ("elbow",))
 
 
-def test_every_message_is_used_or_rejected_for_a_reason(tmp_path):
+def test_read_accounts_for_every_message(tmp_path):
     good = moves(40)
     rows = [
         *good,
@@ -186,14 +186,14 @@ def test_every_message_is_used_or_rejected_for_a_reason(tmp_path):
     assert any("rejected" in finding.text and finding.severity == "warning" for finding in got.findings)
 
 
-def test_cells_that_no_message_has_are_refused_where_they_are_named(tmp_path):
+def test_read_refuses_missing_cells(tmp_path):
     log = write(tmp_path / "a.mcap", [arrays("/skin", np.full((10, 2), 0.1)), joints("/j", moves(5))])
     assert read(log, settings(topics=Topics(skin="/skin.data[1]"))).skin is not None
     with pytest.raises(LogError, match=r"no usable message on /skin: 10 \(no number in it\)"):
         read(log, settings(topics=Topics(skin="/skin.data[9]")))
 
 
-def test_frames_come_in_time_order_even_when_the_file_is_not(tmp_path):
+def test_frames_are_in_time_order(tmp_path):
     rng = np.random.default_rng(0)
     pictures = [np.full((8, 10, 3), shade, np.uint8) for shade in range(0, 250, 5)]
     rows = [(T0 + 40 * MS * i + MS, compressed(T0 + 40 * MS * i, p)) for i, p in enumerate(pictures)]
@@ -258,7 +258,7 @@ def _told_and_read_again(log: Path, said: Settings = PLAIN) -> _Told:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_pictures_are_told_of_in_the_order_of_the_file_and_their_frames_named_afterwards(tmp_path, seed):
+def test_frame_tap_passes_images_in_file_order(tmp_path, seed):
     rng = np.random.default_rng(seed)
     stamps = [T0 + 40 * MS * i for i in range(50)]
     stamps[7], stamps[20] = stamps[6], 0  # one told twice, one never dated
@@ -269,7 +269,7 @@ def test_pictures_are_told_of_in_the_order_of_the_file_and_their_frames_named_af
     assert told.shades == [5 * i for i in near]
 
 
-def test_pictures_of_one_camera_under_two_types_are_told_of_as_one_stream(tmp_path):
+def test_frame_tap_merges_two_types_of_one_camera(tmp_path):
     shades = [(T0 + 20 * MS * i, np.full((4, 4, 3), 10 * i, np.uint8)) for i in range(10)]
     first = camera("/cam", [(t, compressed(t, shade)) for t, shade in shades[5:]])
     kind = "sensor_msgs/msg/CompressedImage"
@@ -279,7 +279,7 @@ def test_pictures_of_one_camera_under_two_types_are_told_of_as_one_stream(tmp_pa
     assert sorted(_told_and_read_again(log).shades) == list(range(0, 100, 10))
 
 
-def test_nobody_is_told_where_there_is_no_camera_or_what_it_shows_is_in_the_log(tmp_path):
+def test_read_uses_no_consumer_without_a_camera(tmp_path):
     never = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
     image = camera("/cam", [(T0, compressed(T0, np.zeros((8, 8, 3), np.uint8)))])
     ours = write(tmp_path / "b.mcap", [joints("/j", moves(3)), arrays("/bodylog/x", np.ones((3, 2))), image])
@@ -287,7 +287,7 @@ def test_nobody_is_told_where_there_is_no_camera_or_what_it_shows_is_in_the_log(
         assert read(log, PLAIN, consumer=lambda: pytest.fail("is told")).watched is None
 
 
-def test_each_chunk_is_unpacked_once_for_signals_and_pictures_and_none_is_kept(tmp_path, monkeypatch):
+def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
     noise = np.random.default_rng(1).integers(0, 256, (80, 80, 3), np.uint8)
     unpacked = []
     whole = prefetch.unpack
@@ -308,7 +308,7 @@ def test_each_chunk_is_unpacked_once_for_signals_and_pictures_and_none_is_kept(t
     assert peaks[2] < 1.3 * peaks[1], peaks
 
 
-def test_who_watches_hears_that_the_log_cannot_be_used(tmp_path):
+def test_read_passes_errors_to_the_consumer(tmp_path):
     image, kind = np.zeros((8, 8, 3), np.uint8), "std_msgs/msg/Float32MultiArray"
     pictures = camera("/cam", [(T0 + i, compressed(T0 + i, image)) for i in range(3)])
     log = write(tmp_path / "a.mcap", [pictures, Stream("/skin", kind, define(kind), [(T0, b"\0\1\0\0")])])
@@ -318,7 +318,7 @@ def test_who_watches_hears_that_the_log_cannot_be_used(tmp_path):
     assert told.ended == [LogError] and len(told.shades) == 3
 
 
-def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
+def test_read_rejects_unreadable_images(tmp_path):
     image = np.zeros((8, 8, 3), np.uint8)
     depth = [(T0 + i * MS, compressed(T0 + i * MS, image, form="16UC1; compressedDepth png")) for i in range(3)]
     good = [(T0 + i * MS, compressed(T0 + i * MS, image)) for i in range(3, 8)]
@@ -331,19 +331,19 @@ def test_pictures_that_cannot_be_read_are_rejected_by_name(tmp_path):
         read(only, settings(topics=Topics(camera="/cam")))
 
 
-def test_a_camera_topic_without_pictures_is_refused(tmp_path):
+def test_read_refuses_a_camera_topic_without_images(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
     with pytest.raises(LogError, match="but /j is sensor_msgs/msg/JointState; possible: none, the log has no other"):
         read(log, settings(topics=Topics(camera="/j")))
 
 
-def test_one_message_at_time_zero_does_not_stretch_the_log(tmp_path):
+def test_read_ignores_one_message_at_time_zero(tmp_path):
     rows = [(0, joint_state(0, NAMES, (0.0, 0.0, 0.0))), *moves(50)]
     got = read(write(tmp_path / "a.mcap", [joints("/j", rows)]), PLAIN)
     assert (got.start_ns, got.duration_s) == (T0, pytest.approx(0.98))
 
 
-def test_simulated_stamps_and_wall_clock_logs_are_brought_together(tmp_path):
+def test_read_aligns_simulated_stamps(tmp_path):
     wall = 1_600_000_000 * 10**9
     rows = [(wall + t, joint_state(t, NAMES, (1.0, 2.0, 3.0))) for t in range(5 * 10**9, 6 * 10**9, 20 * MS)]
     skin = arrays("/skin", np.ones((10, 3)), start=wall + 5 * 10**9 + 100 * MS)
@@ -354,7 +354,7 @@ def test_simulated_stamps_and_wall_clock_logs_are_brought_together(tmp_path):
     assert got.skin.source_ns[0] == wall + 5 * 10**9 + 100 * MS
 
 
-def test_a_camera_that_counts_from_its_boot_is_brought_to_the_joints_clock(tmp_path):
+def test_read_aligns_a_boot_time_camera(tmp_path):
     boot = 300 * 10**9
     image = np.zeros((8, 8, 3), np.uint8)
     pictures = [(T0 + 40 * MS * i + 4 * MS, compressed(boot + 40 * MS * i, image)) for i in range(20)]
@@ -365,7 +365,7 @@ def test_a_camera_that_counts_from_its_boot_is_brought_to_the_joints_clock(tmp_p
     assert any("its clock is not the others'" in finding.text for finding in got.findings)
 
 
-def test_two_publishers_of_one_topic_are_one_stream(tmp_path):
+def test_read_merges_two_publishers(tmp_path):
     every, halves = moves(10), [joints("/j", moves(10)[0::2]), joints("/j", moves(10)[1::2])]
     shades = [(t, compressed(t, np.full((4, 4, 3), 10 * i, np.uint8))) for i, (t, _) in enumerate(every)]
     cameras = [camera("/cam", shades[0::2]), camera("/cam", shades[1::2])]
@@ -376,7 +376,7 @@ def test_two_publishers_of_one_topic_are_one_stream(tmp_path):
     assert (got.health["/j"].used, got.health["/cam"].used) == (10, 10)
 
 
-def test_robot_toml_chooses_the_clock(tmp_path):
+def test_read_follows_the_clock_setting(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(5)), arrays("/skin", np.ones((10, 3)))])
     got = read(log, settings(time=Time(joints="log")))
     assert got.start_ns == T0 + 4 * MS
@@ -384,7 +384,7 @@ def test_robot_toml_chooses_the_clock(tmp_path):
         read(log, settings(time=Time(skin="header")))
 
 
-def test_message_paths_name_fields_of_custom_types(tmp_path):
+def test_read_takes_message_paths(tmp_path):
     register("crab_msgs/msg/Servo", "std_msgs/Header header\nfloat32[3] angle\nint32 id\n")
     rows = [
         (T0 + i * MS, cdr("crab_msgs/msg/Servo", header=header(T0 + i * MS), angle=np.float32([i, 1, 2]), id=3))
@@ -401,7 +401,7 @@ def test_message_paths_name_fields_of_custom_types(tmp_path):
             read(log, settings(topics=Topics(joints=f"/servo.{said}"), body=Body(joints=("a",))))
 
 
-def test_arrays_of_another_length_are_rejected(tmp_path):
+def test_read_rejects_arrays_of_another_length(tmp_path):
     odd = arrays("/skin", np.ones((1, 5)), start=T0 + 500 * MS)
     stream = arrays("/skin", np.ones((10, 3)))
     log = write(tmp_path / "a.mcap", [replace(stream, messages=[*stream.messages, *odd.messages])])
@@ -409,7 +409,7 @@ def test_arrays_of_another_length_are_rejected(tmp_path):
     assert dict(got.health["/skin"].rejected) == {"5 values, not 3": 1}
 
 
-def test_arrays_of_no_telling_name_are_skin_only_when_they_look_like_it(tmp_path):
+def test_read_guesses_skin_by_its_values(tmp_path):
     near = write(tmp_path / "a.mcap", [arrays("/values", np.linspace(0, 1, 30).reshape(10, 3))])
     assert read(near, PLAIN).roles == {"skin": "/values.data"}
     far = write(tmp_path / "b.mcap", [arrays("/values", np.linspace(0, 2, 30).reshape(10, 3))])
@@ -422,7 +422,7 @@ def test_arrays_of_no_telling_name_are_skin_only_when_they_look_like_it(tmp_path
     assert read(touching, PLAIN).roles == {"skin": "/tactile.data"}
 
 
-def test_a_role_that_is_absent_is_none_and_one_that_is_named_wrongly_an_error(tmp_path):
+def test_read_refuses_a_missing_configured_role(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(3))])
     got = read(log, PLAIN)
     assert (got.skin, got.truth, got.frames, got.features) == (None, None, None, None)
@@ -430,17 +430,17 @@ def test_a_role_that_is_absent_is_none_and_one_that_is_named_wrongly_an_error(tm
         read(log, settings(topics=Topics(skin="/skn")))
 
 
-def test_an_empty_log_has_no_signals(tmp_path):
+def test_read_accepts_an_empty_log(tmp_path):
     got = read(write(tmp_path / "a.mcap", []), PLAIN)
     assert (got.joints, got.duration_s, dict(got.roles)) == (None, 0, {})
 
 
-def test_no_log_is_an_error(tmp_path):
+def test_read_refuses_a_file_that_is_not_a_log(tmp_path):
     with pytest.raises(LogError, match="there is no such file"):
         read(tmp_path / "a.mcap", PLAIN)
 
 
-def test_a_video_beside_the_log_is_a_camera(tmp_path):
+def test_read_takes_a_video_as_camera(tmp_path):
     shades = list(range(20, 220, 20))
     out = cv2.VideoWriter(str(tmp_path / "cam.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (32, 24))
     for shade in shades:
@@ -492,7 +492,7 @@ def test_info_is_plain_and_complete(tmp_path):
 
 
 @pytest.mark.parametrize("folder", [False, True])
-def test_rates_are_those_of_the_time_a_topic_lasted(tmp_path, folder):
+def test_info_rates_use_the_topics_duration(tmp_path, folder):
     brief, long = arrays("/brief", np.ones((21, 1)), every=50 * MS), arrays("/long", np.ones((401, 1)), every=25 * MS)
     if folder:
         cut = [(long.messages[:200], "a_0.mcap"), (long.messages[200:], "a_1.mcap")]
@@ -505,7 +505,7 @@ def test_rates_are_those_of_the_time_a_topic_lasted(tmp_path, folder):
     assert rates == {"/brief": pytest.approx(20), "/long": pytest.approx(40)}
 
 
-def test_reading_twice_gives_the_same(tmp_path):
+def test_read_is_deterministic(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(9)), arrays("/skin", np.ones((9, 2)))])
     one, two = read(log, PLAIN), read(Path(str(log)), PLAIN)
     assert one.joints is not None and two.joints is not None
@@ -525,7 +525,7 @@ def unguarded(tmp_path_factory) -> bytes:
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_damage_anywhere_gives_a_recording_or_one_line(unguarded, tmp_path, seed):
+def test_read_survives_damage_anywhere(unguarded, tmp_path, seed):
     rng = np.random.default_rng(seed)
     log = tmp_path / "a.mcap"
     for _ in range(25):
@@ -552,7 +552,7 @@ def info_or_error(log: Path) -> str:
         return str(error)
 
 
-def test_every_named_camera_is_dated_by_its_own_stamps_and_read_on_its_own(tmp_path):
+def test_read_uses_each_cameras_stamps(tmp_path):
     every, late = 40 * MS, 13 * MS
     shots = {"/head/image": (0, range(10, 60, 10)), "/side/image": (late, range(100, 180, 10))}
     films = []
@@ -574,7 +574,7 @@ def test_every_named_camera_is_dated_by_its_own_stamps_and_read_on_its_own(tmp_p
         read(silent, settings(topics=Topics(camera=tuple(shots))))
 
 
-def test_joints_whose_times_fall_while_others_rise_are_not_used(tmp_path):
+def test_read_rejects_joints_with_falling_times(tmp_path):
     skin = arrays("/skin", np.linspace(0, 1, 60).reshape(20, 3))
     log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)[::-1]), skin], in_order=False)
     got = read(log, PLAIN)
@@ -584,7 +584,7 @@ def test_joints_whose_times_fall_while_others_rise_are_not_used(tmp_path):
         read(log, settings(topics=Topics(joints="/joint_states")))
 
 
-def test_a_file_turned_as_a_whole_is_sorted(tmp_path):
+def test_read_sorts_a_reversed_file(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/joint_states", moves(10)[::-1])], in_order=False)
     got = read(log, PLAIN)
     assert got.joints is not None and len(got.joints.t) == 10

@@ -29,7 +29,7 @@ def guessed(*described) -> dict[str, str]:
     return {role: found.path for role, found in roles(topics(*described), Topics(), "x.mcap").items()}
 
 
-def test_everything_at_once():
+def test_roles_assigns_every_role():
     found = guessed(
         ("/joint_states", JOINTS, 500),
         ("/joint_commands", JOINTS, 900),
@@ -49,7 +49,7 @@ def test_everything_at_once():
 
 
 @pytest.mark.parametrize("word", ["command", "cmd", "desired", "target", "goal"])
-def test_measured_joints_come_before_wished_ones(word):
+def test_roles_prefer_measured_joints_to_commands(word):
     assert guessed((f"/joint_{word}", JOINTS, 99), ("/joint_states", JOINTS, 1))["joints"] == "/joint_states"
     assert guessed((f"/joint_{word}", JOINTS, 99))["joints"] == f"/joint_{word}"
 
@@ -58,16 +58,16 @@ def test_measured_joints_come_before_wished_ones(word):
     ("/truth/joint_states", True), ("/ground_truth", True), ("/gt/joints", True), ("/arm_gt", True),
     ("/gt200/joint_states", False), ("/length", False), ("/joint_states", False),
 ])  # fmt: skip
-def test_truth_only_when_its_name_says_so(name, is_truth):
+def test_roles_guess_truth_by_name(name, is_truth):
     assert guessed((name, JOINTS)) == ({"truth": name} if is_truth else {"joints": name})
 
 
-def test_more_messages_win_then_the_alphabet():
+def test_roles_prefer_more_messages_then_the_alphabet():
     assert guessed(("/b", JOINTS, 5), ("/a", JOINTS, 9))["joints"] == "/a"
     assert guessed(("/b", JOINTS, 5), ("/a", JOINTS, 5))["joints"] == "/a"
 
 
-def test_of_about_as_frequent_joints_those_of_the_larger_body_win():
+def test_roles_prefer_the_larger_body():
     messages = {"/gripper": 510, "/arm": 500, "/calibration": 2, "/bodylog/j": 900}
     joints = {"/gripper": 1, "/arm": 6, "/calibration": 20, "/bodylog/j": 30}
     described = topics(*((name, JOINTS, count) for name, count in messages.items()))
@@ -76,18 +76,18 @@ def test_of_about_as_frequent_joints_those_of_the_larger_body_win():
     assert found["joints"].topic == "/arm" and found["joints/gripper"].topic == "/gripper" and len(found) == 2
 
 
-def test_empty_topics_and_depth_pictures_fill_no_role():
+def test_roles_ignore_empty_topics_and_depth():
     assert guessed(("/joint_states", JOINTS, 0), ("/cam/depth/image_raw", IMAGE, 5)) == {}
 
 
 @pytest.mark.parametrize(
     ("better", "worse"), [("/cam/rgb/image", "/cam/image"), ("/cam/image", "/cam/mono"), ("/cam/color", "/cam/ir_1")]
 )
-def test_colour_is_preferred(better, worse):
+def test_roles_prefer_colour(better, worse):
     assert guessed((worse, IMAGE, 90), (better, IMAGE, 30))["camera"] == better
 
 
-def test_skin_of_structs_and_of_custom_arrays():
+def test_roles_find_skin_in_structs_and_arrays():
     cells = ("/forearm", "tum_ics_skin_msgs/msg/SkinCellDataArray", 5, SKIN)
     assert guessed(cells)["skin"] == "/forearm.data[:].prox[0]"
     custom = ("/hand/tactile", "x_msgs/msg/Taxels", 5, b"uint8 kind\nuint16[] cells\nfloat32[16] pressure\n")
@@ -97,14 +97,14 @@ def test_skin_of_structs_and_of_custom_arrays():
     assert guessed(("/touch/events", "std_msgs/msg/String", 5)) == {}
 
 
-def test_a_broken_definition_spoils_only_its_own_topic():
+def test_roles_skip_only_a_broken_topic():
     broken = ("/a/joint_states", JOINTS, 500, b"}{")
     assert guessed(broken, ("/joint_states", JOINTS, 5))["joints"] == "/joint_states"
     (problem,) = unreadable(topics(broken, ("/joint_states", JOINTS, 5)))
     assert problem.startswith("/a/joint_states: sensor_msgs/msg/JointState: cannot read")
 
 
-def test_robot_toml_wins():
+def test_roles_follow_robot_toml():
     said = Topics(joints="/b", skin="/w.data[0:3]", camera="/depth", truth="/a")
     found = roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS), ("/depth", IMAGE)), said, "x.mcap")
     assert {role: (f.topic, f.field) for role, f in found.items()} == {
@@ -115,7 +115,7 @@ def test_robot_toml_wins():
     }
 
 
-def test_a_topic_that_is_not_there_is_named_with_those_of_its_kind():
+def test_roles_list_topics_for_a_missing_one():
     with pytest.raises(LogError, match=r'x.mcap: \[topics\] joints = "/q", .* possible: /a, /b$'):
         roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS)), Topics(joints="/q"), "x.mcap")
     with pytest.raises(LogError, match=r"possible: /w$"):
@@ -124,12 +124,12 @@ def test_a_topic_that_is_not_there_is_named_with_those_of_its_kind():
         roles([], Topics(joints="/q"), "x.mcap")
 
 
-def test_a_topic_without_numbers_is_refused():
+def test_roles_refuse_a_topic_without_numbers():
     with pytest.raises(LogError, match="has no array; say which"):
         roles(topics(("/w", "std_msgs/msg/String")), Topics(skin="/w"), "x.mcap")
 
 
-def test_the_advice_is_toml_that_says_the_same():
+def test_advice_is_toml_of_the_same_roles():
     described = [("/joint_states", JOINTS), ("/cam \"1\"", IMAGE), ("/skin", FLOATS)]
     found = roles(topics(*described), Topics(), "x.mcap")
     said = tomllib.loads(advice(found))["topics"]
@@ -137,7 +137,7 @@ def test_the_advice_is_toml_that_says_the_same():
     assert {r: f.path for r, f in roles(topics(*described), Topics(**said), "x.mcap").items()} == said
 
 
-def test_several_schemas_of_one_topic_are_read_together():
+def test_roles_merge_schemas_of_one_topic():
     found = roles(topics(("/a", JOINTS, 5), ("/a", JOINTS, 7), ("/a", FLOATS, 7)), Topics(), "x.mcap")
     assert [topic.messages for topic in found["joints"].topics] == [5, 7]
 
@@ -145,7 +145,7 @@ def test_several_schemas_of_one_topic_are_read_together():
 CAMERAS = (("/head/image_raw", IMAGE, 30), ("/side/image_raw", IMAGE, 20), ("/side/image_raw/compressed", COMPRESSED))
 
 
-def test_several_cameras_are_named_by_their_topics_and_the_first_is_the_camera():
+def test_roles_name_several_cameras():
     named = Topics(camera=("/side/image_raw", "/head/image_raw"))
     found = roles(topics(*CAMERAS), named, "x.mcap")
     assert {key: role.path for key, role in found.items()} == {
@@ -163,11 +163,11 @@ def test_several_cameras_are_named_by_their_topics_and_the_first_is_the_camera()
     ("/side/image", "side"), ("/cameras/left/image_rect_color/compressed", "cameras/left"), ("/side", "side"),
     ("/image", "image"), ("films/side.MP4", "side"), ("/imager", "imager"),
 ])  # fmt: skip
-def test_a_camera_is_called_what_its_topic_says_beside_that_it_is_a_picture(said, name):
+def test_camera_name_drops_generic_words(said, name):
     assert camera_name(said) == name
 
 
-def test_further_cameras_are_pointed_out_when_one_was_guessed():
+def test_unused_cameras_are_reported():
     found = roles(topics(*CAMERAS), Topics(), "x.mcap")
     (finding,) = unused_cameras(topics(*CAMERAS), Topics(), found)
     typed = 'type: [topics] camera = ["/head/image_raw", "/side/image_raw"]'
@@ -177,7 +177,7 @@ def test_further_cameras_are_pointed_out_when_one_was_guessed():
     assert not unused_cameras(topics(*CAMERAS[1:]), Topics(), roles(topics(*CAMERAS[1:]), Topics(), "x.mcap"))
 
 
-def test_a_reference_is_never_guessed_and_may_be_absent():
+def test_roles_never_guess_a_reference():
     there = topics(("/joint_states", JOINTS), ("/truth/joint_states", JOINTS))
     named = Topics(reference="/truth/joint_states")
     assert "reference" not in roles(there, Topics(), "x.mcap")
@@ -196,7 +196,7 @@ def test_a_reference_is_never_guessed_and_may_be_absent():
         ({"truth": "/cam/color"}, COMPRESSED, "/joint_states, /weights"),
     ],
 )
-def test_a_topic_of_another_roles_type_is_a_mistake(said, wrong, possible):
+def test_roles_refuse_a_topic_of_another_roles_type(said, wrong, possible):
     there = topics(("/joint_states", JOINTS), ("/cam/color", COMPRESSED), ("/weights", FLOATS))
     ((role, name),) = said.items()
     with pytest.raises(LogError) as refused:
@@ -205,7 +205,7 @@ def test_a_topic_of_another_roles_type_is_a_mistake(said, wrong, possible):
 
 
 @pytest.mark.parametrize("kind", ["foxglove_msgs/msg/CompressedVideo", "ffmpeg_image_transport_msgs/msg/FFMPEGPacket"])
-def test_a_video_in_packets_is_no_camera_and_what_to_do_about_it_is_said(kind):
+def test_unused_cameras_advise_on_video_packets(kind):
     there = topics(("/joint_states", JOINTS), ("/cam", kind, 10, b"string format\nstring encoding\nuint8[] data\n"))
     (finding,) = unused_cameras(there, Topics(), roles(there, Topics(), "x.mcap"))
     assert finding.severity == "warning"
@@ -214,12 +214,12 @@ def test_a_video_in_packets_is_no_camera_and_what_to_do_about_it_is_said(kind):
         roles(there, Topics(camera="/cam"), "x.mcap")
 
 
-def test_a_field_named_may_be_of_any_type():
+def test_roles_accept_a_named_field_of_any_type():
     found = roles(topics(("/joint_states", JOINTS)), Topics(skin="/joint_states.effort"), "x.mcap")
     assert found["skin"].path == "/joint_states.effort"
 
 
-def test_joints_of_a_second_robot_are_named_with_what_to_type():
+def test_unused_joints_are_reported():
     two = topics(("/a/joint_states", JOINTS), ("/b/joint_states", JOINTS), ("/truth/joint_states", JOINTS))
     found = roles(two, Topics(), "x.mcap")
     (finding,) = unused_joints(two, Topics(), found)

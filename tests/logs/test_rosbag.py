@@ -21,7 +21,7 @@ messages = st.lists(st.tuples(st.sampled_from(["/a", "/b", "/c"]), times, st.bin
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(some=messages, compression=st.sampled_from(["none", "bz2", "lz4"]), indexed=st.booleans())
-def test_whatever_was_written_is_read(
+def test_open_reads_whatever_was_written(
     tmp_path: Path, some: list[by_hand.Message], compression: str, indexed: bool
 ) -> None:
     path = tmp_path / "x.bag"
@@ -54,7 +54,7 @@ def _entry(time: int, offset: int) -> bytes:
 
 
 @pytest.mark.parametrize("swapped", [False, True])
-def test_headers_of_any_field_order_and_length_are_read(tmp_path: Path, swapped: bool) -> None:
+def test_open_reads_headers_of_any_field_order(tmp_path: Path, swapped: bool) -> None:
     """Two messages with extra fields and the fields in another order: not what the usual recorder writes."""
     connection = by_hand._connection(0, "/a", "pkg/Type", b"")
     plain = {"op": b"\x02", "conn": bytes(4), "time": struct.pack("<II", 1, 2)}
@@ -78,7 +78,7 @@ def test_headers_of_any_field_order_and_length_are_read(tmp_path: Path, swapped:
         assert log.findings == ()
 
 
-def test_an_index_that_leaves_messages_out_is_not_believed(tmp_path: Path) -> None:
+def test_open_ignores_an_incomplete_index(tmp_path: Path) -> None:
     whole = (FOLDER / "none.bag").read_bytes()
     at = whole.index(b"count=", whole.index(b"op=\x04")) + 6
     count = struct.unpack_from("<I", whole, at)[0]
@@ -89,12 +89,12 @@ def test_an_index_that_leaves_messages_out_is_not_believed(tmp_path: Path) -> No
         assert ["the index of the chunk" in finding.text for finding in log.findings] == [True]
 
 
-def test_metadata_of_the_connection_is_kept() -> None:
+def test_open_keeps_connection_metadata() -> None:
     with open_log(FOLDER / "none.bag") as log:
         assert all(topic.metadata == {"md5sum": "*"} for topic in log.topics)
 
 
-def test_only_the_chunks_of_the_topic_are_opened(tmp_path: Path) -> None:
+def test_batches_open_only_the_topics_chunks(tmp_path: Path) -> None:
     some = [("/a", number * S, b"x" * 50) for number in range(40)]
     some[25] = ("/b", 25 * S, b"here")
     whole = by_hand.bag(some, "pkg/Type", b"", "lz4")

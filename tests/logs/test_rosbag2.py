@@ -27,7 +27,7 @@ def severities(path: Path) -> list[str]:
         return [finding.severity for finding in log.findings]
 
 
-def test_topics_of_all_files_are_merged(split: Path) -> None:
+def test_open_merges_topics_of_all_files(split: Path) -> None:
     with open_log(split) as log:
         assert log.format == "rosbag2"
         assert [(topic.name, topic.messages) for topic in log.topics] == [("/a", 40), ("/b", 20)]
@@ -38,14 +38,14 @@ def test_topics_of_all_files_are_merged(split: Path) -> None:
         assert log.end_ns - log.start_ns == 590_000_000
 
 
-def test_files_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_members_are_in_number_order(tmp_path: Path) -> None:
     for number in (2, 10, 1):
         by_hand.db3(tmp_path / f"x_{number}.db3", [("/a", number, bytes(12))], "std_msgs/msg/Float64", None)
     with open_log(tmp_path) as log:
         assert [time for batch in log.batches() for time in batch.log_ns.tolist()] == [1, 2, 10]
 
 
-def test_files_come_in_the_order_metadata_gives(split: Path) -> None:
+def test_members_are_in_metadata_order(split: Path) -> None:
     file = split / "metadata.yaml"
     file.write_text(file.read_text().replace("[split_0.db3, split_1.db3", "[split_1.db3, split_0.db3"))
     with open_log(split) as log:
@@ -54,20 +54,20 @@ def test_files_come_in_the_order_metadata_gives(split: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[", "rosbag2_bagfile_information: 3", "a: &x [*x, *x]", "\x00\xff", "[]"])
-def test_unreadable_metadata_never_stops_reading(split: Path, text: str) -> None:
+def test_open_survives_unreadable_metadata(split: Path, text: str) -> None:
     (split / "metadata.yaml").write_text(text)
     assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
     assert severities(split) == ["warning"]
 
 
-def test_missing_metadata_never_stops_reading(split: Path) -> None:
+def test_open_survives_missing_metadata(split: Path) -> None:
     (split / "metadata.yaml").unlink()
     assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
     assert severities(split) == ["warning"]
 
 
 @pytest.mark.parametrize("version", range(1, 10))
-def test_every_metadata_version_is_read(split: Path, version: int) -> None:
+def test_open_reads_every_metadata_version(split: Path, version: int) -> None:
     """Up to version 3 file names carried the folder's name; the rest is of no consequence to reading."""
     file = split / "metadata.yaml"
     text = file.read_text().replace("version: 5", f"version: {version}")
@@ -76,19 +76,19 @@ def test_every_metadata_version_is_read(split: Path, version: int) -> None:
     assert severities(split) == []
 
 
-def test_a_renamed_file_is_found(split: Path) -> None:
+def test_members_find_a_renamed_file(split: Path) -> None:
     (split / "split_1.db3").rename(split / "renamed.db3")
     assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
     assert severities(split) == ["warning"]
 
 
-def test_files_that_metadata_does_not_name_are_left_out_and_said(split: Path) -> None:
+def test_members_report_files_missing_in_metadata(split: Path) -> None:
     shutil.copyfile(FOLDER / "iron.db3", split / "stray.db3")
     assert peers.ours(split) == peers.ours(FOLDER / "split.bag")
     assert severities(split) == ["info"]
 
 
-def test_a_file_that_cannot_be_read_is_lost_and_the_others_are_read(split: Path) -> None:
+def test_open_reads_other_files_if_one_is_unreadable(split: Path) -> None:
     (split / "split_1.db3").write_bytes(b"nothing")
     assert len(peers.ours(split)) == 40
     assert severities(split) == ["lost"]
@@ -96,14 +96,14 @@ def test_a_file_that_cannot_be_read_is_lost_and_the_others_are_read(split: Path)
         open_log(split, strict=True)
 
 
-def test_a_folder_of_which_nothing_can_be_read_is_refused(tmp_path: Path) -> None:
+def test_open_refuses_an_unreadable_folder(tmp_path: Path) -> None:
     (tmp_path / "x.db3").write_bytes(b"nothing")
     with pytest.raises(LogError, match="none of its files can be read") as caught:
         open_log(tmp_path)
     assert str(caught.value).startswith(str(tmp_path))
 
 
-def test_packed_files_are_unpacked_and_plain_copies_of_them_not_read_twice(tmp_path: Path) -> None:
+def test_open_reads_compressed_files_once(tmp_path: Path) -> None:
     shutil.copyfile(FOLDER / "packed.db3.zstd", tmp_path / "x.db3.zstd")
     assert len(peers.ours(tmp_path)) == 60
     shutil.copyfile(FOLDER / "humble.db3", tmp_path / "x.db3")

@@ -112,7 +112,7 @@ def _is_there(track, health, hidden=()) -> None:
     assert (health.seen, health.used) == (COUNT, COUNT - len(hidden))
 
 
-def test_points_are_taken_by_their_type(tmp_path):
+def test_track_reads_points_by_type(tmp_path):
     points = [{"point": ("geometry_msgs/msg/Point", {"x": x, "y": y, "z": 0.0})} for x, y in PLACES.tolist()]
     path = _log(tmp_path, _stream("geometry_msgs/msg/PointStamped", points))
     track, health = _seen(path, TopicSource("/seen"))
@@ -120,7 +120,7 @@ def test_points_are_taken_by_their_type(tmp_path):
     assert track.std is None  # nobody stated one: the model's noise holds
 
 
-def test_one_tag_of_many_is_picked_by_its_number(tmp_path):
+def test_track_selects_a_tag_by_number(tmp_path):
     messages = []
     for k, (x, y) in enumerate(PLACES.tolist()):
         mine, other = _tag(3, x, y), _tag(9, 5.0, 5.0)
@@ -135,7 +135,7 @@ def test_one_tag_of_many_is_picked_by_its_number(tmp_path):
         _seen(path, TopicSource("/seen", ".detections[:].corners[:]"))
 
 
-def test_boxes_are_their_centres(tmp_path):
+def test_track_takes_box_centres(tmp_path):
     def box(name: str, x: float, y: float) -> Any:
         point = _message("vision_msgs/msg/Point2D", {"x": x, "y": y})
         pose = _message("vision_msgs/msg/Pose2D", {"position": point, "theta": 0.0})
@@ -148,7 +148,7 @@ def test_boxes_are_their_centres(tmp_path):
         _is_there(*_seen(path, TopicSource("/seen", f'.detections[:]{{id=="hand"}}{end}')))
 
 
-def test_four_corners_are_their_mean(tmp_path):
+def test_track_takes_the_mean_of_corners(tmp_path):
     def square(x: float, y: float) -> Any:
         around = enumerate([(-3, -2), (3, -2), (3, 2), (-3, 2)])
         corners = {f"{axis}{k}": v for k, (dx, dy) in around for axis, v in (("x", x + dx), ("y", y + dy))}
@@ -159,7 +159,7 @@ def test_four_corners_are_their_mean(tmp_path):
     _is_there(*_seen(path, TopicSource("/seen", ".fiducials[:]{fiducial_id==4}")))
 
 
-def test_annotations_in_json_are_read_at_their_log_times(tmp_path):
+def test_track_reads_json_at_log_times(tmp_path):
     def message(x: float, y: float) -> bytes:
         return json.dumps({"circles": [{"position": {"x": x, "y": y}}], "points": [], "texts": []}).encode()
 
@@ -170,7 +170,7 @@ def test_annotations_in_json_are_read_at_their_log_times(tmp_path):
     assert health.used == COUNT
 
 
-def test_a_topic_or_path_that_is_not_there_is_named(tmp_path):
+def test_track_names_a_missing_topic_or_path(tmp_path):
     points = [{"point": ("geometry_msgs/msg/Point", {"x": x, "y": y, "z": 0.0})} for x, y in PLACES.tolist()]
     path = _log(tmp_path, _stream("geometry_msgs/msg/PointStamped", points))
     with pytest.raises(LogError, match=r"\[features\] tip: there is no topic '/gone'; possible: /joint_states, /seen"):
@@ -179,7 +179,7 @@ def test_a_topic_or_path_that_is_not_there_is_named(tmp_path):
         _seen(path, TopicSource("/seen", ".pont"))
 
 
-def test_a_table_beside_the_log_is_read_at_its_times(tmp_path):
+def test_tracks_read_a_table_beside_the_log(tmp_path):
     path = _log(tmp_path)
     absolute = [f"{ns},{x},{y},0.2" for ns, (x, y) in zip(_stamps(), PLACES.tolist(), strict=True)]
     absolute[4] = f"{_stamps()[4]},,,"
@@ -204,7 +204,7 @@ def test_a_table_beside_the_log_is_read_at_its_times(tmp_path):
         ("t,tip_u,tip_v\n0,,\n", None, "no place within the log"),
     ],
 )
-def test_a_table_that_tells_nothing_is_refused_in_one_line(tmp_path, text, columns, said):
+def test_tracks_refuse_a_table_in_one_line(tmp_path, text, columns, said):
     path = _log(tmp_path)
     (tmp_path / "t.csv").write_text(text)
     with pytest.raises((LogError, ConfigError), match=said) as caught:

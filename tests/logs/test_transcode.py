@@ -91,7 +91,7 @@ def ours():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_ros1_payloads_become_cdr_of_the_same_values(tmp_path, ours, seed):
+def test_carry_converts_ros1_to_cdr(tmp_path, ours, seed):
     log = bag(tmp_path / "in.bag", seed)
     assert annotate(log, ours, {}, tmp_path / "out.mcap") == ()
     assert decoded(tmp_path / "out.mcap") == decoded(log)
@@ -99,7 +99,7 @@ def test_ros1_payloads_become_cdr_of_the_same_values(tmp_path, ours, seed):
     assert len(by_pybag(tmp_path / "out.mcap")) == 90 + amount(ours)
 
 
-def test_ros1_payloads_are_what_rosbags_own_conversion_gives(tmp_path, ours):
+def test_carry_equals_rosbags_conversion(tmp_path, ours):
     log = bag(tmp_path / "in.bag")
     annotate(log, ours, {}, tmp_path / "out.mcap")
     store = get_typestore(Stores.ROS2_HUMBLE)
@@ -108,7 +108,7 @@ def test_ros1_payloads_are_what_rosbags_own_conversion_gives(tmp_path, ours):
     assert sorted(m[2] for m in by_rosbags(tmp_path / "out.mcap") if m[0] in ("/t0", "/t1")) == sorted(theirs)
 
 
-def test_a_payload_that_contradicts_its_definition_stays_ros1_and_is_said(tmp_path, ours):
+def test_carry_keeps_a_bad_payload_as_ros1(tmp_path, ours):
     cut = []
 
     def damage(kind, raw):
@@ -146,7 +146,7 @@ def bag_without_definitions(path, md5):
     return path
 
 
-def test_definitions_left_out_are_those_of_ros_where_the_checksum_agrees(tmp_path, ours):
+def test_converter_finds_missing_definitions_by_checksum(tmp_path, ours):
     whole, log = bag(tmp_path / "whole.bag"), bag_without_definitions(tmp_path / "in.bag", None)
     (finding,) = annotate(log, ours, {}, tmp_path / "out.mcap")
     assert finding.text.startswith("topic /t2: has no definition of custom_msgs/msg/Skin; its messages stay ROS 1")
@@ -154,7 +154,7 @@ def test_definitions_left_out_are_those_of_ros_where_the_checksum_agrees(tmp_pat
     assert foreign(streamed(tmp_path / "out.mcap"))[:60] == foreign(streamed(tmp_path / "whole.mcap"))[:60]
 
 
-def test_definitions_left_out_are_not_guessed_against_the_checksum(tmp_path, ours):
+def test_converter_refuses_a_checksum_mismatch(tmp_path, ours):
     wrong = hashlib.md5(b"another JointState").hexdigest().encode()
     findings = annotate(bag_without_definitions(tmp_path / "in.bag", wrong), ours, {}, tmp_path / "out.mcap")
     assert [f.text[:9] for f in findings] == ["topic /t0", "topic /t1", "topic /t2"]
@@ -162,21 +162,21 @@ def test_definitions_left_out_are_not_guessed_against_the_checksum(tmp_path, our
 
 
 @pytest.mark.parametrize("log", ["reach.bag", "reach_rosbag2"])
-def test_the_arm_in_other_containers_keeps_values_and_times(tmp_path, arm, ours, log):
+def test_carry_keeps_values_and_times_of_the_arm(tmp_path, arm, ours, log):
     annotate(arm / log, ours, {}, tmp_path / "out.mcap")
     assert decoded(tmp_path / "out.mcap") == decoded(arm / log)
     annotate(arm / log, ours, {}, tmp_path / "again.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "again.mcap").read_bytes()
 
 
-def test_cdr_payloads_of_a_database_stay_byte_for_byte(tmp_path, arm, ours):
+def test_carry_keeps_cdr_byte_for_byte(tmp_path, arm, ours):
     annotate(arm / "reach_rosbag2", ours, {}, tmp_path / "out.mcap")
     theirs = [(topic, t, bytes(raw)) for topic, t, raw in by_rosbags_raw(arm / "reach_rosbag2")]
     assert foreign(by_rosbags(tmp_path / "out.mcap")) == sorted(theirs)
 
 
 @pytest.mark.parametrize("how", UNSUITED)
-def test_packed_mcaps_keep_their_attachments_and_metadata(tmp_path, ours, how):
+def test_carry_keeps_attachments_of_compressed_mcaps(tmp_path, ours, how):
     plain = source(tmp_path / "in.mcap", **UNSUITED[how])
     packed = tmp_path / "in.mcap.zst"
     packed.write_bytes(zstandard.compress(plain.read_bytes()))
@@ -185,7 +185,7 @@ def test_packed_mcaps_keep_their_attachments_and_metadata(tmp_path, ours, how):
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes()
 
 
-def test_a_folder_of_mcaps_becomes_one_with_everything(tmp_path, ours):
+def test_carry_merges_a_folder_of_mcaps(tmp_path, ours):
     (tmp_path / "bag").mkdir()
     parts = [source(tmp_path / "bag" / f"part_{i}.mcap", seed=i, count=50) for i in range(2)]
     annotate(tmp_path / "bag", ours, {}, tmp_path / "out.mcap")
@@ -196,7 +196,7 @@ def test_a_folder_of_mcaps_becomes_one_with_everything(tmp_path, ours):
         assert sorted(m.name for m in reader.iter_metadata()) == ["bodylog", "operator", "operator"]
 
 
-def test_memory_does_not_grow_with_the_log(tmp_path, ours):
+def test_carry_uses_constant_memory(tmp_path, ours):
     import tracemalloc
 
     peaks = []
@@ -210,13 +210,13 @@ def test_memory_does_not_grow_with_the_log(tmp_path, ours):
     assert peaks[1] < 1.1 * peaks[0] < 30_000_000
 
 
-def test_the_conformance_logs_keep_every_message(tmp_path, arm, ours):
+def test_carry_keeps_every_conformance_message(tmp_path, arm, ours):
     for log in sorted((arm.parent / "foxglove__mcap").rglob("*.mcap"))[::6]:
         annotate(shutil.copy(log, tmp_path / "in.mcap"), ours, {}, tmp_path / "out.mcap")
         assert foreign(streamed(tmp_path / "out.mcap")) == streamed(log), log
 
 
-def test_a_type_of_constants_alone_is_no_missing_definition(tmp_path, ours):
+def test_carry_accepts_types_of_constants(tmp_path, ours):
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("uint8 A=1\n", "some_msgs/msg/Constants"))
     with BagWriter(tmp_path / "in.bag") as writer:

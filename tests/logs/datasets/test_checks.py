@@ -28,19 +28,19 @@ def _dataset(folder: Path, pictures: np.ndarray | None = None, codec: str = "lib
 
 
 @pytest.mark.parametrize("source", [drawn.v21, drawn.v30])
-def test_a_sound_dataset_has_no_finding(source, tmp_path):
+def test_examine_finds_nothing_in_a_sound_dataset(source, tmp_path):
     assert texts(source(tmp_path / "set", [60, 40])) == []
 
 
 @pytest.mark.parametrize("codec", ["libx264", "libsvtav1", "mpeg4"])
-def test_a_black_camera_is_named(codec, tmp_path):
+def test_checks_report_a_black_camera(codec, tmp_path):
     rng = np.random.default_rng(0)
     dark = rng.integers(0, 12, (60, 64, 64, 3), np.uint8)
     (text,) = texts(_dataset(tmp_path / "set", dark, codec))
     assert text.endswith("set#0: /top/image: the camera is black in all 60 images")
 
 
-def test_a_camera_that_is_black_for_a_while_is_named_with_when(tmp_path):
+def test_checks_report_when_a_camera_is_black(tmp_path):
     pictures = drawn.images(60)
     pictures[20:40] = 3
     found = texts(_dataset(tmp_path / "set", pictures))
@@ -48,27 +48,27 @@ def test_a_camera_that_is_black_for_a_while_is_named_with_when(tmp_path):
 
 
 @pytest.mark.parametrize("codec", ["libx264", "libsvtav1"])
-def test_a_frozen_camera_is_named_with_when(codec, tmp_path):
+def test_checks_report_when_a_camera_is_frozen(codec, tmp_path):
     pictures = drawn.images(60)
     pictures[10:35] = pictures[10]
     (text,) = texts(_dataset(tmp_path / "set", pictures, codec))
     assert "/top/image: the camera is frozen from 0.50 to" in text and "while joints move" in text
 
 
-def test_a_camera_that_often_repeats_images_is_named_once(tmp_path):
+def test_checks_report_repeated_images_once(tmp_path):
     pictures = np.repeat(drawn.images(4), 15, axis=0)
     (text,) = texts(_dataset(tmp_path / "set", pictures))
     assert "the camera is frozen 4 times, 2.6 s of 3.0 s while joints move" in text
 
 
-def test_a_camera_that_stands_still_with_the_joints_is_not_frozen(tmp_path):
+def test_checks_accept_a_static_camera_with_static_joints(tmp_path):
     pictures, q = drawn.images(60), drawn.angles(60)
     pictures[10:40] = pictures[10]
     q[10:40] = q[10]
     assert texts(_dataset(tmp_path / "set", pictures, observation_state=q)) == []
 
 
-def test_joints_that_are_constant_wrap_or_hold_no_numbers_are_named(tmp_path):
+def test_checks_report_constant_wrapping_and_invalid_joints(tmp_path):
     q = drawn.angles(60).astype(float)
     q[:, 2] = 0.25
     q[:, 0] = (np.linspace(3.0, 3.5, 60) + np.pi) % (2 * np.pi) - np.pi
@@ -79,7 +79,7 @@ def test_joints_that_are_constant_wrap_or_hold_no_numbers_are_named(tmp_path):
     assert "1 of 180 readings are not finite numbers" in found
 
 
-def test_lengths_and_gaps_that_are_not_as_said_are_named(tmp_path):
+def test_checks_report_wrong_lengths_and_gaps(tmp_path):
     t = np.arange(60) / drawn.FPS
     t[30:] += 1.5
     folder = _dataset(tmp_path / "set", timestamp=t)
@@ -99,7 +99,7 @@ def test_lengths_and_gaps_that_are_not_as_said_are_named(tmp_path):
         assert text in found
 
 
-def test_each_episode_is_examined_by_itself(tmp_path):
+def test_examine_reports_each_episode(tmp_path):
     folder = drawn.v30(tmp_path / "set", [60, 40])
     drawn.film(
         folder / f"videos/{drawn.CAMERA}/chunk-000/file-000.mp4",
@@ -110,7 +110,7 @@ def test_each_episode_is_examined_by_itself(tmp_path):
     assert texts(Path(f"{folder}#0")) == []
 
 
-def test_the_black_camera_of_a_real_dataset_is_named():
+def test_examine_reports_the_black_camera_of_a_real_dataset():
     if not REAL.is_dir():
         pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
     found = texts(Path(f"{REAL}#0"))

@@ -71,10 +71,10 @@ def _meet(sound: Path, place: Path, seeds: range) -> None:
         shutil.rmtree(path.parent)
 
 
-def test_damage_anywhere_ends_in_one_line(sound, tmp_path):
+def test_open_survives_damage_anywhere(sound, tmp_path):
     _meet(sound, tmp_path, range(60))
 
 
 @pytest.mark.soak
-def test_much_damage_anywhere_ends_in_one_line(sound, tmp_path):
+def test_open_survives_much_damage_anywhere(sound, tmp_path):
     _meet(sound, tmp_path, range(1000, 6000))

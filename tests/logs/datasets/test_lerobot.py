@@ -47,7 +47,7 @@ def texts(path: Path) -> str:
 
 @pytest.mark.parametrize("number", range(3))
 @pytest.mark.parametrize("form", ["old", "new"])
-def test_an_episode_holds_its_rows_and_its_images(form, number, request):
+def test_open_gives_rows_and_images_of_an_episode(form, number, request):
     folder = request.getfixturevalue(form)
     rows, first = LENGTHS[number], sum(LENGTHS[:number])
     with logs.open(folder, episode=number) as log:
@@ -69,7 +69,7 @@ def test_an_episode_holds_its_rows_and_its_images(form, number, request):
         np.testing.assert_array_equal(frame.image, image)
 
 
-def test_without_a_number_it_is_the_first_episode_that_is_there(old, copied):
+def test_open_defaults_to_the_first_existing_episode(old, copied):
     (copied / "data/chunk-000/episode_000000.parquet").unlink()
     for folder, number in ((old, 0), (copied, 1)):
         with logs.open(folder) as log:
@@ -79,7 +79,7 @@ def test_without_a_number_it_is_the_first_episode_that_is_there(old, copied):
         logs.open(copied, episode=0)
 
 
-def test_an_episode_is_named_by_its_number(old, tmp_path):
+def test_open_selects_an_episode_by_number(old, tmp_path):
     assert episodes.split(Path(f"{old}#2")) == (old, 2) == episodes.split(Path(f"{old}/#2"))
     assert episodes.split(tmp_path / "set#2") == (tmp_path / "set#2", None)
     (tmp_path / "run#2.mcap").touch()
@@ -91,7 +91,7 @@ def test_an_episode_is_named_by_its_number(old, tmp_path):
         open_log(Path(f"{tmp_path}/run#2.mcap#1"))
 
 
-def test_the_digest_is_of_the_episodes_own_files(old, copied):
+def test_digest_covers_only_the_episodes_files(old, copied):
     before = [digest(Path(f"{copied}#{number}")) for number in range(3)]
     assert before == [digest(Path(f"{old}#{number}")) for number in range(3)] and len(set(before)) == 3
     drawn.table(copied / "data/chunk-000/episode_000001.parquet", drawn.columns(1, 8))
@@ -100,14 +100,14 @@ def test_the_digest_is_of_the_episodes_own_files(old, copied):
     assert files_of(copied) == files_of(Path(f"{copied}#0"))
 
 
-def test_no_output_goes_into_a_dataset(old):
+def test_guard_refuses_an_output_inside_a_dataset(old):
     for place in (old / "new.mcap", old / "meta" / "info.json"):
         with pytest.raises(UsageError, match="input"):
             guard([Path(f"{old}#1")], [Output(place)])
 
 
 @pytest.mark.parametrize("said", [{"unit": "degrees"}, {"names": ["a_deg", "b_deg", "c_deg"]}])
-def test_declared_degrees_are_read_as_rad(copied, said):
+def test_unit_converts_declared_degrees(copied, said):
     info = json.loads((copied / "meta/info.json").read_text())
     info["features"]["observation.state"] |= said
     (copied / "meta/info.json").write_text(json.dumps(info))
@@ -127,7 +127,7 @@ def test_declared_degrees_are_read_as_rad(copied, said):
         ([[0.5, 1.0], [0.6, 3.1], [0.7, -3.1]], "rad", "rad, the values, -3.1 to 3.1, look like it"),
     ],
 )
-def test_the_unit_that_values_look_like_is_said(copied, values, unit, text):
+def test_unit_reports_its_guess_from_values(copied, values, unit, text):
     rows = np.array(values, float)
     info = json.loads((copied / "meta/info.json").read_text())
     info["features"]["observation.state"] |= {"shape": [2], "names": ["pan", "lift"]}
@@ -144,7 +144,7 @@ def test_the_unit_that_values_look_like_is_said(copied, values, unit, text):
     np.testing.assert_allclose(np.diff(read.joints.values, axis=0), moved)
 
 
-def test_frames_have_the_times_of_their_rows_and_drift_is_named(copied):
+def test_frames_take_row_times_and_report_drift(copied):
     table = drawn.columns(0, 12) | {"timestamp": np.arange(12) * 0.06}
     drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
     with logs.open(copied) as log:
@@ -157,7 +157,7 @@ def test_info_decodes_no_image(old, monkeypatch):
     assert recording.info(old, Settings())["roles"] == {"joints": "/joint_states", "camera": "/top/image"}
 
 
-def test_other_names_of_state_and_action_are_known(copied):
+def test_open_knows_other_names_of_state_and_action(copied):
     info = json.loads((copied / "meta/info.json").read_text())
     features = info["features"]
     features["state"], features["actions"] = features.pop("observation.state"), features.pop("action")
@@ -172,7 +172,7 @@ def test_other_names_of_state_and_action_are_known(copied):
         assert len(log["/action"]) == 12
 
 
-def test_images_in_the_table_are_passed_on(copied):
+def test_open_passes_on_images_in_the_table(copied):
     import cv2
 
     wanted = drawn.images(12)
@@ -190,7 +190,7 @@ def _cut(path: Path, share: float) -> None:
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
 
 
-def test_what_of_a_video_is_lost_is_said(copied):
+def test_open_reports_lost_parts_of_a_video(copied):
     video = copied / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4"
     drawn.film(video, drawn.images(7))
     assert "lost: " in texts(copied) and "the video has 7 frames, the table 12 rows" in texts(copied)
@@ -204,7 +204,7 @@ def test_what_of_a_video_is_lost_is_said(copied):
     assert "there is no such file; is the dataset downloaded completely?" in texts(copied)
 
 
-def test_a_video_damaged_inside_gives_the_sound_images(copied):
+def test_open_reads_sound_images_of_a_damaged_video(copied):
     video = copied / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4"
     drawn.film(video, drawn.images(12), "mpeg4", g="1")
     data = bytearray(video.read_bytes())
@@ -242,7 +242,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_what_cannot_be_read_is_refused_in_one_line(name, copied):
+def test_open_refuses_unreadable_datasets_in_one_line(name, copied):
     spoil, text = HOSTILE[name]
     spoil(copied)
     with pytest.raises(InputError) as refused:
@@ -250,7 +250,7 @@ def test_what_cannot_be_read_is_refused_in_one_line(name, copied):
     assert text in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_features_that_are_not_there_are_lost(copied):
+def test_open_reports_missing_features_as_lost(copied):
     table = drawn.columns(0, 12)
     del table["action"]
     drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
@@ -258,7 +258,7 @@ def test_features_that_are_not_there_are_lost(copied):
     assert "lost: " in said and "action: info.json declares it, the table holds no such numbers" in said
 
 
-def test_lists_of_changing_length_end_in_nan(copied):
+def test_columns_pad_lists_with_nan(copied):
     rows = [[0.1, 0.2, 0.3]] * 6 + [[0.1, 0.2]] * 5 + [None]
     drawn.table(copied / "data/chunk-000/episode_000000.parquet", drawn.columns(0, 12) | {"observation.state": rows})
     with logs.open(copied) as log:
@@ -266,13 +266,13 @@ def test_lists_of_changing_length_end_in_nan(copied):
     assert np.isnan(position[6:11, 2]).all() and np.isnan(position[11]).all() and np.isfinite(position[:6]).all()
 
 
-def test_what_a_table_declares_is_checked_before_it_is_read(copied, monkeypatch):
+def test_columns_check_declared_sizes_first(copied, monkeypatch):
     monkeypatch.setattr("bodylog.logs.datasets.parquet.MOST_VALUES", 30)
     with pytest.raises(LogError, match=r"observation.state: 36 values; at most 30"):
         open_log(copied)
 
 
-def test_a_video_of_large_images_is_not_decoded(copied):
+def test_survey_refuses_large_images(copied):
     from bodylog.logs.limits import Input
 
     with open_log(copied, limits=Input(max_image_mpx=0.001)) as log:
@@ -280,14 +280,14 @@ def test_a_video_of_large_images_is_not_decoded(copied):
         assert "images of 64 x 64; set [input] max_image_mpx" in log.findings[-1].text
 
 
-def test_a_text_is_not_taken_for_a_video(copied):
+def test_survey_refuses_a_text_file(copied):
     video = copied / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4"
     video.write_text("ffconcat version 1.0\nfile /etc/hostname\n")
     assert "its first bytes are those of no MP4, Matroska or AVI" in texts(copied)
 
 
 @pytest.mark.parametrize("module", ["pyarrow", "av"])
-def test_a_missing_package_is_named(module, old, monkeypatch):
+def test_open_names_a_missing_package(module, old, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, module, None)
@@ -295,7 +295,7 @@ def test_a_missing_package_is_named(module, old, monkeypatch):
         open_log(Path(f"{old}#1"))
 
 
-def test_a_real_dataset_is_read(tmp_path):
+def test_open_reads_a_real_dataset(tmp_path):
     if not REAL.is_dir():
         pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
     found = recording.info(REAL, Settings())

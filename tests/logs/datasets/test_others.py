@@ -24,7 +24,7 @@ def texts(path: Path) -> str:
 
 
 @pytest.mark.parametrize("packed", [False, True])
-def test_an_aloha_episode_holds_its_joints_and_images(packed, tmp_path):
+def test_open_hdf5_reads_an_aloha_episode(packed, tmp_path):
     path = drawn.aloha(tmp_path / "episode_0.hdf5", packed=packed)
     rows = np.arange(20)[:, None] * 0.1 + np.arange(14)
     with logs.open(path) as log:
@@ -42,7 +42,7 @@ def test_an_aloha_episode_holds_its_joints_and_images(packed, tmp_path):
     assert "rows are dated at ALOHA's 50 Hz" in texts(path)
 
 
-def test_robomimics_demonstrations_are_episodes(tmp_path):
+def test_open_hdf5_reads_robomimic_demonstrations(tmp_path):
     path = drawn.robomimic(tmp_path / "demos.hdf5")
     with logs.open(path) as log:
         assert "episode 0, the first of 3; for another, type: --episode 1" in log.findings[0].text
@@ -58,7 +58,7 @@ def test_robomimics_demonstrations_are_episodes(tmp_path):
         open_log(Path(f"{drawn.aloha(tmp_path / 'one.hdf5')}#1"))
 
 
-def test_times_in_the_file_are_used(tmp_path):
+def test_open_hdf5_uses_times_in_the_file(tmp_path):
     path = drawn.aloha(tmp_path / "a.hdf5")
     with h5py.File(path, "a") as file:
         file["observations/timestamp_ns"] = 1_700_000_000_000_000_001 + np.arange(20) * 30_000_007
@@ -89,7 +89,7 @@ def _huge(path: Path) -> None:
         file.create_dataset("observations/images/top", (1 << 40, 1 << 20, 1 << 20, 3), np.uint8, chunks=(1, 8, 8, 3))
 
 
-def test_nothing_outside_the_file_is_read(tmp_path):
+def test_open_hdf5_reads_nothing_outside_the_file(tmp_path):
     path = drawn.aloha(tmp_path / "a.hdf5")
     _external(path)
     with open_log(path) as log:
@@ -100,7 +100,7 @@ def test_nothing_outside_the_file_is_read(tmp_path):
     assert "no qpos, joint_pos, action or images" in str(refused.value)
 
 
-def test_sizes_are_checked_before_memory_is_taken(tmp_path):
+def test_open_hdf5_checks_sizes_before_allocation(tmp_path):
     path = drawn.aloha(tmp_path / "a.hdf5")
     _huge(path)
     with open_log(path) as log:
@@ -116,7 +116,7 @@ def test_sizes_are_checked_before_memory_is_taken(tmp_path):
     ("name", "shape", "text"),
     [("qpos", (20, 1 << 24), "too many to be read"), ("images/top", (20, 1 << 20, 1 << 20, 3), "too large to be read")],
 )
-def test_wide_rows_and_large_images_are_lost(name, shape, text, tmp_path):
+def test_open_hdf5_reports_wide_rows_and_large_images_as_lost(name, shape, text, tmp_path):
     path = drawn.aloha(tmp_path / "a.hdf5")
     with h5py.File(path, "a") as file:
         del file[f"observations/{name}"]
@@ -125,7 +125,7 @@ def test_wide_rows_and_large_images_are_lost(name, shape, text, tmp_path):
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.95])
-def test_a_cut_hdf5_file_is_refused_in_one_line(share, tmp_path):
+def test_open_hdf5_refuses_a_truncated_file_in_one_line(share, tmp_path):
     path = drawn.aloha(tmp_path / "a.hdf5")
     path.write_bytes(path.read_bytes()[: int(path.stat().st_size * share)])
     with pytest.raises(InputError) as refused:
@@ -133,7 +133,7 @@ def test_a_cut_hdf5_file_is_refused_in_one_line(share, tmp_path):
     assert "the HDF5 file cannot be read" in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_a_folder_of_tables_images_and_videos_is_a_log(tmp_path):
+def test_open_folder_reads_tables_images_and_videos(tmp_path):
     folder = drawn.mixed(tmp_path / "run")
     wanted = drawn.images(12)
     with logs.open(folder) as log:
@@ -150,7 +150,7 @@ def test_a_folder_of_tables_images_and_videos_is_a_log(tmp_path):
     assert recording.info(folder, Settings())["roles"]["joints"] == "/joint_states"
 
 
-def test_a_lone_video_is_dated_by_the_table_beside_it(tmp_path):
+def test_open_video_takes_times_from_the_table_beside_it(tmp_path):
     folder = drawn.mixed(tmp_path / "run")
     with logs.open(folder / "side.mp4") as log:
         assert log["/side/image"].header.stamp[1] == pytest.approx(1_700_000_000_054_000_000, abs=1000)
@@ -159,7 +159,7 @@ def test_a_lone_video_is_dated_by_the_table_beside_it(tmp_path):
         np.testing.assert_allclose(np.diff(log["/side/image"].header.stamp), 50_000_000, atol=2)
 
 
-def test_images_out_of_the_folder_are_not_read(tmp_path):
+def test_open_folder_reads_no_images_outside_the_folder(tmp_path):
     folder = drawn.mixed(tmp_path / "run")
     (tmp_path / "outside.png").write_bytes((folder / "frames/000.png").read_bytes())
     lines = ["t,file", "0,../outside.png", f"1,{tmp_path / 'outside.png'}", "2,frames/000.png", "3,frames/none.png"]
@@ -170,7 +170,7 @@ def test_images_out_of_the_folder_are_not_read(tmp_path):
         assert "3 of 4 images cannot be read" in log.findings[-1].text
 
 
-def test_euroc_columns_are_understood(tmp_path):
+def test_open_folder_reads_euroc_columns(tmp_path):
     folder = drawn.mixed(tmp_path / "run")
     (folder / "cam0").mkdir()
     (folder / "frames").rename(folder / "cam0" / "data")
@@ -183,7 +183,7 @@ def test_euroc_columns_are_understood(tmp_path):
     assert abs(int(stamps[0]) - 1403636579763555584) < 1000
 
 
-def test_a_table_that_dates_nothing_is_named(tmp_path):
+def test_open_folder_reports_a_table_without_times(tmp_path):
     folder = drawn.mixed(tmp_path / "run")
     (folder / "joints.csv").write_text("pan,lift\n1,2\n")
     assert "joints.csv: no column of times dates every row, so the table is not used" in texts(folder)
@@ -193,7 +193,7 @@ def test_a_table_that_dates_nothing_is_named(tmp_path):
         open_log(tmp_path / "only")
 
 
-def test_missing_packages_are_named(tmp_path, monkeypatch):
+def test_open_names_missing_packages(tmp_path, monkeypatch):
     import sys
 
     path = drawn.aloha(tmp_path / "a.hdf5")

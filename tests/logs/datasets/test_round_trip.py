@@ -36,7 +36,7 @@ def same(one: Path, other: Path) -> None:
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("source", [drawn.v21, drawn.v30])
-def test_a_dataset_through_an_mcap_and_back_is_the_same(source, form, tmp_path):
+def test_convert_to_mcap_and_back_keeps_a_dataset(source, form, tmp_path):
     folder = source(tmp_path / "set", [12, 9])
     for number in (0, 1):
         log, back = Path(f"{folder}#{number}"), tmp_path / f"back{number}"
@@ -52,7 +52,7 @@ def test_a_dataset_through_an_mcap_and_back_is_the_same(source, form, tmp_path):
     assert kinds["observation.state"] == kinds["action"] == "float32" and kinds["next.done"] == "bool"
 
 
-def test_the_same_input_gives_the_same_bytes(tmp_path):
+def test_convert_is_deterministic(tmp_path):
     log = drawn.v30(tmp_path / "set", [12])
     for name in ("a", "b"):
         pipeline.convert([log], tmp_path / name, Settings(), "lerobot")
@@ -62,7 +62,7 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_several_logs_become_the_episodes_of_one_dataset(form, tmp_path):
+def test_convert_writes_one_episode_per_log(form, tmp_path):
     folder = drawn.v21(tmp_path / "set", [12, 9, 15])
     several = [Path(f"{folder}#{number}") for number in (2, 0)]
     pipeline.convert(several, tmp_path / "new", Settings(), form, task="fold it")
@@ -75,7 +75,7 @@ def test_several_logs_become_the_episodes_of_one_dataset(form, tmp_path):
             assert all(np.array_equal(x.image, y.image) for x, y in frames)
 
 
-def test_statistics_are_those_of_the_values(tmp_path):
+def test_stats_match_the_values(tmp_path):
     pipeline.convert([drawn.v30(tmp_path / "set", [12, 9])], tmp_path / "new", Settings(), "lerobot")
     stats = json.loads((tmp_path / "new/meta/stats.json").read_text())
     q = drawn.angles(12).astype(float)
@@ -87,7 +87,7 @@ def test_statistics_are_those_of_the_values(tmp_path):
     np.testing.assert_allclose(np.ravel(stats[drawn.CAMERA]["std"]), pixels.std(axis=0), rtol=1e-9)
 
 
-def test_the_tables_of_v3_are_as_their_reader_expects(tmp_path):
+def test_convert_writes_v3_tables_as_lerobot_expects(tmp_path):
     pandas = pytest.importorskip("pandas")
     pipeline.convert([drawn.v21(tmp_path / "set", [12])], tmp_path / "new", Settings(), "lerobot")
     tasks = pandas.read_parquet(tmp_path / "new/meta/tasks.parquet")
@@ -100,7 +100,7 @@ def test_the_tables_of_v3_are_as_their_reader_expects(tmp_path):
 
 
 @pytest.mark.parametrize(("how", "most"), [("h264", 8.0), ("av1", 12.0)])
-def test_what_an_encoder_changes_is_measured(how, most, tmp_path):
+def test_encode_measures_its_error(how, most, tmp_path):
     log = drawn.v21(tmp_path / "set", [12])
     done = pipeline.convert([log], tmp_path / "new", Settings(), "lerobot", how)
     (text,) = (one.text for one in done.findings if "grey levels" in one.text)
@@ -129,7 +129,7 @@ def _recorded(path: Path, rows: int = 30) -> Path:
     return path
 
 
-def test_any_log_becomes_a_dataset_with_its_own_times(tmp_path):
+def test_convert_keeps_a_logs_own_times(tmp_path):
     log = _recorded(tmp_path / "run.mcap")
     done = pipeline.convert([log], tmp_path / "new", Settings(), "lerobot")
     said = " ".join(one.text for one in done.findings)
@@ -148,7 +148,7 @@ def test_any_log_becomes_a_dataset_with_its_own_times(tmp_path):
     assert info["features"]["observation.state"]["unit"] == "rad"
 
 
-def test_part_of_a_log_becomes_a_dataset(tmp_path):
+def test_convert_writes_part_of_a_log(tmp_path):
     log = _recorded(tmp_path / "run.mcap")
     pipeline.convert([log], tmp_path / "new", Settings(), "lerobot", start=0.3, end=0.6)
     with logs.open(log) as a, logs.open(tmp_path / "new") as b:
@@ -159,7 +159,7 @@ def test_part_of_a_log_becomes_a_dataset(tmp_path):
         pipeline.convert([log], tmp_path / "none", Settings(), "lerobot", start=50.0)
 
 
-def test_the_nearest_reading_is_taken():
+def test_nearest_matches_argmin():
     rng = np.random.default_rng(1)
     of, at = np.unique(rng.integers(0, 1000, 40)), np.unique(rng.integers(-50, 1100, 90))
     wanted = [int(np.abs(of - one).argmin()) for one in at]  # argmin takes the earlier of two
@@ -167,7 +167,7 @@ def test_the_nearest_reading_is_taken():
     np.testing.assert_array_equal(nearest(of[:1], at), np.zeros(len(at)))
 
 
-def test_what_cannot_become_a_dataset_is_refused_and_leaves_nothing(tmp_path):
+def test_convert_refuses_bad_input_and_leaves_nothing(tmp_path):
     log, other = drawn.v21(tmp_path / "set", [12]), drawn.robomimic(tmp_path / "demos.hdf5", (0,))
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()
@@ -185,7 +185,7 @@ def test_what_cannot_become_a_dataset_is_refused_and_leaves_nothing(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["demos.hdf5", "full", "set"]
 
 
-def test_images_of_odd_sides_need_the_lossless_codec(tmp_path):
+def test_encode_needs_lossless_for_odd_sizes(tmp_path):
     log = tmp_path / "odd.mcap"
     stamp = 10**9 + np.arange(5) * 50_000_000
     size = {"height": 33, "width": 47, "encoding": "bgr8", "step": 141}
@@ -199,7 +199,7 @@ def test_images_of_odd_sides_need_the_lossless_codec(tmp_path):
         assert [int(frame.image[0, 0, 0]) for frame in back.frames("/cam/image")] == [0, 10, 20, 30, 40]
 
 
-def test_images_that_cannot_be_read_are_lost_and_counted(tmp_path):
+def test_convert_counts_unreadable_images(tmp_path):
     import cv2
 
     stamp = 10**9 + np.arange(6) * 50_000_000
@@ -215,7 +215,7 @@ def test_images_that_cannot_be_read_are_lost_and_counted(tmp_path):
     np.testing.assert_array_equal(frames[2], frames[1])
 
 
-def test_degrees_come_back_as_they_were(tmp_path):
+def test_convert_keeps_degrees(tmp_path):
     folder = drawn.v21(tmp_path / "set", [12])
     info = json.loads((folder / "meta/info.json").read_text())
     info["features"]["observation.state"]["unit"] = "degrees"
@@ -228,7 +228,7 @@ def test_degrees_come_back_as_they_were(tmp_path):
         np.testing.assert_array_equal(log["/joint_states"].position, drawn.angles(12))
 
 
-def test_a_real_dataset_through_an_mcap_and_back_is_the_same(tmp_path):
+def test_convert_to_mcap_and_back_keeps_a_real_dataset(tmp_path):
     if not REAL.is_dir():
         pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
     pipeline.ingest(Path(f"{REAL}#1"), tmp_path / "run.mcap", Settings())

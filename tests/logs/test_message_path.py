@@ -21,20 +21,20 @@ from bodylog.logs.decode.message_path import IndexRange, Only, Path, parse, step
         ("io_teleop/joint_states", "io_teleop/joint_states", ()),
     ],
 )
-def test_a_path_is_a_topic_and_steps(text, topic, expected):
+def test_parse_splits_topic_and_steps(text, topic, expected):
     assert parse(text) == Path(topic, expected)
 
 
-def test_a_known_topic_with_dots_wins_over_the_first_dot():
+def test_parse_prefers_a_known_topic_with_dots():
     assert parse("/cam.left.data", ["/cam", "/cam.left"]) == Path("/cam.left", ("data",))
 
 
-def test_steps_may_leave_out_the_first_dot():
+def test_steps_accept_a_missing_first_dot():
     assert steps("data[:].prox[0]") == steps(".data[:].prox[0]")
 
 
 @pytest.mark.parametrize("text", ["/a.", "/a.b[", "/a.b[x]", "/a.b{id=2}", "/a.b..c", "/a.b[1:2:3]"])
-def test_what_cannot_be_read_is_named(text):
+def test_parse_names_the_invalid_part(text):
     with pytest.raises(ConfigError, match="cannot read"):
         parse(text)
 
@@ -50,5 +50,5 @@ def test_what_cannot_be_read_is_named(text):
         (IndexRange(-9, 1), [0, 1]),
     ],
 )
-def test_ranges_include_both_ends(span, picked):
+def test_index_range_includes_both_ends(span, picked):
     assert list(span.of(4)) == picked

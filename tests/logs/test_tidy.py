@@ -29,7 +29,7 @@ def pictures(recording):
     return [(frame.t, frame.image) for frame in recording.frames()]
 
 
-def test_a_tidy_log_says_the_same_under_fixed_names(tmp_path, log):
+def test_ingest_keeps_signals_under_tidy_names(tmp_path, log):
     ingest(log, tmp_path / "out.mcap", Settings())
     before, after = read(log, Settings()), read(tmp_path / "out.mcap", Settings())
     with AnyReader([tmp_path / "out.mcap"]) as reader:
@@ -45,7 +45,7 @@ def test_a_tidy_log_says_the_same_under_fixed_names(tmp_path, log):
     assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(frames[::20], pictures(before)[::20], strict=True))
 
 
-def test_log_times_are_the_times_chosen(tmp_path, log):
+def test_ingest_logs_at_the_chosen_times(tmp_path, log):
     ingest(log, tmp_path / "out.mcap", Settings())
     recording = read(log, Settings())
     with (tmp_path / "out.mcap").open("rb") as stream:
@@ -58,7 +58,7 @@ def test_log_times_are_the_times_chosen(tmp_path, log):
     assert times["/camera/image/compressed"] == camera
 
 
-def test_the_clock_of_a_stream_can_be_the_logs(tmp_path, arm):
+def test_ingest_can_use_the_log_clock(tmp_path, arm):
     by_log = Settings(time=Time(joints="log", camera="log", truth="log"))
     ingest(arm / "reach.mcap", tmp_path / "log.mcap", by_log)
     ingest(arm / "reach.mcap", tmp_path / "header.mcap", Settings())
@@ -67,18 +67,18 @@ def test_the_clock_of_a_stream_can_be_the_logs(tmp_path, arm):
     assert np.array_equal(np.subtract(*joints), np.full(len(joints[0]), 4_000_000))
 
 
-def test_every_reader_finds_every_message(tmp_path, log):
+def test_ingest_output_is_read_by_every_reader(tmp_path, log):
     ingest(log, tmp_path / "out.mcap", Settings())
     assert by_rosbags(tmp_path / "out.mcap") == by_pybag(tmp_path / "out.mcap")
 
 
-def test_same_input_same_bytes(tmp_path, log):
+def test_ingest_is_deterministic(tmp_path, log):
     for name in ("a", "b"):
         ingest(log, tmp_path / name, Settings())
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
-def test_only_the_window_is_kept(tmp_path, log):
+def test_ingest_keeps_only_the_window(tmp_path, log):
     ingest(log, tmp_path / "out.mcap", Settings(), start=2.0, end=3.5)
     whole, part = read(log, Settings()), read(tmp_path / "out.mcap", Settings())
     for role, series in signals(whole).items():
@@ -88,25 +88,25 @@ def test_only_the_window_is_kept(tmp_path, log):
     assert len(pictures(part)) == sum(2.0 <= t <= 3.5 for t, _ in pictures(whole))
 
 
-def test_an_empty_window_is_refused_and_leaves_no_file(tmp_path, log):
+def test_ingest_refuses_an_empty_window(tmp_path, log):
     with pytest.raises(LogError, match=r"no joints, skin, truth or pictures from 900.0 s to the end"):
         ingest(log, tmp_path / "out.mcap", Settings(), start=900.0)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_log_without_roles_is_refused(tmp_path):
+def test_ingest_refuses_a_log_without_roles(tmp_path):
     with pytest.raises(LogError, match="no joints, skin, truth or pictures in it"):
         ingest(source(tmp_path / "in.mcap"), tmp_path / "out.mcap", Settings())
 
 
-def test_the_log_itself_is_never_written_to(tmp_path, arm):
+def test_ingest_refuses_the_input_as_output(tmp_path, arm):
     link = tmp_path / "out.mcap"
     link.symlink_to(arm / "reach.mcap")
     with pytest.raises(UsageError, match="is also an input"):
         ingest(arm / "reach.mcap", link, Settings())
 
 
-def test_a_video_beside_the_log_becomes_jpegs(tmp_path, arm):
+def test_ingest_writes_a_video_as_jpegs(tmp_path, arm):
     video = cv2.VideoWriter(str(tmp_path / "side.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
     for level in range(0, 250, 25):
         video.write(np.full((48, 64, 3), level, np.uint8))
@@ -144,7 +144,7 @@ def ingested(tmp_path, log):
         return [(c.topic, reader.deserialize(raw, c.msgtype)) for c, _, raw in reader.messages()]
 
 
-def test_compressed_json_pictures_become_ros_messages(tmp_path):
+def test_ingest_converts_compressed_json_images(tmp_path):
     jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
     message = {"format": "jpeg", "data": base64.b64encode(jpeg).decode()}
     found = ingested(tmp_path, json_log(tmp_path / "in.mcap", "foxglove.CompressedImage", message))
@@ -153,7 +153,7 @@ def test_compressed_json_pictures_become_ros_messages(tmp_path):
     assert kept == {("/camera/image/compressed", "eye", "jpeg", jpeg)}
 
 
-def test_one_malformed_image_is_left_out_and_counted(tmp_path):
+def test_ingest_counts_a_malformed_image(tmp_path):
     jpeg = cv2.imencode(".jpg", np.full((48, 64, 3), 90, np.uint8))[1].tobytes()
     message = {"format": "jpeg", "data": base64.b64encode(jpeg).decode()}
     log = json_log(tmp_path / "in.mcap", "foxglove.CompressedImage", message, {"data": "not base64!"})
@@ -163,7 +163,7 @@ def test_one_malformed_image_is_left_out_and_counted(tmp_path):
         assert reader.message_count == 4
 
 
-def test_raw_json_pictures_become_ros_messages(tmp_path):
+def test_ingest_converts_raw_json_images(tmp_path):
     pixels = bytes(range(24))
     message = {"width": 4, "height": 2, "encoding": "rgb8", "step": 12, "data": base64.b64encode(pixels).decode()}
     found = ingested(tmp_path, json_log(tmp_path / "in.mcap", "foxglove.RawImage", message))
@@ -171,7 +171,7 @@ def test_raw_json_pictures_become_ros_messages(tmp_path):
     assert kept == {("/camera/image", 4, 2, "rgb8", 12, 0, pixels)} and len(found) == 5
 
 
-def test_a_foreign_protobuf_log_is_ingested(tmp_path, arm):
+def test_ingest_reads_a_foreign_protobuf_log(tmp_path, arm):
     log = arm.parent / "gagalo123__mcap-explorer" / "examples" / "demo.mcap"
     found = ingested(tmp_path, log)
     assert len(found) == 30
@@ -180,7 +180,7 @@ def test_a_foreign_protobuf_log_is_ingested(tmp_path, arm):
     assert all(np.array_equal(a, b) for (_, a), (_, b) in zip(before, after, strict=True))
 
 
-def test_what_a_simulations_clock_dates_before_its_beginning_is_left_out_and_said(tmp_path):
+def test_ingest_reports_messages_before_time_zero(tmp_path):
     """Joints in a simulation's time, from 1 s on, which runs half as fast as the log's: pictures begin before it."""
     from . import writing
     from .test_recording import camera, compressed, joint_state, joints
@@ -196,7 +196,7 @@ def test_what_a_simulations_clock_dates_before_its_beginning_is_left_out_and_sai
     assert 0 < left < 50 and len(list(after.frames())) == 50 - left and len(after.joints.t) == 50
 
 
-def test_a_damaged_log_is_refused_when_asked_to(tmp_path, arm):
+def test_ingest_refuses_a_damaged_log_if_strict(tmp_path, arm):
     log = tmp_path / "cut.mcap"
     log.write_bytes((arm / "reach.mcap").read_bytes()[:-200_000])
     with pytest.raises(LogError, match="without --strict"):

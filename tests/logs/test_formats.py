@@ -35,7 +35,7 @@ def readers(path: Path) -> list:
 
 @recorded
 @pytest.mark.parametrize("name", [name for name in KNOWN if not name.endswith(UNREADABLE)])
-def test_all_that_any_reader_reads_is_read(name: str) -> None:
+def test_open_reads_all_that_any_peer_reads(name: str) -> None:
     found = peers.ours(LOGS / name)
     assert found.total() == SALVAGED.get(Path(name).name, KNOWN[name])
     for reader in readers(LOGS / name):
@@ -44,13 +44,13 @@ def test_all_that_any_reader_reads_is_read(name: str) -> None:
 
 @recorded
 @pytest.mark.parametrize("name", [name for name in KNOWN if name.endswith(".bag") and KNOWN[name]])
-def test_bags_count_as_pybag_counts(name: str) -> None:
+def test_open_counts_bags_as_pybag(name: str) -> None:
     found = Counter(topic for topic, _, _ in peers.ours(LOGS / name).elements())
     assert not peers.pybag_counts(LOGS / name) - found
 
 
 @recorded
-def test_readers_are_really_asked() -> None:
+def test_peers_read_most_files() -> None:
     """The comparison would be empty if every peer refused every file."""
     path = LOGS / "arm" / "reach.mcap"
     assert all(peers.whatever(reader, path) == peers.ours(path) for reader in readers(path))
@@ -64,7 +64,7 @@ FOLDERS = sorted({file.parent.relative_to(LOGS) for file in LOGS.rglob("metadata
 
 @recorded
 @pytest.mark.parametrize("name", FOLDERS, ids=str)
-def test_folders_hold_what_rosbags_reads(name: Path) -> None:
+def test_open_reads_folders_as_rosbags(name: Path) -> None:
     folder, found = LOGS / name, peers.ours(LOGS / name)
     assert not peers.whatever(peers.rosbags_raw, folder) - found
     with open_log(folder) as log:
@@ -72,14 +72,14 @@ def test_folders_hold_what_rosbags_reads(name: Path) -> None:
 
 
 @recorded
-def test_two_containers_of_one_motion_agree() -> None:
+def test_open_agrees_across_containers() -> None:
     bag, folder = (peers.ours(LOGS / "arm" / name).elements() for name in ("reach.bag", "reach_rosbag2"))
     assert Counter(time for _, time, _ in bag) == Counter(time for _, time, _ in folder)
 
 
 @recorded
 @pytest.mark.parametrize("name", UNREADABLE)
-def test_what_is_no_log_is_refused(name: str) -> None:
+def test_open_refuses_files_that_are_not_logs(name: str) -> None:
     path = next(LOGS.rglob(name))
     with pytest.raises(LogError, match=r"logs are \.mcap, \.bag, \.db3 or a rosbag2 folder"):
         open_log(path)
@@ -96,7 +96,7 @@ def test_what_is_no_log_is_refused(name: str) -> None:
         (b"\x28\xb5\x2f\xfd" + bytes(20), "zstd data is damaged"),
     ],
 )
-def test_the_message_says_what_the_file_is(tmp_path: Path, content: bytes, said: str) -> None:
+def test_open_names_the_kind_of_a_refused_file(tmp_path: Path, content: bytes, said: str) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
     with pytest.raises(LogError, match=said) as caught:
@@ -105,7 +105,7 @@ def test_the_message_says_what_the_file_is(tmp_path: Path, content: bytes, said:
     assert "\n" not in str(caught.value)
 
 
-def test_missing_files_and_empty_folders_are_named(tmp_path: Path) -> None:
+def test_open_names_missing_files_and_empty_folders(tmp_path: Path) -> None:
     with pytest.raises(LogError, match="no such file or folder"):
         open_log(tmp_path / "missing.bag")
     (tmp_path / "notes.txt").write_text("x")
@@ -120,13 +120,13 @@ def test_payloads_are_views_of_the_batch() -> None:
 
 
 @recorded
-def test_a_message_at_time_zero_begins_the_log_even_if_the_statistics_leave_it_out() -> None:
+def test_open_includes_a_message_at_time_zero() -> None:
     path = next(LOGS.glob("ros2__rosbag2/rosbag2_py/**/mcap/**/rewriter_a_0.mcap"))
     with open_log(path) as log:
         assert log.start_ns == min(int(batch.log_ns.min()) for batch in log.batches()) == 0
 
 
-def test_a_file_that_may_not_be_read_is_an_error_of_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_open_refuses_an_unreadable_file_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise PermissionError(13, "Permission denied")
 

@@ -57,7 +57,7 @@ def everything(path: Path) -> object:
 
 @pytest.mark.parametrize("finish", [True, False])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_many_at_a_time_are_what_they_are_one_by_one(tmp_path, monkeypatch, seed, finish):
+def test_following_equals_single_records(tmp_path, monkeypatch, seed, finish):
     path = tmp_path / "x.mcap"
     content = unchunked(path, seed, finish)
     for spoilt in (content, *(damaged(content, 100 * seed + k) for k in range(8))):
@@ -69,7 +69,7 @@ def test_many_at_a_time_are_what_they_are_one_by_one(tmp_path, monkeypatch, seed
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_run_holds_the_messages_that_a_walk_meets(tmp_path, seed):
+def test_following_finds_the_messages_of_iter_records(tmp_path, seed):
     data = memoryview(unchunked(tmp_path / "x.mcap", seed))
     end = len(data) - len(MAGIC)
     expected = [at - HEAD.size for opcode, at, _ in iter_records(data, len(MAGIC), end) if opcode == MESSAGE]
@@ -77,7 +77,7 @@ def test_a_run_holds_the_messages_that_a_walk_meets(tmp_path, seed):
     assert found == expected
 
 
-def test_a_run_ends_before_a_message_that_is_cut_or_too_short_to_be_one():
+def test_following_ends_before_a_truncated_message():
     whole = HEAD.pack(MESSAGE, 30) + bytes(30)
     for count in (3, 40):
         for tail in (whole[:-1], HEAD.pack(MESSAGE, 21) + bytes(21), HEAD.pack(MESSAGE, 1 << 63), b"\x05"):

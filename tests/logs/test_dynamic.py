@@ -51,7 +51,7 @@ KEYS = ("q", "header", "stamp", "sec")
 STATE = topic(SCHEMA, "protobuf", "robot.State")
 
 
-def test_protobuf_fields_of_every_kind():
+def test_reader_reads_every_protobuf_kind():
     fields = (
         "timestamp", "joints[:].angle", "joints[:].name", "temperature", "offset", "level", "packed_values", "counts",
         "label", "wide", "joints[:]{name==\"b\"}.angle", "joints[-1].angle",
@@ -71,7 +71,7 @@ def test_protobuf_fields_of_every_kind():
     assert got.column("joints[-1].angle").tolist() == [n + 1 for n in range(3)]
 
 
-def test_absent_protobuf_numbers_are_zero_and_absent_messages_rejected():
+def test_reader_gives_defaults_for_absent_protobuf_numbers():
     got = columns(Messages([b""]), STATE, ("temperature", "label"))
     assert (got.column("temperature").tolist(), got.parts[0].values[1]) == ([0], ("",))
     got = columns(Messages([b""]), STATE, ("timestamp.seconds",))
@@ -86,12 +86,12 @@ def test_absent_protobuf_numbers_are_zero_and_absent_messages_rejected():
         (SCHEMA, "robot.Sate", "defines no robot.Sate; it has google.protobuf.Timestamp, robot.Joint, robot.State"),
     ],
 )
-def test_schemas_that_do_not_fit_are_refused(definition, type_, says):
+def test_reader_refuses_broken_schemas(definition, type_, says):
     with pytest.raises(FormatError, match=says):
         columns(Messages([]), topic(definition, "protobuf", type_), ("label",))
 
 
-def test_stamps_are_found_in_schemas():
+def test_stamp_field_reads_schemas():
     assert stamp_field(STATE) == "timestamp"
     assert stamp_field(topic(SCHEMA, "protobuf", "robot.Joint")) is None
     schema = {"properties": {"header": {"type": "object"}, "q": {"type": "array"}}}
@@ -103,7 +103,7 @@ def test_stamps_are_found_in_schemas():
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(flips=st.lists(st.tuples(st.integers(0, 300), st.integers(1, 255)), max_size=4), cut=st.integers(0, 200))
-def test_damaged_protobuf_is_counted_and_never_crashes(flips, cut):
+def test_columns_count_damaged_protobuf(flips, cut):
     broken = bytearray(state(3)[:cut])
     for where, bits in flips if broken else ():
         broken[where % len(broken)] ^= bits
@@ -111,13 +111,13 @@ def test_damaged_protobuf_is_counted_and_never_crashes(flips, cut):
     assert len(got.sound) + sum(got.rejected.values()) == 1
 
 
-def test_json_nested_very_deeply_is_rejected():
+def test_columns_reject_deeply_nested_json():
     deep = b'{"q": ' + b"[" * 900 + b"]" * 900 + b"}"
     got = columns(Messages([deep, b'{"q": [1]}']), topic(b"", "json", "x"), ("q",))
     assert len(got.sound) + sum(got.rejected.values()) == 2
 
 
-def test_whole_numbers_past_64_bits_become_floats():
+def test_columns_turn_huge_integers_into_floats():
     got = columns(Messages([b'{"q": [1, 1000000000000000000000]}']), topic(b"", "json", "x"), ("q",))
     assert got.column("q").tolist() == [[1, 1e21]]
 
@@ -128,7 +128,7 @@ def test_whole_numbers_past_64_bits_become_floats():
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(KEYS), inner),
     max_leaves=12,
 ))  # fmt: skip
-def test_any_json_is_counted_and_never_crashes(payload):
+def test_columns_survive_any_json(payload):
     got = columns(Messages([json.dumps(payload).encode()]), topic(b"", "json", "x"), ("header.stamp", "q", "q[0]"))
     assert len(got.sound) + sum(got.rejected.values()) == 1
     np.testing.assert_array_equal(got.sound, np.arange(len(got.sound)))

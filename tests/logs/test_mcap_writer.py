@@ -50,7 +50,7 @@ def told(messages):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize(("count", "longest"), [(1, 1), (500, 40), (300, 20_000), (3, 3 * CHUNK_BYTES)])
-def test_messages_come_back_from_front_to_end_and_by_index(seed, count, longest):
+def test_writer_output_is_read_by_stream_and_index(seed, count, longest):
     some = table([1, 2, 3], np.random.default_rng(seed), count, longest)
     written = file_of(some)
     by_index = make_reader(io.BytesIO(written), validate_crcs=True).iter_messages()
@@ -58,7 +58,7 @@ def test_messages_come_back_from_front_to_end_and_by_index(seed, count, longest)
     assert told(NonSeekingReader(io.BytesIO(written), validate_crcs=True).iter_messages()) == expected(some)
 
 
-def test_summary_says_what_the_file_holds():
+def test_writer_summary_matches_the_content():
     rng = np.random.default_rng(0)
     parts = [table([1, 3], rng, 400, 9000), table([3], rng, 200, 10)]
     written = file_of(*parts, note={"b": "2", "a": "1"})
@@ -73,13 +73,13 @@ def test_summary_says_what_the_file_holds():
     assert [m.metadata for m in make_reader(io.BytesIO(written)).iter_metadata()] == [{"a": "1", "b": "2"}]
 
 
-def test_chunks_are_about_a_mebibyte():
+def test_writer_chunks_are_about_a_mebibyte():
     written = file_of(table([1], np.random.default_rng(1), 4000, 4000))
     sizes = [c.uncompressed_size for c in make_reader(io.BytesIO(written)).get_summary().chunk_indexes]
     assert len(sizes) > 4 and max(sizes) < CHUNK_BYTES + 4100 and min(sizes[:-1]) > CHUNK_BYTES - 4100
 
 
-def test_what_does_not_shrink_is_stored_as_it_is():
+def test_writer_stores_incompressible_data():
     rng = np.random.default_rng(2)
     noise, zeros = table([1], rng, 50, 5000), table([1], rng, 50, 5000)
     zeros = replace(zeros, data=(zeros.data[0] * 0,))
@@ -87,20 +87,20 @@ def test_what_does_not_shrink_is_stored_as_it_is():
     assert [c.compression for c in chunks] == ["", "zstd"]
 
 
-def test_every_crc_in_the_file_holds():
+def test_writer_crcs_are_right():
     written = file_of(table([1, 2], np.random.default_rng(3), 100, 100), note={})
     records = StreamReader(io.BytesIO(written), validate_crcs=True, emit_chunks=False).records
     assert sum(1 for _ in records) > 100
 
 
-def test_equal_definitions_share_a_schema_and_ids_stay_free():
+def test_writer_shares_schemas():
     contents = Contents(schemas={65535: b"\3" + bytes(10) + b"x"}, channels={1: b"", 65535: b""})
     writer = Writer(io.BytesIO(), contents)
     numbers = [writer.topic(name, "a/msg/B", "cdr", b"int8 b", "ros2msg", {}) for name in "xyz"]
     assert numbers == [2, 3, 4] and set(contents.schemas) == {65535, 1}
 
 
-def test_pieces_are_gathered_in_the_order_asked_for():
+def test_gather_keeps_the_requested_order():
     data = np.arange(20_000, dtype=np.uint8)
     offset, length = np.array([9, 0, 100, 3]), np.array([2, 3, 10_000, 0])
     packed, start = gather(data, offset, length)

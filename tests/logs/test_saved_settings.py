@@ -23,7 +23,7 @@ def annotated(folder, said):
     return folder / "out.mcap"
 
 
-def test_what_was_said_holds_until_something_else_is(tmp_path):
+def test_restore_settings_fills_defaults(tmp_path):
     said = {"topics": {"joints": JOINTS, "skin": None}, "body": {"unit": "deg"}, "time": {"joints": "log"}}
     log = annotated(tmp_path, said)
     told = read(log, Settings()).settings
@@ -46,5 +46,5 @@ def test_what_was_said_holds_until_something_else_is(tmp_path):
         {"topics": {"joints": [JOINTS, 7]}, "body": {"unit": ["deg"], "joints": "elbow"}, "time": {"joints": {}}},
     ],
 )
-def test_what_does_not_fit_is_left_to_be_guessed(tmp_path, said):
+def test_restore_settings_ignores_values_that_do_not_fit(tmp_path, said):
     assert read(annotated(tmp_path, said), Settings()).settings == Settings()

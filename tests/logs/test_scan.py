@@ -58,7 +58,7 @@ def _imported() -> None:
 
 
 @pytest.mark.parametrize("name", READ)
-def test_what_is_sound_is_read_and_what_is_not_is_said(name: str) -> None:
+def test_open_reads_sound_parts_and_reports_damage(name: str) -> None:
     found, findings = read(FOLDER / name)
     numbers = [number_of(FOLDER / name, message) for message in found]
     assert len(set(numbers)) == len(numbers) == EXPECTED[name]["messages"]
@@ -67,31 +67,31 @@ def test_what_is_sound_is_read_and_what_is_not_is_said(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_read_is_refused_by_name(name: str) -> None:
+def test_open_refuses_unreadable_logs(name: str) -> None:
     with pytest.raises(LogError, match=EXPECTED[name]["error"]) as caught:
         open_log(FOLDER / name)
     assert str(caught.value).startswith(str(FOLDER / name))
 
 
 @pytest.mark.parametrize("name", LOST)
-def test_strict_refuses_what_is_lost(name: str) -> None:
+def test_open_strict_refuses_losses(name: str) -> None:
     with pytest.raises(LogError, match="lost"):
         read(FOLDER / name, strict=True)
 
 
 @pytest.mark.parametrize("name", LOST)
-def test_losses_are_said_in_bytes_messages_and_seconds(name: str) -> None:
+def test_findings_give_bytes_messages_and_seconds(name: str) -> None:
     lost = [finding.text for finding in read(FOLDER / name)[1] if finding.severity == "lost"]
     assert all(" bytes, " in text and " messages, " in text for text in lost)
     assert all(" s lost: " in text or " an unknown time lost: " in text for text in lost)
 
 
-def test_the_loss_of_a_chunk_is_counted_exactly() -> None:
+def test_findings_count_a_lost_chunk_exactly() -> None:
     texts = [finding.text for finding in read(FOLDER / "flipped_bit.mcap")[1]]
     assert any("565 bytes, 12 messages, 0.110 s lost" in text for text in texts)
 
 
-def test_reading_twice_says_each_loss_once() -> None:
+def test_findings_report_each_loss_once() -> None:
     with open_log(FOLDER / "flipped_bit.mcap") as log:
         for _ in range(2):
             assert sum(len(batch.log_ns) for batch in log.batches()) == MESSAGES - 12
@@ -99,7 +99,7 @@ def test_reading_twice_says_each_loss_once() -> None:
 
 
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
-def test_a_file_that_ends_in_a_chunk_is_read_up_to_there(tmp_path: Path, compression: str) -> None:
+def test_open_reads_a_truncated_chunk_up_to_the_cut(tmp_path: Path, compression: str) -> None:
     from tests.logs import written
 
     whole = written.source(
@@ -128,7 +128,7 @@ def _block(packed: bytes, last: int) -> int:
     return at
 
 
-def test_a_packed_file_is_read_up_to_its_damage(tmp_path: Path) -> None:
+def test_open_reads_a_compressed_file_up_to_its_damage(tmp_path: Path) -> None:
     import zstandard
 
     from tests.logs import written
@@ -147,7 +147,7 @@ def test_a_packed_file_is_read_up_to_its_damage(tmp_path: Path) -> None:
     assert all(share - 0.2 < count < share + 0.1 for share, count in zip((0.3, 0.6, 0.9), counts, strict=True)), counts
 
 
-def test_many_losses_are_summed(tmp_path: Path) -> None:
+def test_findings_sum_many_losses(tmp_path: Path) -> None:
     whole = (FOLDER / "none.mcap").read_bytes()
     path = tmp_path / "x.mcap"
     broken = bytearray(whole * 1)
@@ -217,7 +217,7 @@ relaxed = {"deadline": None, "suppress_health_check": [HealthCheck.function_scop
 @pytest.mark.parametrize("name", sorted({*DAMAGED, *CHECKED}))
 @settings(max_examples=25, derandomize=True, **relaxed)
 @given(damage=damages)
-def test_random_damage_never_crashes_nor_lies(
+def test_open_survives_random_damage(
     name: str, tmp_path: Path, damage: tuple[float | None, list[tuple[float, int]]]
 ) -> None:
     _holds(name, tmp_path, damage)
@@ -227,14 +227,14 @@ def test_random_damage_never_crashes_nor_lies(
 @pytest.mark.parametrize("name", sorted({*DAMAGED, *CHECKED}))
 @settings(max_examples=1000, **relaxed)
 @given(damage=damages)
-def test_random_damage_never_crashes_nor_lies_at_length(
+def test_open_survives_much_random_damage(
     name: str, tmp_path: Path, damage: tuple[float | None, list[tuple[float, int]]]
 ) -> None:
     _holds(name, tmp_path, damage)
 
 
 @pytest.mark.parametrize("name", ["none.mcap", "unchunked.mcap", "no_summary.mcap", "none.bag", "killed.bag.active"])
-def test_a_cut_anywhere_leaves_what_came_before(name: str, tmp_path: Path) -> None:
+def test_open_reads_what_precedes_any_cut(name: str, tmp_path: Path) -> None:
     """Cut at every 37th byte: never fewer messages than at the cut before, and all of them right."""
     content, before = (FOLDER / name).read_bytes(), 0
     for cut in range(4200 if "bag" in name else 100, len(content), 37):
@@ -248,7 +248,7 @@ def test_a_cut_anywhere_leaves_what_came_before(name: str, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["none.mcap", "zstd.mcap", "bz2.bag", "lz4.bag"])
-def test_a_file_that_was_given_room_and_never_filled_is_read_as_far_as_it_was(name: str, tmp_path: Path) -> None:
+def test_open_reads_a_preallocated_file(name: str, tmp_path: Path) -> None:
     """As a recorder that is killed, or a disk that loses its power, leaves it: ending in zeros."""
     content, path = (FOLDER / name).read_bytes(), tmp_path / name
     path.write_bytes(content[: len(content) * 2 // 3])
@@ -272,7 +272,7 @@ def _streams(path: Path) -> Iterator[bytes]:
 
 
 @pytest.mark.parametrize("name", ["none.mcap", "zstd.mcap", "unchunked.mcap"])
-def test_a_cut_log_gives_at_least_what_the_streaming_reader_gives(name: str, tmp_path: Path) -> None:
+def test_open_reads_at_least_what_the_streaming_reader_does(name: str, tmp_path: Path) -> None:
     content = (FOLDER / name).read_bytes()
     for cut in range(100, len(content), 211):
         path = tmp_path / name
@@ -280,7 +280,7 @@ def test_a_cut_log_gives_at_least_what_the_streaming_reader_gives(name: str, tmp
         assert set(_streams(path)) <= {payload for _, _, payload in read(path)[0]}, cut
 
 
-def test_the_fixtures_are_what_their_maker_makes(tmp_path: Path) -> None:
+def test_fixtures_are_reproducible(tmp_path: Path) -> None:
     """Byte for byte where nothing is compressed by a library of another version."""
     from fixtures.make_containers import make
 
@@ -291,6 +291,6 @@ def test_the_fixtures_are_what_their_maker_makes(tmp_path: Path) -> None:
         assert (tmp_path / "made" / name).read_bytes() == (FOLDER / name).read_bytes()
 
 
-def test_a_hole_lasts_from_the_chunk_before_to_the_chunk_after() -> None:
+def test_findings_time_a_gap_between_chunks() -> None:
     (lost,) = [finding.text for finding in read(FOLDER / "hole.mcap")[1] if finding.severity == "lost"]
     assert "465 bytes, 12 messages, 0.130 s lost" in lost

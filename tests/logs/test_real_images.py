@@ -17,7 +17,7 @@ FOUND = {"mono8", "rgb8", "bgr8", "jpg", "jpeg", "png", "bgr8; jpeg compressed b
 """How the recorded logs that rosbags can decode store their pictures."""
 
 
-def test_the_first_picture_of_every_recorded_topic_is_that_of_rosbags_image() -> None:
+def test_decoder_equals_rosbags_image() -> None:
     peer = pytest.importorskip("rosbags.image")
     if not SHARED.is_dir():
         pytest.skip(f"{SHARED} is not here")

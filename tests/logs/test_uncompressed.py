@@ -51,7 +51,7 @@ def _both(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Read]:
         yield _read(path)
 
 
-def test_chunks_are_looked_at_together(tmp_path: Path) -> None:
+def test_together_reads_several_chunks(tmp_path: Path) -> None:
     _write(tmp_path / "a.mcap", 0)
     with reader.McapLog(tmp_path / "a.mcap") as log:
         counts = [len(some) for some in uncompressed.runs(log.survey.parts)]
@@ -61,7 +61,7 @@ def test_chunks_are_looked_at_together(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_sound_log_reads_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+def test_together_equals_single_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     _write(tmp_path / "a.mcap", seed)
     together, alone = _both(tmp_path / "a.mcap", monkeypatch)
     assert together == alone and sum(map(len, together[0].values())) == 600 and not together[1]
@@ -69,7 +69,7 @@ def test_a_sound_log_reads_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("summarised", [True, False])
 @pytest.mark.parametrize("seed", range(12))
-def test_a_damaged_log_reads_the_same(
+def test_together_equals_single_chunks_with_damage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int, summarised: bool
 ) -> None:
     rng, path = np.random.default_rng(seed), tmp_path / "a.mcap"
@@ -83,7 +83,7 @@ def test_a_damaged_log_reads_the_same(
 
 
 @pytest.mark.parametrize("change", ["one less", "twice the same", "before the chunk", "far behind"])
-def test_indexes_that_lie_are_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str) -> None:
+def test_together_detects_wrong_indexes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: str) -> None:
     path = tmp_path / "a.mcap"
     raw = _write(path, 5)
     with reader.McapLog(path) as log:

@@ -79,7 +79,7 @@ CHANGES = {
 
 @pytest.mark.parametrize("name", CHANGES)
 @pytest.mark.parametrize("count", [5, 3000])
-def test_pages_hold_what_sqlite_gives(tmp_path, by_sqlite, asked, name, count):
+def test_pages_equal_sqlite(tmp_path, by_sqlite, asked, name, count):
     draw, path = random.Random(count), tmp_path / "x.db3"
     db3(path, rows(draw, count, 300), TYPE, None)
     changed(path, *CHANGES[name])
@@ -103,7 +103,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_what_is_odd_is_read_as_sqlite_reads_it(tmp_path, by_sqlite, name):
+def test_rows_equal_sqlite_for_odd_tables(tmp_path, by_sqlite, name):
     path = tmp_path / "x.db3"
     db3(path, rows(random.Random(1), 1500, 100), TYPE, None)
     changed(path, ODD[name])
@@ -111,7 +111,7 @@ def test_what_is_odd_is_read_as_sqlite_reads_it(tmp_path, by_sqlite, name):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_damaged_pages_give_no_row_that_sqlite_does_not(tmp_path, by_sqlite, seed):
+def test_pages_give_no_row_that_sqlite_does_not(tmp_path, by_sqlite, seed):
     draw, path = random.Random(seed), tmp_path / "x.db3"
     db3(path, rows(draw, 400, 100), TYPE, None)
     whole = bytearray(path.read_bytes())

@@ -24,14 +24,14 @@ def some(count: int, size: int = 12) -> list[by_hand.Message]:
              + bytes(size - 12)) for number in range(count)]  # fmt: skip
 
 
-def test_definitions_come_from_the_file_else_from_the_standard() -> None:
+def test_open_takes_definitions_from_the_file_or_the_standard() -> None:
     for name in ("humble.db3", "iron.db3"):
         with open_log(FOLDER / name) as log:
             assert {topic.definition_encoding for topic in log.topics} == {"ros2msg"}
             assert all(b"float64 data" in topic.definition for topic in log.topics)
 
 
-def test_an_unknown_type_has_no_definition_and_is_still_read(tmp_path: Path) -> None:
+def test_open_reads_an_unknown_type(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(3), "nobody_msgs/msg/Unknown", None)
     with open_log(path) as log:
@@ -39,7 +39,7 @@ def test_an_unknown_type_has_no_definition_and_is_still_read(tmp_path: Path) -> 
         assert sum(len(batch.log_ns) for batch in log.batches()) == 3
 
 
-def test_nothing_is_written_beside_the_log(tmp_path: Path) -> None:
+def test_open_writes_nothing_beside_the_log(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     shutil.copyfile(FOLDER / "humble.db3", path)
     with closing(sqlite3.connect(path)) as store:
@@ -52,7 +52,7 @@ def test_nothing_is_written_beside_the_log(tmp_path: Path) -> None:
     assert (path.read_bytes(), path.stat().st_mtime_ns) == before
 
 
-def test_rows_still_in_the_write_ahead_log_are_read(tmp_path: Path) -> None:
+def test_open_reads_the_write_ahead_log(tmp_path: Path) -> None:
     recording, found = tmp_path / "recording.db3", tmp_path / "found"
     found.mkdir()
     by_hand.db3(recording, some(5), KIND, None)
@@ -68,7 +68,7 @@ def test_rows_still_in_the_write_ahead_log_are_read(tmp_path: Path) -> None:
     assert len(peers.sqlite_raw(found / "recording.db3")) == 5
 
 
-def test_topics_asked_for_are_all_that_is_read(tmp_path: Path) -> None:
+def test_batches_read_only_requested_topics(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(30), KIND, None)
     with open_log(path) as log:
@@ -78,7 +78,7 @@ def test_topics_asked_for_are_all_that_is_read(tmp_path: Path) -> None:
             assert topic.messages == len(found)
 
 
-def test_the_order_is_that_of_recording_not_of_time(tmp_path: Path) -> None:
+def test_batches_are_in_recording_order(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     shuffled = some(20)[::-1]
     by_hand.db3(path, shuffled, KIND, None)
@@ -89,7 +89,7 @@ def test_the_order_is_that_of_recording_not_of_time(tmp_path: Path) -> None:
     assert times == [time for topic, time, _ in shuffled if topic == "/b"]
 
 
-def test_a_damaged_page_loses_its_rows_only(tmp_path: Path) -> None:
+def test_open_loses_only_the_rows_of_a_damaged_page(tmp_path: Path) -> None:
     """A leaf in the middle is overwritten: the rows before and after are read, those on it are counted."""
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(3000, 100), KIND, None)
@@ -112,7 +112,7 @@ def test_a_damaged_page_loses_its_rows_only(tmp_path: Path) -> None:
         open_log(path, strict=True)
 
 
-def test_pages_that_point_back_give_no_row_twice_and_come_to_an_end(tmp_path: Path) -> None:
+def test_rows_end_on_cyclic_pages(tmp_path: Path) -> None:
     """A leaf in the middle is overwritten with the page above it, and so on for all of them in turn."""
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(3000, 100), KIND, None)
@@ -128,7 +128,7 @@ def test_pages_that_point_back_give_no_row_twice_and_come_to_an_end(tmp_path: Pa
     assert min(counts) > 2900 and counts.count(3000) < 2
 
 
-def test_the_row_before_a_damaged_one_is_read(tmp_path: Path) -> None:
+def test_rows_read_the_row_before_a_damaged_one(tmp_path: Path) -> None:
     """SQLite's cursor steps ahead, so what is wrong with a row is said where the one before is asked for."""
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(400, 3000), KIND, None)
@@ -141,7 +141,7 @@ def test_the_row_before_a_damaged_one_is_read(tmp_path: Path) -> None:
     assert 200 in missing and len(missing) <= 2
 
 
-def test_a_row_of_the_wrong_type_is_left_out_and_said(tmp_path: Path) -> None:
+def test_rows_report_a_row_of_the_wrong_type(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(10), KIND, None)
     with closing(sqlite3.connect(path)) as store, store:
@@ -151,7 +151,7 @@ def test_a_row_of_the_wrong_type_is_left_out_and_said(tmp_path: Path) -> None:
         assert [finding.text for finding in log.findings if "row 4 of messages is damaged" in finding.text]
 
 
-def test_messages_of_no_topic_are_said(tmp_path: Path) -> None:
+def test_open_reports_messages_without_a_topic(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(9), KIND, None)
     with closing(sqlite3.connect(path)) as store, store:
@@ -162,7 +162,7 @@ def test_messages_of_no_topic_are_said(tmp_path: Path) -> None:
         assert "3 messages" in log.findings[0].text
 
 
-def test_another_database_is_refused(tmp_path: Path) -> None:
+def test_open_refuses_other_databases(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     with closing(sqlite3.connect(path)) as store, store:
         store.execute("CREATE TABLE films(id INTEGER)")
@@ -170,13 +170,13 @@ def test_another_database_is_refused(tmp_path: Path) -> None:
         open_log(path)
 
 
-def test_names_that_are_no_plain_address_are_opened(tmp_path: Path) -> None:
+def test_open_accepts_unusual_file_names(tmp_path: Path) -> None:
     path = tmp_path / "a?b#c %41.db3"
     by_hand.db3(path, some(3), KIND, None)
     assert len(peers.ours(path)) == 3
 
 
-def test_large_and_small_payloads_mix(tmp_path: Path) -> None:
+def test_open_reads_large_and_small_payloads(tmp_path: Path) -> None:
     path = tmp_path / "x.db3"
     mixed = [("/a", number, bytes(1 << 20 if number % 40 == 39 else 8)) for number in range(120)]
     by_hand.db3(path, mixed, KIND, None)

@@ -8,7 +8,7 @@ import pytest
 from bodylog.logs.rosbag1 import truncated
 from fixtures import by_hand
 
-from .test_salvage import read
+from .test_scan import read
 
 SOME = [(f"/t{i % 3}", 10**9 * (100 + i), bytes([i % 7]) * 20 + i.to_bytes(4, "little") * 30) for i in range(1000)]
 
@@ -24,7 +24,7 @@ def _bag(compression: str) -> bytes:
 
 @pytest.mark.parametrize("compression", ["lz4", "bz2", "none"])
 @pytest.mark.parametrize("cuts", [60, pytest.param(1500, marks=pytest.mark.soak)])
-def test_a_bag_that_ends_in_a_chunk_is_read_up_to_there(tmp_path: Path, compression: str, cuts: int) -> None:
+def test_open_reads_a_truncated_chunk_up_to_the_cut(tmp_path: Path, compression: str, cuts: int) -> None:
     """bz2 gives whole blocks alone, and these chunks are of one."""
     whole, path, counts = _bag(compression), tmp_path / "cut.bag", []
     for cut in range(4500, len(whole), len(whole) // cuts):
@@ -37,7 +37,7 @@ def test_a_bag_that_ends_in_a_chunk_is_read_up_to_there(tmp_path: Path, compress
     assert set(counts) <= {0, 400, 800, 1000} if compression == "bz2" else len(set(counts)) > 15
 
 
-def test_a_stored_chunk_that_is_cut_says_how_many_bytes_of_it_lack(tmp_path: Path) -> None:
+def test_open_counts_missing_bytes_of_an_uncompressed_chunk(tmp_path: Path) -> None:
     """What its messages were the rest of the chunk told; those that are whole are not lost."""
     whole, path = _bag("none"), tmp_path / "cut.bag"
     start = whole.index(b"compression=none")
@@ -51,7 +51,7 @@ def test_a_stored_chunk_that_is_cut_says_how_many_bytes_of_it_lack(tmp_path: Pat
     assert message.endswith("no whole record can be read there")
 
 
-def test_a_chunk_that_its_recorder_never_closed_is_read_as_far_as_it_was_written(tmp_path: Path) -> None:
+def test_open_reads_an_unclosed_chunk(tmp_path: Path) -> None:
     """A recorder says a chunk's two lengths when it is done with it; killed before, it leaves zeros."""
     whole, path, zero = _bag("lz4"), tmp_path / "killed.bag", bytes(4)
     at = whole.index(b"compression=lz4", whole.index(b"compression=lz4") + 1)
@@ -63,7 +63,7 @@ def test_a_chunk_that_its_recorder_never_closed_is_read_as_far_as_it_was_written
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_lz4_is_unpacked_as_the_library_does_and_before_a_cut_as_far_as_it_goes(seed: int) -> None:
+def test_decompress_truncated_lz4_equals_the_library(seed: int) -> None:
     import lz4.frame
 
     rng = random.Random(seed)
@@ -81,7 +81,7 @@ def test_lz4_is_unpacked_as_the_library_does_and_before_a_cut_as_far_as_it_goes(
     assert len(truncated.decompress_truncated(truncated.Cut("lz4", memoryview(packed), 1000))) == 1000
 
 
-def test_a_chunk_that_claims_gigabytes_is_believed_as_far_as_its_bytes_go() -> None:
+def test_cut_at_bounds_a_declared_size() -> None:
     whole, start = _bag("lz4"), 13 + 8 + 4096
     sound = truncated.cut_at(memoryview(whole[:6000]), start)
     size = whole.index(b"size=", start) + 5

@@ -32,13 +32,13 @@ def two():
         yield
 
 
-def test_linear_algebra_has_one_thread_meanwhile_and_as_many_as_before_afterwards(two) -> None:
+def test_one_thread_limits_blas_and_restores_it(two) -> None:
     with one_thread():
         assert set(_threads()) == {1}
     assert set(_threads()) == {2}
 
 
-def test_opencv_has_no_threads_of_its_own_while_pictures_are_looked_at_and_as_many_as_before_afterwards() -> None:
+def test_one_opencv_limits_threads_and_restores_them() -> None:
     before = cv2.getNumThreads()
     try:
         cv2.setNumThreads(3)
@@ -73,7 +73,7 @@ def _running(run, monkeypatch) -> set[int]:
     return set(seen)
 
 
-def test_bodies_are_learned_and_logs_estimated_on_one_thread(two, monkeypatch) -> None:
+def test_fit_and_estimate_use_one_thread(two, monkeypatch) -> None:
     track = Series(np.zeros(0), np.zeros((0, 2)), ("u", "v"), "px", np.zeros(0, np.int64))
     seen = Features(None, {"effector": track}, None, (), (), {})
     assert _running(lambda: learn([seen], Settings(), {}), monkeypatch) == {1}
@@ -83,7 +83,7 @@ def test_bodies_are_learned_and_logs_estimated_on_one_thread(two, monkeypatch) -
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="threads have no priorities of their own")
-def test_a_thread_that_comes_later_keeps_no_other_back() -> None:
+def test_lower_priority_yields_to_other_threads() -> None:
     def mine() -> int:
         return os.getpriority(os.PRIO_PROCESS, 0)
 

@@ -20,14 +20,14 @@ def messages(i, count, seed):
 
 
 @pytest.mark.parametrize("i", range(8))
-def test_rows_are_what_each_message_becomes_alone(i):
+def test_convert_same_layout_equals_single_conversion(i):
     convert, _ = converter(CUSTOM_TOPIC)
     rows = messages(i, 20, 100 * i)
     same, out = convert.convert_same_layout(rows)
     assert same.all() and [row.tobytes() for row in out] == [bytes(convert(memoryview(row.tobytes()))) for row in rows]
 
 
-def test_messages_of_equal_length_and_other_layout_are_left_alone():
+def test_convert_same_layout_skips_other_layouts():
     convert, _ = converter(CUSTOM_TOPIC)
     rows = messages(6, 20, 0)
     other = rows.copy()
@@ -38,7 +38,7 @@ def test_messages_of_equal_length_and_other_layout_are_left_alone():
     assert [row.tobytes() for row in out] == [bytes(convert(memoryview(row.tobytes()))) for row in other[1::2]]
 
 
-def test_sequence_numbers_may_differ():
+def test_convert_same_layout_ignores_sequence_numbers():
     convert, _ = converter(CUSTOM_TOPIC)
     rows = messages(3, 5, 0)
     rows[:, :4] = np.arange(20).reshape(5, 4)
@@ -46,7 +46,7 @@ def test_sequence_numbers_may_differ():
 
 
 @pytest.mark.parametrize("damage", [lambda r: r[:, :-1], lambda r: np.where(np.arange(r.shape[1]) == 13, 255, r)])
-def test_a_first_row_that_contradicts_its_type_is_refused(damage):
+def test_convert_same_layout_refuses_a_broken_first_row(damage):
     convert, _ = converter(CUSTOM_TOPIC)
     with pytest.raises(FormatError):
         convert.convert_same_layout(np.ascontiguousarray(damage(messages(2, 3, 0))).astype(np.uint8))

@@ -47,7 +47,7 @@ def _run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @LINUX
-def test_what_is_cut_off_a_mapped_file_reads_as_zeros(tmp_path: Path) -> None:
+def test_sigbus_handler_reads_zeros_after_a_cut(tmp_path: Path) -> None:
     path = tmp_path / "x"
     path.write_bytes(b"x" * 100_000)
     done = _run(ZEROS, str(path))
@@ -60,7 +60,7 @@ def test_what_is_cut_off_a_mapped_file_reads_as_zeros(tmp_path: Path) -> None:
 @LINUX
 @pytest.mark.parametrize("name", ["none.mcap", "zstd.mcap", "unchunked.mcap", "none.bag", "lz4.bag"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
-def test_a_log_that_is_cut_while_it_is_read_is_refused_in_one_line(tmp_path: Path, name: str, share: float) -> None:
+def test_commands_refuse_a_log_cut_during_reading(tmp_path: Path, name: str, share: float) -> None:
     path = tmp_path / name
     shutil.copy(FOLDER / name, path)
     size = os.path.getsize(path)
@@ -72,7 +72,7 @@ def test_a_log_that_is_cut_while_it_is_read_is_refused_in_one_line(tmp_path: Pat
 
 
 @LINUX
-def test_what_a_disk_could_not_read_is_no_result(tmp_path: Path) -> None:
+def test_commands_refuse_results_after_a_disk_error(tmp_path: Path) -> None:
     """Stood in for by another file that is cut: the log's own size says nothing."""
     other = tmp_path / "other"
     other.write_bytes(b"x" * 100_000)

@@ -26,7 +26,7 @@ def said(path: Path) -> str:
 
 
 @pytest.mark.parametrize("name", SOUND)
-def test_a_sound_log_has_no_finding(name: str) -> None:
+def test_examine_finds_nothing_in_a_sound_log(name: str) -> None:
     assert examine(FOLDER / name) == ()
 
 
@@ -45,7 +45,7 @@ def test_a_sound_log_has_no_finding(name: str) -> None:
         ("renamed", "metadata.yaml is not readable"),
     ],
 )
-def test_each_fault_is_named(name: str, text: str) -> None:
+def test_examine_names_each_fault(name: str, text: str) -> None:
     assert text in said(FOLDER / name)
 
 
@@ -77,11 +77,11 @@ def _patched(tmp_path: Path, opcode: int, offset: int, new: bytes, sealed: bool 
         (6, 9, bytes(8), "declares log times 0 to 17"),
     ],
 )
-def test_what_no_reader_checks_is_checked(tmp_path: Path, opcode: int, offset: int, new: bytes, text: str) -> None:
+def test_examine_checks_what_readers_do_not(tmp_path: Path, opcode: int, offset: int, new: bytes, text: str) -> None:
     assert text in said(_patched(tmp_path, opcode, offset, new))
 
 
-def test_messages_out_of_order_are_counted_per_topic(tmp_path: Path) -> None:
+def test_examine_counts_messages_out_of_order(tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     path = tmp_path / "x.mcap"
@@ -94,7 +94,7 @@ def test_messages_out_of_order_are_counted_per_topic(tmp_path: Path) -> None:
     assert "/late: 2 messages have a log time before their predecessor's, by up to 2.000000 s" in said(path)
 
 
-def test_metadata_yaml_is_compared_with_the_files(tmp_path: Path) -> None:
+def test_examine_compares_metadata_yaml_with_the_files(tmp_path: Path) -> None:
     text = (FOLDER / "split.bag" / "metadata.yaml").read_text()
     for file in (FOLDER / "split.bag").glob("*.db3"):
         (tmp_path / file.name).write_bytes(file.read_bytes())
@@ -106,7 +106,7 @@ def test_metadata_yaml_is_compared_with_the_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", READ)
-def test_a_repair_holds_what_is_sound_and_nothing_is_wrong_with_it(name: str, tmp_path: Path) -> None:
+def test_repair_keeps_what_is_sound(name: str, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     findings = repair(FOLDER / name, out)
     assert findings == open_and_read(FOLDER / name)
@@ -126,7 +126,7 @@ def open_and_read(path: Path) -> tuple[object, ...]:
         return log.findings
 
 
-def test_a_repair_keeps_sequence_publish_time_channels_attachments_and_metadata(tmp_path: Path) -> None:
+def test_repair_keeps_sequence_times_channels_and_extras(tmp_path: Path) -> None:
     from mcap.reader import make_reader
     from mcap.writer import Writer
 
@@ -155,14 +155,14 @@ def test_a_repair_keeps_sequence_publish_time_channels_attachments_and_metadata(
     assert content(out) == content(path)
 
 
-def test_the_log_itself_is_never_the_output(tmp_path: Path) -> None:
+def test_repair_refuses_the_input_as_output(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes((FOLDER / "none.mcap").read_bytes())
     with pytest.raises(UsageError, match="choose another name"):
         repair(path, path)
 
 
-def test_nothing_is_written_when_nothing_is_sound(tmp_path: Path) -> None:
+def test_repair_writes_nothing_when_nothing_is_sound(tmp_path: Path) -> None:
     path, out = tmp_path / "x.mcap", tmp_path / "out.mcap"
     path.write_bytes((FOLDER / "none.mcap").read_bytes()[:60])
     with pytest.raises(LogError, match="nothing in it can be saved"):
@@ -173,7 +173,7 @@ def test_nothing_is_written_when_nothing_is_sound(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(not LOGS.is_dir(), reason=f"the recorded logs are not at {LOGS}")
 @pytest.mark.parametrize("name", ["test_sample_truncated.mcap", "test_truncated.bag", "gps.bag.active", "reach.bag"])
-def test_recorded_logs_are_repaired_into_what_every_reader_reads(name: str, tmp_path: Path) -> None:
+def test_repair_output_is_read_by_every_reader(name: str, tmp_path: Path) -> None:
     path, out = next(LOGS.rglob(name)), tmp_path / "out.mcap"
     repair(path, out)
     wanted = peers.ours(path)

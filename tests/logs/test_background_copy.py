@@ -47,7 +47,7 @@ def meanwhile(monkeypatch, what):
 
 @pytest.mark.parametrize("direct", [True, False])
 @pytest.mark.parametrize("size", [1, 4095, 4096, PIECE, 3 * PIECE, 10 * PIECE + 5000])
-def test_bytes_and_digest_are_the_sources(tmp_path, monkeypatch, direct, size):
+def test_copy_has_the_bytes_and_digest_of_the_source(tmp_path, monkeypatch, direct, size):
     if not direct:
         monkeypatch.delattr(background_copy.os, "O_DIRECT", raising=False)
     raw = os.urandom(size)
@@ -59,7 +59,7 @@ def test_bytes_and_digest_are_the_sources(tmp_path, monkeypatch, direct, size):
         assert (tmp_path / "out").read_bytes() == raw[:end]
 
 
-def test_a_short_log_waits_to_be_copied_and_a_long_one_does_not(tmp_path, monkeypatch):
+def test_copy_delays_short_logs(tmp_path, monkeypatch):
     raw = os.urandom(3 * PIECE)
     (tmp_path / "in").write_bytes(raw)
     (tmp_path / "out").write_bytes(b"")
@@ -74,7 +74,7 @@ def test_a_short_log_waits_to_be_copied_and_a_long_one_does_not(tmp_path, monkey
         _until(lambda: (tmp_path / "out").read_bytes() == raw)
 
 
-def test_what_waits_to_be_copied_keeps_no_process_that_was_told_to_stop_from_ending(tmp_path):
+def test_copy_does_not_block_an_interrupted_process(tmp_path):
     (tmp_path / "in").write_bytes(bytes(PIECE))
     (tmp_path / "out").write_bytes(b"")
     before = threading.active_count()
@@ -89,14 +89,14 @@ def _until(done):
         time.sleep(0.01)
 
 
-def test_a_folder_is_digested_file_by_file(tmp_path):
+def test_copy_digests_a_folder_file_by_file(tmp_path):
     for name in ("b", "a"):
         (tmp_path / name).write_bytes(os.urandom(3 * PIECE + 7))
     with Copy(tmp_path) as copy:
         assert copy.digest() == sha256(tmp_path)
 
 
-def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
+def test_copy_stops_after_a_piece(tmp_path, monkeypatch):
     (tmp_path / "in").write_bytes(bytes(100 * PIECE))
     whole, given = background_copy.iter_mapped, []
 
@@ -115,7 +115,7 @@ def test_what_is_no_longer_wanted_stops_after_a_piece(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("change", [-3 * PIECE, 100])
-def test_a_log_that_changes_its_size_meanwhile_is_refused_and_leaves_nothing(tmp_path, log, monkeypatch, change):
+def test_annotating_refuses_a_log_that_changes_size(tmp_path, log, monkeypatch, change):
     size = log.stat().st_size
     assert size > 8 * PIECE
     meanwhile(monkeypatch, lambda: os.truncate(log, size + change))
@@ -124,7 +124,7 @@ def test_a_log_that_changes_its_size_meanwhile_is_refused_and_leaves_nothing(tmp
     assert list(tmp_path.iterdir()) == [log]
 
 
-def test_a_full_disk_is_told_and_nothing_is_left(tmp_path, log, monkeypatch):
+def test_annotating_reports_a_full_disk_and_leaves_nothing(tmp_path, log, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -135,7 +135,7 @@ def test_a_full_disk_is_told_and_nothing_is_left(tmp_path, log, monkeypatch):
 
 
 @pytest.mark.parametrize("first", ["the copy", "the messages"])
-def test_the_order_of_things_does_not_show(tmp_path, log, monkeypatch, first):
+def test_annotating_is_independent_of_call_order(tmp_path, log, monkeypatch, first):
     messages = outgoing()
     annotate.annotate(log, messages, {"input": sha256(log)}, tmp_path / "plain.mcap")
     if first == "the messages":
@@ -149,7 +149,7 @@ def test_the_order_of_things_does_not_show(tmp_path, log, monkeypatch, first):
 
 
 @pytest.mark.parametrize("problem", [LogError("no joints"), KeyboardInterrupt(), MemoryError()])
-def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
+def test_annotating_leaves_nothing_after_an_error(tmp_path, log, problem):
     (tmp_path / "out.mcap").write_bytes(b"of an earlier run")
     with pytest.raises(type(problem)), annotate.annotating(log, tmp_path / "out.mcap") as under_way:
         assert len(list(tmp_path.iterdir())) == 3
@@ -160,7 +160,7 @@ def test_nothing_is_left_of_what_was_begun_in_vain(tmp_path, log, problem):
 
 
 @pytest.mark.parametrize(("kernel", "age"), [(temporary.machine(), 0.0), ("0" * 8, 2 * temporary.FOREIGN_S)])
-def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, kernel, age):
+def test_annotating_removes_left_overs_of_a_killed_run(tmp_path, log, kernel, age):
     annotate.annotate(log, outgoing(), {}, tmp_path / "plain.mcap")
     stale = tmp_path / f".{kernel}-{'a' * 16}{temporary.PART}"
     stale.write_bytes(bytes(2 * log.stat().st_size))
@@ -171,7 +171,7 @@ def test_what_a_killed_run_left_disturbs_no_other_and_goes(tmp_path, log, kernel
 
 
 @pytest.mark.parametrize("done", ["nothing", "the messages alone"])
-def test_what_was_not_finished_takes_nobodys_place(tmp_path, log, done):
+def test_annotating_replaces_nothing_when_unfinished(tmp_path, log, done):
     with (
         pytest.raises(LogError, match="not written correctly"),
         annotate.annotating(log, tmp_path / "out.mcap") as under_way,
@@ -181,7 +181,7 @@ def test_what_was_not_finished_takes_nobodys_place(tmp_path, log, done):
     assert list(tmp_path.iterdir()) == [log]
 
 
-def test_a_disk_that_shares_blocks_is_asked_to(log, tmp_path, monkeypatch):
+def test_copy_shares_blocks_where_possible(log, tmp_path, monkeypatch):
     """Where it can, nothing but what is over after the last whole block is written."""
     written, plain, asked = [], background_copy._Target.write, []
 

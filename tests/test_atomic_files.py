@@ -36,7 +36,7 @@ def writing(path):
             process.kill()
 
 
-def test_success_replaces_and_failure_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_replacing_replaces_or_leaves_the_old_file(tmp_path):
     path = tmp_path / "out.bin"
     with replacing(path) as beside:
         beside.write_bytes(b"first")
@@ -47,7 +47,7 @@ def test_success_replaces_and_failure_leaves_the_old_file_and_nothing_else(tmp_p
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_of_a_link_what_it_leads_to_is_written_beside_itself(tmp_path):
+def test_replacing_writes_the_target_of_a_link(tmp_path):
     """Links stay links, also those that lead on, or to what is not there yet; a failure leaves what was there."""
     elsewhere, link, further = tmp_path / "elsewhere", tmp_path / "link", tmp_path / "further"
     elsewhere.mkdir()
@@ -63,7 +63,7 @@ def test_of_a_link_what_it_leads_to_is_written_beside_itself(tmp_path):
     assert (elsewhere / "out.bin").read_bytes() == b"second" and [*elsewhere.iterdir()] == [elsewhere / "out.bin"]
 
 
-def test_who_may_read_and_write_a_file_is_who_may_do_so_after(tmp_path, monkeypatch):
+def test_replacing_keeps_permissions(tmp_path, monkeypatch):
     path = tmp_path / "out.bin"
     path.write_bytes(b"mine")
     path.chmod(0o640)
@@ -76,7 +76,7 @@ def test_who_may_read_and_write_a_file_is_who_may_do_so_after(tmp_path, monkeypa
     assert [*tmp_path.iterdir()] == [path] and path.read_bytes() == b"new"
 
 
-def test_links_that_lead_nowhere_are_refused(tmp_path):
+def test_replacing_refuses_broken_links(tmp_path):
     astray, circle = tmp_path / "astray", tmp_path / "circle"
     astray.symlink_to("no/out.bin")
     circle.symlink_to("circle")
@@ -87,12 +87,12 @@ def test_links_that_lead_nowhere_are_refused(tmp_path):
     assert circle.is_symlink()
 
 
-def test_a_link_to_a_folder_that_is_not_there_makes_it(tmp_path):
+def test_ensure_dir_creates_the_target_of_a_link(tmp_path):
     (tmp_path / "link").symlink_to("folder")
     assert ensure_dir(tmp_path / "link").is_dir() and (tmp_path / "folder").is_dir()
 
 
-def test_what_a_pipe_says_is_read_and_without_end_refused(tmp_path):
+def test_text_reads_a_pipe_within_limits(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with subprocess.Popen(["sh", "-c", f"echo häßlich > '{tmp_path}/pipe'"]):
         assert text(tmp_path / "pipe", 10) == "häßlich\n"
@@ -100,12 +100,12 @@ def test_what_a_pipe_says_is_read_and_without_end_refused(tmp_path):
         text(Path("/dev/zero"), 1000)
 
 
-def test_absent_folder_says_what_to_type(tmp_path):
+def test_replacing_advises_mkdir(tmp_path):
     with pytest.raises(OutputError, match="mkdir -p"), replacing(tmp_path / "no" / "out.bin"):
         pass
 
 
-def test_digest_of_a_folder_is_of_its_files_in_name_order(tmp_path):
+def test_sha256_of_a_folder_uses_name_order(tmp_path):
     folder = tmp_path / "bag"
     folder.mkdir()
     (folder / "b").write_bytes(b"2")
@@ -114,7 +114,7 @@ def test_digest_of_a_folder_is_of_its_files_in_name_order(tmp_path):
     assert sha256(folder) == sha256(tmp_path / "both")
 
 
-def test_a_folder_or_a_device_is_not_a_file_to_write(tmp_path):
+def test_replacing_refuses_a_folder_or_device(tmp_path):
     with pytest.raises(OutputError, match="is a folder"), replacing(tmp_path):
         pass
     os.mkfifo(tmp_path / "pipe")
@@ -127,7 +127,7 @@ def _parts(folder):
     return {path for path in folder.iterdir() if path.name.endswith(PART)}
 
 
-def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path):
+def test_replacing_removes_left_overs_of_killed_runs(tmp_path):
     path = tmp_path / "out [1].bin"
     with writing(path):
         (left,) = _parts(tmp_path)
@@ -148,7 +148,7 @@ def test_what_a_killed_run_left_goes_and_what_a_living_one_writes_stays(tmp_path
     assert sorted(tmp_path.iterdir()) == sorted([path, foreign])
 
 
-def test_what_another_machine_may_still_write_stays_for_a_day(tmp_path):
+def test_replacing_keeps_files_of_another_machine_for_a_day(tmp_path):
     """Where locks are of one machine alone, as on some network disks, its files look as if nobody held them."""
     theirs = tmp_path / f".0badcafe-1{PART}"
     theirs.touch()
@@ -159,7 +159,7 @@ def test_what_another_machine_may_still_write_stays_for_a_day(tmp_path):
     assert not theirs.exists()
 
 
-def test_nothing_is_removed_where_files_cannot_be_locked(tmp_path, monkeypatch):
+def test_replacing_removes_nothing_without_locks(tmp_path, monkeypatch):
     def flock(*_):
         raise OSError(errno.ENOLCK, "No locks available")
 
@@ -194,7 +194,7 @@ def _same_number(path, how):
 
 
 @pytest.mark.parametrize("how", ["pretended", "container"])
-def test_two_processes_of_one_number_do_not_take_each_others_files_away(tmp_path, how):
+def test_replacing_is_safe_for_equal_process_ids(tmp_path, how):
     if how == "container" and subprocess.run([*ALONE, "true"], capture_output=True).returncode:
         pytest.skip("processes cannot have numbers of their own here (unshare)")
     pair = [_same_number(tmp_path / "out", how) for _ in range(2)]
@@ -214,14 +214,14 @@ for i in range(300):
 """
 
 
-def test_runs_that_write_into_one_folder_at_once_do_not_take_each_others_files_away(tmp_path):
+def test_replacing_is_safe_for_concurrent_runs(tmp_path):
     """What another has made but not yet locked looks like what a killed run left."""
     writers = [subprocess.Popen([sys.executable, "-c", MANY, tmp_path, str(i)]) for i in range(4)]
     assert [writer.wait(timeout=60) for writer in writers] == [0] * 4
     assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"whole"} and len(list(tmp_path.iterdir())) == 20
 
 
-def test_a_folder_goes_once_nobody_holds_it(tmp_path):
+def test_remove_stale_removes_an_unlocked_folder(tmp_path):
     folder = tmp_path / f".{machine()}-1{PART}"
     folder.mkdir()
     (folder / "log.mcap").touch()
@@ -233,7 +233,7 @@ def test_a_folder_goes_once_nobody_holds_it(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_users_folder_of_nearly_that_name_stays(tmp_path, monkeypatch):
+def test_scratch_keeps_users_folders(tmp_path, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     users = tmp_path / "bodylog-results"
     users.mkdir()
@@ -260,7 +260,7 @@ with scratch(place) as folder, scratch(place) as other, replacing(place / "out")
 """
 
 
-def test_a_sweep_takes_all_that_is_temporary_away(tmp_path):
+def test_sweep_removes_everything_temporary(tmp_path):
     done = subprocess.run([sys.executable, "-c", SWEEPS, tmp_path], capture_output=True, text=True)
     assert done.stdout == "[]\n"
 
@@ -269,7 +269,7 @@ def test_a_sweep_takes_all_that_is_temporary_away(tmp_path):
     (errno.ENOSPC, WriteError), (errno.EDQUOT, WriteError), (errno.EFBIG, WriteError), (errno.EIO, WriteError),
     (errno.EROFS, OutputError), (errno.EACCES, OutputError),
 ])  # fmt: skip
-def test_what_keeps_an_output_from_being_written_is_told_from_what_keeps_it_from_being_made(
+def test_replacing_distinguishes_write_errors_from_output_errors(
     tmp_path, monkeypatch, number, kind
 ):
     def fail(source, _):
@@ -283,7 +283,7 @@ def test_what_keeps_an_output_from_being_written_is_told_from_what_keeps_it_from
     assert not os.listdir(tmp_path)
 
 
-def test_an_input_that_cannot_be_read_while_an_output_is_written_is_the_inputs(tmp_path):
+def test_replacing_passes_on_errors_of_inputs(tmp_path):
     with pytest.raises(FileNotFoundError), replacing(tmp_path / "out"):
         (tmp_path / "input").read_bytes()
     with pytest.raises(OSError, match="input") as raised, replacing(tmp_path / "out"):

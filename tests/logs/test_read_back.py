@@ -26,7 +26,7 @@ def same(ours, theirs):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_an_estimate_comes_back_as_it_was(tmp_path, seed):
+def test_read_estimate_returns_what_was_written(tmp_path, seed):
     features, estimate = found(seed)
     again = read_estimate(log_of(tmp_path / "log.mcap", features, estimate), START)
     for name in ("joints", "rate", "bias"):
@@ -46,7 +46,7 @@ def test_an_estimate_comes_back_as_it_was(tmp_path, seed):
         assert getattr(again, name) == getattr(estimate, name)
 
 
-def test_faults_of_a_log_that_had_no_std_are_read(tmp_path, monkeypatch):
+def test_read_estimate_reads_faults_without_std(tmp_path, monkeypatch):
     from bodylog.annotating import messages
     from bodylog.logs.encode import schemas
 
@@ -66,7 +66,7 @@ def _without_std(fields):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_features_come_back_as_they_were(tmp_path, seed):
+def test_read_features_returns_what_was_written(tmp_path, seed):
     features, estimate = found(seed)
     with open_log(log_of(tmp_path / "log.mcap", features, estimate)) as log:
         again = read_features(log, START)
@@ -82,7 +82,7 @@ def test_features_come_back_as_they_were(tmp_path, seed):
 
 
 @pytest.mark.parametrize(("old", "new"), [(b"float64[] data", b"float64  9data"), (b"Header header", b"Header headEr")])
-def test_a_definition_that_is_damaged_is_refused_with_the_log_it_is_in(tmp_path, old, new):
+def test_read_back_names_the_log_of_a_damaged_definition(tmp_path, old, new):
     features, estimate = found()
     outgoing = [replace(o, definition=o.definition.replace(old, new)) for o in from_features(features, START)]
     write(outgoing, describe(estimate), tmp_path / "log.mcap")
@@ -90,7 +90,7 @@ def test_a_definition_that_is_damaged_is_refused_with_the_log_it_is_in(tmp_path,
         read_features(log, START)
 
 
-def test_touches_at_the_same_moment_keep_their_synchrony(tmp_path):
+def test_read_features_keeps_synchrony_of_simultaneous_touches(tmp_path):
     features, _ = found()
     touches = tuple(replace(touch, onset=1.0, offset=1.5) for touch in features.touches)
     write(from_features(replace(features, touches=touches), START), {}, tmp_path / "log.mcap")
@@ -100,14 +100,14 @@ def test_touches_at_the_same_moment_keep_their_synchrony(tmp_path):
 
 
 @pytest.mark.parametrize("touches", [None, ()])
-def test_no_skin_and_no_touch_are_different_things(tmp_path, touches):
+def test_read_features_distinguishes_no_skin_from_no_touch(tmp_path, touches):
     features, _ = found()
     write(from_features(replace(features, touches=touches, synchrony=()), START), {}, tmp_path / "log.mcap")
     with open_log(tmp_path / "log.mcap") as log:
         assert read_features(log, START).touches == touches
 
 
-def test_what_was_never_known_stays_unknown(tmp_path):
+def test_read_features_keeps_unknown_std_unknown(tmp_path):
     features, estimate = found()
     tracks = {"hand": replace(features.hand, std=None)}
     bare = replace(estimate, bias=None, faults=(), predicted={}, predicted_cov={}, errors={}, findings=())
@@ -118,12 +118,12 @@ def test_what_was_never_known_stays_unknown(tmp_path):
         assert read_features(log, START).tracks["hand"].std is None
 
 
-def test_metadata_comes_back(tmp_path):
+def test_read_metadata_returns_what_was_written(tmp_path):
     write([], {"version": "1", "settings": '{"a": 1}'}, tmp_path / "log.mcap")
     assert read_metadata(tmp_path / "log.mcap") == {"version": "1", "settings": '{"a": 1}'}
 
 
-def test_a_log_without_an_estimate_says_what_to_type(tmp_path):
+def test_read_estimate_advises_what_to_type(tmp_path):
     log = source(tmp_path / "log.mcap")
     for read in (read_metadata, read_estimate):
         with pytest.raises(LogError, match=r"log.mcap: no estimate in it, .* bodylog estimate .*log.mcap --body"):
@@ -132,7 +132,7 @@ def test_a_log_without_an_estimate_says_what_to_type(tmp_path):
         assert read_features(opened, START) is None
 
 
-def test_features_without_an_estimate_are_no_estimate(tmp_path):
+def test_read_estimate_refuses_features_alone(tmp_path):
     features, _ = found()
     annotate(source(tmp_path / "in.mcap"), from_features(features, START), {}, tmp_path / "out.mcap")
     with pytest.raises(LogError, match="no /bodylog/ topics of an estimate"):
@@ -140,7 +140,7 @@ def test_features_without_an_estimate_are_no_estimate(tmp_path):
 
 
 @pytest.mark.parametrize("lacking", ["joint_covariance", "free_energy"])
-def test_an_estimate_that_does_not_hang_together_is_refused(tmp_path, lacking):
+def test_read_estimate_refuses_inconsistent_topics(tmp_path, lacking):
     features, estimate = found()
     outgoing = from_estimate(estimate, features, START)
     broken = [
@@ -153,7 +153,7 @@ def test_an_estimate_that_does_not_hang_together_is_refused(tmp_path, lacking):
 
 
 @pytest.mark.parametrize("file", ["reach.bag", "reach_rosbag2"])
-def test_other_containers_have_no_metadata(arm, file):
+def test_read_metadata_refuses_other_containers(arm, file):
     with pytest.raises(LogError, match="no estimate in it"):
         read_metadata(arm / file)
 
@@ -162,7 +162,7 @@ DAMAGE = [{"used": '{"touch": {"sen": 1}}'}, {"findings": "["}, {"resolved": "3"
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_a_damaged_metadata_record_is_said(tmp_path, damage):
+def test_read_metadata_reports_damage(tmp_path, damage):
     features, estimate = found()
     write(from_estimate(estimate, features, START), {**describe(estimate), **damage}, tmp_path / "log.mcap")
     with pytest.raises(LogError, match=r"the metadata record bodylog is damaged \(.*\); type: bodylog estimate"):

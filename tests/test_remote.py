@@ -74,13 +74,13 @@ def _named(told, path, url):
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_a_glimpse_says_of_any_mcap_what_the_file_says(path):
+def test_mapped_remote_info_equals_the_files(path):
     url = path.resolve().as_uri()
     here = _told(lambda: info.info(path, Settings()))
     assert _told(lambda: info.info(url, Settings())) == _named(here, str(path), url)
 
 
-def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
+def test_mapped_remote_reads_no_images_for_info(tmp_path, monkeypatch):
     pictures = [(T0 + k * 10**6, os.urandom(1 << 20)) for k in range(48)]
     words = [(T0 + 10**9, b"\x00\x01\x00\x00\x05\x00\x00\x00word\x00")]
     log = write(tmp_path / "large.mcap", [
@@ -100,7 +100,7 @@ def test_a_glimpse_reads_the_index_and_no_pictures(tmp_path, monkeypatch):
     assert sum(brought) < 4 << 20
 
 
-def test_info_over_http_is_what_the_file_says_and_a_bag_is_fetched(served, robot):
+def test_info_over_http_equals_the_files(served, robot):
     folder, address = served
     shutil.copy(robot / "reach.mcap", folder / "reach.mcap")
     bag = Path(__file__).parents[1] / "fixtures" / "containers" / "lz4.bag"
@@ -112,7 +112,7 @@ def test_info_over_http_is_what_the_file_says_and_a_bag_is_fetched(served, robot
         assert told == here
 
 
-def test_estimate_of_a_url_is_that_of_the_file(tmp_path, robot, run_cli):
+def test_estimate_of_a_url_equals_the_files(tmp_path, robot, run_cli):
     here, there = tmp_path / "here.mcap", tmp_path / "there.mcap"
     assert run_cli("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", here) == 0
     url = (robot / "reach.mcap").as_uri()
@@ -120,7 +120,7 @@ def test_estimate_of_a_url_is_that_of_the_file(tmp_path, robot, run_cli):
     assert there.read_bytes() == here.read_bytes()
 
 
-def test_batch_over_a_url_of_a_folder_resumes_until_the_file_is_another(tmp_path, robot, run_cli):
+def test_batch_over_a_url_resumes_until_the_file_changes(tmp_path, robot, run_cli):
     logs = tmp_path / "logs"
     logs.mkdir()
     for name in ("a.mcap", "b.mcap"):
@@ -138,7 +138,7 @@ def test_batch_over_a_url_of_a_folder_resumes_until_the_file_is_another(tmp_path
     assert again["b.mcap"] != made["b.mcap"]
 
 
-def test_what_a_store_cannot_give_is_one_line(served, tmp_path):
+def test_remote_errors_are_one_line(served, tmp_path):
     _, address = served
     for url in (f"{address}/none.mcap", f"file://{tmp_path}/none.mcap", "quux://x/y.mcap", "http://127.0.0.1:1/y.mcap"):
         with pytest.raises((LogError, UsageError)) as caught:
@@ -147,20 +147,20 @@ def test_what_a_store_cannot_give_is_one_line(served, tmp_path):
         assert "\n" not in str(caught.value)
 
 
-def test_what_is_wrong_with_a_fetched_log_names_its_url(tmp_path, robot, run_cli, capsys):
+def test_errors_about_a_fetched_log_name_its_url(tmp_path, robot, run_cli, capsys):
     url = (robot / "reach.mcap").as_uri()
     assert run_cli("evaluate", url) == 65
     assert url in capsys.readouterr().err
 
 
-def test_names_from_urls_are_safe():
+def test_name_of_is_safe():
     assert remote.name_of("https://host/a/..") == "log"
     assert remote.name_of("s3://bucket/run 1.mcap?versionId=3") == "run_1.mcap"
     assert remote.name_of("http://host/%2e%2e%2fetc%2fpasswd") == "passwd"
     assert not remote.is_url("C:/logs/run.mcap")
 
 
-def test_glimpse_leaves_no_descriptor_open():
+def test_mapped_remote_leaves_no_descriptor_open():
     url = FILES[0].resolve().as_uri()
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(3):

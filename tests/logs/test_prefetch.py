@@ -11,7 +11,7 @@ from bodylog.logs.mcap import prefetch
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_processors_change_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+def test_prefetch_is_independent_of_processors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     path, rng = tmp_path / "a.mcap", np.random.default_rng(seed)
     writer = Writer(str(path), chunk_size=60_000)
     writer.start()

@@ -78,7 +78,7 @@ def _told(script, *numbers, typed=()):
     return said.split(), process.returncode, time.monotonic() - begun, errors
 
 
-def test_it_ends_the_process_with_128_and_its_number():
+def test_raise_on_signal_exits_with_128_plus_its_number():
     assert _told(f"{ON}\n{WAIT}", signal.SIGTERM)[:2] == ([], 128 + signal.SIGTERM)
 
 
@@ -87,7 +87,7 @@ NOT_UNWOUND = {"swallowed": SWALLOWED + WAIT, "destructor": DESTRUCTOR, "in C": 
 
 @pytest.mark.parametrize("script", NOT_UNWOUND.values(), ids=NOT_UNWOUND)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_what_does_not_unwind_ends_all_the_same_in_one_line_and_leaves_nothing(tmp_path, script, number):
+def test_raise_on_signal_ends_code_that_does_not_unwind(tmp_path, script, number):
     said, code, seconds, errors = _told(script, number, typed=[tmp_path])
     how = "interrupted" if number == signal.SIGINT else "stopped"
     assert (said, code, errors) == ([], 128 + number, f"bodylog: {how}; nothing half-written was left\n")
@@ -95,11 +95,11 @@ def test_what_does_not_unwind_ends_all_the_same_in_one_line_and_leaves_nothing(t
 
 
 @pytest.mark.parametrize("times", [1, 2])
-def test_cleaning_is_left_alone(times):
+def test_raise_on_signal_lets_cleaning_finish(times):
     assert _told(CLEANING, *[signal.SIGTERM] * times)[:2] == (["cleaned"], 128 + signal.SIGTERM)
 
 
-def test_nothing_outlives_a_terminal_that_hears_nothing(tmp_path):
+def test_raise_on_signal_ends_with_a_full_pipe(tmp_path):
     """Its pipe is full: what is said cannot be written."""
     command = [sys.executable, "-c", BEGIN + "os.set_blocking(2, False)\ntry:\n    while True: os.write(2, b'x' * 4096)"
                f"\nexcept BlockingIOError: os.set_blocking(2, True)\n{ON}\n" + SWALLOWED + WAIT]  # fmt: skip

@@ -32,7 +32,7 @@ def table(path):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_csv_reads_back_exactly(tmp_path, seed):
+def test_export_csv_reads_back_exactly(tmp_path, seed):
     series = some(seed=seed)
     (path,) = export(recording(joints=series), tmp_path, "csv")
     head, rows = table(path)
@@ -42,12 +42,12 @@ def test_csv_reads_back_exactly(tmp_path, seed):
     assert [int(row[0]) - START for row in rows] == [i * 100_000_000 for i in range(5)]
 
 
-def test_awkward_names_stay_apart(tmp_path):
+def test_export_keeps_awkward_names_distinct(tmp_path):
     (path,) = export(recording(truth=some(("t", 'with "quotes", commas', "ü"))), tmp_path, "csv")
     assert table(path)[0] == ["stamp_ns", "t", "t_", 'with "quotes", commas', "ü"]
 
 
-def test_parquet_reads_back_exactly(tmp_path):
+def test_export_parquet_reads_back_exactly(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     series = some()
     (path,) = export(recording(skin=series), tmp_path / "new folder", "parquet")
@@ -56,19 +56,19 @@ def test_parquet_reads_back_exactly(tmp_path):
     assert np.array_equal(np.column_stack([found["a"], found["b"]]), series.values, equal_nan=True)
 
 
-def test_without_pyarrow_it_says_what_to_install(tmp_path, monkeypatch):
+def test_export_names_a_missing_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(UsageError, match=r'pip install "bodylog\[parquet\]"'):
         export(recording(joints=some()), tmp_path, "parquet")
     assert not list(tmp_path.iterdir())
 
 
-def test_another_form_is_refused(tmp_path):
+def test_export_refuses_an_unknown_format(tmp_path):
     with pytest.raises(UsageError, match="export as 'xls': possible are csv, parquet"):
         export(recording(joints=some()), tmp_path, "xls")
 
 
-def test_only_the_window_is_exported_of_every_role(tmp_path, arm):
+def test_export_keeps_only_the_window(tmp_path, arm):
     read_back = read(arm / "reach.bag", Settings())
     paths = export(read_back, tmp_path, "csv", (1.0, 2.0))
     assert {path.name for path in paths} == {"joints.csv", "truth.csv", "skin.csv"}
@@ -86,7 +86,7 @@ def features(touches):
     return Features(None, {"effector": track, "../el bow": track}, touches, strokes, pairs, {})
 
 
-def test_features_as_tables_read_back_exactly(tmp_path):
+def test_export_features_reads_back_exactly(tmp_path):
     touches = (Touch(1.0, 1.85, (4, 5), 0.93, 5, START), Touch(3.0, 3.25, (9,), 0.8, 9, START))
     paths = export_features(features(touches), tmp_path / "new")
     names = ["tracks_effector.csv", "tracks_..%2Fel%20bow.csv", "strokes.csv", "touches.csv", "synchrony.csv"]
@@ -100,6 +100,6 @@ def test_features_as_tables_read_back_exactly(tmp_path):
     assert table(paths[4])[1] == [["0", "0", "0.05", "0.9"], ["1", "", "", "0.0"]]
 
 
-def test_features_without_skin_say_nothing_of_touch(tmp_path):
+def test_export_features_without_skin_writes_no_touches(tmp_path):
     names = [path.name for path in export_features(features(None), tmp_path)]
     assert "strokes.csv" in names and "touches.csv" not in names and "synchrony.csv" not in names
