@@ -26,7 +26,7 @@ with replacing(Path(sys.argv[1])) as beside:
 
 @contextmanager
 def writing(path):
-    """Another process that is half-way through writing `path`; killed at the end."""
+    """Another process in the middle of writing `path`; killed at the end."""
     command = [sys.executable, "-c", WRITER, path]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"begun\n"
@@ -48,7 +48,7 @@ def test_replacing_replaces_or_leaves_the_old_file(tmp_path):
 
 
 def test_replacing_writes_the_target_of_a_link(tmp_path):
-    """Links stay links, also those that lead on, or to what is not there yet; a failure leaves what was there."""
+    """Links stay links, also chains and links to missing files; a failure keeps the old file."""
     elsewhere, link, further = tmp_path / "elsewhere", tmp_path / "link", tmp_path / "further"
     elsewhere.mkdir()
     link.symlink_to("elsewhere/out.bin")
@@ -149,7 +149,7 @@ def test_replacing_removes_left_overs_of_killed_runs(tmp_path):
 
 
 def test_replacing_keeps_files_of_another_machine_for_a_day(tmp_path):
-    """Where locks are of one machine alone, as on some network disks, its files look as if nobody held them."""
+    """Some network disks lock per machine, so other machines' files look unlocked."""
     theirs = tmp_path / f".0badcafe-1{PART}"
     theirs.touch()
     remove_stale(tmp_path, f".*{PART}")
@@ -188,7 +188,7 @@ ALONE = ("unshare", "--user", "--map-root-user", "--pid", "--fork")
 
 
 def _same_number(path, how):
-    """Two processes of one number that write one file, as in two containers."""
+    """Two processes with equal ids that write one file, as in two containers."""
     command = [sys.executable, "-c", SAME, path, how, "1"]
     return subprocess.Popen([*ALONE, *command] if how == "container" else command, stderr=subprocess.PIPE, text=True)
 
@@ -198,8 +198,8 @@ def test_replacing_is_safe_for_equal_process_ids(tmp_path, how):
     if how == "container" and subprocess.run([*ALONE, "true"], capture_output=True).returncode:
         pytest.skip("processes cannot have numbers of their own here (unshare)")
     pair = [_same_number(tmp_path / "out", how) for _ in range(2)]
-    said = [process.communicate(timeout=60)[1] for process in pair]
-    assert [process.returncode for process in pair] == [0, 0], said
+    errors = [process.communicate(timeout=60)[1] for process in pair]
+    assert [process.returncode for process in pair] == [0, 0], errors
     assert [*tmp_path.iterdir()] == [tmp_path / "out"] and (tmp_path / "out").read_bytes() == b"whole"
 
 
@@ -215,7 +215,7 @@ for i in range(300):
 
 
 def test_replacing_is_safe_for_concurrent_runs(tmp_path):
-    """What another has made but not yet locked looks like what a killed run left."""
+    """A file that is created but not yet locked looks like a left-over."""
     writers = [subprocess.Popen([sys.executable, "-c", MANY, tmp_path, str(i)]) for i in range(4)]
     assert [writer.wait(timeout=60) for writer in writers] == [0] * 4
     assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"whole"} and len(list(tmp_path.iterdir())) == 20
@@ -276,8 +276,8 @@ def test_replacing_distinguishes_write_errors_from_output_errors(
         raise OSError(number, os.strerror(number), os.fspath(source))
 
     monkeypatch.setattr(os, "replace", fail)
-    told = f"out: {os.strerror(number)}; give another"
-    with pytest.raises(OutputError, match=told) as raised, replacing(tmp_path / "out") as beside:
+    text_expected = f"out: {os.strerror(number)}; give another"
+    with pytest.raises(OutputError, match=text_expected) as raised, replacing(tmp_path / "out") as beside:
         beside.write_bytes(b"new")
     assert type(raised.value) is kind and raised.value.exit_code == (74 if kind is WriteError else 73)
     assert not os.listdir(tmp_path)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-import scipy.linalg  # noqa: F401  its BLAS can be told only once it is loaded
+import scipy.linalg  # noqa: F401  its BLAS can be limited only once it is loaded
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from bodylog.body import learn
@@ -25,7 +25,7 @@ def _threads() -> list[int]:
 
 @pytest.fixture
 def two():
-    """Two threads for each BLAS, whatever the machine or the environment asked for."""
+    """Two threads for each BLAS, whatever the machine or environment requests."""
     with threadpool_limits(2, "blas"):
         if set(_threads()) != {2}:
             pytest.skip("this BLAS cannot be given two threads")
@@ -59,7 +59,7 @@ def test_one_opencv_limits_threads_and_restores_them() -> None:
 
 
 def _running(run, monkeypatch) -> set[int]:
-    """How many threads there are while a body is learned or a log estimated: both stop at once and ask."""
+    """How many threads exist while a body is learned or a log estimated: both stop at once and count."""
     seen: list[int] = []
 
     def stop(*_):

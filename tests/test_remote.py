@@ -1,4 +1,4 @@
-"""Logs behind URLs: found, glimpsed by ranges, fetched whole, and their errors in one line."""
+"""Logs behind URLs: listed, read by ranges, fetched whole, and one-line errors."""
 
 import gc
 import json
@@ -22,13 +22,13 @@ FILES = sorted((Path(__file__).parents[1] / "fixtures" / "containers").glob("*.m
 
 
 class _Ranges(SimpleHTTPRequestHandler):
-    """A file server that knows ranges."""
+    """A file server that supports ranges."""
 
     def log_message(self, *_: object) -> None:
-        """Say nothing."""
+        """Print nothing."""
 
     def do_GET(self) -> None:
-        """The file or the part of it that is asked for."""
+        """Serve the file or the requested range."""
         path = Path(self.translate_path(self.path))
         if not path.is_file():
             self.send_error(404)
@@ -46,7 +46,7 @@ class _Ranges(SimpleHTTPRequestHandler):
 
 @pytest.fixture
 def served(tmp_path):
-    """A folder and the address it is served at."""
+    """A folder and its address."""
     pytest.importorskip("aiohttp")
     folder = tmp_path / "served"
     folder.mkdir()
@@ -57,7 +57,7 @@ def served(tmp_path):
     server.server_close()
 
 
-def _told(read):
+def _described(read):
     try:
         found = read()
     except BodylogError as err:
@@ -65,19 +65,19 @@ def _told(read):
     return {key: value for key, value in found.items() if key != "path"}
 
 
-def _named(told, path, url):
+def _named(described, path, url):
     """The same with findings about the URL."""
-    if isinstance(told, type):
-        return told
-    findings = [{**said, "text": said["text"].replace(path, url)} for said in told["findings"]]
-    return {**told, "findings": findings}
+    if isinstance(described, type):
+        return described
+    findings = [{**finding, "text": finding["text"].replace(path, url)} for finding in described["findings"]]
+    return {**described, "findings": findings}
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_mapped_remote_info_equals_the_files(path):
     url = path.resolve().as_uri()
-    here = _told(lambda: info.info(path, Settings()))
-    assert _told(lambda: info.info(url, Settings())) == _named(here, str(path), url)
+    here = _described(lambda: info.info(path, Settings()))
+    assert _described(lambda: info.info(url, Settings())) == _named(here, str(path), url)
 
 
 def test_mapped_remote_reads_no_images_for_info(tmp_path, monkeypatch):
@@ -94,8 +94,8 @@ def test_mapped_remote_reads_no_images_for_info(tmp_path, monkeypatch):
         return part(url, start, end)
 
     monkeypatch.setattr(remote, "read_range", counted)
-    told = info.info(log.as_uri(), Settings())
-    assert [topic["messages"] for topic in told["topics"]] == [48, 1]
+    described = info.info(log.as_uri(), Settings())
+    assert [topic["messages"] for topic in described["topics"]] == [48, 1]
     assert log.stat().st_size > 48 << 20
     assert sum(brought) < 4 << 20
 
@@ -106,10 +106,10 @@ def test_info_over_http_equals_the_files(served, robot):
     bag = Path(__file__).parents[1] / "fixtures" / "containers" / "lz4.bag"
     shutil.copy(bag, folder / "lz4.bag")
     for path in folder.iterdir():
-        told, here = info.info(f"{address}/{path.name}", Settings()), info.info(path, Settings())
-        assert told.pop("path") == f"{address}/{path.name}"
+        described, here = info.info(f"{address}/{path.name}", Settings()), info.info(path, Settings())
+        assert described.pop("path") == f"{address}/{path.name}"
         here.pop("path")
-        assert told == here
+        assert described == here
 
 
 def test_estimate_of_a_url_equals_the_files(tmp_path, robot, run_cli):

@@ -1,4 +1,4 @@
-"""A log that is cut while it is read: one line and exit 65, where the system would have killed the process."""
+"""A log truncated during reading: one line and exit 65, where the system would kill the process."""
 
 import os
 import shutil
@@ -67,13 +67,13 @@ def test_commands_refuse_a_log_cut_during_reading(tmp_path: Path, name: str, sha
     cut = int(share * size)
     done = _run(READS, str(cut), "doctor", str(path))
     assert done.returncode == 65, done.stderr
-    said = f"had {size} bytes, but {cut} while it was read; give it when nobody writes to it"
-    assert done.stderr == f"bodylog: {path}: {said}\n"
+    text = f"had {size} bytes, but {cut} while it was read; give it when nobody writes to it"
+    assert done.stderr == f"bodylog: {path}: {text}\n"
 
 
 @LINUX
 def test_commands_refuse_results_after_a_disk_error(tmp_path: Path) -> None:
-    """Stood in for by another file that is cut: the log's own size says nothing."""
+    """Simulated by truncating another file: the log's own size does not change."""
     other = tmp_path / "other"
     other.write_bytes(b"x" * 100_000)
     done = _run(DISK, str(other), "info", str(FOLDER / "none.mcap"))

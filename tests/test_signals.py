@@ -1,4 +1,4 @@
-"""A signal that ends a process, as processes of their own."""
+"""Signals that end a process, tested in separate processes."""
 
 import os
 import signal
@@ -65,21 +65,21 @@ del slow
 {WAIT}"""
 
 
-def _told(script, *numbers, typed=()):
-    """What it prints after it was sent these signals, the last being why it ends; its code, seconds, and errors."""
+def _signalled(script, *numbers, typed=()):
+    """Output after these signals, the last being why it ends; exit code, seconds, and errors."""
     command = [sys.executable, "-c", BEGIN + script, *typed]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout.readline() == "on\n"
-        time.sleep(0.2)  # it may still be on its way into what it is to be told in
-        begun = time.monotonic()
+        time.sleep(0.2)  # it may not have reached the signalled code yet
+        start = time.monotonic()
         for number in numbers:
             process.send_signal(number)
-        said, errors = process.communicate(timeout=30)
-    return said.split(), process.returncode, time.monotonic() - begun, errors
+        lines, errors = process.communicate(timeout=30)
+    return lines.split(), process.returncode, time.monotonic() - start, errors
 
 
 def test_raise_on_signal_exits_with_128_plus_its_number():
-    assert _told(f"{ON}\n{WAIT}", signal.SIGTERM)[:2] == ([], 128 + signal.SIGTERM)
+    assert _signalled(f"{ON}\n{WAIT}", signal.SIGTERM)[:2] == ([], 128 + signal.SIGTERM)
 
 
 NOT_UNWOUND = {"swallowed": SWALLOWED + WAIT, "destructor": DESTRUCTOR, "in C": IN_C, "printed by C": PRINTED}
@@ -88,23 +88,23 @@ NOT_UNWOUND = {"swallowed": SWALLOWED + WAIT, "destructor": DESTRUCTOR, "in C": 
 @pytest.mark.parametrize("script", NOT_UNWOUND.values(), ids=NOT_UNWOUND)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_raise_on_signal_ends_code_that_does_not_unwind(tmp_path, script, number):
-    said, code, seconds, errors = _told(script, number, typed=[tmp_path])
+    lines, code, seconds, errors = _signalled(script, number, typed=[tmp_path])
     how = "interrupted" if number == signal.SIGINT else "stopped"
-    assert (said, code, errors) == ([], 128 + number, f"bodylog: {how}; nothing half-written was left\n")
+    assert (lines, code, errors) == ([], 128 + number, f"bodylog: {how}; nothing half-written was left\n")
     assert seconds < 2 and not os.listdir(tmp_path)
 
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_raise_on_signal_lets_cleaning_finish(times):
-    assert _told(CLEANING, *[signal.SIGTERM] * times)[:2] == (["cleaned"], 128 + signal.SIGTERM)
+    assert _signalled(CLEANING, *[signal.SIGTERM] * times)[:2] == (["cleaned"], 128 + signal.SIGTERM)
 
 
 def test_raise_on_signal_ends_with_a_full_pipe(tmp_path):
-    """Its pipe is full: what is said cannot be written."""
+    """Its output pipe is full, so that nothing can be written."""
     command = [sys.executable, "-c", BEGIN + "os.set_blocking(2, False)\ntry:\n    while True: os.write(2, b'x' * 4096)"
                f"\nexcept BlockingIOError: os.set_blocking(2, True)\n{ON}\n" + SWALLOWED + WAIT]  # fmt: skip
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"on\n"
-        begun = time.monotonic()
+        start = time.monotonic()
         process.terminate()
-        assert process.wait(timeout=30) == 128 + signal.SIGTERM and time.monotonic() - begun < 2
+        assert process.wait(timeout=30) == 128 + signal.SIGTERM and time.monotonic() - start < 2

@@ -1,4 +1,4 @@
-"""What people write, and what is made to look like it: refused in a line before it costs time or memory."""
+"""TOML files: ordinary ones are read, hostile ones refused in a line before they cost time or memory."""
 
 import os
 import resource
@@ -72,7 +72,7 @@ MANIFESTS = ("pipe", "/dev/zero", "/dev/full", "folder", "bomb")
 
 @pytest.mark.parametrize("name", MANIFESTS)
 def test_read_refuses_an_endless_manifest_in_one_line(tmp_path, name):
-    """As a process of its own, with little memory and patience."""
+    """In a separate process, with little memory and patience."""
     (tmp_path / "folder").mkdir()
     (tmp_path / "bomb").write_text(BOMBS["dotted"])
     os.mkfifo(tmp_path / "pipe")

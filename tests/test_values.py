@@ -1,4 +1,4 @@
-"""What a file says, checked where it enters."""
+"""Validation of values from files."""
 
 import json
 
@@ -41,9 +41,9 @@ def test_number_turns_larger_ones_into_floats_or_nan():
     assert np.isnan(values.number(10**401))
 
 
-@pytest.mark.parametrize("said", ["", "plain", "ünï", "🤖"])
-def test_text_keeps_valid_strings(said):
-    assert values.text(said) == said
+@pytest.mark.parametrize("value", ["", "plain", "ünï", "🤖"])
+def test_text_keeps_valid_strings(value):
+    assert values.text(value) == value
 
 
 def test_text_escapes_lone_surrogates():

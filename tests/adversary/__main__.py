@@ -1,4 +1,4 @@
-"""Meet hostile files and settings by the thousand: python -m tests.adversary --files 5000 --settings 1000 --seed 1."""
+"""Run commands on thousands of hostile inputs: python -m tests.adversary --files 5000 --settings 1000 --seed 1."""
 
 import argparse
 import json
@@ -13,7 +13,7 @@ from .worker import Run, plain
 
 @dataclass
 class Tally:
-    """Figures of the cases met so far."""
+    """Statistics of the cases so far."""
 
     cases: Counter[str] = field(default_factory=Counter)
     codes: Counter[str] = field(default_factory=Counter)
@@ -21,10 +21,10 @@ class Tally:
     slowest: Run | None = None
     largest: Run | None = None
     problems: list[Problem] = field(default_factory=list)
-    begun: float = field(default_factory=time.monotonic)
+    start: float = field(default_factory=time.monotonic)
 
     def add(self, what: str, runs: list[Run], wrong: list[Problem]) -> None:
-        """Count one case, of `what` (files or settings)."""
+        """Count one case of kind `what` (files or settings)."""
         self.cases[what] += 1
         self.problems += wrong
         for one in runs:
@@ -35,7 +35,7 @@ class Tally:
             self.largest = max(self.largest or one, one, key=lambda run: run.memory)
 
     def figures(self) -> dict[str, object]:
-        """The figures as JSON holds them."""
+        """The statistics for JSON."""
         slowest, largest = self.slowest, self.largest
         return {
             **self.cases,
@@ -52,7 +52,7 @@ class Tally:
 def meet(
     base: Base, place: Path, files: range, settings: range, progress: Path | None = None
 ) -> tuple[list[Problem], dict[str, object]]:
-    """Every case of these seeds: what did not hold, and figures; `progress` takes both after each case."""
+    """Run every case of these seeds; returns violations and statistics, which `progress` gets after each case."""
     tally = Tally()
     for what, case, seeds in (("files", file_case, files), ("settings", settings_case, settings)):
         for seed in seeds:
@@ -64,7 +64,7 @@ def meet(
 
 
 def _write(progress: Path, kind: str, seed: int, tally: Tally, wrong: list[Problem]) -> None:
-    """What is known so far, so that a run that is stopped leaves it."""
+    """Write intermediate results, so that an interrupted run leaves them."""
     (progress / "figures.json").write_text(json.dumps({"last seed": seed, **tally.figures()}, indent=1))
     for problem in wrong:
         print(f"{kind} {seed}: {' '.join(problem.run.command)}: {problem.what}", flush=True)
@@ -75,7 +75,7 @@ def _write(progress: Path, kind: str, seed: int, tally: Tally, wrong: list[Probl
 
 
 def main() -> None:
-    """As typed."""
+    """Run from the command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--files", type=int, default=100)
     parser.add_argument("--settings", type=int, default=20)

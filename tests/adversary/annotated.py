@@ -1,4 +1,4 @@
-"""Annotated logs whose /bodylog topics and metadata were changed field by field, by other libraries than ours."""
+"""Annotated logs whose /bodylog topics and metadata are changed field by field, by other libraries."""
 
 import json
 from collections.abc import Mapping
@@ -55,7 +55,7 @@ def _changed(draw: Draw, store: Any, kind: str, data: bytes) -> bytes:
         _change(draw, message)
     try:
         return bytes(store.serialize_cdr(message, kind))
-    except Exception:  # a value that the field does not hold
+    except Exception:  # a value of the wrong type for the field
         return data
 
 

@@ -1,4 +1,4 @@
-"""Body models whose header or arrays were changed."""
+"""Body models with a changed header or arrays."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""One case: hostile files or settings, the commands that meet them, and what must hold of each."""
+"""One case: hostile files or settings, the commands that read them, and the required properties."""
 
 import json
 import os
@@ -20,23 +20,23 @@ from .worker import BYTES, SECONDS, Run, folder, run, warm
 
 ALLOWED = (0, 2, 3, 4, 65, 73, 74)
 KINDS = (*WRITERS, "annotated.mcap", "body.npz")
-"""What a hostile file may be."""
+"""Kinds of hostile files."""
 
 
 @dataclass(frozen=True)
 class Base:
-    """A folder with sound.mcap, body.npz and estimate.mcap, from which cases are made."""
+    """A folder with sound.mcap, body.npz and estimate.mcap, the sources of all cases."""
 
     path: Path
 
     def __truediv__(self, name: str) -> Path:
-        """A file of it."""
+        """A file in the folder."""
         return self.path / name
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What did not hold of one command."""
+    """A violation by one command."""
 
     seed: int
     kind: str
@@ -45,14 +45,14 @@ class Problem:
 
 
 def prepare(path: Path) -> Base:
-    """Make the sound files in a folder."""
+    """Write the sound files to a folder."""
     from .logs import mcap
 
     path.mkdir(parents=True, exist_ok=True)
     base = Base(path)
     for seed in range(100):
-        said = {channel.name for channel in mcap(Draw(seed, 0.0), base / "sound.mcap")}
-        if said == {b"/joint_states", b"/camera/compressed", b"/skin"}:
+        names = {channel.name for channel in mcap(Draw(seed, 0.0), base / "sound.mcap")}
+        if names == {b"/joint_states", b"/camera/compressed", b"/skin"}:
             break
     log, body, done = str(base / "sound.mcap"), str(base / "body.npz"), str(base / "estimate.mcap")
     runs = run([("fit", log, "-o", body), ("estimate", log, "--body", body, "-o", done)])
@@ -83,7 +83,7 @@ def _sound(base: Base) -> Iterator[Path]:
 
 
 def file_case(base: Base, place: Path, seed: int) -> tuple[str, list[Run], list[Problem]]:
-    """Write a hostile file and let every command meet it."""
+    """Write a hostile file and run every command on it."""
     draw = Draw(seed, 0.0)
     draw.chance = draw.of((0.002, 0.01, 0.03, 0.1, 0.3))
     kind = draw.of(KINDS)
@@ -108,7 +108,7 @@ _SOURCES = {"annotated.mcap": "estimate.mcap", "body.npz": "body.npz"}
 
 
 def settings_case(base: Base, place: Path, seed: int) -> tuple[str, list[Run], list[Problem]]:
-    """Hostile settings for commands on a sound log."""
+    """Run commands with hostile settings on a sound log."""
     draw = Draw(seed, 0.3)
     place = place / f"settings{seed}"
     place.mkdir(parents=True)
@@ -163,7 +163,7 @@ def _commands(draw: Draw, base: Base, kind: str, file: Path, place: Path) -> Ite
 
 
 def _wrong(one: Run) -> Iterator[str]:
-    """What does not hold of a run."""
+    """Violations of one run."""
     if one.command == ("check",):
         if one.code:
             yield f"reads otherwise: {one.err[-1500:]}"
@@ -202,7 +202,7 @@ def _outputs(one: Run) -> Iterator[str]:
 
 
 def _output(one: Run) -> Path | None:
-    """The file that a command is to write."""
+    """The output file of a command."""
     place = next((one.command.index(name) + 1 for name in ("-o", "--repair") if name in one.command), None)
     return None if place is None else Path(one.command[place])
 
@@ -212,7 +212,7 @@ def _refuse(name: str) -> None:
 
 
 def _mcap(path: Path, command: str) -> Iterator[str]:
-    """Whether mcap's own reader reads a log that was written, and its estimate is finite."""
+    """Violations of a written log: mcap's own reader fails, or its estimate is not finite."""
     from mcap.reader import NonSeekingReader
 
     try:
@@ -232,7 +232,7 @@ def _has_nan(data: bytes) -> bool:
 
 
 def _left(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, int]], runs: list[Run]) -> Iterator[str]:
-    """Files lost, changed, or left that no command ended well for."""
+    """Files that are lost, changed, or left without a successful command."""
     if any(after.get(name) != status for name, status in before.items()):
         yield "an input changed or is gone"
     good = {str(_output(one)) for one in runs if one.code in (0, 3, 4)}
@@ -243,7 +243,7 @@ def _left(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, int]],
 
 
 def _same(file: Path, some: list[Channel]) -> str | None:
-    """What bodylog's reader makes of a sound container otherwise than was written, or than other libraries read."""
+    """Differences between a container read by bodylog and what was written, or what other libraries read."""
     from bodylog.errors import BodylogError
     from bodylog.logs.formats import open_log, payloads
 
@@ -254,11 +254,11 @@ def _same(file: Path, some: list[Channel]) -> str | None:
             for batch in log.batches():
                 found.update((names[batch.topic_id], bytes(p)) for p in payloads(batch))
             if log.findings:
-                return None  # something was lost, and said
+                return None  # a loss, and it was reported
     except BodylogError:
         return None
     for read in (_by_mcap, _by_rosbags):
-        with suppress(Exception):  # a library that does not read the file says nothing of it
+        with suppress(Exception):  # a library that cannot read the file proves nothing
             other = read(file)
             if other is not None and (theirs := _normal(other)) != (ours := _normal(found)):
                 counts = f"{sum(other.values())} messages, {sum(found.values())} ours"
@@ -267,7 +267,7 @@ def _same(file: Path, some: list[Channel]) -> str | None:
 
 
 def _normal(found: Counter[tuple[str, bytes]]) -> Counter[tuple[str, bytes]]:
-    """The same with topics named as rosbags does: without slashes that are doubled or end a name."""
+    """The same with topic names as in rosbags: no doubled or trailing slashes."""
     named: Counter[tuple[str, bytes]] = Counter()
     for (topic, data), count in found.items():
         named[re.sub("/+", "/", topic).rstrip("/") or "/", data] += count

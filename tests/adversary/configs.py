@@ -1,4 +1,4 @@
-"""Hostile settings: robot.toml and what is typed."""
+"""Hostile settings: robot.toml and command-line options."""
 
 import json
 import math
@@ -70,7 +70,7 @@ NUMBERS = (*FLOATS, 0.0, 1.0, -1.0, 0.5, 3600.0, 3600.1, 1e6, 1e-3, 50.0, 100.0,
 
 
 def value(draw: Draw, depth: int = 0) -> Any:
-    """Any value that TOML has."""
+    """Any value that TOML can express."""
     kinds = [
         lambda: draw.of(NUMBERS),
         lambda: draw.of([n for n in INTEGERS if abs(n) < 2**63]),
@@ -88,7 +88,7 @@ def value(draw: Draw, depth: int = 0) -> Any:
 
 
 def fitting(draw: Draw, section: str, key: str, hint: Any) -> Any:
-    """A value of a setting's type, most of them in range."""
+    """A value of a setting's type, mostly in range."""
     described = about(section, spell(key)).key
     if described.choices and hint is str:
         return draw.of(described.choices)
@@ -115,7 +115,7 @@ def fitting(draw: Draw, section: str, key: str, hint: Any) -> Any:
 
 
 def toml(draw: Draw) -> str:
-    """A robot.toml with one to four keys set, mostly to what they might be."""
+    """A robot.toml with one to four keys, mostly with valid values."""
     lines = []
     for _ in range(draw.random.randint(1, 4)):
         section = draw.of(fields(Settings)).name
@@ -137,16 +137,16 @@ def toml(draw: Draw) -> str:
     return text + draw.of(odd) if draw.hostile(0.1) else text
 
 
-def _toml(said: Any) -> str:
-    if isinstance(said, bool):
-        return str(said).lower()
-    if isinstance(said, float):
-        return repr(said)
-    if isinstance(said, list):
-        return "[" + ", ".join(map(_toml, said)) + "]"
-    if isinstance(said, dict):
-        return "{" + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in said.items()) + "}"
-    return json.dumps(said) if isinstance(said, str) else str(said)
+def _toml(content: Any) -> str:
+    if isinstance(content, bool):
+        return str(content).lower()
+    if isinstance(content, float):
+        return repr(content)
+    if isinstance(content, list):
+        return "[" + ", ".join(map(_toml, content)) + "]"
+    if isinstance(content, dict):
+        return "{" + ", ".join(f"{json.dumps(k)} = {_toml(v)}" for k, v in content.items()) + "}"
+    return json.dumps(content) if isinstance(content, str) else str(content)
 
 
 TYPED: dict[str, tuple[str, ...]] = {
@@ -170,12 +170,12 @@ def typed(draw: Draw) -> list[str]:
     out: list[str] = []
     for _ in range(draw.random.randint(0, 2)):
         name = draw.of(tuple(TYPED))
-        said = draw.of(TYPED[name]) if draw.random.random() < 0.9 else str(value(draw, 2))[:400].replace("\0", "")
-        out += [name, said]
+        content = draw.of(TYPED[name]) if draw.random.random() < 0.9 else str(value(draw, 2))[:400].replace("\0", "")
+        out += [name, content]
     return out
 
 
 def write(draw: Draw, path: Path) -> list[str]:
-    """Write a robot.toml to `path`; gives what is typed besides."""
+    """Write a robot.toml to `path`; returns further command-line options."""
     path.write_bytes(toml(draw).encode("utf-8", "replace"))
     return typed(draw)

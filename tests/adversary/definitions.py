@@ -1,4 +1,4 @@
-"""Message definitions that are sound, and definitions that cost a parser its time or its memory."""
+"""Sound message definitions, and definitions that cost a parser time or memory."""
 
 from collections.abc import Callable, Mapping
 
@@ -76,7 +76,7 @@ def _many_lines(draw: Draw) -> tuple[str, str]:
 
 
 def _branching(draw: Draw) -> tuple[str, str]:
-    """Types that hold the next one twice: 2**depth values."""
+    """Types that contain the next one twice: 2**depth values."""
     depth, size = draw.of((10, 30, 60)), draw.of(("", "[2]", "[]", "[2147483647]"))
     text = f"T0{size} a\nT0{size} b\n"
     for level in range(depth):

@@ -1,4 +1,4 @@
-"""Values that a file may hold: ordinary ones, and with a given chance the ones that break readers."""
+"""Values that a file may hold: ordinary ones, and hostile ones with a given probability."""
 
 from collections.abc import Sequence
 from random import Random
@@ -50,13 +50,13 @@ BYTES = (b"\xff\xfe", b"\x80abc", b"\xed\xa0\x80", b"a\xc3", b"\xf8\x88\x80\x80\
 
 
 class Draw:
-    """A seeded source of choices; `chance` is how often a value is hostile."""
+    """A seeded random source; `chance` is the probability of a hostile value."""
 
     def __init__(self, seed: int, chance: float) -> None:
         self.random, self.chance = Random(seed), chance
 
     def hostile(self, times: float = 1.0) -> bool:
-        """Whether the next value is to be hostile."""
+        """Whether the next value is hostile."""
         return self.random.random() < self.chance * times
 
     def of(self, values: Sequence[T]) -> T:
@@ -68,7 +68,7 @@ class Draw:
         return self.of(FLOATS) if self.hostile() else usual
 
     def integer(self, usual: int, low: int = -(10**401), high: int = 10**401) -> int:
-        """A whole number; hostile ones lie between `low` and `high`, too."""
+        """A whole number; hostile ones are also between `low` and `high`."""
         return self.of([n for n in INTEGERS if low <= n <= high]) if self.hostile() else usual
 
     def time(self, usual: int, low: int = 0, high: int = 2**64 - 1) -> int:
@@ -82,13 +82,13 @@ class Draw:
         return self.of(TEXTS) if self.random.random() < 0.8 else usual + self.of(TEXTS)
 
     def raw(self, usual: str) -> bytes:
-        """The bytes of a text, which may be no UTF-8."""
+        """The bytes of a text, which may not be UTF-8."""
         if self.hostile(0.3):
             return self.of(BYTES)
         return self.text(usual).encode("utf-8", "replace")
 
     def count(self, usual: int) -> int:
-        """What a sequence claims to hold."""
+        """The declared length of a sequence."""
         hostile = [0, 1, usual + 1, max(usual - 1, 0), 2**16, 2**31 - 1, 2**32 - 1]
         return self.of(hostile) if self.hostile() else usual
 

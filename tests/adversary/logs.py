@@ -1,4 +1,4 @@
-"""Sound containers with hostile content: .mcap, .bag, .db3, rosbag2 folders, and packed ones."""
+"""Sound containers with hostile content: .mcap, .bag, .db3, rosbag2 folders, and compressed ones."""
 
 import bz2
 import os
@@ -48,8 +48,8 @@ def channels(
         payloads = sequence(draw, make, draw.of((0, 1, 2, 30, 60)) if draw.hostile() else 40, ros1)
         times = [draw.time(T0 + number * STEP + 1_000_000, low, high) for number in range(len(payloads))]
         encoding = draw.raw(("ros1" if ros1 else "cdr") if name in KINDS else "json")
-        said = (draw.raw(name), draw.raw(kind), encoding, text, dialect.encode("utf-8", "replace"))
-        found.append(Channel(*said, list(zip(times, payloads, strict=True))))
+        fields = (draw.raw(name), draw.raw(kind), encoding, text, dialect.encode("utf-8", "replace"))
+        found.append(Channel(*fields, list(zip(times, payloads, strict=True))))
     if draw.hostile(0.3):
         found.append(Channel(b"/cells", b"demo_msgs/msg/Cells", b"cdr", IDL.encode(), b"ros2idl", [(T0, b"\0\1\0\0")]))
     return found
@@ -113,9 +113,11 @@ def _mcap(draw: Draw, some: list[Channel]) -> bytes:
         times = [row[0] for row in rows] or [0]
         counts = b"".join(struct.pack("<HQ", number, len(c.messages)) for number, c in enumerate(some))
         chunks = infos.count(_INFO)
-        said = struct.pack("<QHIIIIQQ", len(rows), len(some), len(some), 0, 0, chunks, min(times), max(times))
+        fields = struct.pack("<QHIIIIQQ", len(rows), len(some), len(some), 0, 0, chunks, min(times), max(times))
         out += (
-            b"".join(declared) + infos.replace(_INFO, b"") + _record(11, said + struct.pack("<I", len(counts)) + counts)
+            b"".join(declared)
+            + infos.replace(_INFO, b"")
+            + _record(11, fields + struct.pack("<I", len(counts)) + counts)
         )
     footer = struct.pack("<BQQQ", 2, 20, start if len(out) > start else 0, 0)
     crc = zlib.crc32(bytes(out[start:]) + footer) if len(out) > start else 0
@@ -157,9 +159,9 @@ def _chunk(draw: Draw, rows: list[tuple[int, int, bytes]], at: int) -> tuple[byt
     for number, listed in entries.items():
         places += struct.pack("<HQ", number, at + len(chunk) + len(indexes))
         indexes += _record(7, struct.pack("<H", number) + struct.pack("<I", len(listed)) + listed)
-    said = struct.pack("<QQQQ", min(times), max(times), at, len(chunk)) + _string(places)
-    said += struct.pack("<Q", len(indexes)) + _string(name) + struct.pack("<QQ", len(packed), len(content))
-    return chunk + indexes, _record(8, said) + _INFO
+    fields = struct.pack("<QQQQ", min(times), max(times), at, len(chunk)) + _string(places)
+    fields += struct.pack("<Q", len(indexes)) + _string(name) + struct.pack("<QQ", len(packed), len(content))
+    return chunk + indexes, _record(8, fields) + _INFO
 
 
 def _metadata(draw: Draw) -> list[tuple[bytes, bytes]]:
@@ -200,8 +202,13 @@ def _u32(number: int) -> bytes:
 
 
 def _connection(number: int, c: Channel) -> bytes:
-    said = {"topic": c.name, "type": c.type.replace(b"/msg/", b"/"), "md5sum": b"*", "message_definition": c.definition}
-    data = b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k.encode() + b"=" + v for k, v in said.items())
+    fields = {
+        "topic": c.name,
+        "type": c.type.replace(b"/msg/", b"/"),
+        "md5sum": b"*",
+        "message_definition": c.definition,
+    }
+    data = b"".join(struct.pack("<I", len(k) + 1 + len(v)) + k.encode() + b"=" + v for k, v in fields.items())
     return by_hand.record(data, op=b"\x07", conn=_u32(number), topic=c.name)
 
 
@@ -223,8 +230,8 @@ def _bag_chunk(
         chunk += by_hand.record(listed, op=b"\x04", ver=_u32(1), conn=_u32(number), count=_u32(counts[number]))
     first, last = (struct.pack("<II", *divmod(rows[i][0], 10**9)) for i in (0, -1))
     data = b"".join(_u32(number) + _u32(count) for number, count in counts.items())
-    said = {"ver": _u32(1), "chunk_pos": struct.pack("<Q", at), "start_time": first, "end_time": last}
-    return chunk, by_hand.record(data, op=b"\x06", **said, count=_u32(len(counts)))
+    fields = {"ver": _u32(1), "chunk_pos": struct.pack("<Q", at), "start_time": first, "end_time": last}
+    return chunk, by_hand.record(data, op=b"\x06", **fields, count=_u32(len(counts)))
 
 
 _ENDLESS = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT {} FROM n"
@@ -242,8 +249,8 @@ def db3(draw: Draw, path: Path) -> list[Channel]:
                 "CREATE TABLE message_definitions(id INTEGER PRIMARY KEY, topic_type, encoding,"
                 " encoded_message_definition, type_description_hash)"
             )
-            said = [(_sql(c.type), _sql(c.dialect), _sql(c.definition)) for c in some]
-            store.executemany("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, '')", said)
+            fields = [(_sql(c.type), _sql(c.dialect), _sql(c.definition)) for c in some]
+            store.executemany("INSERT INTO message_definitions VALUES (NULL, ?, ?, ?, '')", fields)
     return some
 
 
@@ -328,7 +335,7 @@ def metadata_yaml(draw: Draw, names: list[str]) -> str:
 
 
 def zipped(draw: Draw, path: Path) -> list[Channel]:
-    """A log in zstd; what comes behind it may be gigabytes of nothing."""
+    """A log in zstd, possibly followed by gigabytes of zeros."""
     some = mcap(draw, path)
     data = path.read_bytes() if not draw.hostile(0.3) else draw.of((b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b""))
     extra = draw.of((0, 1 << 20, 1 << 28)) if draw.hostile(0.2) else 0

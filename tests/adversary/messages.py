@@ -1,4 +1,4 @@
-"""Payloads of a small robot's messages: joints, pictures, skin; each field may be hostile."""
+"""Payloads of a small robot's messages: joints, images, skin; each field may be hostile."""
 
 import base64
 import json
@@ -49,14 +49,14 @@ class Cdr:
 
 @cache
 def angles(number: int) -> tuple[float, float]:
-    """What the joints read at a message's number, with noise of 1e-3 rad."""
+    """The joint readings at a message's number, with noise of 1e-3 rad."""
     t, off = number * STEP / 1e9, np.random.default_rng(number).normal(0.0, 1e-3, 2)
     return 0.6 * np.sin(2.1 * t) + off[0], 0.5 * np.cos(1.3 * t) + off[1]
 
 
 @cache
 def picture(number: int) -> np.ndarray:
-    """A green disc on grey where the arm's tip is."""
+    """A green disc on grey at the arm's tip."""
     image = np.full((HEIGHT, WIDTH, 3), 90, np.uint8)
     a, b = angles(number)
     tip = WIDTH / 2 + 18 * np.sin(a) + 9 * np.sin(a + b), HEIGHT / 2 + 12 * np.cos(a) + 6 * np.cos(a + b) - 12
@@ -66,7 +66,7 @@ def picture(number: int) -> np.ndarray:
 
 @cache
 def packed(number: int, suffix: str) -> bytes:
-    """The picture as JPEG, PNG or WebP."""
+    """The image as JPEG, PNG or WebP."""
     return cv2.imencode(suffix, picture(number))[1].tobytes()
 
 
@@ -144,7 +144,7 @@ ENCODINGS = (
 
 
 def raw_fields(draw: Draw, number: int) -> tuple[int, int, str, int, bytes]:
-    """Height, width, encoding, step and data of a raw picture."""
+    """Height, width, encoding, step and data of a raw image."""
     if not draw.hostile(0.7):
         return HEIGHT, WIDTH, "bgr8", 3 * WIDTH, picture(number).tobytes()
     height, width = (draw.of((0, 1, 2, 3, 5, 7, 47, HEIGHT, 2**16, 2**31, 2**32 - 1)) for _ in range(2))
@@ -154,7 +154,7 @@ def raw_fields(draw: Draw, number: int) -> tuple[int, int, str, int, bytes]:
 
 
 def hostile_picture(draw: Draw, number: int, suffix: str) -> bytes:
-    """A picture's bytes with damage, or of a size that nobody's camera has."""
+    """The bytes of an image with damage, or of an absurd size."""
     data = bytearray(packed(number, suffix))
     kind = draw.random.randint(0, 6)
     if kind == 0:
@@ -176,7 +176,7 @@ def hostile_picture(draw: Draw, number: int, suffix: str) -> bytes:
 
 @cache
 def large(suffix: str, side: int) -> bytes:
-    """A grey picture of `side` x `side` pixels in a few kilobytes."""
+    """A grey image of `side` x `side` pixels in a few kilobytes."""
     options = [cv2.IMWRITE_JPEG_QUALITY, 10] if suffix == ".jpg" else [cv2.IMWRITE_PNG_COMPRESSION, 9]
     return cv2.imencode(suffix, np.zeros((side, side), np.uint8), options)[1].tobytes()
 
@@ -197,7 +197,7 @@ def json_picture(draw: Draw, number: int, ros1: bool = False) -> bytes:
 
 
 def _json(draw: Draw, message: dict[str, Any]) -> bytes:
-    """JSON with values replaced anywhere, and numbers that JSON allows and floats do not hold."""
+    """JSON with values replaced anywhere, and numbers that JSON allows but floats cannot hold."""
     spoilt = _spoilt(draw, message)
     text = json.dumps(spoilt).replace("1e+308", draw.of(("1e999", "1e308", "-1e999", "9" * 401)))
     if draw.hostile(0.2):
@@ -231,7 +231,7 @@ OBJECTS: dict[str, tuple[str, Payload]] = {
 
 
 def spoil(draw: Draw, payload: bytes) -> bytes:
-    """A payload cut, lengthened or with bytes changed."""
+    """A payload truncated, lengthened or with changed bytes."""
     kind, data = draw.random.randint(0, 3), bytearray(payload)
     if kind == 0:
         return bytes(data[: draw.random.randint(0, len(data))])
@@ -243,6 +243,6 @@ def spoil(draw: Draw, payload: bytes) -> bytes:
 
 
 def sequence(draw: Draw, make: Payload, count: int, ros1: bool) -> Sequence[bytes]:
-    """`count` payloads; a few of them spoilt."""
+    """`count` payloads; a few of them damaged."""
     made = (make(draw, number, ros1) for number in range(count))
     return [spoil(draw, payload) if draw.hostile(0.1) else payload for payload in made]

@@ -1,4 +1,4 @@
-"""Sound containers with hostile content, and hostile settings: read, or refused in one line; nothing half-written."""
+"""Commands read hostile containers and settings, or refuse them in one line; no half-written files remain."""
 
 import json
 
@@ -11,11 +11,11 @@ from .grammar import Draw
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory):
-    """Sound files from which cases are made."""
+    """Sound files, the sources of all cases."""
     return cases.prepare(tmp_path_factory.mktemp("adversary") / "base")
 
 
-def _said(problems):
+def _texts(problems):
     return "\n".join(
         f"{p.kind} {p.seed}: {' '.join(p.run.command)}: {p.what}\n{p.run.err[-800:]}" for p in problems[:5]
     )
@@ -23,33 +23,33 @@ def _said(problems):
 
 def test_commands_read_or_refuse_hostile_input_in_one_line(base, tmp_path):
     problems, figures = meet(base, tmp_path, range(12), range(4))
-    assert not problems, _said(problems)
+    assert not problems, _texts(problems)
     assert figures["commands"] > 50
 
 
 @pytest.mark.parametrize(
     "seed",
     [
-        43000074,  # half a century without a word: a variance that rounding swallowed
-        61000064,  # names that are no UTF-8, kept in the output
-        61000157,  # OpenCV's remark on a picture that it reads
-        62001059,  # and on one that it does not
+        43000074,  # half a century without readings: rounding lost a variance
+        61000064,  # names that are not UTF-8, kept in the output
+        61000157,  # OpenCV's output for a readable image
+        62001059,  # and for an unreadable one
         61000427,  # topics named with two slashes
         62000789,  # a signalling NaN of the skin
         62002319,  # a touch of no cell
         82000125,  # a signalling NaN, written as a float32
-        94002125,  # a body whose tracks show no joint
+        94002125,  # a body whose tracks depend on no joint
         92000784,  # stamps that are lists in some messages
         92000236,  # a variance that rounding takes below 0
         203000613,  # a model whose variance is 0 where its slope's is not
-        203001702,  # weights of 1e19: delays were asked of a covariance without an inverse
-        302000356,  # angles of 1e8 rad: a kernel of rounding alone
+        203001702,  # weights of 1e19: delays from a singular covariance
+        302000356,  # angles of 1e8 rad: a kernel of rounding errors
         412000000001533,  # an image whose encoding is half a surrogate pair
         71000041,  # a count of messages of 401 digits
     ],
 )
 def test_commands_survive_known_bad_seeds(base, tmp_path, seed):
-    assert not (problems := cases.file_case(base, tmp_path, seed)[2]), _said(problems)
+    assert not (problems := cases.file_case(base, tmp_path, seed)[2]), _texts(problems)
 
 
 def test_meet_writes_progress_before_it_is_stopped(base, tmp_path):
@@ -62,12 +62,19 @@ def test_meet_writes_progress_before_it_is_stopped(base, tmp_path):
 def test_commands_survive_20000_hostile_inputs(base, tmp_path):
     problems, figures = meet(base, tmp_path, range(1000, 20_000), range(1000, 2000))
     print(figures)
-    assert not problems, _said(problems)
+    assert not problems, _texts(problems)
 
 
 def _outcome(**how):
-    said = {"command": ("info", "x", "--json"), "code": 0, "out": "{}", "err": "", "seconds": 1.0, "memory": 1 << 28}
-    return worker.Run(**(said | how))
+    defaults = {
+        "command": ("info", "x", "--json"),
+        "code": 0,
+        "out": "{}",
+        "err": "",
+        "seconds": 1.0,
+        "memory": 1 << 28,
+    }
+    return worker.Run(**(defaults | how))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Commands run in a process of their own, with their time, memory, exit code and words taken down."""
+"""Run commands in a separate process and record their time, memory, exit code and output."""
 
 import contextlib
 import gc
@@ -25,7 +25,7 @@ _ADDRESSES = 6 << 30
 
 @dataclass(frozen=True)
 class Run:
-    """One command: what was typed, exit code (None: it never ended), what it said, processor seconds, bytes."""
+    """One command: arguments, exit code (None: it never ended), output, processor seconds, bytes."""
 
     command: tuple[str, ...]
     code: int | None
@@ -36,9 +36,9 @@ class Run:
 
 
 def warm(commands: Sequence[Sequence[str]]) -> None:
-    """Import what commands import, so that a child has it already; threads that they begin must not be here."""
-    said = run(commands, lambda: json.dumps(sorted(sys.modules)))[-1].err
-    for name in ("mcap.reader", "rosbags.rosbag1", *json.loads(said)):
+    """Import what commands import, so that a child need not; threads that imports start must not exist here."""
+    report = run(commands, lambda: json.dumps(sorted(sys.modules)))[-1].err
+    for name in ("mcap.reader", "rosbags.rosbag1", *json.loads(report)):
         with contextlib.suppress(Exception):
             importlib.import_module(name)
     gc.collect()
@@ -46,9 +46,9 @@ def warm(commands: Sequence[Sequence[str]]) -> None:
 
 
 def run(commands: Sequence[Sequence[str]], check: Callable[[], str | None] | None = None) -> list[Run]:
-    """Run the commands one after another in a child; one that does not end in time is killed, and the rest left out.
+    """Run the commands one after another in a child; kill one that does not end in time, and skip the rest.
 
-    `check` is run in the child behind them, as a command of the name "check": what it returns is wrong.
+    `check` runs in the child after them, as a command of the name "check": it returns an error text.
     """
     read, write = os.pipe()
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
@@ -74,18 +74,20 @@ def _child(
         resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
         for command in commands:
             code, seconds = _one(command)
-            _tell(write, {"code": code, "seconds": seconds, **_words(out, err), "memory": _memory()})
+            _send(write, {"code": code, "seconds": seconds, **_words(out, err), "memory": _memory()})
         if check is not None:
-            said = check()
-            _tell(write, {"code": 1 if said else 0, "seconds": 0.0, "out": "", "err": said or "", "memory": _memory()})
+            report = check()
+            _send(
+                write, {"code": 1 if report else 0, "seconds": 0.0, "out": "", "err": report or "", "memory": _memory()}
+            )
     except BaseException:
-        _tell(write, {"code": 1, "seconds": 0.0, "out": "", "err": traceback.format_exc()[-3000:], "memory": 0})
+        _send(write, {"code": 1, "seconds": 0.0, "out": "", "err": traceback.format_exc()[-3000:], "memory": 0})
     finally:
         os._exit(0)
 
 
 def _one(command: Sequence[str]) -> tuple[int, float]:
-    begun = _processor()
+    start = _processor()
     try:
         code = bodylog_cli.run(list(command))
     except SystemExit as end:
@@ -96,32 +98,32 @@ def _one(command: Sequence[str]) -> tuple[int, float]:
     with contextlib.suppress(Exception):
         sys.stdout.flush()
         sys.stderr.flush()
-    return code, _processor() - begun
+    return code, _processor() - start
 
 
 def _processor() -> float:
-    """Seconds of processor time: others may be at work on this machine."""
+    """Seconds of processor time: other processes may load this machine."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
 def _words(out: int, err: int) -> dict[str, str]:
-    """What was said since the last time."""
-    said = {}
+    """The output since the last call."""
+    report = {}
     for name, handle in (("out", out), ("err", err)):
         os.lseek(handle, 0, os.SEEK_SET)
-        said[name] = os.read(handle, 1 << 22).decode("utf-8", "backslashreplace")
+        report[name] = os.read(handle, 1 << 22).decode("utf-8", "backslashreplace")
         os.ftruncate(handle, 0)
         os.lseek(handle, 0, os.SEEK_SET)
-    return said
+    return report
 
 
 def _memory() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10
 
 
-def _tell(write: int, said: dict[str, object]) -> None:
-    data = json.dumps(said).encode()
+def _send(write: int, report: dict[str, object]) -> None:
+    data = json.dumps(report).encode()
     data = len(data).to_bytes(4, "little") + data
     while data:
         data = data[os.write(write, data) :]
@@ -130,8 +132,8 @@ def _tell(write: int, said: dict[str, object]) -> None:
 def _collect(child: int, read: int, commands: Sequence[Sequence[str]], out: int, err: int) -> list[Run]:
     runs: list[Run] = []
     names = [*map(tuple, commands), ("check",)]
-    while len(runs) < len(names) and (said := _hear(read)) is not None:
-        runs.append(Run(names[len(runs)], **said))
+    while len(runs) < len(names) and (report := _receive(read)) is not None:
+        runs.append(Run(names[len(runs)], **report))
     late = len(runs) < len(commands)
     if late:
         with contextlib.suppress(ProcessLookupError):
@@ -145,7 +147,7 @@ def _collect(child: int, read: int, commands: Sequence[Sequence[str]], out: int,
     return runs
 
 
-def _hear(read: int) -> dict[str, object] | None:
+def _receive(read: int) -> dict[str, object] | None:
     head = _bytes(read, 4)
     body = _bytes(read, int.from_bytes(head, "little")) if head else None
     return json.loads(body) if body else None
@@ -163,12 +165,12 @@ def _bytes(read: int, count: int) -> bytes | None:
 
 
 def plain(one: Run) -> dict[str, object]:
-    """A run as JSON holds it."""
+    """A run for JSON."""
     return asdict(one) | {"command": list(one.command)}
 
 
 def folder(path: Path) -> dict[str, tuple[int, int]]:
-    """Names, sizes and times of all that is in a folder."""
+    """Names, sizes and times of everything in a folder."""
     found = {}
     for place, _, names in os.walk(os.fsencode(path)):
         for name in names:

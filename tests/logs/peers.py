@@ -1,4 +1,4 @@
-"""Other readers of the same files: every message each of them gives, as a multiset of (topic, log time, payload)."""
+"""Other readers of the same files: every message of each, as a multiset of (topic, log time, payload)."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -29,7 +29,7 @@ def mcap_seeking(path: Path) -> Messages:
 
 
 def mcap_streaming(path: Path) -> Messages:
-    """What the streaming reader gives until it fails: it is the one that reads truncated files."""
+    """Messages of the streaming reader until it fails: it is the reader for truncated files."""
     from mcap.reader import NonSeekingReader
 
     found: Messages = Counter()
@@ -37,13 +37,13 @@ def mcap_streaming(path: Path) -> Messages:
         try:
             for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
                 found[channel.topic, message.log_time, message.data] += 1
-        except Exception:  # a damaged file: what came before counts
+        except Exception:  # a damaged file: messages before the damage count
             return found
     return found
 
 
 def rosbags_raw(path: Path) -> Messages:
-    """Nothing is decoded, so the types of a log that lacks its own are needed by nobody."""
+    """Nothing is decoded, so missing types do not matter."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -84,15 +84,15 @@ def sqlite_raw(path: Path) -> Messages:
 
 
 def whatever(reader: Callable[[Path], Messages], path: Path) -> Messages:
-    """What a reader gives, nothing when it refuses the file."""
+    """Messages of a reader, none when it refuses the file."""
     try:
         return Counter({(topic, time, _plain(raw)): count for (topic, time, raw), count in reader(path).items()})
-    except Exception:  # each refuses some of these files, each in its own way
+    except Exception:  # each refuses some of these files with its own exception
         return Counter()
 
 
 def _plain(raw: bytes) -> bytes:
-    """rosbag2 may pack each message by itself; the readers leave that to their user."""
+    """rosbag2 may compress single messages; the readers leave that to their user."""
     import zstandard
 
     return zstandard.ZstdDecompressor().decompress(raw) if raw.startswith(b"\x28\xb5\x2f\xfd") else raw

@@ -1,4 +1,4 @@
-"""Random message definitions of ROS 1 and ROS 2, messages of them by rosbags, and what their fields hold."""
+"""Random message definitions of ROS 1 and ROS 2, messages of them by rosbags, and their values."""
 
 import random
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ _SIZES = {"ros1": ("", "", "", "[]", "[3]", "[1]"), "ros2": ("", "", "", "[]", "
 
 
 class Messages:
-    """One definition of three types that hold one another, by seed; `text` is its definition for a log."""
+    """One definition of three nested types, by seed; `text` is its definition for a log."""
 
     def __init__(self, seed: int, dialect: str, package: str) -> None:
         """dialect: ros1 or ros2; `root` is the type of the messages, in that package."""
@@ -46,7 +46,7 @@ class Messages:
         return "\n".join(lines) + "\n"
 
     def _message(self, type_: str) -> Any:
-        if type_ == "builtin_interfaces/msg/Time":  # before 1970 it has none: past 2038 its seconds go on as unsigned
+        if type_ == "builtin_interfaces/msg/Time":  # none before 1970: past 2038 the seconds continue as unsigned
             return self.store.types[type_](self._draw.randrange(1 << 31), self._draw.randrange(10**9))
         _, fields = self.store.fielddefs[type_]
         return self.store.types[type_](**{name: self._value(of) for name, of in fields})
@@ -81,7 +81,7 @@ def _dtype(name: str) -> str:
 
 
 def values(message: Any, path: str) -> list[Any]:
-    """The plain values a path leads to in a message of rosbags, times in ns."""
+    """The plain values at a path in a message of rosbags, times in ns."""
     return list(_values(message, path.split(".")))
 
 
@@ -98,11 +98,11 @@ def _values(value: Any, steps: list[str]) -> Iterator[Any]:
 
 
 def assert_row(row: Any, expected: list[Any], what: str) -> None:
-    """A row of a table holds these values, and NaN or "" behind them."""
+    """Assert that a row of a table holds these values, padded with NaN or ""."""
     found = list(row) if isinstance(row, bytes) else np.atleast_1d(row).tolist()
     head, tail = found[: len(expected)], found[len(expected) :]
     assert len(found) >= len(expected) and all(rest == "" or rest != rest for rest in tail), what
     for ours, theirs in zip(head, expected, strict=True):
-        padded = isinstance(ours, float) and isinstance(theirs, int)  # in rows of several lengths all are floats
+        padded = isinstance(ours, float) and isinstance(theirs, int)  # rows of several lengths are floats
         same = ours == (float(theirs) if padded else theirs) or (ours != ours and theirs != theirs)
         assert same, (what, ours, theirs)

@@ -1,4 +1,4 @@
-"""Columns against rosbags' message by message: random definitions, in every container, packing and profile."""
+"""Columns against rosbags' single messages: random definitions, in every container, compression and profile."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -122,7 +122,7 @@ SITUATIONS: dict[str, tuple[str, Write]] = {
 
 
 def assert_the_same(path: Path, topics: Sequence[Sent]) -> None:
-    """Every field of every topic is what rosbags decodes, message by message."""
+    """Assert that every field of every topic equals what rosbags decodes, message by message."""
     with logs.open(path, strict=True) as log:
         assert [topic.name for topic in log.topics] == [one.topic for one in topics]
         for one in topics:

@@ -39,7 +39,7 @@ def log(tmp_path):
 
 
 def records(raw, at, end):
-    """{opcode: where its first record is} from byte `at`."""
+    """{opcode: position of its first record} from byte `at`."""
     found = {}
     while at < end:
         found.setdefault(raw[at], at)
@@ -211,12 +211,12 @@ LIES = {
     "lacks channel": (0x04, 9, False),
     "CRC fails": (0x03, 30, True),
 }
-"""What must be said -> opcode of a summary record, the byte in it that is changed, whether the CRC stays."""
+"""Error text -> opcode of a summary record, the byte in it to change, whether the CRC stays."""
 
 
-@pytest.mark.parametrize("said", LIES)
-def test_reusable_prefix_refuses_a_wrong_summary(tmp_path, messages, log, said):
-    opcode, byte, keeps_crc = LIES[said]
+@pytest.mark.parametrize("reason", LIES)
+def test_reusable_prefix_refuses_a_wrong_summary(tmp_path, messages, log, reason):
+    opcode, byte, keeps_crc = LIES[reason]
     raw = bytearray(log.read_bytes())
     footer = len(raw) - 8 - 20
     summary = int.from_bytes(raw[footer : footer + 8], "little")
@@ -224,7 +224,7 @@ def test_reusable_prefix_refuses_a_wrong_summary(tmp_path, messages, log, said):
     if not keeps_crc:
         raw[footer + 16 : footer + 20] = bytes(4)
     log.write_bytes(raw)
-    with pytest.raises(FormatError, match=said):
+    with pytest.raises(FormatError, match=reason):
         reusable_prefix(log)
     annotate(log, messages, SAID, tmp_path / "out.mcap")
     every = streamed(tmp_path / "out.mcap")

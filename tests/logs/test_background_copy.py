@@ -1,4 +1,4 @@
-"""A log copied and digested while it is looked at: the same bytes, or nothing."""
+"""Copy and digest a log while it is in use: the same bytes, or nothing."""
 
 import errno
 import hashlib
@@ -33,7 +33,7 @@ def log(tmp_path):
 
 
 def meanwhile(monkeypatch, what):
-    """Do something when the second piece of the log has been read."""
+    """Call a function when the second piece of the log has been read."""
     whole = background_copy.iter_mapped
 
     def interrupted(path, size):
@@ -78,7 +78,7 @@ def test_copy_does_not_block_an_interrupted_process(tmp_path):
     (tmp_path / "in").write_bytes(bytes(PIECE))
     (tmp_path / "out").write_bytes(b"")
     before = threading.active_count()
-    Copy(tmp_path / "in", tmp_path / "out", PIECE)  # told to stop here, before the block is entered
+    Copy(tmp_path / "in", tmp_path / "out", PIECE)  # interrupted here, before the block is entered
     assert threading.active_count() == before
 
 
@@ -182,11 +182,11 @@ def test_annotating_replaces_nothing_when_unfinished(tmp_path, log, done):
 
 
 def test_copy_shares_blocks_where_possible(log, tmp_path, monkeypatch):
-    """Where it can, nothing but what is over after the last whole block is written."""
+    """Only the remainder after the last whole block is written."""
     written, plain, asked = [], background_copy._Target.write, []
 
-    def shared(handle, request, told):
-        source, offset, size, at = struct.unpack("=qQQQ", told)
+    def shared(handle, request, argument):
+        source, offset, size, at = struct.unpack("=qQQQ", argument)
         asked.append((request, offset, size, at))
         os.pwrite(handle, os.pread(source, size, offset), at)
 

@@ -1,4 +1,4 @@
-"""JSON and protobuf messages laid out alike, read at once: the same values as one by one, and no more of them."""
+"""JSON and protobuf messages of equal layout, read at once: the same values as one by one."""
 
 import json
 import random
@@ -71,7 +71,7 @@ def test_json_decoder_equals_single_decoding(seed, monkeypatch):
     some = []
     for _ in range(120):
         message = state(draw, 3)
-        if plain:  # else nearly each has a skeleton of its own
+        if plain:  # else nearly every message has its own skeleton
             message |= {"on": True, "count": 7, "gone": 1, "big2": {"x": 1}}
             message["header"]["frame_id"] = draw.choice(["base", "2"])
             message["deep"][0]["name"], message["deep"][1]["name"] = "a1", draw.choice(["a2", "a1"])

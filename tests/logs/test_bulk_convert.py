@@ -11,7 +11,7 @@ CUSTOM_TOPIC = Topic(0, "/t", KINDS[2], "ros1", CUSTOM.encode(), "ros1msg", 0)
 
 
 def messages(i, count, seed):
-    """ROS 1 payloads of the custom type with the same layout and other values."""
+    """ROS 1 payloads of the custom type with the same layout and different values."""
     store, found = ros1_store(), []
     for row in range(count):
         *_, message = values(store, np.random.default_rng(seed + row), i)

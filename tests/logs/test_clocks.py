@@ -1,4 +1,4 @@
-"""Which clock dates a stream, and what becomes of stamps that are wrong."""
+"""Selection of a stream's clock, and handling of wrong stamps."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Columns must equal what rosbags decodes message by message, for any definition; damage must be counted."""
+"""Columns equal what rosbags decodes message by message, for any definition; damage is counted."""
 
 import json
 import struct
@@ -425,7 +425,7 @@ WIDE = {1: "utf-16-le", 2: "utf-16-le", 4: "utf-32-le"}
 
 
 def _wide(text: str, size: int, x: float) -> bytes:
-    """A message `wstring y, float64 x`, of which writers count characters of `size` bytes, or bytes (1)."""
+    """A message `wstring y, float64 x`, whose writer counts characters of `size` bytes, or bytes (1)."""
     data = text.encode(WIDE[size])
     body = struct.pack("<I", len(data) // size) + data
     return b"\0\1\0\0" + body + bytes(-len(body) % 8) + struct.pack("<d", x)
@@ -433,7 +433,7 @@ def _wide(text: str, size: int, x: float) -> bytes:
 
 @pytest.mark.parametrize("size", [1, 2, 4])
 def test_widened_finds_character_size_from_message_length(size):
-    """The first message, without any text, does not tell, and need not."""
+    """The first message has no text, so it does not determine the size."""
     some = [("", 1.5), ("\N{GREEK SMALL LETTER ALPHA}bcdefghi", 2.5), ("jk", 3.5), ("lmnopq", 4.5)]
     log = Messages([_wide(text, size, x) for text, x in some])
     found = columns(log, topic("wstring y\nfloat64 x"), ("y", "x"))
@@ -442,7 +442,7 @@ def test_widened_finds_character_size_from_message_length(size):
 
 
 def test_columns_reject_only_text_of_unknown_width():
-    """Of three characters, of any size, and four bytes or more that are left over."""
+    """Three characters of unknown size, and at least four bytes left over."""
     log, wide = Messages([b"\0\1\0\0" + struct.pack("<dI10s", 2.5, 3, b"a\0b\0c")]), topic("float64 x\nwstring y")
     assert columns(log, wide, ("x",)).column("x").tolist() == [2.5]
     assert dict(columns(log, wide, ("y",)).rejected) == {"malformed": 1}

@@ -1,4 +1,4 @@
-"""The 154 MCAP conformance files: our records equal the .json beside each, and every message is read."""
+"""The 154 MCAP conformance files: records equal the .json beside each, and every message is read."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.skipif(not FILES, reason=f"the conformance files are no
 
 
 def plain(value: Any) -> Any:
-    """A field as the .json files write it: numbers as text, bytes as lists."""
+    """A field as in the .json files: numbers as text, bytes as lists."""
     if isinstance(value, str):
         return value
     if isinstance(value, dict):
@@ -24,7 +24,7 @@ def plain(value: Any) -> Any:
     return str(value) if isinstance(value, int) else [str(byte) for byte in bytes(value)]
 
 
-def told(record: Record) -> dict[str, Any]:
+def as_json(record: Record) -> dict[str, Any]:
     return {"type": record.name, "fields": sorted([name, plain(value)] for name, value in record.fields.items())}
 
 
@@ -39,18 +39,18 @@ def test_conformance_files_are_complete() -> None:
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_records_equal_the_conformance_json(path: Path) -> None:
-    found = [told(r) for r in every_record(memoryview(path.read_bytes())) if r.opcode not in (CHUNK, MESSAGE_INDEX)]
+    found = [as_json(r) for r in every_record(memoryview(path.read_bytes())) if r.opcode not in (CHUNK, MESSAGE_INDEX)]
     assert found == expected(path)
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
 def test_open_reads_conformance_files_without_findings(path: Path) -> None:
-    told_messages = [dict(record["fields"]) for record in expected(path) if record["type"] == "Message"]
+    declared = [dict(record["fields"]) for record in expected(path) if record["type"] == "Message"]
     with open_log(path, strict=True) as log:
         batches = [(batch.log_ns.tolist(), [bytes(part) for part in payloads(batch)]) for batch in log.batches()]
         assert log.findings == ()
-        assert sum(topic.messages for topic in log.topics) == len(told_messages)
-        times = sorted(int(message["log_time"]) for message in told_messages)
+        assert sum(topic.messages for topic in log.topics) == len(declared)
+        times = sorted(int(message["log_time"]) for message in declared)
         assert (log.start_ns, log.end_ns) == (times[0], times[-1])
     found = sorted((time, payload) for batch in batches for time, payload in zip(*batch, strict=True))
-    assert found == sorted((int(m["log_time"]), bytes(map(int, m["data"]))) for m in told_messages)
+    assert found == sorted((int(m["log_time"]), bytes(map(int, m["data"]))) for m in declared)

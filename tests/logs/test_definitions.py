@@ -1,4 +1,4 @@
-"""Definitions as recorders write them, and as they should never be written."""
+"""Definitions as recorders write them, and broken ones."""
 
 
 import pytest

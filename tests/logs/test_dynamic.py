@@ -1,4 +1,4 @@
-"""JSON and protobuf messages as columns, and what becomes of broken ones."""
+"""JSON and protobuf messages as columns, and broken ones."""
 
 import json
 import struct

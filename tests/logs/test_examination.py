@@ -1,4 +1,4 @@
-"""The doctor names what is wrong with each broken log, and its repairs hold exactly what is sound."""
+"""The examination names what is wrong with each broken log; repairs hold exactly what is sound."""
 
 import json
 import struct
@@ -17,11 +17,11 @@ from . import peers
 FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
 LOGS = Path(__file__).parents[2].parent / "shared" / "logs"
 EXPECTED = json.loads((FOLDER / "expected.json").read_text())
-READ = [name for name, told in EXPECTED.items() if "messages" in told]
+READ = [name for name, content in EXPECTED.items() if "messages" in content]
 SOUND = [name for name in READ if EXPECTED[name]["worst"] is None and name != "empty_definition.bag"]
 
 
-def said(path: Path) -> str:
+def texts(path: Path) -> str:
     return "\n".join(finding.text for finding in examine(path))
 
 
@@ -46,11 +46,11 @@ def test_examine_finds_nothing_in_a_sound_log(name: str) -> None:
     ],
 )
 def test_examine_names_each_fault(name: str, text: str) -> None:
-    assert text in said(FOLDER / name)
+    assert text in texts(FOLDER / name)
 
 
 def _patched(tmp_path: Path, opcode: int, offset: int, new: bytes, sealed: bool = True) -> Path:
-    """none.mcap with bytes of the first record of that opcode changed, its summary's CRC right."""
+    """none.mcap with changed bytes in the first record of that opcode, and a valid summary CRC."""
     data, at = bytearray((FOLDER / "none.mcap").read_bytes()), 8
     while data[at] != opcode:
         at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
@@ -78,7 +78,7 @@ def _patched(tmp_path: Path, opcode: int, offset: int, new: bytes, sealed: bool 
     ],
 )
 def test_examine_checks_what_readers_do_not(tmp_path: Path, opcode: int, offset: int, new: bytes, text: str) -> None:
-    assert text in said(_patched(tmp_path, opcode, offset, new))
+    assert text in texts(_patched(tmp_path, opcode, offset, new))
 
 
 def test_examine_counts_messages_out_of_order(tmp_path: Path) -> None:
@@ -91,7 +91,7 @@ def test_examine_counts_messages_out_of_order(tmp_path: Path) -> None:
     for log_time in (5, 3, 4, 2_000_000_000, 1):
         writer.add_message(channel, log_time, b"{}", log_time)
     writer.finish()
-    assert "/late: 2 messages have a log time before their predecessor's, by up to 2.000000 s" in said(path)
+    assert "/late: 2 messages have a log time before their predecessor's, by up to 2.000000 s" in texts(path)
 
 
 def test_examine_compares_metadata_yaml_with_the_files(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_examine_compares_metadata_yaml_with_the_files(tmp_path: Path) -> None:
     for file in (FOLDER / "split.bag").glob("*.db3"):
         (tmp_path / file.name).write_bytes(file.read_bytes())
     (tmp_path / "metadata.yaml").write_text(text.replace("message_count: 60", "message_count: 61").replace("/b", "/c"))
-    found = said(tmp_path)
+    found = texts(tmp_path)
     assert "metadata.yaml says message_count 61, the files hold 60" in found
     assert "metadata.yaml does not name topic /b" in found
     assert "(and 1 more like it)" in found

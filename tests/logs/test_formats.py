@@ -1,4 +1,4 @@
-"""Every recorded log: all that any other reader reads, we read, payload by payload; and what is no log is refused."""
+"""Every recorded log: bodylog reads all that any other reader reads, payload by payload; other files are refused."""
 
 import csv
 from collections import Counter
@@ -86,7 +86,7 @@ def test_open_refuses_files_that_are_not_logs(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "text"),
     [
         (b"", "the file is empty"),
         (b"hello", "not a log: it begins with b'hello'"),
@@ -96,10 +96,10 @@ def test_open_refuses_files_that_are_not_logs(name: str) -> None:
         (b"\x28\xb5\x2f\xfd" + bytes(20), "zstd data is damaged"),
     ],
 )
-def test_open_names_the_kind_of_a_refused_file(tmp_path: Path, content: bytes, said: str) -> None:
+def test_open_names_the_kind_of_a_refused_file(tmp_path: Path, content: bytes, text: str) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(content)
-    with pytest.raises(LogError, match=said) as caught:
+    with pytest.raises(LogError, match=text) as caught:
         open_log(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)

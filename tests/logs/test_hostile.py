@@ -1,4 +1,4 @@
-"""Sound containers with hostile content: each of these ended in a traceback, or took gigabytes or hours."""
+"""Sound containers with hostile content that once ended in a traceback, or took gigabytes or hours."""
 
 import json
 import os
@@ -33,8 +33,8 @@ JSON_JOINTS = "sensor_msgs/msg/JointState"
 def _joints(path, times, make=None):
     """An MCAP of JSON joint states."""
     make = make or (lambda k: {"name": ["a", "b"], "position": [0.1 * k, 0.2]})
-    said = [(t, json.dumps(make(k)).encode()) for k, t in enumerate(times)]
-    return writing.write(path, [writing.Stream("/joint_states", JSON_JOINTS, b"{}", said, "json", "jsonschema")])
+    messages = [(t, json.dumps(make(k)).encode()) for k, t in enumerate(times)]
+    return writing.write(path, [writing.Stream("/joint_states", JSON_JOINTS, b"{}", messages, "json", "jsonschema")])
 
 
 @pytest.mark.parametrize("odd", [2**62 + 1, 2**63 - 1, 2**63, 2**64 - 1])
@@ -55,13 +55,13 @@ def test_open_reads_a_database_with_negative_times(tmp_path):
 
 @pytest.mark.parametrize("stamp", ["1e999", "-1e999", "9" * 401, "9" * 5000, "null", '"x"', "[[[]]]"])
 def test_read_rejects_only_messages_with_invalid_stamps(tmp_path, stamp):
-    said = [
+    messages = [
         (T0 + k * 10**7, b'{"header": {"stamp": {"sec": %d, "nanosec": %d}}, "name": ["a"], "position": [%d]}'
          % (T0 // 10**9, k * 10**7, k)) for k in range(30)
     ]  # fmt: skip
     odd = b'{"header": {"stamp": {"sec": %s, "nanosec": 0}}, "name": ["a"], "position": [1]}' % stamp.encode()
     schema = b'{"properties": {"header": {}}}'
-    stream = writing.Stream("/joint_states", JSON_JOINTS, schema, [*said, (T0 + 10**9, odd)], "json", "jsonschema")
+    stream = writing.Stream("/joint_states", JSON_JOINTS, schema, [*messages, (T0 + 10**9, odd)], "json", "jsonschema")
     read = recording.read(writing.write(tmp_path / "x.mcap", [stream]), Settings())
     assert len(read.joints.t) == 30 and sum(read.health["/joint_states"].rejected.values()) == 1
 
@@ -73,9 +73,11 @@ def test_read_counts_invalid_positions(tmp_path, position):
     times = [T0 + k * 10**7 for k in range(31)]
     marked = _joints(tmp_path / "y.mcap", times, lambda k: {"name": ["a", "b"], "position": "@" if k == 30 else [k, 1]})
     with open_log(marked) as log:
-        said = [(t, bytes(p)) for batch in log.batches() for t, p in zip(batch.log_ns, payloads(batch), strict=True)]
-    said = [(int(t), p.replace(b'"@"', position.encode())) for t, p in said]
-    stream = writing.Stream("/joint_states", JSON_JOINTS, b"{}", said, "json", "jsonschema")
+        messages = [
+            (t, bytes(p)) for batch in log.batches() for t, p in zip(batch.log_ns, payloads(batch), strict=True)
+        ]
+    messages = [(int(t), p.replace(b'"@"', position.encode())) for t, p in messages]
+    stream = writing.Stream("/joint_states", JSON_JOINTS, b"{}", messages, "json", "jsonschema")
     read = recording.read(writing.write(tmp_path / "x.mcap", [stream]), Settings())
     rejected = sum(read.health["/joint_states"].rejected.values())
     assert len(read.joints.t) == 31 - rejected
@@ -160,7 +162,7 @@ def test_open_refuses_databases_with_computed_rows(tmp_path, what):
 
 
 def test_rows_end_a_query_on_a_signal(tmp_path, monkeypatch):
-    """What the progress handler says no to is an interrupt, not damage that is read past."""
+    """A refusal by the progress handler is an interrupt, not damage to read past."""
     from bodylog.logs.rosbag2 import rows
     from bodylog.logs.rosbag2 import sqlite3 as sqlite
 
@@ -211,8 +213,8 @@ def test_parse_refuses_long_definitions():
 
 def _packed_messages(path, sizes):
     packer = zstandard.ZstdCompressor()
-    said = [("/a", T0 + k, packer.compress(b"\0\1\0\0" + bytes(size))) for k, size in enumerate(sizes)]
-    by_hand.db3(path, said, KIND, None)
+    messages = [("/a", T0 + k, packer.compress(b"\0\1\0\0" + bytes(size))) for k, size in enumerate(sizes)]
+    by_hand.db3(path, messages, KIND, None)
     return path
 
 
@@ -254,7 +256,7 @@ def test_unpack_file_checks_the_first_bytes(tmp_path, monkeypatch):
     path = _zst(tmp_path / "x.mcap.zst", b"no log" + bytes(20_000_000))
     monkeypatch.setattr(zstd_files, "_PIECE", 1 << 10)
     with pytest.raises(LogError, match=r"not a log: it begins with b'no log"):
-        open_log(path, limits=Input(max_unpacked_gb=1e-3))  # else refused for its size
+        open_log(path, limits=Input(max_unpacked_gb=1e-3))  # otherwise refused for its size
 
 
 def test_unpack_file_refuses_logs_beyond_the_limit(tmp_path):

@@ -1,4 +1,4 @@
-"""Every way a picture is stored gives the picture that was stored; what is no picture is refused by name."""
+"""Every storage of an image gives the stored image; anything else is refused by name."""
 
 import base64
 import json
@@ -98,7 +98,7 @@ def test_decoder_reads_bayer_patterns(pattern, size):
 
 
 def halved(encoding: str, y: np.ndarray, uv: np.ndarray) -> np.ndarray:
-    """Lines (3H/2, W) of brightness (H,W) and below it colour (H/2, W/2, 2) as `encoding` stores it."""
+    """Lines (3H/2, W): brightness (H,W), then colour (H/2, W/2, 2) as `encoding` stores it."""
     below = {"nv12": uv, "nv21": uv[:, :, ::-1], "i420": np.moveaxis(uv, 2, 0)}[encoding]
     return np.vstack([y, np.ascontiguousarray(below).reshape(-1, y.shape[1])])
 
@@ -112,18 +112,18 @@ def test_decoder_reads_yuv420_as_bt601(encoding):
     want = np.clip(np.stack([bright + 2.018 * u, bright - 0.813 * v - 0.391 * u, bright + 1.596 * v], axis=2), 0, 255)
     lines = halved(encoding, y, uv)
 
-    def payload(step: int, height: int = 10, said: int | None = None) -> bytes:
+    def payload(step: int, height: int = 10, declared: int | None = None) -> bytes:
         padded = np.full((len(lines), step), 0xAB, np.uint8)
         padded[:, :12] = lines
-        sizes = {"height": height, "width": 12, "step": step if said is None else said}
+        sizes = {"height": height, "width": 12, "step": step if declared is None else declared}
         return cdr(IMAGE, header=header(T0), encoding=encoding, is_bigendian=0, data=padded.ravel(), **sizes)
 
     decode = decoder(topic(IMAGE))
     image = decode(payload(12), 1)
     assert np.abs(image - want).max() <= 2
     np.testing.assert_array_equal(decode(payload(12), 2), image[::2, ::2])
-    for said in (0, 18, 24):
-        np.testing.assert_array_equal(decode(payload(12, said=said), 1), image)
+    for declared in (0, 18, 24):
+        np.testing.assert_array_equal(decode(payload(12, declared=declared), 1), image)
     if encoding != "i420":
         np.testing.assert_array_equal(decode(payload(16), 1), image)
     for wrong in (payload(12, height=9), payload(12, height=12), *([payload(16)] if encoding == "i420" else [])):
@@ -331,7 +331,7 @@ def test_decoder_refuses_invalid_compressed_images(form, data, says):
 
 
 def test_decoder_suppresses_library_output(capfd):
-    """Cameras that put a few bytes too many before the end of each JPEG would fill the screen."""
+    """Cameras that write extra bytes before the end of each JPEG would flood the screen."""
     jpeg = cv2.imencode(".jpg", scene(9))[1].tobytes()
     broken = {"jpeg": [jpeg[:-2] + bytes(9) + jpeg[-2:], *(_changed(jpeg, at) for at in range(640, len(jpeg) - 2, 50))]}
     broken["png"] = [PNG[:300], *(_changed(PNG, at) for at in range(8, len(PNG), 50))]
@@ -382,8 +382,8 @@ def test_picker_is_independent_of_earlier_messages(messages):
     wanted = (("header", "frame_id"), ("format",), ("data",))
     shared = Picker(definition, wanted, False)
     for frame, form, data, more, cut in messages:
-        said = header(T0, frame)
-        whole = cdr(COMPRESSED, header=said, format=form, data=np.frombuffer(data, np.uint8)) + bytes(more)
+        declared = header(T0, frame)
+        whole = cdr(COMPRESSED, header=declared, format=form, data=np.frombuffer(data, np.uint8)) + bytes(more)
         payload = whole[: max(4, len(whole) - max(0, cut - 40))]
         results = []
         for picker in (shared, Picker(definition, wanted, False)):

@@ -1,4 +1,4 @@
-"""Encoder counts: what a turn is, and which count is 0 rad, as [body] unit says."""
+"""Encoder counts: counts per turn and the count at 0 rad, from [body] unit."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ def test_counts_parses_turn_and_zero():
         assert counts(text) is None
     one = joint_unit({UNIT: "counts"}, "4096 counts from 2048")
     assert (one.unit, one.zero) == ("rad", 2048.0) and one.factor * 4096 == pytest.approx(2 * np.pi)
-    assert joint_unit({UNIT: "deg"}, "4096 counts").read == "deg"  # what a topic declares is so
+    assert joint_unit({UNIT: "deg"}, "4096 counts").read == "deg"  # a topic's declaration takes precedence
     assert joint_unit({UNIT: "counts"}, "rad").unit == "counts"
 
 

@@ -1,4 +1,4 @@
-"""Joints of several topics become one signal; what changes, vanishes or is no number on the way is named."""
+"""Joints of several topics become one signal; changes, gaps and invalid values are reported."""
 
 import json
 from dataclasses import replace
@@ -51,7 +51,7 @@ def test_series_merges_topics_without_shared_names(two):
 def test_series_applies_each_topics_delay(two):
     settings = Settings(time=Time(delay={"joints/head": 0.003}))
     found = read(two, settings)
-    assert len(found.joints.t) == 300  # the head's readings now stand beside every other one of the arm
+    assert len(found.joints.t) == 300  # the head's readings are now at every second one of the arm
     whole = np.isfinite(found.joints.values).all(axis=1)
     np.testing.assert_allclose(found.joints.values[whole, 2], found.joints.t[whole], atol=1e-9)
     with pytest.raises(ConfigError, match=r"'joints/neck'; possible: joints/arm, joints/head"):
@@ -103,20 +103,22 @@ def test_read_reports_two_publishers_on_one_topic(tmp_path):
     one, two = _topic("/joint_states", ("pan", "lift"), 10, 100), _topic("/joint_states", ("neck",), 10, 100, 4.0)
     messages = [m for pair in zip(one.messages, two.messages, strict=True) for m in pair]
     path = write(tmp_path / "x.mcap", [replace(one, messages=messages)])
-    said = "2 lists of joints on one topic, in turn, 199 times: several publishers: pan, lift (100 messages); neck (100"
-    assert said in _texts(path)
+    texts = (
+        "2 lists of joints on one topic, in turn, 199 times: several publishers: pan, lift (100 messages); neck (100"
+    )
+    assert texts in _texts(path)
 
 
 def test_read_reports_changing_and_vanishing_joints(tmp_path):
     whole, less = _topic("/joint_states", ("pan", "lift"), 10, 600), _topic("/joint_states", ("pan",), 10, 600)
     messages = [*whole.messages[:300], *less.messages[300:]]
-    said = _texts(write(tmp_path / "x.mcap", [replace(whole, messages=messages)]))
-    assert "2 lists of joints on one topic, the list changes: pan, lift (300 messages); pan (300 messages)" in said
+    texts = _texts(write(tmp_path / "x.mcap", [replace(whole, messages=messages)]))
+    assert "2 lists of joints on one topic, the list changes: pan, lift (300 messages); pan (300 messages)" in texts
     vanishes = "lift vanishes: no reading after 2.990 s, while others go on until 5.990 s"
-    assert f"warning: joints /joint_states: {vanishes}" in said
+    assert f"warning: joints /joint_states: {vanishes}" in texts
     messages = [*less.messages[:300], *whole.messages[300:]]
-    said = _texts(write(tmp_path / "y.mcap", [replace(whole, messages=messages)]))
-    assert "lift has no reading before 3.000 s" in said
+    texts = _texts(write(tmp_path / "y.mcap", [replace(whole, messages=messages)]))
+    assert "lift has no reading before 3.000 s" in texts
 
 
 def test_read_counts_positions_that_are_texts(tmp_path):

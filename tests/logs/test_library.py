@@ -1,4 +1,4 @@
-"""The library: tables, messages and pictures of any log; and logs written from arrays."""
+"""The library: tables, messages and images of any log; and logs written from arrays."""
 
 import os
 import re
@@ -23,7 +23,7 @@ JOINTS = "sensor_msgs/msg/JointState"
 
 
 def joints(path: Path, count: int = 20, lengths: tuple[int, ...] = (2,)) -> Path:
-    """An MCAP of joint states whose number of joints cycles through `lengths`, logged in falling order."""
+    """An MCAP of joint states whose number of joints cycles through `lengths`, in descending log time."""
     messages = []
     for k in range(count):
         n = lengths[k % len(lengths)]
@@ -122,7 +122,7 @@ RECORDED = "cruise-automation__rosbag.js dantheman3333__frost geocamxyz__rosbags
 
 @pytest.mark.parametrize("name", RECORDED.split())
 def test_table_of_recorded_logs_equals_rosbags(name):
-    """Each message of small topics, each field that is not inside an array of messages."""
+    """Each message of small topics, each field outside arrays of messages."""
     if not (SHARED / name).is_dir():
         pytest.skip(f"{SHARED / name} is not here")
     from rosbags.highlevel import AnyReader
@@ -133,7 +133,7 @@ def test_table_of_recorded_logs_equals_rosbags(name):
         try:
             AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)).__enter__().close()
             log = logs.open(path)
-        except Exception:  # one of the two does not read it: nothing to compare
+        except Exception:  # one of the two cannot read it: nothing to compare
             continue
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader, log:
             for topic in {t.name for t in log.topics if t.messages <= 2000}:
@@ -150,7 +150,7 @@ def _compared(reader: Any, log: Any, topic: str) -> int:
         return 0
     table, count = log[topic], 0
     for field in fields:
-        if field.split(".")[-1] == "seq":  # rosbags leaves ROS 1's sequence numbers out
+        if field.split(".")[-1] == "seq":  # rosbags omits ROS 1's sequence numbers
             continue
         try:
             expected = [_leaf(message, field) for message in messages]

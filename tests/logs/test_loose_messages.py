@@ -1,4 +1,4 @@
-"""Messages outside chunks, found many at a time: the same as one by one, whatever their lengths and damage."""
+"""Messages outside chunks, found in bulk: the same as one by one, for all lengths and damage."""
 
 import random
 from pathlib import Path
@@ -16,7 +16,7 @@ SEEDS = range(12)
 
 
 def unchunked(path: Path, seed: int, finish: bool = True) -> bytes:
-    """Runs of equal and of unequal messages on topics that begin at any time; what is written is given."""
+    """Write runs of equal and unequal messages on topics that begin at any time; returns the file's bytes."""
     draw = random.Random(seed)
     with path.open("wb") as stream:
         writer = Writer(stream, use_chunking=False)

@@ -1,4 +1,4 @@
-"""MCAP: whatever a writer may do, what was written is read; only the chunks asked for are opened; lies are refused."""
+"""MCAP: every written message is read; only requested chunks are opened; wrong declarations are refused."""
 
 import re
 import struct
@@ -119,7 +119,7 @@ def test_open_merges_publishers_in_file_order(tmp_path: Path) -> None:
 
 
 def test_batches_open_only_the_topics_chunks(tmp_path: Path) -> None:
-    """All chunks but the one that holds /b are spoilt: reading /b neither sees nor says so."""
+    """All chunks except that of /b are damaged: reading /b neither meets nor reports it."""
     path, some = tmp_path / "x.mcap", [(0, time, bytes(500)) for time in range(50)]
     some[25] = (2, 25, b"here")
     write(path, some, chunk_size=600, compression=CompressionType.NONE).finish()
@@ -140,7 +140,7 @@ def test_batches_open_only_the_topics_chunks(tmp_path: Path) -> None:
 
 
 def test_open_reads_messages_outside_chunks(tmp_path: Path) -> None:
-    """A log without chunks to which chunks were appended: seeking readers give only the appended messages."""
+    """Chunks were appended to a log without: seeking readers give only the appended messages."""
     loose, chunked = tmp_path / "loose.mcap", tmp_path / "chunked.mcap"
     write(loose, [(0, 1, b"first"), (0, 2, b"second")], use_chunking=False).finish()
     write(chunked, [(0, 3, b"third")], compression=CompressionType.NONE).finish()
@@ -244,7 +244,7 @@ def test_batches_use_constant_memory(tmp_path: Path, chunked: bool) -> None:
     paths = [tmp_path / "short.mcap", tmp_path / "long.mcap"]
     for path, count in zip(paths, (6_000, 60_000), strict=True):
         write(path, some[:count], compression=CompressionType.LZ4, use_chunking=chunked).finish()
-    _peak(paths[0])  # what is imported once is not counted
+    _peak(paths[0])  # exclude one-time imports
     assert _peak(paths[1]) < 1.1 * _peak(paths[0]) + (1 << 18)
 
 

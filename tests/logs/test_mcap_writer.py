@@ -44,7 +44,7 @@ def expected(some):
     ]
 
 
-def told(messages):
+def rows(messages):
     return [(c.topic, m.sequence, m.log_time, m.publish_time, bytes(m.data)) for _, c, m in messages]
 
 
@@ -54,8 +54,8 @@ def test_writer_output_is_read_by_stream_and_index(seed, count, longest):
     some = table([1, 2, 3], np.random.default_rng(seed), count, longest)
     written = file_of(some)
     by_index = make_reader(io.BytesIO(written), validate_crcs=True).iter_messages()
-    assert told(by_index) == expected(some)
-    assert told(NonSeekingReader(io.BytesIO(written), validate_crcs=True).iter_messages()) == expected(some)
+    assert rows(by_index) == expected(some)
+    assert rows(NonSeekingReader(io.BytesIO(written), validate_crcs=True).iter_messages()) == expected(some)
 
 
 def test_writer_summary_matches_the_content():

@@ -13,7 +13,7 @@ from .written import JOINTS, LATE, START, found, outgoing
 
 
 def decoded(message):
-    """Every message of one topic as rosbags decodes it by the definition we wrote, checked to be rosbags' own bytes."""
+    """Every message of one topic decoded by rosbags with our definition, checked to equal rosbags' own bytes."""
     store = get_typestore(Stores.EMPTY)
     types = get_types_from_msg(message.definition.decode(), message.type)
     store.register({name: fields for name, fields in types.items() if not name.startswith("builtin")})

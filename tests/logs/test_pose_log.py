@@ -1,4 +1,4 @@
-"""Tables of still poses are read as logs: what each column is, what is counted, and what is refused in one line."""
+"""Tables of independent poses as logs: roles of columns, counts of rejects, and one-line refusals."""
 
 import json
 from pathlib import Path
@@ -42,12 +42,12 @@ def test_open_reads_joints_and_tracks(table):
     read_, found = observe(table, Settings())
     assert read_.format == "csv" and read_.poses and found.poses
     assert found.joints is not None and found.joints.names == NAMES
-    np.testing.assert_array_equal(found.joints.values, Q)  # whole turns between poses stay: no motion joins them
+    np.testing.assert_array_equal(found.joints.values, Q)  # whole turns between poses stay: the poses are independent
     np.testing.assert_array_equal(found.tracks["tip"].values, UV)
     np.testing.assert_array_equal(found.tracks["tip"].std, np.full((3, 2), 0.5))
     np.testing.assert_array_equal(found.joints.t, [0, 1, 2])
-    said = _texts(table)
-    assert "columns not used: remark, pose" in said and "t is the row's number, counted from 0" in said
+    lines = _texts(table)
+    assert "columns not used: remark, pose" in lines and "t is the row's number, counted from 0" in lines
 
 
 def test_open_reads_parquet_and_yaml_as_csv(table, tmp_path):
@@ -99,10 +99,10 @@ def test_open_counts_bad_cells_and_rows(tmp_path):
     path = _csv(tmp_path, "pan,lift", "0.1,0.2", "0.2,oops", "0.3,1e999", "0.4,0.1,7", "0.5", "0.6,0.3", "0.7,0.2")
     found = recording.read(path, Settings())
     assert found.joints.values.shape == (6, 2) and np.isnan(found.joints.values[:, 1]).sum() == 3
-    said = _texts(path)
-    assert "column lift: 2 cells are not finite numbers, e.g. 'oops'" in said
-    assert "1 rows have more than 2 cells and are left out" in said and "1 rows have fewer than 2 cells" in said
-    assert said.count("lost: ") == 2
+    lines = _texts(path)
+    assert "column lift: 2 cells are not finite numbers, e.g. 'oops'" in lines
+    assert "1 rows have more than 2 cells and are left out" in lines and "1 rows have fewer than 2 cells" in lines
+    assert lines.count("lost: ") == 2
     with pytest.raises(LogError, match="more than 2 cells"):
         open_log(path, strict=True)
 
@@ -128,7 +128,7 @@ def test_ingest_keeps_poses_independent(table, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "lines"),
     [
         ("", "the file is empty"),
         ("\n\n", "no header"),
@@ -139,10 +139,10 @@ def test_ingest_keeps_poses_independent(table, tmp_path):
         ("pan\n\xff\xfe\n", "not a csv table"),
     ],
 )
-def test_open_refuses_other_tables_in_one_line(tmp_path, text, said):
+def test_open_refuses_other_tables_in_one_line(tmp_path, text, lines):
     path = tmp_path / "poses.csv"
     path.write_bytes(text.encode("latin-1"))
-    with pytest.raises(InputError, match=said) as caught:
+    with pytest.raises(InputError, match=lines) as caught:
         recording.read(path, Settings())
     assert "\n" not in str(caught.value) and str(path) in str(caught.value)
 

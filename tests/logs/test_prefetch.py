@@ -1,4 +1,4 @@
-"""Unpacking ahead: with one processor or two, the same messages and the same losses in the same order."""
+"""Prefetching with one processor or two gives the same messages and losses in the same order."""
 
 from pathlib import Path
 

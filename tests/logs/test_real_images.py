@@ -1,4 +1,4 @@
-"""The pictures of recorded logs, beside what rosbags-image makes of the same messages."""
+"""The images of recorded logs against rosbags-image."""
 
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ def test_decoder_equals_rosbags_image() -> None:
 
 
 def _first(log: Log, topic: Topic) -> tuple[bytes, Any] | None:
-    """A topic's first payload, and rosbags' reading of it; None where rosbags does not know the encoding."""
+    """A topic's first payload, and rosbags' reading of it; None if rosbags does not know the encoding."""
     from rosbags.typesys import Stores, get_typestore
 
     batch = next(iter(log.batches([topic.id])), None)
@@ -48,7 +48,7 @@ def _first(log: Log, topic: Topic) -> tuple[bytes, Any] | None:
 
 
 def _compared(peer: Any, topic: Topic, payload: bytes, message: Any) -> set[str]:
-    """The encoding, once both give the same picture; nothing where both refuse it."""
+    """The encoding, if both give the same image; empty if both refuse it."""
     try:
         ours: Array = messages.decoder(topic)(payload, 1)
     except FormatError:

@@ -1,4 +1,4 @@
-"""Logs that other people's recorders left: nothing may crash, and what can be decoded equals what rosbags decodes."""
+"""Logs of other people's recorders: none crashes, and decoded values equal those of rosbags."""
 
 import csv
 from collections.abc import Iterator, Sequence
@@ -38,12 +38,12 @@ CONFORMANCE = [name for name in listed() if name.startswith("foxglove__mcap/")]
 @pytest.mark.parametrize("name", FILES)
 def test_info_gives_facts_or_one_line(name):
     try:
-        said = info(LOGS / name, Settings())
+        found = info(LOGS / name, Settings())
     except BodylogError as error:
         assert str(error).startswith(str(LOGS / name)) and "\n" not in str(error)
     else:
-        assert all("\n" not in finding["text"] for finding in said["findings"])
-        assert said["duration_s"] >= 0
+        assert all("\n" not in finding["text"] for finding in found["findings"])
+        assert found["duration_s"] >= 0
 
 
 def test_info_of_the_conformance_files():
@@ -63,9 +63,9 @@ def test_info_of_the_conformance_files():
     ],
 )
 def test_info_finds_joints(name, topic, count, first):
-    said = info(LOGS / name, Settings())
-    assert (said["roles"]["joints"], len(said["joints"])) == (topic, count)
-    assert first is None or said["joints"][0] == first
+    found = info(LOGS / name, Settings())
+    assert (found["roles"]["joints"], len(found["joints"])) == (topic, count)
+    assert first is None or found["joints"][0] == first
 
 
 def test_read_handles_simulated_stamps():
@@ -193,7 +193,7 @@ def compare(got: Columns, messages: dict[int, Any], fields: list[str]) -> None:
 
 
 def check_topic(name: str, topic: Topic) -> int:
-    """How many messages of a topic were compared; 0 when rosbags cannot read it."""
+    """How many messages of a topic were compared; 0 if rosbags cannot read it."""
     with open_log(LOGS / name) as log:
         raw = [bytes(p) for batch in log.batches([topic.id]) for p in payloads(batch)]
         try:

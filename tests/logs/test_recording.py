@@ -1,4 +1,4 @@
-"""Whole recordings from small logs written here: joints by name, time, health, frames in order, and one-line errors."""
+"""Whole recordings from small logs: joints by name, time, health, frames in order, and one-line errors."""
 
 import contextlib
 import json
@@ -100,9 +100,9 @@ def test_read_needs_names_for_nameless_joints(tmp_path):
     got = read(log, settings(body=Body(joints=NAMES))).joints
     assert got is not None and got.names == NAMES
     assert got.values.tolist() == [[1, 2, 3]] * 4
-    said = info(log, PLAIN)
-    assert said["roles"] == {"joints": "/j"}
-    assert said["joints"] == [] and any("have no names" in f["text"] for f in said["findings"])
+    wanted = info(log, PLAIN)
+    assert wanted["roles"] == {"joints": "/j"}
+    assert wanted["joints"] == [] and any("have no names" in f["text"] for f in wanted["findings"])
 
 
 def test_read_lists_joints_for_an_unknown_one(tmp_path):
@@ -143,8 +143,8 @@ def test_read_handles_stamps_after_2038(tmp_path):
 def test_read_rejects_impossible_readings(tmp_path):
     rows = []
     for k in range(40):
-        said = [0.1, 1e300 if k == 5 else -1e18 if k == 9 else 0.01 * k, 0.2]
-        rows.append((T0 + k * 20 * MS, joint_state(T0 + k * 20 * MS, NAMES, said)))
+        wanted = [0.1, 1e300 if k == 5 else -1e18 if k == 9 else 0.01 * k, 0.2]
+        rows.append((T0 + k * 20 * MS, joint_state(T0 + k * 20 * MS, NAMES, wanted)))
     found = read(write(tmp_path / "a.mcap", [joints("/joint_states", rows)]), settings())
     assert found.joints is not None
     assert np.flatnonzero(np.isnan(found.joints.values[:, 1])).tolist() == [5, 9]
@@ -225,8 +225,8 @@ def test_frames_are_streamed(tmp_path):
     assert peaks[2] < 1.1 * peaks[1], peaks
 
 
-class _Told:
-    """Remembers the pictures told of, and how it ended."""
+class _Consumer:
+    """Records the images it gets, and how it ended."""
 
     def __init__(self) -> None:
         self.shades: list[int] = []
@@ -235,38 +235,38 @@ class _Told:
     def __call__(self, frame: Frame) -> None:
         self.shades.append(int(frame.image[0, 0, 0]))
 
-    def __enter__(self) -> "_Told":
+    def __enter__(self) -> "_Consumer":
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
         self.ended.append(kind)
 
 
-def _told_and_read_again(log: Path, said: Settings = PLAIN) -> _Told:
-    """Holds that what is told of while a log is read are the frames that are read after it."""
-    told = _Told()
-    got, plain = read(log, said, consumer=lambda: told), read(log, said)
-    assert got.watched is not None and got.watched.by is told and plain.watched is None and told.ended == [None]
+def _consumed_and_read_again(log: Path, wanted: Settings = PLAIN) -> _Consumer:
+    """Assert that the consumer gets the same frames that are read afterwards."""
+    consumer = _Consumer()
+    got, plain = read(log, wanted, consumer=lambda: consumer), read(log, wanted)
+    assert got.watched is not None and got.watched.by is consumer and plain.watched is None and consumer.ended == [None]
     frames = list(plain.frames() if plain.frames else ())
-    assert [told.shades[n] for n in got.watched.number] == [int(f.image[0, 0, 0]) for f in frames]
+    assert [consumer.shades[n] for n in got.watched.number] == [int(f.image[0, 0, 0]) for f in frames]
     assert got.watched.t.tolist() == [f.t for f in frames]
     assert got.watched.source_ns.tolist() == [f.source_ns for f in frames]
     assert got.joints is not None and plain.joints is not None
     assert got.joints.values.tobytes() == plain.joints.values.tobytes()
     assert got.health == plain.health
-    return told
+    return consumer
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_frame_tap_passes_images_in_file_order(tmp_path, seed):
     rng = np.random.default_rng(seed)
     stamps = [T0 + 40 * MS * i for i in range(50)]
-    stamps[7], stamps[20] = stamps[6], 0  # one told twice, one never dated
+    stamps[7], stamps[20] = stamps[6], 0  # one duplicated, one without a time
     rows = [(t + MS, compressed(t, np.full((8, 10, 3), 5 * i, np.uint8))) for i, t in enumerate(stamps)]
     near = np.argsort(np.arange(len(rows)) + rng.uniform(0, 6, len(rows)))
     streams = [camera("/cam", [rows[i] for i in near]), joints("/j", moves(5))]
-    told = _told_and_read_again(write(tmp_path / "a.mcap", streams, in_order=False, chunk=700))
-    assert told.shades == [5 * i for i in near]
+    consumer = _consumed_and_read_again(write(tmp_path / "a.mcap", streams, in_order=False, chunk=700))
+    assert consumer.shades == [5 * i for i in near]
 
 
 def test_frame_tap_merges_two_types_of_one_camera(tmp_path):
@@ -276,7 +276,7 @@ def test_frame_tap_merges_two_types_of_one_camera(tmp_path):
     other = Stream("/cam", kind, define(kind) + b"\n# a later version", [(t, compressed(t, s)) for t, s in shades[:5]])
     log = write(tmp_path / "a.mcap", [first, other, joints("/j", moves(10))], chunk=700)
     assert len([topic for topic in read(log, PLAIN).topics if topic.name == "/cam"]) == 2
-    assert sorted(_told_and_read_again(log).shades) == list(range(0, 100, 10))
+    assert sorted(_consumed_and_read_again(log).shades) == list(range(0, 100, 10))
 
 
 def test_read_uses_no_consumer_without_a_camera(tmp_path):
@@ -284,7 +284,7 @@ def test_read_uses_no_consumer_without_a_camera(tmp_path):
     image = camera("/cam", [(T0, compressed(T0, np.zeros((8, 8, 3), np.uint8)))])
     ours = write(tmp_path / "b.mcap", [joints("/j", moves(3)), arrays("/bodylog/x", np.ones((3, 2))), image])
     for log in (never, ours):
-        assert read(log, PLAIN, consumer=lambda: pytest.fail("is told")).watched is None
+        assert read(log, PLAIN, consumer=lambda: pytest.fail("got an image")).watched is None
 
 
 def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
@@ -298,13 +298,13 @@ def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
     for count in (100, 100, 500):
         rows = [(T0 + 40 * MS * i, compressed(T0 + 40 * MS * i, noise)) for i in range(count)]
         log = write(tmp_path / "a.mcap", [camera("/cam", rows), joints("/j", moves(20))], chunk=1 << 16)
-        told = _Told()
+        consumer = _Consumer()
         unpacked.clear()
         tracemalloc.start()
-        assert read(log, PLAIN, consumer=lambda told=told: told).watched is not None
+        assert read(log, PLAIN, consumer=lambda consumer=consumer: consumer).watched is not None
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-        assert len(told.shades) == count and len(unpacked) == len(set(unpacked)) > count / 20
+        assert len(consumer.shades) == count and len(unpacked) == len(set(unpacked)) > count / 20
     assert peaks[2] < 1.3 * peaks[1], peaks
 
 
@@ -312,10 +312,10 @@ def test_read_passes_errors_to_the_consumer(tmp_path):
     image, kind = np.zeros((8, 8, 3), np.uint8), "std_msgs/msg/Float32MultiArray"
     pictures = camera("/cam", [(T0 + i, compressed(T0 + i, image)) for i in range(3)])
     log = write(tmp_path / "a.mcap", [pictures, Stream("/skin", kind, define(kind), [(T0, b"\0\1\0\0")])])
-    told = _Told()
+    consumer = _Consumer()
     with pytest.raises(LogError, match="no usable message on /skin"):
-        read(log, settings(topics=Topics(skin="/skin")), consumer=lambda: told)
-    assert told.ended == [LogError] and len(told.shades) == 3
+        read(log, settings(topics=Topics(skin="/skin")), consumer=lambda: consumer)
+    assert consumer.ended == [LogError] and len(consumer.shades) == 3
 
 
 def test_read_rejects_unreadable_images(tmp_path):
@@ -396,9 +396,9 @@ def test_read_takes_message_paths(tmp_path):
     assert got.joints is not None
     assert got.joints.values.tolist() == [[i, 1] for i in range(4)]
     assert read(log, settings(topics=Topics(skin="/servo.angle"))).skin is not None
-    for said, why in (("angles", ".*has no field 'angles'; it has header, angle, id"), ("angle[0", ".*cannot read")):
+    for wanted, why in (("angles", ".*has no field 'angles'; it has header, angle, id"), ("angle[0", ".*cannot read")):
         with pytest.raises(ConfigError, match=rf"a\.mcap: \[topics\] joints.*{why}"):
-            read(log, settings(topics=Topics(joints=f"/servo.{said}"), body=Body(joints=("a",))))
+            read(log, settings(topics=Topics(joints=f"/servo.{wanted}"), body=Body(joints=("a",))))
 
 
 def test_read_rejects_arrays_of_another_length(tmp_path):
@@ -478,30 +478,30 @@ def test_read_takes_a_video_as_camera(tmp_path):
 
 def test_info_is_plain_and_complete(tmp_path):
     log = write(tmp_path / "a.mcap", [joints("/j", moves(11)), camera("/cam", [])])
-    said = json.loads(json.dumps(info(log, PLAIN)))
-    assert said["topics"] == [
+    wanted = json.loads(json.dumps(info(log, PLAIN)))
+    assert wanted["topics"] == [
         {"topic": "/cam", "type": "sensor_msgs/msg/CompressedImage", "messages": 0, "rate_hz": None},
         {"topic": "/j", "type": "sensor_msgs/msg/JointState", "messages": 11, "rate_hz": pytest.approx(50)},
     ]
-    assert (said["path"], said["format"], said["start_ns"]) == (str(log), "mcap", T0 + 4 * MS)
-    assert said["duration_s"] == pytest.approx(0.2)
-    assert (said["roles"], said["joints"]) == ({"joints": "/j"}, list(NAMES))
+    assert (wanted["path"], wanted["format"], wanted["start_ns"]) == (str(log), "mcap", T0 + 4 * MS)
+    assert wanted["duration_s"] == pytest.approx(0.2)
+    assert (wanted["roles"], wanted["joints"]) == ({"joints": "/j"}, list(NAMES))
     clock = {"clock": "header", "offset_s": pytest.approx(0.004), "spread_s": pytest.approx(0)}
-    assert said["clock"]["joints"] == clock
-    assert any('topics = { joints = "/j" }' in finding["text"] for finding in said["findings"])
+    assert wanted["clock"]["joints"] == clock
+    assert any('topics = { joints = "/j" }' in finding["text"] for finding in wanted["findings"])
 
 
 @pytest.mark.parametrize("folder", [False, True])
 def test_info_rates_use_the_topics_duration(tmp_path, folder):
-    brief, long = arrays("/brief", np.ones((21, 1)), every=50 * MS), arrays("/long", np.ones((401, 1)), every=25 * MS)
+    short, long = arrays("/brief", np.ones((21, 1)), every=50 * MS), arrays("/long", np.ones((401, 1)), every=25 * MS)
     if folder:
         cut = [(long.messages[:200], "a_0.mcap"), (long.messages[200:], "a_1.mcap")]
         for messages, name in cut:
-            write(tmp_path / name, [replace(long, messages=messages), *([brief] if name == "a_0.mcap" else [])])
+            write(tmp_path / name, [replace(long, messages=messages), *([short] if name == "a_0.mcap" else [])])
     else:
-        write(tmp_path / "a.mcap", [brief, long], chunk=1000)
-    said = info(tmp_path if folder else tmp_path / "a.mcap", PLAIN)
-    rates = {topic["topic"]: topic["rate_hz"] for topic in said["topics"]}
+        write(tmp_path / "a.mcap", [short, long], chunk=1000)
+    wanted = info(tmp_path if folder else tmp_path / "a.mcap", PLAIN)
+    rates = {topic["topic"]: topic["rate_hz"] for topic in wanted["topics"]}
     assert rates == {"/brief": pytest.approx(20), "/long": pytest.approx(40)}
 
 
@@ -515,7 +515,7 @@ def test_read_is_deterministic(tmp_path):
 
 @pytest.fixture(scope="module")
 def unguarded(tmp_path_factory) -> bytes:
-    """A small log of every role, neither compressed nor checked, so that damage reaches the decoding."""
+    """A small log of every role, without compression and CRCs, so that damage reaches the decoding."""
     image = np.random.default_rng(5).integers(0, 256, (12, 16, 3), np.uint8)
     pictures = [(T0 + 40 * MS * i, compressed(T0 + 40 * MS * i, image, ".jpg", "jpeg")) for i in range(4)]
     skin = arrays("/skin", np.ones((12, 4)))

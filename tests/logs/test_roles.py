@@ -1,4 +1,4 @@
-"""Guesses from types, names and counts; robot.toml wins; what is missing is named with what is there."""
+"""Guesses from types, names and counts; robot.toml takes precedence; errors for missing topics list existing ones."""
 
 import tomllib
 
@@ -105,8 +105,8 @@ def test_roles_skip_only_a_broken_topic():
 
 
 def test_roles_follow_robot_toml():
-    said = Topics(joints="/b", skin="/w.data[0:3]", camera="/depth", truth="/a")
-    found = roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS), ("/depth", IMAGE)), said, "x.mcap")
+    declared = Topics(joints="/b", skin="/w.data[0:3]", camera="/depth", truth="/a")
+    found = roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS), ("/depth", IMAGE)), declared, "x.mcap")
     assert {role: (f.topic, f.field) for role, f in found.items()} == {
         "joints": ("/b", ""),
         "skin": ("/w", "data[0:3]"),
@@ -132,9 +132,9 @@ def test_roles_refuse_a_topic_without_numbers():
 def test_advice_is_toml_of_the_same_roles():
     described = [("/joint_states", JOINTS), ("/cam \"1\"", IMAGE), ("/skin", FLOATS)]
     found = roles(topics(*described), Topics(), "x.mcap")
-    said = tomllib.loads(advice(found))["topics"]
-    assert said == {"joints": "/joint_states", "camera": '/cam "1"', "skin": "/skin.data"}
-    assert {r: f.path for r, f in roles(topics(*described), Topics(**said), "x.mcap").items()} == said
+    declared = tomllib.loads(advice(found))["topics"]
+    assert declared == {"joints": "/joint_states", "camera": '/cam "1"', "skin": "/skin.data"}
+    assert {r: f.path for r, f in roles(topics(*described), Topics(**declared), "x.mcap").items()} == declared
 
 
 def test_roles_merge_schemas_of_one_topic():
@@ -159,12 +159,12 @@ def test_roles_name_several_cameras():
             roles(topics(*CAMERAS), Topics(camera=again), "x.mcap")
 
 
-@pytest.mark.parametrize(("said", "name"), [
+@pytest.mark.parametrize(("declared", "name"), [
     ("/side/image", "side"), ("/cameras/left/image_rect_color/compressed", "cameras/left"), ("/side", "side"),
     ("/image", "image"), ("films/side.MP4", "side"), ("/imager", "imager"),
 ])  # fmt: skip
-def test_camera_name_drops_generic_words(said, name):
-    assert camera_name(said) == name
+def test_camera_name_drops_generic_words(declared, name):
+    assert camera_name(declared) == name
 
 
 def test_unused_cameras_are_reported():
@@ -187,7 +187,7 @@ def test_roles_never_guess_a_reference():
 
 
 @pytest.mark.parametrize(
-    ("said", "wrong", "possible"),
+    ("declared", "wrong", "possible"),
     [
         ({"camera": "/joint_states"}, JOINTS, "/cam/color"),
         ({"camera": "/weights"}, FLOATS, "/cam/color"),
@@ -196,11 +196,11 @@ def test_roles_never_guess_a_reference():
         ({"truth": "/cam/color"}, COMPRESSED, "/joint_states, /weights"),
     ],
 )
-def test_roles_refuse_a_topic_of_another_roles_type(said, wrong, possible):
+def test_roles_refuse_a_topic_of_another_roles_type(declared, wrong, possible):
     there = topics(("/joint_states", JOINTS), ("/cam/color", COMPRESSED), ("/weights", FLOATS))
-    ((role, name),) = said.items()
+    ((role, name),) = declared.items()
     with pytest.raises(LogError) as refused:
-        roles(there, Topics(**said), "x.mcap")
+        roles(there, Topics(**declared), "x.mcap")
     assert str(refused.value) == f'x.mcap: [topics] {role} = "{name}", but {name} is {wrong}; possible: {possible}'
 
 

@@ -1,4 +1,4 @@
-"""ROS 1 bags: whatever order fields, chunks and connections come in, what was written is read."""
+"""ROS 1 bags: everything written is read, in any order of fields, chunks and connections."""
 
 import struct
 from collections import Counter
@@ -55,7 +55,7 @@ def _entry(time: int, offset: int) -> bytes:
 
 @pytest.mark.parametrize("swapped", [False, True])
 def test_open_reads_headers_of_any_field_order(tmp_path: Path, swapped: bool) -> None:
-    """Two messages with extra fields and the fields in another order: not what the usual recorder writes."""
+    """Two messages with extra fields in another order than the usual recorder's."""
     connection = by_hand._connection(0, "/a", "pkg/Type", b"")
     plain = {"op": b"\x02", "conn": bytes(4), "time": struct.pack("<II", 1, 2)}
     other = {"time": struct.pack("<II", 3, 4), "note": b"x", "conn": bytes(4), "op": b"\x02"}

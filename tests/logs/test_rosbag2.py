@@ -1,4 +1,4 @@
-"""rosbag2 folders: files in order, topics merged, whatever metadata.yaml says."""
+"""rosbag2 folders: files in order, topics merged, whatever metadata.yaml holds."""
 
 import shutil
 from pathlib import Path
@@ -68,7 +68,7 @@ def test_open_survives_missing_metadata(split: Path) -> None:
 
 @pytest.mark.parametrize("version", range(1, 10))
 def test_open_reads_every_metadata_version(split: Path, version: int) -> None:
-    """Up to version 3 file names carried the folder's name; the rest is of no consequence to reading."""
+    """Up to version 3 file names include the folder's name; other differences do not matter."""
     file = split / "metadata.yaml"
     text = file.read_text().replace("version: 5", f"version: {version}")
     file.write_text(text.replace("split_", "x.bag/split_") if version < 4 else text)

@@ -1,4 +1,4 @@
-"""Settings an earlier run left in a log's metadata: taken where nothing else is said, and only where they fit."""
+"""Settings of an earlier run in a log's metadata: used for unset values, if they fit."""
 
 import json
 from dataclasses import replace
@@ -15,27 +15,27 @@ from .written import START, found, source
 JOINTS = "/joint_states"
 
 
-def annotated(folder, said):
+def annotated(folder, saved):
     features, _ = found()
     outgoing = [from_joints(JOINTS, features.joints, START), *from_features(features, START)]
-    about = {"settings": said if isinstance(said, str) else json.dumps(said)}
+    about = {"settings": saved if isinstance(saved, str) else json.dumps(saved)}
     annotate(source(folder / "in.mcap"), outgoing, about, folder / "out.mcap")
     return folder / "out.mcap"
 
 
 def test_restore_settings_fills_defaults(tmp_path):
-    said = {"topics": {"joints": JOINTS, "skin": None}, "body": {"unit": "deg"}, "time": {"joints": "log"}}
-    log = annotated(tmp_path, said)
-    told = read(log, Settings()).settings
-    assert told == Settings(topics=Topics(joints=JOINTS), body=Body(unit="deg"), time=Time(joints="log"))
+    saved = {"topics": {"joints": JOINTS, "skin": None}, "body": {"unit": "deg"}, "time": {"joints": "log"}}
+    log = annotated(tmp_path, saved)
+    restored = read(log, Settings()).settings
+    assert restored == Settings(topics=Topics(joints=JOINTS), body=Body(unit="deg"), time=Time(joints="log"))
     asked = Settings(topics=Topics(joints="/joints_of_mine"), time=Time(joints="header"))
     assert info(log, asked)["findings"][-1]["text"].startswith('[topics] joints = "/joints_of_mine", but there is no')
     again = read(log, replace(asked, topics=Topics())).settings
-    assert again == replace(told, time=asked.time)
+    assert again == replace(restored, time=asked.time)
 
 
 @pytest.mark.parametrize(
-    "said",
+    "saved",
     [
         "{",
         "[]",
@@ -46,5 +46,5 @@ def test_restore_settings_fills_defaults(tmp_path):
         {"topics": {"joints": [JOINTS, 7]}, "body": {"unit": ["deg"], "joints": "elbow"}, "time": {"joints": {}}},
     ],
 )
-def test_restore_settings_ignores_values_that_do_not_fit(tmp_path, said):
-    assert read(annotated(tmp_path, said), Settings()).settings == Settings()
+def test_restore_settings_ignores_values_that_do_not_fit(tmp_path, saved):
+    assert read(annotated(tmp_path, saved), Settings()).settings == Settings()

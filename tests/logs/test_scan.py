@@ -1,4 +1,4 @@
-"""Damage: the fixtures give exactly what is sound; random cuts and flips never crash, hang, eat memory or lie."""
+"""Damage: fixtures give exactly what is sound; random cuts and flips never crash, hang, or give wrong data."""
 
 import json
 import struct
@@ -17,8 +17,8 @@ from tests.work import at_most
 
 FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
 EXPECTED = json.loads((FOLDER / "expected.json").read_text())
-READ = [name for name, told in EXPECTED.items() if "messages" in told]
-REFUSED = [name for name, told in EXPECTED.items() if "error" in told]
+READ = [name for name, content in EXPECTED.items() if "messages" in content]
+REFUSED = [name for name, content in EXPECTED.items() if "error" in content]
 LOST = [name for name in READ if EXPECTED[name]["worst"] == "lost"]
 SEVERITIES = (None, "info", "warning", "lost")
 START_NS, STEP_NS, MESSAGES = 1_700_000_000_000_000_000, 10_000_000, 60
@@ -42,7 +42,7 @@ def read(path: Path, strict: bool = False) -> tuple[Read, tuple[Finding, ...]]:
 
 
 def number_of(path: Path, message: tuple[str, int, bytes]) -> int:
-    """The number a message must carry, after checking that its topic and its time are that number's."""
+    """The number in a message, after checking that its topic and time match the number."""
     topic, log_ns, payload = message
     number = int(struct.unpack("<d", payload[-8:])[0])
     assert log_ns == START_NS + number * STEP_NS, path
@@ -52,7 +52,7 @@ def number_of(path: Path, message: tuple[str, int, bytes]) -> int:
 
 @pytest.fixture(autouse=True, scope="module")
 def _imported() -> None:
-    """What is imported once is not counted against the first damaged log."""
+    """Exclude one-time imports from the first damaged log's measurement."""
     for name in READ:
         read(FOLDER / name)
 
@@ -106,18 +106,18 @@ def test_open_reads_a_truncated_chunk_up_to_the_cut(tmp_path: Path, compression:
         tmp_path / "whole.mcap", count=3000, padding=400, extras=False, chunk_size=1 << 22,
         compression=getattr(written.CompressionType, compression.upper()),
     ).read_bytes()  # fmt: skip
-    said, counts, path = read(tmp_path / "whole.mcap")[0], [], tmp_path / "cut.mcap"
+    whole, counts, path = read(tmp_path / "whole.mcap")[0], [], tmp_path / "cut.mcap"
     for share in (0.2, 0.4, 0.6):
         path.write_bytes(whole[: int(share * len(whole))])
         found, (finding,) = read(path)
-        assert sorted(found, key=lambda m: m[2]) == sorted(set(found) & set(said), key=lambda m: m[2])
+        assert sorted(found, key=lambda m: m[2]) == sorted(set(found) & set(whole), key=lambda m: m[2])
         assert finding.severity == "lost" and "the file ends in this chunk" in finding.text
         counts.append(len(found))
-    assert 0 < counts[0] < counts[1] < counts[2] < len(said)
+    assert 0 < counts[0] < counts[1] < counts[2] < len(whole)
 
 
 def _block(packed: bytes, last: int) -> int:
-    """Where the block of a zstd frame that holds a place begins (RFC 8878, 3.1.1.2); type 3, bits 1 and 2, is none."""
+    """Start of the zstd block that contains a position (RFC 8878, 3.1.1.2); type 3, bits 1 and 2, is invalid."""
     import zstandard
 
     at, size = 0, zstandard.frame_header_size(packed)
@@ -135,15 +135,15 @@ def test_open_reads_a_compressed_file_up_to_its_damage(tmp_path: Path) -> None:
 
     noise = {"count": 3000, "padding": 400, "extras": False, "chunk_size": 1 << 14}
     whole = written.source(tmp_path / "x.mcap", **noise, compression=written.CompressionType.NONE).read_bytes()
-    said, path, counts = set(read(tmp_path / "x.mcap")[0]), tmp_path / "x.mcap.zst", []
+    whole, path, counts = set(read(tmp_path / "x.mcap")[0]), tmp_path / "x.mcap.zst", []
     packed = zstandard.ZstdCompressor(level=1).compress(whole)
     for share in (0.3, 0.6, 0.9):
         damaged = bytearray(packed)
         damaged[_block(packed, int(share * len(packed)))] |= 0b110
         path.write_bytes(damaged)
         found, findings = read(path)
-        assert set(found) <= said and findings[-1].severity == "lost"
-        counts.append(len(found) / len(said))
+        assert set(found) <= whole and findings[-1].severity == "lost"
+        counts.append(len(found) / len(whole))
     assert all(share - 0.2 < count < share + 0.1 for share, count in zip((0.3, 0.6, 0.9), counts, strict=True)), counts
 
 
@@ -181,7 +181,7 @@ damages = st.tuples(st.none() | places, st.lists(st.tuples(places, st.integers(0
 
 
 def survives(path: Path) -> Read:
-    """What is read from a damaged log, once it ends after little work, in little memory, without a traceback."""
+    """The content of a damaged log, after asserting little work, little memory and no traceback."""
     tracemalloc.start()
     found: Read = []
     try:
@@ -201,7 +201,7 @@ def _holds(name: str, tmp: Path, damage: tuple[float | None, list[tuple[float, i
     path.write_bytes(damaged((FOLDER / name).read_bytes(), *damage))
     found = survives(path)
     cut, flips = damage
-    # of a chunk in which the file ends no checksum is left
+    # a truncated chunk has no checksum
     if name in CHECKED and not (cut is not None and flips):
         assert {(log_ns, payload) for _, log_ns, payload in found} <= _written(name)
         assert len(found) <= MESSAGES
@@ -235,7 +235,7 @@ def test_open_survives_much_random_damage(
 
 @pytest.mark.parametrize("name", ["none.mcap", "unchunked.mcap", "no_summary.mcap", "none.bag", "killed.bag.active"])
 def test_open_reads_what_precedes_any_cut(name: str, tmp_path: Path) -> None:
-    """Cut at every 37th byte: never fewer messages than at the cut before, and all of them right."""
+    """Cut at every 37th byte: never fewer messages than at the cut before, and all correct."""
     content, before = (FOLDER / name).read_bytes(), 0
     for cut in range(4200 if "bag" in name else 100, len(content), 37):
         path = tmp_path / name
@@ -249,7 +249,7 @@ def test_open_reads_what_precedes_any_cut(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["none.mcap", "zstd.mcap", "bz2.bag", "lz4.bag"])
 def test_open_reads_a_preallocated_file(name: str, tmp_path: Path) -> None:
-    """As a recorder that is killed, or a disk that loses its power, leaves it: ending in zeros."""
+    """A killed recorder, or a power loss, leaves a file that ends in zeros."""
     content, path = (FOLDER / name).read_bytes(), tmp_path / name
     path.write_bytes(content[: len(content) * 2 // 3])
     found = read(path)[0]
@@ -281,7 +281,7 @@ def test_open_reads_at_least_what_the_streaming_reader_does(name: str, tmp_path:
 
 
 def test_fixtures_are_reproducible(tmp_path: Path) -> None:
-    """Byte for byte where nothing is compressed by a library of another version."""
+    """Byte for byte where no library of another version compresses."""
     from fixtures.make_containers import make
 
     make(tmp_path / "made")

@@ -1,4 +1,4 @@
-"""rosbag2 databases: never touched, read with what was not yet checkpointed, read past damage."""
+"""rosbag2 databases: never modified, read including the write-ahead log, read past damage."""
 
 import shutil
 import sqlite3
@@ -60,7 +60,7 @@ def test_open_reads_the_write_ahead_log(tmp_path: Path) -> None:
         store.execute("PRAGMA journal_mode=WAL")
         with store:
             store.execute("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, 9999, x'00010000')")
-        for file in tmp_path.glob("recording.db3*"):  # what a recorder that was killed leaves behind
+        for file in tmp_path.glob("recording.db3*"):  # left by a killed recorder
             shutil.copyfile(file, found / file.name)
     before = sorted(file.name for file in found.iterdir() if "shm" not in file.name)
     assert len(peers.ours(found / "recording.db3")) == 6
@@ -90,7 +90,7 @@ def test_batches_are_in_recording_order(tmp_path: Path) -> None:
 
 
 def test_open_loses_only_the_rows_of_a_damaged_page(tmp_path: Path) -> None:
-    """A leaf in the middle is overwritten: the rows before and after are read, those on it are counted."""
+    """A leaf in the middle is overwritten: rows before and after it are read, its own counted."""
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(3000, 100), KIND, None)
     data = bytearray(path.read_bytes())
@@ -113,23 +113,23 @@ def test_open_loses_only_the_rows_of_a_damaged_page(tmp_path: Path) -> None:
 
 
 def test_rows_end_on_cyclic_pages(tmp_path: Path) -> None:
-    """A leaf in the middle is overwritten with the page above it, and so on for all of them in turn."""
+    """A leaf in the middle is overwritten with its parent page, and so on for each leaf."""
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(3000, 100), KIND, None)
-    whole, said, counts = path.read_bytes(), Counter(peers.ours(path)), []
+    whole, expected, counts = path.read_bytes(), Counter(peers.ours(path)), []
     first, last = (whole.index(struct.pack("<d", number) + bytes(88)) // 4096 for number in (100.0, 2900.0))
     pages = [whole[at : at + 4096] for at in range(0, len(whole), 4096)]
     (above,) = [page for page in pages[1:] if page[0] == 5]
     for leaf in range(first, last, 9):
         path.write_bytes(b"".join([*pages[:leaf], above, *pages[leaf + 1 :]]))
         found = Counter(peers.ours(path))
-        assert found <= said
+        assert found <= expected
         counts.append(found.total())
     assert min(counts) > 2900 and counts.count(3000) < 2
 
 
 def test_rows_read_the_row_before_a_damaged_one(tmp_path: Path) -> None:
-    """SQLite's cursor steps ahead, so what is wrong with a row is said where the one before is asked for."""
+    """SQLite's cursor steps ahead, so an error of a row appears one row early."""
     path = tmp_path / "x.db3"
     by_hand.db3(path, some(400, 3000), KIND, None)
     data = bytearray(path.read_bytes())

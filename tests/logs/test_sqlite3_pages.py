@@ -1,4 +1,4 @@
-"""Rows read out of a database's pages are those that SQLite gives, and where pages are odd SQLite is asked."""
+"""Rows read from a database's pages equal SQLite's; odd pages are left to SQLite."""
 
 import random
 import sqlite3
@@ -55,7 +55,7 @@ def by_sqlite(monkeypatch):
 
 @pytest.fixture
 def asked(monkeypatch):
-    """How many blocks SQLite was asked for."""
+    """How many blocks SQLite read."""
     made, block = [], sqlite_rows._block
     monkeypatch.setattr(sqlite_rows, "_block", lambda rows, low: made.append(len(rows)) or block(rows, low))
     return made

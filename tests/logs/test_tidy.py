@@ -123,7 +123,7 @@ TIME = {"type": "object", "title": "time", "properties": {"sec": {"type": "integ
 
 
 def json_log(path, kind, message, odd=None):
-    """Five JSON pictures, a second apart; of the third, fields as in `odd`."""
+    """Five JSON images, a second apart; `odd` overrides fields of the third."""
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start("", "someone else's recorder")
@@ -131,9 +131,9 @@ def json_log(path, kind, message, odd=None):
         schema = writer.register_schema(kind, "jsonschema", text.encode())
         channel = writer.register_channel("/cam", "json", schema)
         for i in range(5):
-            said = {"timestamp": {"sec": 1_700_000_000 + i, "nsec": 5}, "frame_id": "eye", **message}
-            said |= (odd or {}) if i == 2 else {}
-            writer.add_message(channel, START + i, json.dumps(said).encode(), START + i)
+            fields = {"timestamp": {"sec": 1_700_000_000 + i, "nsec": 5}, "frame_id": "eye", **message}
+            fields |= (odd or {}) if i == 2 else {}
+            writer.add_message(channel, START + i, json.dumps(fields).encode(), START + i)
         writer.finish()
     return path
 
@@ -181,7 +181,7 @@ def test_ingest_reads_a_foreign_protobuf_log(tmp_path, arm):
 
 
 def test_ingest_reports_messages_before_time_zero(tmp_path):
-    """Joints in a simulation's time, from 1 s on, which runs half as fast as the log's: pictures begin before it."""
+    """Joints in simulation time from 1 s at half speed: images begin earlier."""
     from . import writing
     from .test_recording import camera, compressed, joint_state, joints
 
@@ -190,8 +190,8 @@ def test_ingest_reports_messages_before_time_zero(tmp_path):
     seen = [(t0 + k * 10**8, compressed(t0 + k * 10**8, picture)) for k in range(50)]
     log = writing.write(tmp_path / "a.mcap", [joints("/j", rows), camera("/cam", seen)])
     findings = ingest(log, tmp_path / "out.mcap", Settings())
-    (said,) = [f.text for f in findings if "left out" in f.text]
-    left = int(said.removeprefix(f"{log}: ").split()[0])
+    (fields,) = [f.text for f in findings if "left out" in f.text]
+    left = int(fields.removeprefix(f"{log}: ").split()[0])
     after = read(tmp_path / "out.mcap", Settings())
     assert 0 < left < 50 and len(list(after.frames())) == 50 - left and len(after.joints.t) == 50
 

@@ -1,4 +1,4 @@
-"""Places that other detectors published, or wrote to a table, are tracks as any."""
+"""Positions from other detectors, in topics or tables, become tracks."""
 
 import json
 from collections.abc import Mapping
@@ -117,7 +117,7 @@ def test_track_reads_points_by_type(tmp_path):
     path = _log(tmp_path, _stream("geometry_msgs/msg/PointStamped", points))
     track, health = _seen(path, TopicSource("/seen"))
     _is_there(track, health)
-    assert track.std is None  # nobody stated one: the model's noise holds
+    assert track.std is None  # none is given: the model's noise applies
 
 
 def test_track_selects_a_tag_by_number(tmp_path):
@@ -195,7 +195,7 @@ def test_tracks_read_a_table_beside_the_log(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "columns", "said"),
+    ("text", "columns", "reason"),
     [
         ("tip_u,tip_v\n1,2\n", None, "has no column of times"),
         ("t,a,b\n0,1,2\n", None, "no column of numbers 'tip_u'; possible: t, a, b"),
@@ -204,10 +204,10 @@ def test_tracks_read_a_table_beside_the_log(tmp_path):
         ("t,tip_u,tip_v\n0,,\n", None, "no place within the log"),
     ],
 )
-def test_tracks_refuse_a_table_in_one_line(tmp_path, text, columns, said):
+def test_tracks_refuse_a_table_in_one_line(tmp_path, text, columns, reason):
     path = _log(tmp_path)
     (tmp_path / "t.csv").write_text(text)
-    with pytest.raises((LogError, ConfigError), match=said) as caught:
+    with pytest.raises((LogError, ConfigError), match=reason) as caught:
         read(path, Settings(features={"tip": TableSource("t.csv", columns)}))
     assert "\n" not in str(caught.value)
     with pytest.raises(LogError, match=r"there is no table 'gone\.csv'"):

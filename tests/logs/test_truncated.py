@@ -1,4 +1,4 @@
-"""The chunk in which a bag ends is read as far as it unpacks."""
+"""The truncated chunk at the end of a bag is read as far as it decompresses."""
 
 import random
 from pathlib import Path
@@ -25,7 +25,7 @@ def _bag(compression: str) -> bytes:
 @pytest.mark.parametrize("compression", ["lz4", "bz2", "none"])
 @pytest.mark.parametrize("cuts", [60, pytest.param(1500, marks=pytest.mark.soak)])
 def test_open_reads_a_truncated_chunk_up_to_the_cut(tmp_path: Path, compression: str, cuts: int) -> None:
-    """bz2 gives whole blocks alone, and these chunks are of one."""
+    """bz2 gives only whole blocks, and each of these chunks is one block."""
     whole, path, counts = _bag(compression), tmp_path / "cut.bag", []
     for cut in range(4500, len(whole), len(whole) // cuts):
         path.write_bytes(whole[:cut])
@@ -38,7 +38,7 @@ def test_open_reads_a_truncated_chunk_up_to_the_cut(tmp_path: Path, compression:
 
 
 def test_open_counts_missing_bytes_of_an_uncompressed_chunk(tmp_path: Path) -> None:
-    """What its messages were the rest of the chunk told; those that are whole are not lost."""
+    """The rest of the chunk declared its messages; whole ones are kept."""
     whole, path = _bag("none"), tmp_path / "cut.bag"
     start = whole.index(b"compression=none")
     size = int.from_bytes(whole[whole.index(b"size=", start) + 5 :][:4], "little")
@@ -52,7 +52,7 @@ def test_open_counts_missing_bytes_of_an_uncompressed_chunk(tmp_path: Path) -> N
 
 
 def test_open_reads_an_unclosed_chunk(tmp_path: Path) -> None:
-    """A recorder says a chunk's two lengths when it is done with it; killed before, it leaves zeros."""
+    """A recorder writes a chunk's two lengths when it closes it; if killed before, it leaves zeros."""
     whole, path, zero = _bag("lz4"), tmp_path / "killed.bag", bytes(4)
     at = whole.index(b"compression=lz4", whole.index(b"compression=lz4") + 1)
     size, start = whole.index(b"size=", at) + 5, whole.index(b"\x04\x22\x4d\x18", at)

@@ -1,4 +1,4 @@
-"""Chunks stored as they are: looked at together or one by one, the same messages and the same losses come of them."""
+"""Uncompressed chunks read together or one by one give the same messages and losses."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -35,7 +35,7 @@ def _write(path: Path, seed: int) -> bytearray:
 
 
 def _read(path: Path) -> Read:
-    """Log times and payloads by topic, and what was found wrong."""
+    """Log times and payloads by topic, and findings."""
     found: dict[int, list[tuple[int, bytes]]] = {}
     with open_log(path) as log:
         for batch in log.batches():

@@ -1,4 +1,4 @@
-"""Features and estimates to write, logs to write them into, and other people's readers to read them back with."""
+"""Features and estimates to write, logs to write them into, and other readers to read them back."""
 
 import logging
 from pathlib import Path
@@ -132,14 +132,14 @@ Message = tuple[str, int, int, int, bytes]
 
 
 def streamed(path: Path) -> list[Message]:
-    """(topic, log time, publish time, sequence, payload) of every message, read from front to end."""
+    """(topic, log time, publish time, sequence, payload) of every message, read from start to end."""
     with path.open("rb") as stream:
         found = NonSeekingReader(stream, validate_crcs=True).iter_messages(log_time_order=False)
         return sorted((c.topic, m.log_time, m.publish_time, m.sequence, bytes(m.data)) for _, c, m in found)
 
 
 def sought(path: Path) -> list[Message]:
-    """The same by the summary and the indexes."""
+    """The same through the summary and the indexes."""
     with path.open("rb") as stream:
         found = make_reader(stream, validate_crcs=True).iter_messages()
         return sorted((c.topic, m.log_time, m.publish_time, m.sequence, bytes(m.data)) for _, c, m in found)
@@ -167,5 +167,5 @@ def without_times(messages: list[Message]) -> list[tuple[str, int, bytes]]:
 
 
 def foreign(messages):
-    """Those that are not ours."""
+    """Messages that bodylog did not write."""
     return [message for message in messages if not message[0].startswith("/bodylog/")]

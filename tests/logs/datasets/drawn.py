@@ -1,4 +1,4 @@
-"""Small datasets written without bodylog: pyarrow, h5py and PyAV as the formats' own tools use them."""
+"""Small datasets written without bodylog: by pyarrow, h5py and PyAV, as the formats' own tools do."""
 
 import json
 from fractions import Fraction
@@ -33,7 +33,7 @@ def images(rows: int, seed: int = 0) -> np.ndarray:
 
 
 def film(path: Path, pictures: np.ndarray, codec: str = "libx264", **options: str) -> None:
-    """A video of images (N,H,W,3) BGR at FPS."""
+    """Write a video of images (N,H,W,3) BGR at FPS."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=Fraction(FPS), options=options)
@@ -51,14 +51,14 @@ def decoded(path: Path) -> list[np.ndarray]:
 
 
 def table(path: Path, columns: dict, groups: int | None = None) -> None:
-    """Columns as LeRobot's tables have them: vectors as lists."""
+    """Write columns like LeRobot's tables: vectors as lists."""
     path.parent.mkdir(parents=True, exist_ok=True)
     made = {name: list(values) if np.ndim(values[0]) == 1 else values for name, values in columns.items()}
     parquet.write_table(arrow.table(made), path, row_group_size=groups)
 
 
 def info(folder: Path, version: str, lengths: list[int], **more: object) -> None:
-    """meta/info.json."""
+    """Write meta/info.json."""
     v3 = version.startswith("v3")
     file = "chunk-{chunk_index:03d}/file-{file_index:03d}" if v3 else None
     old = "chunk-{episode_chunk:03d}"
@@ -72,7 +72,7 @@ def info(folder: Path, version: str, lengths: list[int], **more: object) -> None
         "timestamp": {"dtype": "float32", "shape": [1], "names": None},
         "task_index": {"dtype": "int64", "shape": [1], "names": None},
     }
-    said = {
+    content = {
         "codebase_version": version, "robot_type": "drawn", "total_episodes": len(lengths), "fps": FPS,
         "total_frames": sum(lengths), "total_tasks": 1, "chunks_size": 1000, "features": features,
         "data_path": f"data/{file}.parquet" if v3 else f"data/{old}/episode_{{episode_index:06d}}.parquet",
@@ -80,7 +80,7 @@ def info(folder: Path, version: str, lengths: list[int], **more: object) -> None
         else f"videos/{old}/{{video_key}}/episode_{{episode_index:06d}}.mp4",
     }  # fmt: skip
     (folder / "meta").mkdir(parents=True, exist_ok=True)
-    (folder / "meta" / "info.json").write_text(json.dumps(said | more))
+    (folder / "meta" / "info.json").write_text(json.dumps(content | more))
 
 
 def columns(number: int, rows: int, first: int = 0) -> dict:
@@ -130,7 +130,7 @@ def v30(folder: Path, lengths: list[int], codec: str = "libsvtav1") -> Path:
 
 
 def aloha(path: Path, rows: int = 20, packed: bool = False) -> Path:
-    """An ALOHA episode of two arms, one camera in RGB, or in rows of JPEG filled up with zeros."""
+    """An ALOHA episode of two arms, one camera in RGB, or in rows of JPEG padded with zeros."""
     import cv2
 
     pictures = images(rows)

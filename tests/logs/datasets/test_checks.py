@@ -1,4 +1,4 @@
-"""The doctor names what is wrong with a dataset, and nothing of a sound one."""
+"""The examination names what is wrong with a dataset, and nothing in a sound one."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Damaged datasets end in one line or are read as far as they are sound: any byte of any file may be wrong."""
+"""Damaged datasets are read as far as they are sound, or refused in one line; any byte may be wrong."""
 
 import random
 import shutil
@@ -24,7 +24,7 @@ SOURCES = {
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory) -> Path:
-    """One dataset of each form."""
+    """One dataset of each format."""
     folder = tmp_path_factory.mktemp("sound")
     for name, make in SOURCES.items():
         make(folder / name)
@@ -32,7 +32,7 @@ def sound(tmp_path_factory) -> Path:
 
 
 def _spoilt(data: bytearray, rng: random.Random) -> bytearray:
-    """Bytes changed, cut off, zeroed, put in between or repeated."""
+    """Change, cut, zero, insert or repeat bytes."""
     at, many = rng.randrange(len(data) + 1), rng.randrange(1, 200)
     how = rng.randrange(6)
     if how < 2:

@@ -1,4 +1,4 @@
-"""LeRobot folders are read as logs: every episode's values, images and times, and what is damaged in one line."""
+"""LeRobot folders as logs: every episode's values, images and times; damage is reported in one line."""
 
 import json
 import shutil
@@ -106,10 +106,10 @@ def test_guard_refuses_an_output_inside_a_dataset(old):
             guard([Path(f"{old}#1")], [Output(place)])
 
 
-@pytest.mark.parametrize("said", [{"unit": "degrees"}, {"names": ["a_deg", "b_deg", "c_deg"]}])
-def test_unit_converts_declared_degrees(copied, said):
+@pytest.mark.parametrize("declared", [{"unit": "degrees"}, {"names": ["a_deg", "b_deg", "c_deg"]}])
+def test_unit_converts_declared_degrees(copied, declared):
     info = json.loads((copied / "meta/info.json").read_text())
-    info["features"]["observation.state"] |= said
+    info["features"]["observation.state"] |= declared
     (copied / "meta/info.json").write_text(json.dumps(info))
     read = recording.read(copied, Settings())
     assert read.joints is not None and read.joints.unit == "rad"
@@ -254,8 +254,8 @@ def test_open_reports_missing_features_as_lost(copied):
     table = drawn.columns(0, 12)
     del table["action"]
     drawn.table(copied / "data/chunk-000/episode_000000.parquet", table)
-    said = texts(copied)
-    assert "lost: " in said and "action: info.json declares it, the table holds no such numbers" in said
+    declared = texts(copied)
+    assert "lost: " in declared and "action: info.json declares it, the table holds no such numbers" in declared
 
 
 def test_columns_pad_lists_with_nan(copied):

@@ -1,4 +1,4 @@
-"""HDF5 episodes, folders of tables, images and videos, and lone videos are read as logs."""
+"""HDF5 episodes, folders of tables, images and videos, and lone videos as logs."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A dataset through an MCAP and back holds the same values, images and times; any log becomes a dataset."""
+"""A dataset converted to MCAP and back keeps values, images and times; any log becomes a dataset."""
 
 import json
 from pathlib import Path
@@ -20,7 +20,7 @@ FORMS = {"lerobot": "lerobot v3.0", "lerobot-2.1": "lerobot v2.1"}
 
 
 def same(one: Path, other: Path) -> None:
-    """Equal signals and images, at equal times, under equal names."""
+    """Assert equal signals and images, at equal times, under equal names."""
     with logs.open(one) as a, logs.open(other) as b:
         assert {t.name: t.messages for t in a.topics} == {t.name: t.messages for t in b.topics}
         for topic in a.topics:
@@ -104,16 +104,16 @@ def test_encode_measures_its_error(how, most, tmp_path):
     log = drawn.v21(tmp_path / "set", [12])
     done = pipeline.convert([log], tmp_path / "new", Settings(), "lerobot", how)
     (text,) = (one.text for one in done.findings if "grey levels" in one.text)
-    said = float(text.split("differ by ")[1].split()[0])
+    reported = float(text.split("differ by ")[1].split()[0])
     with logs.open(log) as a, logs.open(tmp_path / "new") as b:
         pairs = list(zip(a.frames("/top/image"), b.frames("/top/image"), strict=True))
     squares = [np.mean((x.image.astype(float) - y.image) ** 2) for x, y in pairs]
-    assert said == pytest.approx(np.sqrt(np.mean(squares)), rel=0.01) and 0 < said < most
+    assert reported == pytest.approx(np.sqrt(np.mean(squares)), rel=0.01) and 0 < reported < most
     assert all(x.source_ns == y.source_ns for x, y in pairs)
 
 
 def _recorded(path: Path, rows: int = 30) -> Path:
-    """A log whose joints come at 100 Hz and whose images come irregularly, with stamps of their own."""
+    """A log with joints at 100 Hz and images at irregular times, with stamps of their own."""
     start = 1_700_000_000_123_456_789
     fast = start + np.arange(3 * rows) * 10_000_000
     slow = start + 7_000_001 + np.arange(rows) * 30_000_000 + (np.arange(rows) % 3) * 2_000_000
@@ -132,8 +132,10 @@ def _recorded(path: Path, rows: int = 30) -> Path:
 def test_convert_keeps_a_logs_own_times(tmp_path):
     log = _recorded(tmp_path / "run.mcap")
     done = pipeline.convert([log], tmp_path / "new", Settings(), "lerobot")
-    said = " ".join(one.text for one in done.findings)
-    assert "topics that the dataset leaves out: /load" in said and "the nearest reading of others is taken" in said
+    reported = " ".join(one.text for one in done.findings)
+    assert (
+        "topics that the dataset leaves out: /load" in reported and "the nearest reading of others is taken" in reported
+    )
     with logs.open(log) as a, logs.open(tmp_path / "new") as b:
         old, new = a["/joint_states"], b["/joint_states"]
         frames = list(zip(a.frames("/cam/image"), b.frames("/cam/image"), strict=True))
