@@ -65,7 +65,7 @@ def guessed(
         return read, found
     chosen, findings = _chosen(str(log), other.why, other.survey, settings)
     if chosen.features:
-        read = replace(read, settings=replace(read.settings, features=chosen.features), watched=None)
+        read = replace(read, settings=replace(read.settings, features=chosen.features), consumed=None)
         found = look(read, chosen)
     return read, replace(found, findings=(*findings, *found.findings))
 

@@ -158,7 +158,7 @@ class Recording:
 
     `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
     what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
-    read with. `watched` are the first camera's frames, if someone was told of them while the log was read. `poses`: the
+    read with. `consumed` are the first camera's frames, if a consumer got them during reading. `poses`: the
     joints are still poses, each by itself. `beside`: joints of further topics that nobody named.
     `truth_pose`: the effector's true poses, for scores alone.
     `tracks` and `track_health` {feature: …} are those of [features] that topics or tables have.
@@ -180,7 +180,7 @@ class Recording:
     reference: Series | None = None
     views: Mapping[str, Callable[[], Iterator[Frame]]] = field(default_factory=dict)
     settings: Settings = field(default_factory=Settings)
-    watched: ConsumedFrames | None = None
+    consumed: ConsumedFrames | None = None
     poses: bool = False
     beside: tuple[str, ...] = ()
     truth_pose: Poses | None = None

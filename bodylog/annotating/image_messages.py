@@ -35,7 +35,7 @@ class Kind(NamedTuple):
         return self._replace(topic=self.topic.replace("/camera", camera, 1))
 
 
-class Picture(NamedTuple):
+class ImageMessage(NamedTuple):
     """One image: its kind, its time (s since start_ns), its payload in CDR."""
 
     kind: Kind
@@ -48,7 +48,7 @@ _Convert = Callable[[bytes, int], bytes]
 """A payload and its stamp (ns) -> CDR."""
 
 
-def pictures(path: Path, recording: Recording, unread: dict[str, list[str]]) -> Iterator[Picture]:
+def image_messages(path: Path, recording: Recording, unread: dict[str, list[str]]) -> Iterator[ImageMessage]:
     """All images that the recording accepts, camera by camera, in file order; those of a video are encoded.
 
     `unread` {topic: reasons} gets the messages that contradict their definition. The first camera's topic is
@@ -63,12 +63,12 @@ def pictures(path: Path, recording: Recording, unread: dict[str, list[str]]) -> 
         source = recording.roles.get(f"camera/{name}".strip("/"), "")
         topics = {t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")}
         found = _passed(path, recording, frames, topics, unread) if topics else _encoded(recording, frames)
-        yield from (picture._replace(kind=picture.kind.below(under)) for picture in found)
+        yield from (image._replace(kind=image.kind.below(under)) for image in found)
 
 
 def _passed(
     path: Path, recording: Recording, frames: Frames, topics: Mapping[int, Topic], unread: dict[str, list[str]]
-) -> Iterator[Picture]:
+) -> Iterator[ImageMessage]:
     accepted: dict[int, deque[float]] = {}
     for frame in frames():
         accepted.setdefault(frame.source_ns, deque()).append(frame.t)
@@ -84,7 +84,7 @@ def _passed(
                     except FormatError as problem:
                         unread.setdefault(topics[batch.topic_id].name, []).append(str(problem))
                         continue
-                    yield Picture(kind, t, converted)
+                    yield ImageMessage(kind, t, converted)
 
 
 def _stamp(t: float, recording: Recording) -> int:
@@ -110,16 +110,16 @@ def _ros2(name: str) -> Kind:
     return Kind(name, kind, known_definition(kind) or b"", "ros2msg")
 
 
-def _encoded(recording: Recording, frames: Frames) -> Iterator[Picture]:
+def _encoded(recording: Recording, frames: Frames) -> Iterator[ImageMessage]:
     import cv2
 
     kind = _ros2(COMPRESSED)
     for frame in frames():
         done, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
-            raise FormatError(f"{recording.name}: the picture at {frame.t:.3f} s cannot be written as JPEG")
+            raise FormatError(f"{recording.name}: the image at {frame.t:.3f} s cannot be written as JPEG")
         message = {"format": "jpeg", "data": jpeg.tobytes()}
-        yield Picture(kind, frame.t, _compressed(message, _stamp(frame.t, recording)))
+        yield ImageMessage(kind, frame.t, _compressed(message, _stamp(frame.t, recording)))
 
 
 def _compressed(message: Mapping[str, Any], stamp: int) -> bytes:

@@ -71,9 +71,9 @@ def _tracks(
             "camera: none in this log; no tracks, no strokes"
         )
         return {}, {}, (Finding("info", text),), None
-    features, watched = wanted(settings), recording.watched
-    if watched is not None and isinstance(watched.by, FrameSearcher):
-        seen = watched.by.seen(watched)
+    features, consumed = wanted(settings), recording.consumed
+    if consumed is not None and isinstance(consumed.by, FrameSearcher):
+        seen = consumed.by.seen(consumed)
     else:
         seen = _search(recording.frames, features, settings, progress)
     tracks, health, findings = _seen(seen, recording.frames, features, recording.joints)

@@ -15,7 +15,7 @@ BACK = 500_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Dated:
+class Timing:
     """One stream in time order: t_ns (m,) int64 · rows (m,) into the input · clock used · rejected by reason.
 
     offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header. backwards: log
@@ -33,7 +33,7 @@ class Dated:
     falls: bool
 
 
-def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = True) -> Dated:
+def order_by_time(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = True) -> Timing:
     """Order one stream by "header", "log" or "auto" time; the first of equal stamps is kept if `distinct`."""
     t_ns, back, clock = log_ns, np.zeros(len(log_ns), bool), "log"
     if stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns, log_ns))):
@@ -58,7 +58,7 @@ def date(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = Tr
     offset, spread = _offset(log_ns, stamp_ns, near)
     rejected = {reason: n for reason, n in counts.items() if n}
     wrong = np.sort(log_ns[near & (back | skipped)])
-    return Dated(t_ns[rows], rows, clock, rejected, out_of_order, offset, spread, wrong, falls(t_ns[near]))
+    return Timing(t_ns[rows], rows, clock, rejected, out_of_order, offset, spread, wrong, falls(t_ns[near]))
 
 
 def _falls_back(stamp_ns: Array) -> bool:

@@ -169,7 +169,7 @@ def _numbers(log: OpenLog, topic: Topic) -> Feature | None:
 
 def _name(topic: Topic, taken: Mapping[str, Feature]) -> str:
     """`action` for the first joint commands, else observation.TOPIC."""
-    if topic.type == JOINT_STATE and roles.is_wished(topic) and ACTION not in taken:
+    if topic.type == JOINT_STATE and roles.is_command(topic) and ACTION not in taken:
         return ACTION
     return f"observation.{topic.name.strip('/').replace('/', '.')}"
 

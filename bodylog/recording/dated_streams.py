@@ -19,7 +19,7 @@ from ..logs.topics import independent
 from ..settings import Settings
 from ..types import Array, Batch, Finding, Health, Series, Topic
 from . import role_values
-from .clocks import Dated, date, largest_gap, median, seconds
+from .clocks import Timing, largest_gap, median, order_by_time, seconds
 from .roles import Role
 from .stamp_field import stamp_field
 
@@ -32,7 +32,7 @@ class Stream:
     """One role's messages in time order: values (m,D), log_ns (m,), and the counts behind its health."""
 
     role: Role
-    dated: Dated
+    timing: Timing
     values: Array
     names: tuple[str, ...]
     log_ns: Array
@@ -56,9 +56,9 @@ def read_streams(
     """
     alone = sum(role.role == "joints" for role in found.values()) < 2
     read = _columns(log, found, name)
-    dated = _rising({role: _stream(*source, settings, name, alone) for role, source in read.items()})
-    usable = {role: stream for role, stream in dated.items() if len(stream.dated.t_ns)}
-    empty = (_empty(stream, settings, name) for role, stream in dated.items() if role not in usable)
+    timing = _rising({role: _stream(*source, settings, name, alone) for role, source in read.items()})
+    usable = {role: stream for role, stream in timing.items() if len(stream.timing.t_ns)}
+    empty = (_empty(stream, settings, name) for role, stream in timing.items() if role not in usable)
     return _one_epoch(usable), tuple(empty)
 
 
@@ -120,26 +120,26 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
     if choice == "header" and signal.stamp_ns is None and len(signal.rows):
         raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
     by_name = role.role in ("joints", "truth", "reference")
-    dated = date(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
-    values, idle, beyond, wraps = signal.values[dated.rows], 0, 0, dict[str, int]()
+    timing = order_by_time(log_ns[signal.rows], signal.stamp_ns, choice, distinct=not by_name)
+    values, idle, beyond, wraps = signal.values[timing.rows], 0, 0, dict[str, int]()
     # true angles are in rad or degrees, never in encoder counts
     unit_text = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
     unit = joint_unit(role.topics[0].metadata, unit_text)
     if by_name:
         converted = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
-        keep, values, idle = role_values.merged(dated.t_ns, converted)
-        dated = replace(dated, t_ns=dated.t_ns[keep], rows=dated.rows[keep])
+        keep, values, idle = role_values.merged(timing.t_ns, converted)
+        timing = replace(timing, t_ns=timing.t_ns[keep], rows=timing.rows[keep])
         values, beyond, turns = role_values.angles(values[keep], None if independent(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     elif values.dtype.kind == "f":
         values, beyond = believed(values)
-    rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(dated.rejected))
+    rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(timing.rejected))
     rejected.update({"same stamp again": idle} if idle else {})
-    rows, counts = signal.rows[dated.rows], tuple(len(some.log_ns) for some in read)
+    rows, counts = signal.rows[timing.rows], tuple(len(some.log_ns) for some in read)
     slow = sum(some.fallback for some in read)
     return Stream(
-        role, dated, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond, wraps=wraps,
-        sets=signal.sets, unit=unit.unit if by_name else "",
+        role, timing, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond=beyond,
+        wraps=wraps, sets=signal.sets, unit=unit.unit if by_name else "",
     )  # fmt: skip
 
 
@@ -168,7 +168,7 @@ def _empty(stream: Stream, settings: Settings, name: str) -> Finding:
 
 def _rising(found: dict[str, Stream]) -> dict[str, Stream]:
     """Reject streams whose times fall while others' rise; if all fall, the file is stored backwards."""
-    falling = [role for role, stream in found.items() if stream.dated.falls]
+    falling = [role for role, stream in found.items() if stream.timing.falls]
     if len(falling) == len([stream for stream in found.values() if len(stream.rows)]):
         return found
     return found | {role: _without(found[role]) for role in falling}
@@ -176,16 +176,16 @@ def _rising(found: dict[str, Stream]) -> dict[str, Stream]:
 
 def _without(stream: Stream) -> Stream:
     """The stream with all its messages rejected."""
-    none = replace(stream.dated, t_ns=stream.dated.t_ns[:0], rows=stream.dated.rows[:0])
+    none = replace(stream.timing, t_ns=stream.timing.t_ns[:0], rows=stream.timing.rows[:0])
     rejected = Counter(stream.rejected) + Counter({"time runs backwards": len(stream.rows)})
     return replace(
-        stream, dated=none, values=stream.values[:0], log_ns=stream.log_ns[:0], rows=stream.rows[:0], rejected=rejected
+        stream, timing=none, values=stream.values[:0], log_ns=stream.log_ns[:0], rows=stream.rows[:0], rejected=rejected
     )
 
 
 def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
     """Shift streams whose clocks are over a minute apart to the first one's, through their log times."""
-    behind = {role: (s.dated.offset_ns or 0) if s.dated.clock == "header" else 0 for role, s in found.items()}
+    behind = {role: (s.timing.offset_ns or 0) if s.timing.clock == "header" else 0 for role, s in found.items()}
     first = next(iter(behind.values()), 0)
     return {role: _shifted(stream, behind[role] - first) for role, stream in found.items()}
 
@@ -193,35 +193,35 @@ def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
 def _shifted(stream: Stream, by_ns: int) -> Stream:
     if abs(by_ns) < _MINUTE:
         return stream
-    return replace(stream, dated=replace(stream.dated, t_ns=stream.dated.t_ns + by_ns), shifted_s=by_ns / 1e9)
+    return replace(stream, timing=replace(stream.timing, t_ns=stream.timing.t_ns + by_ns), shifted_s=by_ns / 1e9)
 
 
 def series(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
     """A stream as the record for other stages."""
     if stream is None:
         return None
-    return Series(seconds(stream.dated.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
+    return Series(seconds(stream.timing.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
 
 
 def health(stream: Stream) -> Health:
     """Counts of a stream's used and rejected messages."""
     used = sum(stream.counts) - sum(stream.rejected.values())
-    return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.dated.t_ns))
+    return Health(sum(stream.counts), used, stream.rejected, largest_gap(stream.timing.t_ns))
 
 
 def stream_findings(stream: Stream) -> Iterator[Finding]:
     """Findings on a stream: its clocks, and sorted, slow or rejected messages."""
-    dated, name = stream.dated, f"{stream.role.role} {stream.role.topic}"
-    if dated.offset_ns is not None:
-        late = f"{dated.offset_ns / 1e9:.6g} s after the header's, 5 to 95 % within {dated.spread_s:.3g} s"
-        yield Finding("info", f"{name}: {dated.clock} time; log times are at the median {late}")
+    timing, name = stream.timing, f"{stream.role.role} {stream.role.topic}"
+    if timing.offset_ns is not None:
+        late = f"{timing.offset_ns / 1e9:.6g} s after the header's, 5 to 95 % within {timing.spread_s:.3g} s"
+        yield Finding("info", f"{name}: {timing.clock} time; log times are at the median {late}")
     if stream.shifted_s:
         by = f"{stream.shifted_s:.6g} s"
         yield Finding("warning", f"{name}: its clock is not the others'; shifted by {by} to meet them")
-    if len(dated.backwards):
+    if len(timing.backwards):
         yield Finding("warning", f"{name}: {_backwards(stream)}")
-    if dated.out_of_order:
-        yield Finding("info", f"{name}: {dated.out_of_order} messages out of order were sorted")
+    if timing.out_of_order:
+        yield Finding("info", f"{name}: {timing.out_of_order} messages out of order were sorted")
     if stream.fallback:
         yield Finding("info", f"{name}: {stream.fallback} messages were decoded one by one")
     if stream.beyond:
@@ -253,9 +253,9 @@ def _changing(stream: Stream) -> Iterator[str]:
 
 def _vanishing(stream: Stream) -> Iterator[str]:
     """Joints without readings at the beginning or the end of a topic that continues."""
-    if stream.role.role not in ("joints", "truth", "reference") or len(stream.dated.t_ns) < 2:
+    if stream.role.role not in ("joints", "truth", "reference") or len(stream.timing.t_ns) < 2:
         return
-    t = seconds(stream.dated.t_ns, int(stream.dated.t_ns[0]))
+    t = seconds(stream.timing.t_ns, int(stream.timing.t_ns[0]))
     for name, column in zip(stream.names, stream.values.T, strict=True):
         known = t[np.isfinite(column)]
         if len(known) < 2:
@@ -269,11 +269,11 @@ def _vanishing(stream: Stream) -> Iterator[str]:
 
 def _backwards(stream: Stream) -> str:
     """Where a stream's times run backwards, and how they were handled."""
-    dated = stream.dated
-    first = min(int(stream.log_ns.min()), int(dated.backwards[0]))
-    begin, end = ((int(ns) - first) / 1e9 for ns in (dated.backwards[0], dated.backwards[-1]))
-    text = f"times run backwards: {len(dated.backwards)} of {sum(stream.counts)} messages, {begin:.3f} to {end:.3f} s"
-    if "time runs backwards" in dated.rejected:
+    timing = stream.timing
+    first = min(int(stream.log_ns.min()), int(timing.backwards[0]))
+    begin, end = ((int(ns) - first) / 1e9 for ns in (timing.backwards[0], timing.backwards[-1]))
+    text = f"times run backwards: {len(timing.backwards)} of {sum(stream.counts)} messages, {begin:.3f} to {end:.3f} s"
+    if "time runs backwards" in timing.rejected:
         return f"{text} after its first, are far from the rest and left out"
     insist = f'type [time] {stream.role.role} = "header" in robot.toml to use header time'
     return f"{text} after its first, are far from the rest by the header; log time is used instead, {insist}"

@@ -20,9 +20,9 @@ from .clocks import seconds
 class FrameTap:
     """A log that passes its camera's images to a consumer while others read its batches."""
 
-    def __init__(self, log: Log, topics: tuple[Topic, ...], watch: FrameConsumer, limits: Input) -> None:
+    def __init__(self, log: Log, topics: tuple[Topic, ...], consumer: FrameConsumer, limits: Input) -> None:
         """The camera's topics: one name, several ids if it has several schemas."""
-        self._log, self._watch, self._count = log, watch, 0
+        self._log, self._consumer, self._count = log, consumer, 0
         self._decoders = {topic.id: messages.decoder(topic, limits.max_image_mpx) for topic in topics}
         self._shrinks = {topic.id: topic.type in messages.COMPRESSED for topic in topics}
         self._numbers: dict[int, list[Array]] = {topic.id: [np.empty(0, np.int64)] for topic in topics}
@@ -31,20 +31,20 @@ class FrameTap:
         """Batches of the log."""
         for batch in self._log.batches(ids):
             if batch.topic_id in self._decoders:
-                self._tell(batch)
+                self._pass_on(batch)
             yield batch
 
-    def watched(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> ConsumedFrames:
+    def consumed(self, rows: Array, t_ns: Array, source_ns: Array, start_ns: int) -> ConsumedFrames:
         """The passed frames with times t_ns (n,): the messages rows (n,), counted through the topics in order."""
         numbers = np.concatenate([number for some in self._numbers.values() for number in some])
-        return ConsumedFrames(seconds(t_ns, start_ns), source_ns, numbers[rows], self._watch)
+        return ConsumedFrames(seconds(t_ns, start_ns), source_ns, numbers[rows], self._consumer)
 
-    def _tell(self, batch: Batch) -> None:
+    def _pass_on(self, batch: Batch) -> None:
         id_ = batch.topic_id
         self._numbers[id_].append(np.arange(self._count, self._count + len(batch.log_ns)))
         self._count += len(batch.log_ns)
         for log_ns, decode in zip(batch.log_ns.tolist(), _decodes(batch, self._decoders[id_]), strict=True):
-            self._watch(Frame(float("nan"), log_ns, decode, self._shrinks[id_]))
+            self._consumer(Frame(float("nan"), log_ns, decode, self._shrinks[id_]))
 
 
 def frames(

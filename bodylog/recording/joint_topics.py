@@ -48,7 +48,7 @@ def series(streams: Mapping[str, Stream], settings: Settings, start_ns: int, wha
     if len(found) < 2:
         return None if not found else _one(found[0], settings, start_ns)
     late = [round(1e9 * _delay(stream, settings)) for stream in found]
-    clocks = [stream.dated.t_ns - ns for stream, ns in zip(found, late, strict=True)]
+    clocks = [stream.timing.t_ns - ns for stream, ns in zip(found, late, strict=True)]
     t_ns = np.unique(np.concatenate(clocks))
     every = [name for some in _names(found) for name in some]
     values, source_ns, column = np.full((len(t_ns), len(every)), np.nan), np.zeros(len(t_ns), np.int64), 0
@@ -64,7 +64,7 @@ def series(streams: Mapping[str, Stream], settings: Settings, start_ns: int, wha
 
 def _one(stream: Stream, settings: Settings, start_ns: int) -> Series:
     """A single topic's joints; `delay` corrects the delay of this topic alone."""
-    t_ns = stream.dated.t_ns - round(1e9 * _delay(stream, settings))
+    t_ns = stream.timing.t_ns - round(1e9 * _delay(stream, settings))
     return Series(seconds(t_ns, start_ns), stream.values, stream.names, stream.unit, stream.log_ns)
 
 

@@ -33,8 +33,8 @@ def read(
         settings = _restored(log, settings)
         found = roles.roles(log.topics, settings.topics, str(path), joints_of(log))
         to_be_seen = "camera" in found and not _is_ours(log)
-        with consumer() if consumer and to_be_seen else nullcontext() as watch:
-            tap = camera.FrameTap(log, found["camera"].topics, watch, settings.input) if watch else None
+        with consumer() if consumer and to_be_seen else nullcontext() as frames:
+            tap = camera.FrameTap(log, found["camera"].topics, frames, settings.input) if frames else None
             streams, silent = read_streams(tap or without_images(log), found, settings, str(path))
         start_ns = _start_ns(streams, log)
         features = _features(log, start_ns)
@@ -60,7 +60,7 @@ def read(
         findings=findings,
         views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
         settings=settings,
-        watched=_watched(tap, streams.get("camera"), start_ns),
+        consumed=_consumed(tap, streams.get("camera"), start_ns),
         poses=any(independent(stream.role.topics) for stream in joint_topics.streams_of(streams)),
         beside=joint_topics.beside(streams, settings),
         tracks={name: track for name, (track, _) in named.items()},
@@ -110,22 +110,22 @@ def _topic(topic: Topic, spans: Mapping[int, tuple[int, int]]) -> dict[str, Any]
 
 
 def _clock(stream: Stream) -> dict[str, Any]:
-    dated = stream.dated
-    offset_s = None if dated.offset_ns is None else dated.offset_ns / 1e9
-    return {"clock": dated.clock, "offset_s": offset_s, "spread_s": dated.spread_s}
+    timing = stream.timing
+    offset_s = None if timing.offset_ns is None else timing.offset_ns / 1e9
+    return {"clock": timing.clock, "offset_s": offset_s, "spread_s": timing.spread_s}
 
 
 def _start_ns(streams: Mapping[str, Stream], log: Log) -> int:
     for stream in joint_topics.streams_of(streams)[:1]:
-        return int(stream.dated.t_ns[0])
-    return min((int(stream.dated.t_ns[0]) for stream in streams.values()), default=log.start_ns)
+        return int(stream.timing.t_ns[0])
+    return min((int(stream.timing.t_ns[0]) for stream in streams.values()), default=log.start_ns)
 
 
 def _duration(streams: Mapping[str, Stream], log: Log) -> float:
     if not streams:
         return (log.end_ns - log.start_ns) / 1e9
-    first = min(int(stream.dated.t_ns[0]) for stream in streams.values())
-    return (max(int(stream.dated.t_ns[-1]) for stream in streams.values()) - first) / 1e9
+    first = min(int(stream.timing.t_ns[0]) for stream in streams.values())
+    return (max(int(stream.timing.t_ns[-1]) for stream in streams.values()) - first) / 1e9
 
 
 def _sidecars(path: Path, settings: Settings) -> dict[str, video_file.Sidecar]:
@@ -155,7 +155,7 @@ def _films(
     limits = replace(settings.input, strict=strict)
     beside = {key: video_file.frames(sidecar, first_s, start_ns) for key, sidecar in sidecars.items()}
     return beside | {
-        key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.dated.t_ns, start_ns)
+        key: camera.frames(path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns)
         for key, s in streams.items()
         if s.role.role == "camera"
     }
@@ -178,10 +178,10 @@ def _features(log: Log, start_ns: int) -> Features | None:
     return read_features(log, start_ns)
 
 
-def _watched(tap: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
+def _consumed(tap: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
     if tap is None or seen is None:
         return None
-    return tap.watched(seen.rows, seen.dated.t_ns, seen.log_ns, start_ns)
+    return tap.consumed(seen.rows, seen.timing.t_ns, seen.log_ns, start_ns)
 
 
 def _named(
@@ -195,8 +195,8 @@ def _named(
     from . import table_tracks, topic_tracks
 
     asked = replace(settings, features=rest)
-    dated = next((stream.dated for stream in joint_topics.streams_of(streams)), None)
-    late_ns = (dated.offset_ns or 0) if dated is not None and dated.clock == "header" else 0
+    timing = next((stream.timing for stream in joint_topics.streams_of(streams)), None)
+    late_ns = (timing.offset_ns or 0) if timing is not None and timing.clock == "header" else 0
     found = dict(topic_tracks.tracks(log, asked, start_ns, late_ns))
     return found | dict(table_tracks.tracks(path, asked, start_ns, _duration(streams, log)))
 

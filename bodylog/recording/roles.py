@@ -127,7 +127,7 @@ def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str
     return [topic for topic in topics if topic.name not in fewer]
 
 
-def is_wished(topic: Topic) -> bool:
+def is_command(topic: Topic) -> bool:
     """Whether a joint topic holds commands, by its name."""
     return _WISHED.search(topic.name) is not None
 

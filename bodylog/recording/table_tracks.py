@@ -50,8 +50,8 @@ def _track(
     absolute = np.nanmedian(t) > EPOCH if np.isfinite(t).any() else False
     # whole seconds are subtracted first, to keep the microseconds of times since 1970
     t = t - start_ns // 10**9 - start_ns % 10**9 / 1e9 if absolute else t
-    dated = np.isfinite(t)
-    order = np.flatnonzero(dated)[np.argsort(t[dated], kind="stable")]
+    finite = np.isfinite(t)
+    order = np.flatnonzero(finite)[np.argsort(t[finite], kind="stable")]
     order = order[np.append(True, np.diff(t[order]) > 0)] if len(order) else order
     rejected = {"no time of its own": table.rows - len(order)} if len(order) < table.rows else {}
     t, places = t[order], places[order]

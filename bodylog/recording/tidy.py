@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..annotating.annotate import add
-from ..annotating.image_messages import Kind, Picture, pictures
+from ..annotating.image_messages import ImageMessage, Kind, image_messages
 from ..annotating.messages import from_joints, from_skin, from_track, stamps
 from ..errors import LogError
 from ..io.atomic_files import replacing
@@ -49,11 +49,11 @@ def ingest(
             writer.begin(PROFILE, LIBRARY)
             add(writer, messages, kept_metadata(recording) | {one.topic: about for one, about in further})
             unread: dict[str, list[str]] = {}
-            found = pictures(path, recording, unread)
-            seen, early = _pictures(found, recording.start_ns, window, writer, kept_metadata(recording))
+            found = image_messages(path, recording, unread)
+            seen, early = _write_images(found, recording.start_ns, window, writer, kept_metadata(recording))
             count = sum(len(o.log_ns) for o in messages) + seen
             if not count:
-                lacking = f"no joints, skin, truth or pictures {_within(start, end)}"
+                lacking = f"no joints, skin, truth or images {_within(start, end)}"
                 raise LogError(f"{path}: {lacking}; type: bodylog info {path}")
             writer.about(NAME, {"source": path.name, "source_sha256": digest(path)})
             writer.finish()
@@ -114,26 +114,26 @@ def cut(series: Series, start_ns: int, window: Window) -> Series:
     return replace(series, t=t, values=series.values[rows], source_ns=stamps(t, start_ns), std=std)
 
 
-def _pictures(
-    found: Iterable[Picture], start_ns: int, window: Window, writer: Writer, about: Mapping[str, Mapping[str, str]]
+def _write_images(
+    found: Iterable[ImageMessage], start_ns: int, window: Window, writer: Writer, about: Mapping[str, Mapping[str, str]]
 ) -> tuple[int, int]:
     """Write the images within `window`, about a chunk at a time; returns how many, and how many came before it.
 
     about {camera's topic without /image…: metadata}.
     """
-    pending: list[Picture] = []
+    pending: list[ImageMessage] = []
     channels: dict[Kind, int] = {}
     size = count = early = 0
-    for picture in found:
-        if not window[0] <= picture.t <= window[1]:
-            early += picture.t < window[0]
+    for image in found:
+        if not window[0] <= image.t <= window[1]:
+            early += image.t < window[0]
             continue
-        if picture.kind not in channels:
-            kind = picture.kind
+        if image.kind not in channels:
+            kind = image.kind
             own = about.get(kind.topic.partition("/image")[0], {})
             channels[kind] = writer.topic(kind.topic, kind.type, "cdr", kind.definition, kind.form, own)
-        pending.append(picture)
-        size += len(picture.payload)
+        pending.append(image)
+        size += len(image.payload)
         if size >= CHUNK_BYTES:
             writer.write(_messages(pending, channels, count, start_ns))
             count, size, pending = count + len(pending), 0, []
@@ -142,11 +142,11 @@ def _pictures(
     return count + len(pending), early
 
 
-def _messages(pending: list[Picture], channels: dict[Kind, int], count: int, start_ns: int) -> MessageTable:
-    log_ns = stamps(np.array([picture.t for picture in pending]), start_ns)
-    length = np.array([len(picture.payload) for picture in pending])
-    data = np.frombuffer(b"".join(picture.payload for picture in pending), np.uint8)
-    channel = np.array([channels[picture.kind] for picture in pending])
+def _messages(pending: list[ImageMessage], channels: dict[Kind, int], count: int, start_ns: int) -> MessageTable:
+    log_ns = stamps(np.array([image.t for image in pending]), start_ns)
+    length = np.array([len(image.payload) for image in pending])
+    data = np.frombuffer(b"".join(image.payload for image in pending), np.uint8)
+    channel = np.array([channels[image.kind] for image in pending])
     sequence = count + np.arange(len(pending))
     return MessageTable(channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length)
 

@@ -12,7 +12,7 @@ from ..logs.protocol import Log
 from ..settings import Settings
 from ..sources import TopicSource
 from ..types import Array, Health, Series, Topic
-from .clocks import date, largest_gap, seconds
+from .clocks import largest_gap, order_by_time, seconds
 from .stamp_field import stamp_field
 
 ENDS: Sequence[tuple[str, ...]] = (
@@ -56,18 +56,18 @@ def track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns
         rejected = {**rejected, **({"not in the message": empty} if empty else {})}
         why = ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "no message can be read"
         raise LogError(f"{log.path}: [features] {name}: {source.topic} shows no place: {why}")
-    dated = date(found.log_ns[rows], stamps, settings.time.camera)
-    own = (dated.offset_ns or 0) if dated.clock == "header" else 0
+    timing = order_by_time(found.log_ns[rows], stamps, settings.time.camera)
+    own = (timing.offset_ns or 0) if timing.clock == "header" else 0
     shift = own - late_ns if abs(own - late_ns) > 60_000_000_000 else 0
-    values = places[dated.rows]
+    values = places[timing.rows]
     std = values[:, 2:] if values.shape[1] == 4 else None
     known = std is not None and bool(np.isfinite(std).any())
-    t = seconds(dated.t_ns + shift, start_ns)
-    series = Series(t, values[:, :2], ("u", "v"), "px", found.log_ns[rows][dated.rows], std if known else None)
+    t = seconds(timing.t_ns + shift, start_ns)
+    series = Series(t, values[:, :2], ("u", "v"), "px", found.log_ns[rows][timing.rows], std if known else None)
     seen = np.isfinite(series.values).all(axis=1)
     hidden = {"not in the message": int((~seen).sum())} if not seen.all() else {}
-    counts = Counter(rejected) + Counter(dated.rejected) + Counter(hidden)
-    return series, Health(len(found.log_ns), int(seen.sum()), dict(counts), largest_gap(dated.t_ns))
+    counts = Counter(rejected) + Counter(timing.rejected) + Counter(hidden)
+    return series, Health(len(found.log_ns), int(seen.sum()), dict(counts), largest_gap(timing.t_ns))
 
 
 def _topic(log: Log, name: str, source: TopicSource) -> Topic:
@@ -121,8 +121,8 @@ def _places(
             continue
         rows.append(part.rows)
         places.append(place)
-        dated = part.values[0] if first else None
-        stamps.append(dated if isinstance(dated, np.ndarray) and dated.dtype == np.int64 else None)
+        stamp_values = part.values[0] if first else None
+        stamps.append(stamp_values if isinstance(stamp_values, np.ndarray) and stamp_values.dtype == np.int64 else None)
     if not rows:
         return np.empty(0, np.int64), None, np.empty((0, 2)), dict(rejected)
     order = np.argsort(np.concatenate(rows), kind="stable")

@@ -182,7 +182,7 @@ def test_convert_keeps_what_is_asked_for(tmp_path):
     np.testing.assert_array_equal(logs.open(tmp_path / "b.mcap")["/joint_states"].log_ns, T0 + 10 * np.arange(5, 10))
     with pytest.raises(UsageError, match="no topic '/x'; the topics are /joint_states"):
         logs.convert(path, tmp_path / "c.mcap", topics=["/x"])
-    with pytest.raises(UsageError, match="is also the input"):
+    with pytest.raises(UsageError, match="is also an input"):
         logs.convert(path, path)
     assert not (tmp_path / "c.mcap").exists()
 

@@ -246,11 +246,13 @@ def _consumed_and_read_again(log: Path, wanted: Settings = PLAIN) -> _Consumer:
     """Assert that the consumer gets the same frames that are read afterwards."""
     consumer = _Consumer()
     got, plain = read(log, wanted, consumer=lambda: consumer), read(log, wanted)
-    assert got.watched is not None and got.watched.by is consumer and plain.watched is None and consumer.ended == [None]
+    assert (
+        got.consumed is not None and got.consumed.by is consumer and plain.consumed is None and consumer.ended == [None]
+    )
     frames = list(plain.frames() if plain.frames else ())
-    assert [consumer.shades[n] for n in got.watched.number] == [int(f.image[0, 0, 0]) for f in frames]
-    assert got.watched.t.tolist() == [f.t for f in frames]
-    assert got.watched.source_ns.tolist() == [f.source_ns for f in frames]
+    assert [consumer.shades[n] for n in got.consumed.number] == [int(f.image[0, 0, 0]) for f in frames]
+    assert got.consumed.t.tolist() == [f.t for f in frames]
+    assert got.consumed.source_ns.tolist() == [f.source_ns for f in frames]
     assert got.joints is not None and plain.joints is not None
     assert got.joints.values.tobytes() == plain.joints.values.tobytes()
     assert got.health == plain.health
@@ -284,7 +286,7 @@ def test_read_uses_no_consumer_without_a_camera(tmp_path):
     image = camera("/cam", [(T0, compressed(T0, np.zeros((8, 8, 3), np.uint8)))])
     ours = write(tmp_path / "b.mcap", [joints("/j", moves(3)), arrays("/bodylog/x", np.ones((3, 2))), image])
     for log in (never, ours):
-        assert read(log, PLAIN, consumer=lambda: pytest.fail("got an image")).watched is None
+        assert read(log, PLAIN, consumer=lambda: pytest.fail("got an image")).consumed is None
 
 
 def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
@@ -301,7 +303,7 @@ def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
         consumer = _Consumer()
         unpacked.clear()
         tracemalloc.start()
-        assert read(log, PLAIN, consumer=lambda consumer=consumer: consumer).watched is not None
+        assert read(log, PLAIN, consumer=lambda consumer=consumer: consumer).consumed is not None
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         assert len(consumer.shades) == count and len(unpacked) == len(set(unpacked)) > count / 20

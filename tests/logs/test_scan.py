@@ -106,14 +106,14 @@ def test_open_reads_a_truncated_chunk_up_to_the_cut(tmp_path: Path, compression:
         tmp_path / "whole.mcap", count=3000, padding=400, extras=False, chunk_size=1 << 22,
         compression=getattr(written.CompressionType, compression.upper()),
     ).read_bytes()  # fmt: skip
-    whole, counts, path = read(tmp_path / "whole.mcap")[0], [], tmp_path / "cut.mcap"
+    messages, counts, path = read(tmp_path / "whole.mcap")[0], [], tmp_path / "cut.mcap"
     for share in (0.2, 0.4, 0.6):
         path.write_bytes(whole[: int(share * len(whole))])
         found, (finding,) = read(path)
-        assert sorted(found, key=lambda m: m[2]) == sorted(set(found) & set(whole), key=lambda m: m[2])
+        assert sorted(found, key=lambda m: m[2]) == sorted(set(found) & set(messages), key=lambda m: m[2])
         assert finding.severity == "lost" and "the file ends in this chunk" in finding.text
         counts.append(len(found))
-    assert 0 < counts[0] < counts[1] < counts[2] < len(whole)
+    assert 0 < counts[0] < counts[1] < counts[2] < len(messages)
 
 
 def _block(packed: bytes, last: int) -> int:
@@ -135,15 +135,15 @@ def test_open_reads_a_compressed_file_up_to_its_damage(tmp_path: Path) -> None:
 
     noise = {"count": 3000, "padding": 400, "extras": False, "chunk_size": 1 << 14}
     whole = written.source(tmp_path / "x.mcap", **noise, compression=written.CompressionType.NONE).read_bytes()
-    whole, path, counts = set(read(tmp_path / "x.mcap")[0]), tmp_path / "x.mcap.zst", []
+    messages, path, counts = set(read(tmp_path / "x.mcap")[0]), tmp_path / "x.mcap.zst", []
     packed = zstandard.ZstdCompressor(level=1).compress(whole)
     for share in (0.3, 0.6, 0.9):
         damaged = bytearray(packed)
         damaged[_block(packed, int(share * len(packed)))] |= 0b110
         path.write_bytes(damaged)
         found, findings = read(path)
-        assert set(found) <= whole and findings[-1].severity == "lost"
-        counts.append(len(found) / len(whole))
+        assert set(found) <= messages and findings[-1].severity == "lost"
+        counts.append(len(found) / len(messages))
     assert all(share - 0.2 < count < share + 0.1 for share, count in zip((0.3, 0.6, 0.9), counts, strict=True)), counts
 
 

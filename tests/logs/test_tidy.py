@@ -89,13 +89,13 @@ def test_ingest_keeps_only_the_window(tmp_path, log):
 
 
 def test_ingest_refuses_an_empty_window(tmp_path, log):
-    with pytest.raises(LogError, match=r"no joints, skin, truth or pictures from 900.0 s to the end"):
+    with pytest.raises(LogError, match=r"no joints, skin, truth or images from 900.0 s to the end"):
         ingest(log, tmp_path / "out.mcap", Settings(), start=900.0)
     assert not list(tmp_path.iterdir())
 
 
 def test_ingest_refuses_a_log_without_roles(tmp_path):
-    with pytest.raises(LogError, match="no joints, skin, truth or pictures in it"):
+    with pytest.raises(LogError, match="no joints, skin, truth or images in it"):
         ingest(source(tmp_path / "in.mcap"), tmp_path / "out.mcap", Settings())
 
 

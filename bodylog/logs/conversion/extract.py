@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ...errors import UsageError
 from ...io.atomic_files import replacing
+from ...io.outputs import Output, guard
 from ..formats import open_log
 from ..mcap.verification import verify
 from ..records import Finding
@@ -20,8 +21,7 @@ def convert(
     topics: only these · start, end: only messages logged between them, s since the log's first message. UsageError for
     an unknown topic, an empty time span, or an output that is also the input.
     """
-    if out.exists() and path.exists() and out.samefile(path):
-        raise UsageError(f"{out}: is also the input; choose another name for the output")
+    guard([path], [Output(out, "out")])
     span = _checked(path, topics, start, end)
     with replacing(out) as beside:
         with beside.open("wb") as stream:

@@ -29,7 +29,7 @@ def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_im
     check_size(height, width, mpx)
     image = _jpeg(data, height, width, k) if jpeg else None
     if image is None:
-        image = _any_picture(data, form, k if jpeg else 1)
+        image = _decode_any(data, form, k if jpeg else 1)
     return image if jpeg or k == 1 else _shrunk(image, k)
 
 
@@ -60,7 +60,7 @@ def _jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
     return None
 
 
-def _any_picture(data: memoryview, form: str, k: int) -> Array:
+def _decode_any(data: memoryview, form: str, k: int) -> Array:
     import cv2
 
     if data[:8] == _PNG:
@@ -69,7 +69,7 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
     home.setLogLevel(_SILENT)
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
-        with _unheard() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
+        with _silent_stderr() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
             image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise FormatError(f"a {form or 'compressed'} image of {len(data)} bytes: {error.err}") from None
@@ -79,8 +79,8 @@ def _any_picture(data: memoryview, form: str, k: int) -> Array:
 
 
 @contextmanager
-def _unheard() -> Iterator[None]:
-    """Without what libjpeg remarks of a damaged picture, which OpenCV has it write on standard error itself."""
+def _silent_stderr() -> Iterator[None]:
+    """Suppress libjpeg's messages on damaged images, which it writes to standard error itself."""
     with _STDERR, ExitStack() as after:
         try:
             kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)

@@ -33,7 +33,7 @@ _FIELDS = {
 
 
 FIELDS = frozenset(_RAW_FIELDS)
-"""What a message of pictures has at least, unless it is of a known type."""
+"""Fields that an image message of an unknown type needs at least."""
 
 
 class _Encoding(NamedTuple):

@@ -142,7 +142,7 @@ def believe_counts(summary: Summary, survey: Survey, diagnostics: Diagnostics) -
     survey.times = (
         [statistics["message_start_time"], statistics["message_end_time"]] if statistics["message_count"] else []
     )
-    dated = [chunk for chunk in chunks if chunk.end_ns]
-    if dated:  # rosbag2's statistics ignore a message at time zero, its chunks do not
-        survey.times += [min(chunk.start_ns for chunk in dated), max(chunk.end_ns for chunk in dated)]
+    timed = [chunk for chunk in chunks if chunk.end_ns]
+    if timed:  # rosbag2's statistics ignore a message at time zero, its chunks do not
+        survey.times += [min(chunk.start_ns for chunk in timed), max(chunk.end_ns for chunk in timed)]
     return True

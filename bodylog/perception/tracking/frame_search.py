@@ -99,17 +99,17 @@ class FrameSearcher:
         for other in self._others if kind is None else ():
             other.result()
 
-    def seen(self, watched: ConsumedFrames) -> Seen:
+    def seen(self, consumed: ConsumedFrames) -> Seen:
         """What the frames among the pictures show."""
         for sheet, results in self._sheets.items():
             self._measured[sheet] = _measured(results, self._ranges)
         parts = [_measured({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
         found, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
         first = next(((width, height) for width, height, _ in sizes[:1].tolist() if width), None)
-        wide, _, scale = sizes[watched.number].T
-        whole = blobs.enlarged(found[watched.number], scale)
+        wide, _, scale = sizes[consumed.number].T
+        whole = blobs.enlarged(found[consumed.number], scale)
         width, tracked = float((wide * scale).max(initial=0)), tuple(tracker.tracked() for tracker in self._trackers)
-        return Seen(watched.t, watched.source_ns, whole, wide == 0, width, first, tracked, watched.number)
+        return Seen(consumed.t, consumed.source_ns, whole, wide == 0, width, first, tracked, consumed.number)
 
     def _begin(self) -> None:
         self._begun.enter_context(one_opencv())
