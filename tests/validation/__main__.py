@@ -15,7 +15,7 @@ for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
 from docs.generate_claims import between  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
-HELPERS = {"__main__", "logs", "figures"}
+HELPERS = {"__main__", "explorations", "figures", "logs"}
 NAMES = sorted(path.stem for path in Path(__file__).parent.glob("*.py") if path.stem not in HELPERS)
 
 

@@ -1,10 +1,7 @@
-"""Measure the tables of docs/recording.md: errors against seconds of exploration and against the feature's size.
+"""Rendered explorations of some length with some marker, the body learned from each, and its errors in other logs."""
 
-python -m docs.measure_recording [seconds size tag] [--seeds N]      prints them, over seeds 0 to N - 1
-"""
-
-import argparse
 import tempfile
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +13,11 @@ from bodylog import config, pipeline
 from bodylog.body import storage
 from bodylog.settings import Kinematics, Settings
 
+SEEDS = 3
 _ELSEWHERE = 100
 """Added to the seeds of the logs that a body is tested on."""
 
-_AWAY, _FOCAL = 1.20, 0.9 * 640
+AWAY, FOCAL = 1.20, 0.9 * 640
 """How far (m) the head's camera is from the arm at home, and its focal length in px."""
 
 _TAGGED = '[features]\neffector = { tag = 7, dictionary = "apriltag_36h11" }\n'
@@ -40,37 +38,12 @@ class Case:
         return {"feature": self.feature, "feature_size": self.size, "seed": seed, "duration": seconds}
 
 
-TABLES = {
-    "seconds": [Case(seconds=seconds) for seconds in (5.0, 10.0, 20.0, 40.0)],
-    "size": [Case(size=size, seconds=20.0) for size in (0.0125, 0.025, 0.05)],
-    "tag": [Case("tag", size, 20.0) for size in (0.04, 0.08)],
-}
-HEAD = (
-    "| feature | size cm | px | exploration s | images that show it % | error of the body px "
-    "| reach rad | drift rad |\n" + "|---" * 8 + "|"
-)
-
-
-def main() -> None:
-    """Print the tables that were asked for, or all."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("tables", nargs="*", help=f"of {', '.join(TABLES)}; default: all")
-    parser.add_argument("--seeds", type=int, default=3)
-    wish = parser.parse_args()
+def rows(cases: Iterable[Case]) -> Iterator[list[str]]:
+    """Of each case: images that show the marker %, the body's error px, errors rad of the estimates of _USED."""
     with tempfile.TemporaryDirectory() as folder:
-        for name in wish.tables or TABLES:
-            print(f"\n{name}\n\n{HEAD}", flush=True)
-            for case in TABLES[name]:
-                found = [measured(case, seed, Path(folder)) for seed in range(wish.seeds)]
-                print(_row(case, np.array(found)), flush=True)
-
-
-def _row(case: Case, found: np.ndarray) -> str:
-    """A row of the table from figures (seeds, 6): medians, and least to most where they are of the body."""
-    seen, error, *rest = (_spread(column) for column in found.T[:4])
-    beside = [f"{cell} ({np.median(column):.3f})" for cell, column in zip(rest, found.T[4:], strict=True)]
-    size = f"{case.size * 100:g} | {case.size * _FOCAL / _AWAY:.0f}"
-    return f"| {case.feature} | {size} | {case.seconds:g} | {seen} | {error} | {' | '.join(beside)} |"
+        for case in cases:
+            found = np.array([measured(case, seed, Path(folder)) for seed in range(SEEDS)])
+            yield [_spread(column) for column in found.T]
 
 
 def _spread(column: np.ndarray) -> str:
@@ -81,7 +54,7 @@ def _spread(column: np.ndarray) -> str:
 def measured(case: Case, seed: int, work: Path) -> tuple[float, ...]:
     """Learn a body and use it on logs of other motions, which are kept in `work`.
 
-    Share of images with the feature %, the body's error px, errors of the estimates of _USED rad, of their encoders.
+    Share of images with the feature %, the body's error px, errors of the estimates of _USED rad.
     """
     explore, body = work / "explore.mcap", work / "body.npz"
     settings = _settings(case, work)
@@ -91,10 +64,8 @@ def measured(case: Case, seed: int, work: Path) -> tuple[float, ...]:
     ends = []
     for log in used.values():
         scores = pipeline.estimate(log, body, work / "estimate.mcap", settings).scores
-        values = {score.name: score.value for score in scores}
-        ends.append((values["rmse/joint"], values["rmse/encoders"]))
-    estimates, encoders = zip(*ends, strict=True)
-    return 100 * tracked.used / tracked.seen, body_error(used["reach"], body), *estimates, *encoders
+        ends.append(next(score.value for score in scores if score.name == "rmse/joint"))
+    return 100 * tracked.used / tracked.seen, body_error(used["reach"], body), *ends
 
 
 def _recorded(scenario: str, seconds: float, case: Case, seed: int, work: Path) -> Path:
@@ -124,7 +95,3 @@ def body_error(log: Path, body: Path) -> float:
     x = np.column_stack([np.interp((at - t[0]) / 1e9, (t - t[0]) / 1e9, q[:, joint]) for joint in order])
     expected = learned.senses["effector"].predict(x)[0]
     return float(np.sqrt(np.mean(np.sum((expected - np.column_stack([u, v])) ** 2, axis=1))))
-
-
-if __name__ == "__main__":
-    main()
