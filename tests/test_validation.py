@@ -8,7 +8,11 @@ import pytest
 
 from tests.validation import __main__ as validation
 
-PAGES = {path.name: path.read_text(encoding="utf-8") for path in (validation.ROOT / "docs").glob("*.md")}
+FILES = [validation.ROOT / "README.md", *(validation.ROOT / "docs").glob("*.md")]
+PAGES = {path.name: path.read_text(encoding="utf-8") for path in FILES}
+FEW = 10
+"""Decimal numbers that a table may have which is of no measurements."""
+COMMAND = re.compile(r"python -m [\w.]+|make (?:bench|validation)|bodylog (?:reproduce|evaluate|estimate|fit)")
 
 
 @pytest.mark.parametrize("name", validation.NAMES)
@@ -28,6 +32,17 @@ def test_the_page_has_no_table_that_no_script_makes():
         if begin in text:
             text = text.split(begin)[0] + text.split(end)[1]
     assert "\n|" not in text and "<!--" not in text
+
+
+@pytest.mark.parametrize("name", sorted(PAGES))
+def test_a_table_of_figures_has_the_command_that_makes_it_in_its_section(name):
+    section = ""
+    for part in re.split(r"^(?=#+ )", PAGES[name], flags=re.MULTILINE):
+        # a page's first part speaks for all that follow
+        section = section or part
+        for table in re.findall(r"^\|(?:.*\n\|)+", part, re.MULTILINE):
+            figures = re.findall(r"[^\w.]\d+\.\d+\b", table)
+            assert len(figures) < FEW or COMMAND.search(part) or COMMAND.search(section), table.splitlines()[0]
 
 
 def test_a_table_is_written_between_its_markers_and_nowhere_else(tmp_path, monkeypatch):

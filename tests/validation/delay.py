@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bodylog.estimation.timing.correction import GAIN, late
+from bodylog.estimation.timing.correction import GAIN, measured_delays
 from tests.estimation.conftest import draw
 from tests.estimation.test_delay import delayed
 from tests.validation import error_bars, figures, logs
@@ -27,7 +27,7 @@ def row(name, pairs):
     runs = []
     for k, (log, body) in enumerate(pairs):
         given = DELAYS[k % len(DELAYS)]
-        runs += [(given, one) for one in late(delayed(log.features, given), body).values()]
+        runs += [(given, one) for one in measured_delays(delayed(log.features, given), body).values()]
     given, std, seconds, nats = np.transpose([(g, one.std_error, one.seconds, one.nats) for g, one in runs])
     off, large, none = (seconds - given) / std, np.abs(given) >= LARGE, given == 0.0
     share = (f"{(nats[rows] > GAIN).sum()} of {rows.sum()}" for rows in (large, none))
