@@ -29,14 +29,14 @@ def test_file_overrides_defaults_and_command_line_overrides_file(tmp_path):
     assert isinstance(settings.estimate.rate, float)
 
 
-def test_cameras_are_one_or_many_and_printed_as_they_were_given(tmp_path):
+def test_cameras_are_one_or_many_and_survive_printing(tmp_path):
     assert load(None).topics.cameras == ()
     assert load(_file(tmp_path, "[topics]\ncamera = '/a'\n")).topics.cameras == ("/a",)
     many = load(_file(tmp_path, "[topics]\ncamera = ['/a', '/b']\n"))
     assert many.topics.cameras == ("/a", "/b") and load(_file(tmp_path, toml(many))) == many
 
 
-def test_colours_take_a_name_or_ranges_and_markers_a_table_of_them(tmp_path):
+def test_colours_are_names_or_hsv_ranges(tmp_path):
     text = '[colours]\neffector = {low = [50, 80, 80], high = [70, 255, 255]}\nmarkers = {elbow = "blue"}\n'
     colours = load(_file(tmp_path, text)).colours
     assert colours.effector == {"low": (50, 80, 80), "high": (70, 255, 255)}
@@ -44,7 +44,7 @@ def test_colours_take_a_name_or_ranges_and_markers_a_table_of_them(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("content", "text"),
     [
         ("[topic]\njoints = '/j'", "did you mean topics"),
         ("[body]\njoint = ['a']", "did you mean joints"),
@@ -59,7 +59,7 @@ def test_colours_take_a_name_or_ranges_and_markers_a_table_of_them(tmp_path):
         ("[body]\nunit = 'degrees'", "possible: rad, deg, or counts of one turn.*did you mean deg"),
         ("[body]\nunit = '0 counts'", "possible: rad, deg, or counts"),
         ("[colours]\nhand = 'puce'", "possible: blue"),
-        ("[colours]\nhand = {low = [1, 2], high = [3, 4, 5]}", "possible: blue.*default: \"red\""),
+        ("[colours]\nhand = {low = [1, 2], high = [3, 4, 5]}", 'possible: blue.*default: "red"'),
         ("[colours]\nhand = {low = [1, 2, 300], high = [3, 4, 5]}", "h 0..180"),
         ("[estimate]\nmethod = 'smother'", "possible: laplace, smoother, .*; did you mean smoother?"),
         ("[estimate]\nrate = true", "possible: number from 0.001 to 10000 Hz; leave it out for: the encoders' rate"),
@@ -84,9 +84,9 @@ def test_colours_take_a_name_or_ranges_and_markers_a_table_of_them(tmp_path):
         ("skin = " + "[" * 100_000, "cannot be read as TOML"),
     ],
 )
-def test_what_makes_no_sense_is_refused_in_one_line(tmp_path, text, said):
-    with pytest.raises(ConfigError, match=said) as caught:
-        load(_file(tmp_path, text))
+def test_impossible_settings_are_rejected_in_one_line(tmp_path, content, text):
+    with pytest.raises(ConfigError, match=text) as caught:
+        load(_file(tmp_path, content))
     assert "robot.toml" in str(caught.value)
 
 
@@ -95,18 +95,18 @@ def test_absent_file_is_a_usage_error(tmp_path):
         load(tmp_path / "none.toml")
 
 
-def test_a_file_without_end_is_refused():
+def test_endless_file_is_rejected():
     with pytest.raises(ConfigError, match="more than 4194304 bytes"):
         load(Path("/dev/zero"))
 
 
-def test_printed_settings_read_back_as_they_were(tmp_path):
+def test_printed_settings_read_back_unchanged(tmp_path):
     given = '[body]\njoints = ["pan \\" lift", "b"]\n[colours]\nmarkers = {elbow = {low = [1,2,3], high = [4,5,6]}}\n'
     settings = load(_file(tmp_path, given))
     assert load(_file(tmp_path, toml(settings))) == settings
 
 
-def test_the_papers_preset_is_the_papers_method(tmp_path):
+def test_preset_paper_implies_predictive_coding(tmp_path):
     toml = tmp_path / "robot.toml"
     toml.write_text('[estimate]\npreset = "paper"\n')
     assert load(toml).estimate.method == "predictive-coding"

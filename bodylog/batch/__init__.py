@@ -1,4 +1,4 @@
-"""Many logs, each with a learned body: every log gets its row, whatever happens to it."""
+"""Estimates for many logs: each log gets a row of results, whatever happens to it."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from . import folders, jobs, local, results, resume, work
 from .jobs import Job, Row
 
 Report = Callable[[Row, int, int], None]
-"""Called with each finished row, how many are done and how many there are."""
+"""Called with each finished row, the number of finished rows and the number of all rows."""
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,9 @@ class Group:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a batch is asked to do, and with what: processes, bytes of memory, which part, on which scheduler.
+    """The work of a batch and its resources: processes, memory (bytes), shard (I, N), Dask scheduler.
 
-    `inputs` are further files that it must not write to: its manifest, a robot.toml.
+    `inputs` are further files that must not be written to: the manifest, a robot.toml.
     """
 
     groups: tuple[Group, ...]
@@ -47,14 +47,14 @@ class Plan:
 
 
 def batch(plan: Plan, report: Report | None = None) -> list[Row]:
-    """One row per log of this shard, in name order; also left in plan.out as results.jsonl, junit.xml, summary.html.
+    """One row per log of this shard, in name order; plan.out gets results.jsonl, junit.xml and summary.html.
 
-    Shards that share plan.out leave there together what one run over all logs leaves.
+    Shards that share plan.out together leave the same files as one run over all logs.
     """
-    whole, names = _planned(plan)
-    mine = [job for job in whole if job.name in names]
+    every, names = _planned(plan)
+    mine = [job for job in every if job.name in names]
     done = {job.name: row for job in mine if plan.resume and (row := resume.finished(job))}
-    journal = results.Journal(plan.out, whole, frozenset(names), done)
+    journal = results.Journal(plan.out, every, frozenset(names), done)
     for row in _run(plan, [job for job in mine if job.name not in done]):
         done[row["name"]] = row
         journal.add(row)
@@ -68,14 +68,14 @@ def batch(plan: Plan, report: Report | None = None) -> list[Row]:
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """The worst kind met, from sound to our bug: 0, 3, 4, 65, 73, 74, 1."""
+    """The worst exit code of the rows, in the order 0, 3, 4, 65, 73, 74, 1."""
     return max((row["exit_code"] for row in rows), key=list(work.STATUS).index, default=0)
 
 
 def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
-    """The jobs of all shards, and the names of this shard's.
+    """The jobs of all shards, and the names of this shard's jobs.
 
-    What no log can help is refused before anything is made: a bound, method or sense that is none, a body, a place.
+    Invalid bounds, methods, senses, bodies and output folders are rejected before any log is processed.
     """
     from ..evaluation import bounds
 
@@ -110,12 +110,12 @@ def _planned(plan: Plan) -> tuple[list[Job], set[str]]:
 
 
 def _path(log: str) -> Path | None:
-    """Where a log lies on this machine, if it does."""
+    """A log's path, None for a remote log."""
     return remote.file_behind(log) if remote.is_url(log) else Path(log)
 
 
 def _check(body: Path, settings: Settings, checked: set[object]) -> None:
-    """ModelError or UsageError for a body that is none, or a method or sense that it does not know; each once."""
+    """ModelError or UsageError for a damaged body, or a method or sense it cannot use; each pair is checked once."""
     from .. import estimation
     from ..body import storage
 
@@ -145,7 +145,7 @@ def _run(plan: Plan, open_jobs: Sequence[Job]) -> Iterator[Row]:
 
 
 def _body(group: Group, folder: Path) -> Path:
-    """The body model given, or the one learned from the training logs, kept when it is what would be learned again."""
+    """The given body model, or one learned from the training logs unless an earlier run left the same."""
     if group.body is not None:
         return group.body
     with folders.alone(folder, folders.BATCH):  # shards that share a folder learn the body once

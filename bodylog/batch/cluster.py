@@ -1,4 +1,4 @@
-"""The jobs of a batch on a Dask distributed scheduler, so on whatever dask-jobqueue and its kin can start."""
+"""Run the jobs of a batch on a Dask distributed scheduler, for example one started by dask-jobqueue."""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -27,7 +27,7 @@ def _client(scheduler: str, workers: int) -> "Client":
     try:
         import dask
 
-        # read when distributed is imported: workers forked from a server that has it loaded start several times sooner
+        # must be set before distributed is imported: forked workers start several times faster than spawned ones
         dask.config.set({"distributed.worker.multiprocessing-method": "forkserver", "logging.distributed": "error"})
         from distributed import Client, LocalCluster
     except ImportError as err:
@@ -37,11 +37,11 @@ def _client(scheduler: str, workers: int) -> "Client":
     try:
         return Client(scheduler, timeout="5s")
     except (OSError, ValueError, TimeoutError) as err:
-        raise UsageError(f"--scheduler {scheduler}: nothing answers there; type: tcp://HOST:PORT or local") from err
+        raise UsageError(f"--scheduler {scheduler}: no scheduler answers; type: tcp://HOST:PORT or local") from err
 
 
 def do(job: Job) -> Row:
-    """One job on a worker, which Dask tells to give memory back at once: bodylog asks for the same again and again."""
+    """Run one job on a worker. The allocator keeps freed memory, which Dask otherwise has workers return at once."""
     import cv2
 
     malloc.tune_malloc()
@@ -52,7 +52,7 @@ def do(job: Job) -> Row:
 def _gather(client: "Client", jobs: Sequence[Job]) -> Iterator[Row]:
     from distributed import as_completed
 
-    # pure=False: the work lies in files, so an equal call is still a call to make.
+    # pure=False: a job writes files, so an equal call is not redundant
     futures = {client.submit(do, job, pure=False, retries=TRIES): job for job in jobs}
     for future in as_completed(list(futures)):
         if future.status == "finished":

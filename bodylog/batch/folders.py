@@ -1,4 +1,4 @@
-"""The folders a batch writes into: made and marked by it, so that nothing of anybody else's is ever replaced."""
+"""The folders of a batch: marked by it, so that it replaces only its own files."""
 
 import fcntl
 import hashlib
@@ -15,7 +15,7 @@ from ..io.atomic_files import ensure_dir
 BATCH = ".bodylog-batch"
 """Marks a folder that holds the results of a batch."""
 RESULT = ".bodylog-result"
-"""Marks a folder that holds what came of one log: nothing in it is a log to begin with."""
+"""Marks a folder that holds the results of one log; its files are never taken as input logs."""
 SUMMARIES = ("results.jsonl", "junit.xml", "summary.html")
 BODY = ("body.npz", "body.json")
 OUTPUTS = ("annotated.mcap", "report.html", "robot.toml")
@@ -28,16 +28,16 @@ _BEGIN = {
     "junit.xml": b"<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites name=\"bodylog\"",
     "summary.html": b'<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>bodylog batch</title>',
 }
-"""How the files begin that earlier versions left in folders without a mark."""
+"""First bytes of the files that earlier versions left in unmarked folders."""
 _LONGEST = 200
 TAKEN = frozenset((*SUMMARIES, *BODY))
 """Names in a batch's folder that no log's folder may have."""
 
 
 def named(names: Mapping[str, str]) -> dict[str, str]:
-    """A folder name per log, by log: its file name made safe, with a digest of where it is where two are alike.
+    """A folder name for each log: its file name made safe, with a digest of its path where two names are equal.
 
-    Alike are also names that differ in case or in how accents are spelled, for some disks take them for one.
+    Names that differ only in case or in the encoding of accents are equal: some file systems do not distinguish them.
     """
     plain = {log: re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log" for log, name in names.items()}
     taken = Counter([*map(folded, plain.values()), *TAKEN])
@@ -50,7 +50,7 @@ def named(names: Mapping[str, str]) -> dict[str, str]:
 
 
 def folded(name: str) -> str:
-    """A name as disks compare it that ignore case."""
+    """A name as case-insensitive file systems compare it."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
@@ -59,21 +59,21 @@ def _digest(log: str) -> str:
 
 
 def check(folder: Path, results: Iterable[Path]) -> None:
-    """UsageError when a batch into `folder`, with logs' folders `results`, would replace what no batch left there."""
+    """UsageError if a batch into `folder`, with the logs' folders `results`, would replace files of others."""
     _no_file(folder)
     if not (folder / BATCH).is_file():
         for path in (folder / name for name in SUMMARIES):
             if path.exists() and not _left_by_a_batch(path):
-                raise UsageError(f"{path}: no batch left this, and it would be replaced; give another folder with -o")
+                raise UsageError(f"{path}: no batch wrote this file, and it would be replaced; type another -o")
     for path in results:
         _no_file(path)
         if path.is_dir() and not is_result(path) and any(path.iterdir()):
-            raise UsageError(f"{path}: no batch made this folder, and its results go there; give another one with -o")
+            raise UsageError(f"{path}: no batch made this folder, and a log's results go there; type another -o")
 
 
 def _no_file(folder: Path) -> None:
     if (folder.exists() or folder.is_symlink()) and not folder.is_dir():
-        raise OutputError(f"{folder}: is in the place of a folder; give another one with -o")
+        raise OutputError(f"{folder}: is not a folder; type another -o")
 
 
 def _left_by_a_batch(path: Path) -> bool:
@@ -85,7 +85,7 @@ def _left_by_a_batch(path: Path) -> bool:
 
 
 def is_result(folder: Path) -> bool:
-    """Whether a batch made this folder for what came of a log; earlier versions marked it with a lock alone."""
+    """Whether a batch made this folder for a log's results; earlier versions marked it with a lock file only."""
     if (folder / RESULT).is_file():
         return True
     return (folder / _OLD_LOCK).is_file() and all(
@@ -94,7 +94,7 @@ def is_result(folder: Path) -> bool:
 
 
 def mark(folder: Path, name: str) -> Path:
-    """`folder`, made where it is not there yet, and marked."""
+    """Create the folder unless it exists, and mark it."""
     ensure_dir(folder)
     (folder / name).open("a").close()
     if name == RESULT:
@@ -104,9 +104,9 @@ def mark(folder: Path, name: str) -> Path:
 
 @contextmanager
 def alone(folder: Path, name: str) -> Iterator[None]:
-    """Wait until nobody else is at what goes into a marked folder, and keep others waiting meanwhile.
+    """Hold the lock of a marked folder.
 
-    Where files cannot be locked nobody waits: each file is written whole, and what was written is looked at again.
+    On file systems without locks nobody waits: each file is written atomically, and results are read again afterwards.
     """
     with (folder / name).open("a") as lock:
         with suppress(OSError):

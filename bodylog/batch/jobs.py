@@ -1,4 +1,4 @@
-"""Which logs a batch is about, paths or URLs, and what each is called."""
+"""The logs of a batch, paths or URLs, and their names."""
 
 import glob
 import itertools
@@ -15,18 +15,18 @@ from ..settings import Settings
 from . import folders
 
 Row = dict[str, Any]
-"""What became of one log, as plain values: a line of results.jsonl."""
+"""The results of one log as plain values: a line of results.jsonl."""
 
 MOST = 100_000
-"""Names that a pattern may fit, and folders that are searched: more are not meant."""
+"""Most names that a pattern may match, and most folders that are searched."""
 SUFFIXES = (".bag", ".bag.active", ".mcap", ".mcap.zst", ".db3", ".db3.zstd", ".hdf5", ".h5")
 
 
 @dataclass(frozen=True)
 class Job:
-    """One log to estimate, score and report on, the folder for what comes of it, and whether an earlier run counts.
+    """One log to estimate, score and report on, its results' folder, and whether to keep an earlier run's results.
 
-    `how` is a digest of all that the result depends on but the log.
+    `how` is a digest of everything but the log that the results depend on.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Job:
 
 
 def named(logs: Sequence[str]) -> dict[str, str]:
-    """The logs by name, in path order; LogError when there are none."""
+    """The logs by name, in path order; LogError if there is no log."""
     found = sorted({log for given in logs for log in find(given)})
     if not found:
         raise LogError(f"{', '.join(logs)}: no log in there; logs end in {', '.join(SUFFIXES)}")
@@ -49,7 +49,7 @@ def named(logs: Sequence[str]) -> dict[str, str]:
 
 
 def share(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:
-    """The names that are this shard's; UsageError when the shard is unsound."""
+    """The names of this shard (I, N): every N-th, from the I-th; UsageError for an impossible shard."""
     index, count = shard
     if not 1 <= index <= count:
         raise UsageError(f"--shard {index}/{count}: the first number runs from 1 to the second")
@@ -57,9 +57,9 @@ def share(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:
 
 
 def find(given: str) -> Iterator[str]:
-    """Logs behind a file, a folder (searched to the bottom), a pattern or a URL; LogError when there is none.
+    """The logs of a file, a folder (searched recursively), a pattern or a URL; LogError if there is no log.
 
-    What a batch left is found only where it is named.
+    Results of a batch are skipped unless they are named.
     """
     if remote.is_url(given):
         yield from remote.expand(given, SUFFIXES)
@@ -75,7 +75,7 @@ def find(given: str) -> Iterator[str]:
 
 
 def _episodes(path: Path) -> list[Path]:
-    """The episodes of a dataset that has several; any other log, and a dataset that cannot be read, by itself."""
+    """The episodes of a dataset that has several; otherwise the path, also of a dataset that cannot be read."""
     from ..logs.datasets import kinds
 
     try:
@@ -86,7 +86,7 @@ def _episodes(path: Path) -> list[Path]:
 
 
 def _matches(pattern: str) -> list[Path]:
-    """What fits a pattern, but for what batches left; UsageError for one that has no end, or nearly so."""
+    """The paths that match a pattern, without results of batches; UsageError if there are too many."""
     if re.search(r"[*?\[].*/\.\.(/|$)", pattern):
         raise UsageError(f"{pattern}: a pattern goes back (..) after a wildcard; name the folders to search instead")
     found = glob.iglob(re.sub(r"(\*\*/)+", "**/", pattern), recursive=True)
@@ -100,7 +100,7 @@ def _matches(pattern: str) -> list[Path]:
 
 
 def _inside(folder: Path) -> Iterator[Path]:
-    """The logs in a folder, in path order, each folder once: links may lead back; UsageError when there is no end."""
+    """The logs in a folder, in path order, each folder once despite links; UsageError if there are too many folders."""
     from ..logs.datasets import kinds
 
     seen, left = set[Key | None]((None,)), [folder]
@@ -122,7 +122,7 @@ def _inside(folder: Path) -> Iterator[Path]:
 
 
 def is_rosbag2(folder: Path) -> bool:
-    """Whether a folder is one recorded log rather than a folder of logs."""
+    """Whether a folder is a rosbag2 log rather than a folder of logs."""
     return (folder / "metadata.yaml").is_file() or any(folder.glob("*.db3"))
 
 

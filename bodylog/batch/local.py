@@ -1,4 +1,4 @@
-"""The jobs of a batch on this machine: a pool of processes, largest logs first, within a memory budget."""
+"""Run the jobs of a batch on this machine: a pool of processes, largest logs first, within a memory budget."""
 
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,15 +49,15 @@ def size(log: str) -> int:
 
 
 def need(size: int) -> int:
-    """Bytes of memory that a log of so many bytes is expected to want: signals are held, pictures are streamed."""
+    """Expected memory (bytes) for a log of `size` bytes: signals are held, images are streamed."""
     return BASE_BYTES + size // 2
 
 
 class Pool:
-    """Worker processes, each with a pipe of its own, so that one that dies takes only its own job with it."""
+    """Worker processes, each with its own pipe: a worker that dies loses only its own job."""
 
     def __init__(self, workers: int, memory: int | None, keep_going: bool) -> None:
-        """Start nothing yet."""
+        """Start no process yet."""
         self._workers, self._memory, self._keep_going = workers, memory, keep_going
         self._context = multiprocessing.get_context("spawn")
         self._idle: list[tuple[BaseProcess, Connection]] = []
@@ -66,7 +66,7 @@ class Pool:
         self._needs: dict[str, int] = {}
 
     def run(self, queue: Sequence[Job], sizes: Mapping[str, int]) -> Iterator[Row]:
-        """Rows as they finish; a job whose worker dies is tried once more, then it is a row. sizes: bytes by name."""
+        """Rows as they finish; a job whose worker dies is tried once more, then becomes a row. sizes: bytes by name."""
         queue, self._needs = list(queue), {name: need(size) for name, size in sizes.items()}
         try:
             while queue or self._busy:
@@ -89,7 +89,7 @@ class Pool:
             self._busy[pipe] = (process, job)
 
     def _fits(self, job: Job) -> bool:
-        """Whether memory allows one more; a job too large for the budget runs alone."""
+        """Whether the memory budget allows another job; a job above the budget runs alone."""
         taken = sum(self._needs[busy.name] for _, busy in self._busy.values())
         return not self._busy or self._memory is None or taken + self._needs[job.name] <= self._memory
 
@@ -125,7 +125,7 @@ class Pool:
 
 
 def _worker(pipe: Connection) -> None:
-    """Do what comes through the pipe until it closes or the process is told to end."""
+    """Run the jobs that arrive through the pipe until it closes or the process gets a signal."""
     import cv2
 
     ready()

@@ -70,7 +70,7 @@ def _group(path: Path, table: GroupTable, name: str, settings: Settings) -> Grou
     base = path.parent
     safe = re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "group"
     if len(safe) > LONGEST or folders.folded(safe) in folders.TAKEN:
-        raise ConfigError(f"{path}: a group is called {shown(name)}: too long, or taken; give another name")
+        raise ConfigError(f"{path}: a group is called {shown(name)}: too long, or reserved; type another name")
     return Group(
         name=safe,
         logs=tuple(log if remote.is_url(log) else str(base / log) for log in table.logs),

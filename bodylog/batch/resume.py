@@ -1,4 +1,4 @@
-"""What need not be done again: rows whose inputs, settings and version are the same and whose outputs still hold."""
+"""Results that an earlier run left: valid if inputs, settings and version are the same and outputs are unchanged."""
 
 import hashlib
 import json
@@ -17,25 +17,25 @@ from .folders import RESULT, ROW, mark
 from .jobs import Job, Row
 
 HOW = "how"
-"""In row.json beside the row: a digest of all that it depends on but the log."""
+"""Key of row.json: a digest of everything but the log that the row depends on."""
 ODD = "backslashreplace"
-"""What becomes of a file name that is no text: in JSON what it is read back from."""
+"""Encoding of bytes in file names that are not UTF-8; JSON preserves it."""
 
 
 def key(job: Job) -> str:
-    """Digest of what the outputs depend on: log (what its store says of a URL), body, settings, bounds, version."""
+    """Digest of what a log's outputs depend on: log (a URL: its identity), body, settings, bounds, version."""
     log = remote.identity(job.log) if remote.is_url(job.log) else digest(Path(job.log))
     parts = [log, sha256(job.body), plain(job.settings), list(job.bounds), __version__]
     return _digest(parts)
 
 
 def how(body: Path, settings: Settings, bounds: Sequence[str]) -> str:
-    """Digest of what the outputs of all logs depend on: body, settings, bounds, version."""
+    """Digest of what all logs' outputs depend on: body, settings, bounds, version."""
     return _digest([sha256(body), plain(settings), list(bounds), __version__])
 
 
 def leave(job: Job, row: Row) -> Row:
-    """Leave a row beside its outputs; the row just as `left` and `finished` read it."""
+    """Write a row beside its outputs; returns the row as `left` and `finished` read it."""
     text = json.dumps({**row, HOW: job.how}, sort_keys=True, ensure_ascii=False, allow_nan=False)
     with replacing(job.folder / ROW) as beside:
         beside.write_text(text, encoding="utf-8", errors=ODD)
@@ -43,13 +43,13 @@ def leave(job: Job, row: Row) -> Row:
 
 
 def left(job: Job) -> Row | None:
-    """The row that another shard left, if that was done in the same way; None otherwise."""
+    """The row that another shard left with the same body, settings, bounds and version; None otherwise."""
     row = _read(job.folder / ROW)
     return _plain(row) if row is not None and row.get(HOW) == job.how else None
 
 
 def finished(job: Job) -> Row | None:
-    """The row an earlier run left, if it is for the same work and each output is whole; None otherwise."""
+    """The row of an earlier run, if its work is the same and its outputs are unchanged; None otherwise."""
     row = _read(job.folder / ROW)
     if row is None or row.get("key") is None or row["key"] != _key_or_none(job):
         return None
@@ -58,7 +58,7 @@ def finished(job: Job) -> Row | None:
         return None
     if row.get(HOW) == job.how:
         return _plain(row)
-    mark(job.folder, RESULT)  # an earlier version left it
+    mark(job.folder, RESULT)  # by an earlier version
     return leave(job, row)
 
 
@@ -86,7 +86,7 @@ def _same(path: Path, digest: str) -> bool:
 
 
 def _counted(job: Job, row: Row) -> bool:
-    """Whether the annotated log, opened again, holds as many messages as its row says."""
+    """Whether the annotated log has as many messages as its row declares."""
     if "annotated.mcap" not in row["outputs"]:
         return True
     try:
@@ -96,31 +96,31 @@ def _counted(job: Job, row: Row) -> bool:
 
 
 def learned(train: Sequence[Path], body: Path, settings: Settings) -> Path:
-    """The body model learned from `train`, unless the one there comes from the same logs and settings."""
+    """Learn the body model from `train`, unless the existing one is from the same logs and settings."""
     for log in train:
         if not episodes.base(log).exists():
             raise LogError(f"{log}: there is no such file or folder; check the name")
-    said = _mark_of(body)
-    wanted, known = _digest([[digest(log) for log in train], plain(settings), __version__]), _read_mark(said)
+    mark_file = _mark_of(body)
+    wanted, known = _digest([[digest(log) for log in train], plain(settings), __version__]), _read_mark(mark_file)
     if not (_loads(body) and known == [wanted, sha256(body)]):
-        _leave_mark(said, [wanted, None])
+        _leave_mark(mark_file, [wanted, None])
         pipeline.fit(train, body, settings)
-        _leave_mark(said, [wanted, sha256(body)])
+        _leave_mark(mark_file, [wanted, sha256(body)])
     return body
 
 
 def check_replaceable(body: Path) -> None:
-    """UsageError when a body model, or the mark beside it, is there that no batch left: it is not replaced.
+    """UsageError if a body model or a mark beside it exists that is not from a batch.
 
-    The mark holds the body's digest, or None while it is being learned.
+    The mark holds the body's digest, or None while the body is being learned.
     """
-    said = _mark_of(body)
-    known = _read_mark(said)
+    mark_file = _mark_of(body)
+    known = _read_mark(mark_file)
     ours = isinstance(known, list) and len(known) == 2
-    if said.exists() and not ours:
-        raise UsageError(f"{said}: no batch left this, and --train would replace it; give another folder with -o")
+    if mark_file.exists() and not ours:
+        raise UsageError(f"{mark_file}: no batch wrote this file, and --train would replace it; type another -o")
     if body.exists() and not (ours and body.is_file() and known[1] in (None, sha256(body))):
-        raise UsageError(f"{body}: no batch learned it, and --train would replace it; give another folder with -o")
+        raise UsageError(f"{body}: no batch learned this body, and --train would replace it; type another -o")
 
 
 def _mark_of(body: Path) -> Path:

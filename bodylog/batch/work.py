@@ -1,4 +1,4 @@
-"""One log of a batch: estimate, score, report, and the row that says how it went."""
+"""One log of a batch: estimate, score, report, and the row of its results."""
 
 import shutil
 import traceback
@@ -30,22 +30,22 @@ STATUS = {
     74: "not written",
     1: "bug",
 }
-"""What a row's exit code means, the worst last."""
+"""The status of a row by its exit code, the worst last."""
 
 
 def run(job: Job) -> Row:
-    """Do one job and leave its row beside its outputs; every failure becomes a row."""
+    """Run one job and write its row beside its outputs; every failure becomes a row."""
     sigbus.install_sigbus_handler()
     folders.mark(job.folder, folders.RESULT)
-    # a worker that outlived its killed batch may still be at it
+    # a worker of a killed batch may still be running this job
     with folders.alone(job.folder, folders.RESULT), _on_one_core():
         earlier = resume.finished(job) if job.resume else None
-        return earlier or _anew(job)
+        return earlier or _rerun(job)
 
 
 @contextmanager
 def _on_one_core() -> Iterator[None]:
-    """Logs are what is done side by side: one core each, so that `--jobs` says how many cores a batch takes."""
+    """Use one core per log, so that `--jobs` is the number of cores of a batch."""
     from ..perception.colours.colour_tracker import THREADS
 
     token = THREADS.set(1)
@@ -55,7 +55,7 @@ def _on_one_core() -> Iterator[None]:
         THREADS.reset(token)
 
 
-def _anew(job: Job) -> Row:
+def _rerun(job: Job) -> Row:
     remove_stale(job.folder, f".*{PART}")
     for stale in (job.folder / name for name in (*OUTPUTS, folders.ROW)):
         shutil.rmtree(stale) if stale.is_dir() and not stale.is_symlink() else stale.unlink(missing_ok=True)
@@ -63,14 +63,14 @@ def _anew(job: Job) -> Row:
 
 
 def died(job: Job, why: str) -> Row:
-    """The row of a job whose worker was lost."""
+    """Write the row of a job whose worker died."""
     folders.mark(job.folder, folders.RESULT)
     remove_stale(job.folder, f".*{PART}")
     return resume.leave(job, _row(job, None, 1, why))
 
 
 def not_run(job: Job) -> Row:
-    """The row of a log that was not reached because the batch stopped early."""
+    """Write the row of a job that did not run because the batch stopped early."""
     why = "the batch stopped before this log; type the same command with --resume"
     folders.mark(job.folder, folders.RESULT)
     return resume.leave(job, {**_row(job, None, 1, why), "status": "not run"})
@@ -95,11 +95,11 @@ def _attempt(job: Job) -> Row:
 
 
 def _estimate(job: Job) -> dict[str, Any]:
-    """Keywords of _row; a broken bound is a row, not a failure."""
+    """Keywords of `_row`; a broken bound is an exit code of the row."""
     annotated = job.folder / "annotated.mcap"
     with remote.local(job.log, job.folder) as log:
         result = pipeline.estimate(log, job.body, annotated, job.settings)
-        about = tuple(replace(said, text=said.text.replace(str(log), job.log)) for said in result.findings)
+        about = tuple(replace(one, text=one.text.replace(str(log), job.log)) for one in result.findings)
         result = replace(result, findings=about)
     views.report(annotated, job.folder / "report.html", job.settings)
     _leave(job.folder / "robot.toml", toml(job.settings))

@@ -42,7 +42,7 @@ def _tree(out):
     return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*")) if p.is_file()}
 
 
-def test_every_log_has_its_row_and_the_worst_kind_is_the_exit_code(tmp_path, mixed, robot, run_cli):
+def test_batch_has_a_row_per_log_and_the_worst_exit_code(tmp_path, mixed, robot, run_cli):
     assert run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--jobs", 2) == 65
     codes = {name: row["exit_code"] for name, row in _rows(tmp_path).items()}
     assert codes == {"good.mcap": 0, "truncated.mcap": 3, "empty.mcap": 65, "noise.bag": 65}
@@ -56,7 +56,7 @@ def test_junit_counts_failures_and_errors(tmp_path, mixed, robot, run_cli):
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "2", "2")
 
 
-def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot, run_cli):
+def test_junit_follows_the_schema(tmp_path, mixed, robot, run_cli):
     junitparser = pytest.importorskip("junitparser")
     run_cli("batch", mixed, "-o", tmp_path, "--body", robot / "body.npz", "--fail-if", "rmse/joint>1e-9")
     suite = next(iter(junitparser.JUnitXml.fromfile(str(tmp_path / "junit.xml"))))
@@ -70,7 +70,7 @@ def test_junit_holds_to_the_schema_and_opens_in_a_parser(tmp_path, mixed, robot,
 
 
 @pytest.mark.parametrize("problem", [WriteError("o: No space left on device"), OSError(errno.ENOSPC, "No space left")])
-def test_a_full_disk_is_a_row_and_the_exit_code(tmp_path, monkeypatch, robot, run_cli, problem):
+def test_full_disk_becomes_a_row_and_the_exit_code(tmp_path, monkeypatch, robot, run_cli, problem):
     def full(*_, **__):
         raise problem
 
@@ -83,14 +83,14 @@ def test_a_full_disk_is_a_row_and_the_exit_code(tmp_path, monkeypatch, robot, ru
     assert 'errors="1"' in (out / "junit.xml").read_text()
 
 
-def test_what_xml_cannot_hold_is_replaced():
+def test_junit_replaces_control_characters():
     row = {"name": "a\x00<b>", "log": "a", "exit_code": 65, "status": "unusable", "error": "bad \x1b[0m & worse"}
     tree = ET.fromstring(junit([{**row, "scores": {}, "findings": []}]).encode())
     assert tree.find(".//testcase").get("name") == "a\ufffd<b>"
     assert tree.find(".//error").get("message") == "bad \ufffd[0m & worse"
 
 
-def test_a_log_whose_name_is_no_text_has_its_row_and_is_resumed(tmp_path, robot, run_cli):
+def test_file_name_that_is_not_utf8_has_a_row_and_is_resumed(tmp_path, robot, run_cli):
     odd, out = tmp_path / os.fsdecode(b"bad\xff.mcap"), tmp_path / "out"
     shutil.copy(robot / "reach.mcap", odd)
     typed = ("batch", odd, tmp_path / "gone" / ".." / odd.name, "-o", out, "--body", robot / "body.npz")
@@ -102,7 +102,7 @@ def test_a_log_whose_name_is_no_text_has_its_row_and_is_resumed(tmp_path, robot,
     assert before == {path: path.stat().st_mtime_ns for path in before}
 
 
-def test_what_a_batch_left_among_the_logs_is_none_of_them(tmp_path, capsys, robot, run_cli):
+def test_results_among_the_logs_are_not_input(tmp_path, capsys, robot, run_cli):
     shutil.copy(robot / "reach.mcap", tmp_path / "reach.mcap")
     body, found = ("--body", robot / "body.npz"), []
     for where in (tmp_path, tmp_path, f"{tmp_path}/**/*.mcap"):
@@ -118,7 +118,7 @@ def test_what_a_batch_left_among_the_logs_is_none_of_them(tmp_path, capsys, robo
     assert _tree(tmp_path) == before
 
 
-def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_path, mixed, robot, run_cli):
+def test_resumed_batch_equals_an_uninterrupted_one_and_repeats_no_log(tmp_path, mixed, robot, run_cli):
     whole, resumed = tmp_path / "whole", tmp_path / "resumed"
     for out in (whole, resumed):
         run_cli("batch", mixed, "-o", out, "--body", robot / "body.npz")
@@ -130,12 +130,12 @@ def test_resumed_batch_equals_an_uninterrupted_one_and_does_nothing_twice(tmp_pa
     assert (resumed / "good.mcap" / "annotated.mcap").stat().st_mtime_ns == kept
 
 
-def test_killed_at_any_instant_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
+def test_killed_batch_resumes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
     _killed_and_resumed(tmp_path, mixed, robot, run_cli, (0.3, 1.0, 1.7))
 
 
 @pytest.mark.soak
-def test_killed_at_twenty_instants_a_rerun_completes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
+def test_batch_killed_twenty_times_resumes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
     _killed_and_resumed(tmp_path, mixed, robot, run_cli, [0.2 + 0.2 * k for k in range(20)])
 
 
@@ -154,7 +154,7 @@ def _killed_and_resumed(tmp_path, mixed, robot, run_cli, instants):
         assert _tree(out) == whole
 
 
-def test_a_lost_worker_is_replaced_and_its_log_done(tmp_path, mixed, robot):
+def test_killed_worker_is_replaced_and_its_log_finished(tmp_path, mixed, robot):
     command = [sys.executable, "-m", "bodylog_cli", "batch", str(mixed), "-o", str(tmp_path), "--jobs", "2"]
     process = subprocess.Popen([*command, "--body", str(robot / "body.npz")], stderr=subprocess.DEVNULL)
     killed = _kill_a_child(process)
@@ -178,7 +178,7 @@ def test_shards_cover_all_logs_once(tmp_path, mixed):
     assert sorted(name for i in (1, 2, 3) for name in share(names, (i, 3))) == sorted(names)
 
 
-def test_links_that_lead_back_are_followed_once(tmp_path):
+def test_cyclic_links_are_followed_once(tmp_path):
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "x.mcap").touch()
     for name, to in (("self", "."), ("up", ".."), ("again", "../a")):
@@ -187,21 +187,21 @@ def test_links_that_lead_back_are_followed_once(tmp_path):
     assert named([str(tmp_path)]) == {"x.mcap": str(tmp_path / "a" / "x.mcap")}
 
 
-def test_logs_of_one_name_get_folders_of_their_own(tmp_path, mixed):
+def test_logs_with_the_same_name_get_different_folders(tmp_path, mixed):
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
         shutil.copy(mixed / "empty.mcap", tmp_path / folder)
     assert len(named([str(tmp_path)])) == 2
 
 
-@pytest.mark.parametrize(("logs", "shard", "said"), [(["none*"], (1, 1), "no such"), (["."], (3, 2), "runs from 1")])
-def test_nothing_to_do_is_said(tmp_path, logs, shard, said):
-    with pytest.raises((LogError, UsageError), match=said):
+@pytest.mark.parametrize(("logs", "shard", "text"), [(["none*"], (1, 1), "no such"), (["."], (3, 2), "runs from 1")])
+def test_no_logs_or_an_impossible_shard_is_an_error(tmp_path, logs, shard, text):
+    with pytest.raises((LogError, UsageError), match=text):
         share(named(logs), shard)
 
 
 @pytest.mark.parametrize(
-    ("typed", "code", "said"),
+    ("typed", "code", "text"),
     [
         (("--fail-if", "rmse/joint"), 2, "not a bound"),
         (("--method", "x"), 2, "x"),
@@ -210,22 +210,22 @@ def test_nothing_to_do_is_said(tmp_path, logs, shard, said):
         (("--body", "none.npz"), 65, "none.npz: there is no such body model"),
     ],
 )
-def test_what_no_log_can_help_is_refused_before_the_first(tmp_path, capsys, robot, run_cli, typed, code, said):
+def test_invalid_options_are_rejected_before_the_first_log(tmp_path, capsys, robot, run_cli, typed, code, text):
     body = () if "--body" in typed else ("--body", robot / "body.npz")
     capsys.readouterr()
     assert run_cli("batch", robot / "reach.mcap", "-o", tmp_path / "out", *body, *typed) == code
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and said in told
-    assert not list((tmp_path / "out").glob("*")), told
+    printed = capsys.readouterr().err
+    assert printed.count("\n") == 1 and text in printed
+    assert not list((tmp_path / "out").glob("*")), printed
 
 
-def test_a_training_log_that_is_not_there_is_said(tmp_path, capsys, robot, run_cli):
+def test_absent_training_log_is_an_error(tmp_path, capsys, robot, run_cli):
     assert run_cli("batch", robot / "reach.mcap", "-o", tmp_path, "--train", tmp_path / "none.mcap") == 65
-    said = f"{tmp_path}/none.mcap: there is no such file or folder; check the name"
-    assert capsys.readouterr().err == f"bodylog: {said}\n"
+    text = f"{tmp_path}/none.mcap: there is no such file or folder; check the name"
+    assert capsys.readouterr().err == f"bodylog: {text}\n"
 
 
-def test_no_more_workers_are_started_than_there_are_logs(tmp_path, monkeypatch, robot, run_cli):
+def test_pool_has_at_most_one_worker_per_log(tmp_path, monkeypatch, robot, run_cli):
     from bodylog.batch import local
 
     asked = []

@@ -30,16 +30,16 @@ def _results(out):
     return (out / "results.jsonl").read_bytes()
 
 
-def test_a_scheduler_gives_the_same_bytes_as_the_pool(tmp_path, logs, robot, run_cli):
+def test_scheduler_gives_the_same_bytes_as_the_pool(tmp_path, logs, robot, run_cli):
     assert run_cli("batch", logs, "-o", tmp_path / "pool", "--body", robot / "body.npz") == 0
     process = _start(logs, robot, tmp_path / "dask", "--scheduler", "local", "--jobs", "2")
-    _, said = process.communicate(timeout=120)
-    assert process.returncode == 0, said
+    _, error = process.communicate(timeout=120)
+    assert process.returncode == 0, error
     assert _results(tmp_path / "dask") == _results(tmp_path / "pool")
 
 
 @pytest.mark.soak
-def test_a_killed_workers_log_is_done_by_another(tmp_path, logs, robot, run_cli):
+def test_killed_workers_log_is_finished_by_another(tmp_path, logs, robot, run_cli):
     address = tmp_path / "scheduler.json"
     dask = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--no-dashboard", "--port", "0"]
     scheduler = subprocess.Popen([*dask, "--scheduler-file", address], stderr=subprocess.DEVNULL)
@@ -52,8 +52,8 @@ def test_a_killed_workers_log_is_done_by_another(tmp_path, logs, robot, run_cli)
         while not (tmp_path / "out" / "a.mcap" / ".bodylog-result").exists():
             time.sleep(0.01)
         os.kill(workers[0].pid, signal.SIGKILL)
-        _, said = process.communicate(timeout=120)
-        assert process.returncode == 0, said
+        _, error = process.communicate(timeout=120)
+        assert process.returncode == 0, error
     finally:
         for started in [*workers, scheduler]:
             started.kill()
@@ -70,8 +70,8 @@ def _tcp(address):
     raise AssertionError("the scheduler did not start")
 
 
-def test_a_scheduler_that_is_not_there_is_said(tmp_path, logs, robot):
+def test_absent_scheduler_is_an_error(tmp_path, logs, robot):
     process = _start(logs, robot, tmp_path / "out", "--scheduler", "tcp://127.0.0.1:1")
-    _, said = process.communicate(timeout=60)
+    _, error = process.communicate(timeout=60)
     assert process.returncode == 2
-    assert "tcp://HOST:PORT" in said.strip().splitlines()[-1]
+    assert "tcp://HOST:PORT" in error.strip().splitlines()[-1]

@@ -31,18 +31,18 @@ def _refused(capsys, run_cli, folder, *typed):
     before = _tree(folder)
     capsys.readouterr()
     assert run_cli("batch", *typed) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and _tree(folder) == before
-    return said
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and _tree(folder) == before
+    return error
 
 
-def test_a_log_never_lies_in_the_folder_of_its_own_results(tmp_path, capsys, run_cli, robot):
+def test_log_inside_the_output_folder_is_rejected(tmp_path, capsys, run_cli, robot):
     run = _rosbag2(tmp_path / "runs" / "run1")
-    said = _refused(capsys, run_cli, tmp_path, run, "--body", robot / "body.npz", "-o", run.parent)
-    assert f"holds an input ({run})" in said
+    error = _refused(capsys, run_cli, tmp_path, run, "--body", robot / "body.npz", "-o", run.parent)
+    assert f"holds an input ({run})" in error
 
 
-def test_a_folder_that_no_batch_made_is_not_written_into(tmp_path, capsys, run_cli, robot):
+def test_folder_of_others_is_not_written_to(tmp_path, capsys, run_cli, robot):
     theirs = _rosbag2(tmp_path / "out" / "reach.mcap")
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out")
     assert f"{theirs}: no batch made this folder" in _refused(capsys, run_cli, tmp_path, *typed)
@@ -52,20 +52,20 @@ def test_a_folder_that_no_batch_made_is_not_written_into(tmp_path, capsys, run_c
 
 
 @pytest.mark.parametrize("name", ["results.jsonl", "junit.xml", "summary.html"])
-def test_a_summary_that_no_batch_left_is_not_replaced(tmp_path, capsys, run_cli, robot, name):
+def test_summary_of_others_is_not_replaced(tmp_path, capsys, run_cli, robot, name):
     (tmp_path / name).write_text("<testsuites name='of other tests'/>")
-    said = _refused(capsys, run_cli, tmp_path, robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path)
-    assert f"{tmp_path / name}: no batch left this" in said
+    error = _refused(capsys, run_cli, tmp_path, robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path)
+    assert f"{tmp_path / name}: no batch wrote this file" in error
 
 
 @pytest.mark.parametrize("name", ["body.npz", "body.json"])
-def test_a_body_that_no_batch_learned_is_not_replaced(tmp_path, capsys, run_cli, robot, name):
+def test_body_of_others_is_not_replaced(tmp_path, capsys, run_cli, robot, name):
     (tmp_path / name).write_bytes(b"the user's")
-    said = _refused(capsys, run_cli, tmp_path, robot / "reach.mcap", "--train", robot / "explore.mcap", "-o", tmp_path)
-    assert f"{tmp_path / name}: no batch l" in said and "--train would replace it" in said
+    error = _refused(capsys, run_cli, tmp_path, robot / "reach.mcap", "--train", robot / "explore.mcap", "-o", tmp_path)
+    assert f"{tmp_path / name}: no batch " in error and "--train would replace it" in error
 
 
-def test_a_body_is_replaced_that_a_batch_learned_or_was_learning_when_it_was_killed(tmp_path):
+def test_body_of_a_batch_is_replaced_even_if_it_was_killed_while_learning(tmp_path):
     body, mark = tmp_path / "body.npz", tmp_path / "body.json"
     resume.check_replaceable(body)
     body.write_bytes(b"learned")
@@ -74,11 +74,11 @@ def test_a_body_is_replaced_that_a_batch_learned_or_was_learning_when_it_was_kil
         if known is None:
             resume.check_replaceable(body)
             continue
-        with pytest.raises(UsageError, match="no batch learned it"):
+        with pytest.raises(UsageError, match="no batch learned this body"):
             resume.check_replaceable(body)
 
 
-def test_results_of_earlier_versions_are_resumed_and_their_damage_is_undone(tmp_path, run_cli, robot):
+def test_results_of_earlier_versions_are_resumed_and_repaired(tmp_path, run_cli, robot):
     """They marked a folder with a lock alone, now and then a recording; its log is found again."""
     out, typed = tmp_path / "out", ("batch", robot / "reach.mcap", "--body", robot / "body.npz", "--resume", "-o")
     assert run_cli(*typed, out) == 0
@@ -109,7 +109,7 @@ def test_logs_in_a_folder_with_results_are_still_found(tmp_path, run_cli, robot)
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_names_that_a_disk_may_take_for_one_get_folders_of_their_own():
+def test_names_equal_on_some_file_systems_get_different_folders():
     logs = {"a/Run.mcap": "Run.mcap", "b/run.MCAP": "run.MCAP", "c/x.mcap": "x.mcap", "d": "junit.xml", "e": "y" * 250}
     found = folders.named(logs)
     assert found["c/x.mcap"] == "x.mcap" and len({name.casefold() for name in found.values()}) == 5
@@ -140,7 +140,7 @@ def runs(tmp_path_factory, robot, run_cli):
 
 
 @pytest.mark.parametrize("how", ["locks", "lockless"])
-def test_shards_that_share_a_folder_leave_what_one_run_leaves(tmp_path, runs, robot, how):
+def test_shards_in_one_folder_leave_the_files_of_one_run(tmp_path, runs, robot, how):
     shards = [_shard(runs, robot, tmp_path / "out", how, f"{i}/3") for i in (1, 2, 3)]
     assert [shard.wait(timeout=120) for shard in shards] == [65, 65, 0]
     assert _tree(tmp_path / "out") == _tree(runs / "whole")
@@ -151,8 +151,8 @@ def _shard(runs, robot, out, how, part):
     return subprocess.Popen([sys.executable, "-c", LOCKLESS, how, *map(str, typed)], stderr=subprocess.DEVNULL)
 
 
-def test_shards_one_after_the_other_show_what_is_done_so_far(tmp_path, runs, robot, run_cli):
-    """Rows of other settings, which a later shard is to replace, are not shown meanwhile."""
+def test_sequential_shards_show_finished_rows(tmp_path, runs, robot, run_cli):
+    """Rows of other settings, which a later shard is to replace, are left out until then."""
     out, typed = tmp_path / "out", ("batch", runs / "logs", "--body", robot / "body.npz", "-o")
     bad = ("--fail-if", "rmse/joint>9")
     for part, names in (("1/3", "ad"), ("3/3", "cad")):
@@ -169,7 +169,7 @@ def _names(out):
     return [json.loads(line)["name"] for line in (out / "results.jsonl").read_text().splitlines()]
 
 
-def test_a_row_that_a_killed_shard_began_to_write_goes(tmp_path):
+def test_partial_row_of_a_killed_shard_is_removed(tmp_path):
     folders.mark(tmp_path, folders.BATCH)
     three = [Job(name, name, tmp_path / name, tmp_path, Settings(), (), False, "how") for name in "abc"]
     rows = {job.name: {"name": job.name, "outputs": {}} for job in three}
@@ -186,7 +186,7 @@ def test_a_row_that_a_killed_shard_began_to_write_goes(tmp_path):
     assert _names(tmp_path) == ["a", "b", "c"]
 
 
-def test_a_search_without_end_is_refused(tmp_path, monkeypatch):
+def test_endless_search_is_rejected(tmp_path, monkeypatch):
     """Patterns that go down again and again, and folders too many or too deep for a search that calls itself."""
     deep = tmp_path.joinpath(*"d" * 400)
     deep.mkdir(parents=True)

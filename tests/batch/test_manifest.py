@@ -25,7 +25,7 @@ def _manifest(tmp_path, text):
     return path
 
 
-def test_a_group_per_method_with_paths_beside_the_manifest(tmp_path):
+def test_manifest_has_a_group_per_method_with_relative_paths(tmp_path):
     laplace, smoother, other = load(_manifest(tmp_path, TWO), Settings())
     assert (laplace.name, smoother.name, other.name) == ("left_arm-laplace", "left_arm-smoother", "group2")
     assert smoother.settings.estimate.method == "smoother" and smoother.settings.skin.threshold == 0.5
@@ -34,7 +34,7 @@ def test_a_group_per_method_with_paths_beside_the_manifest(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("content", "text"),
     [
         ("[[group]]\nlog = ['a']", "did you mean logs"),
         ("[[group]]\nlogs = 'a'", r"logs is 'a'; possible: \[log, …\]"),
@@ -48,18 +48,18 @@ def test_a_group_per_method_with_paths_beside_the_manifest(tmp_path):
         ("[[group]]\nlogs = ['a']\nbody = ''", "body is ''; possible: file"),
         ("[[group]]\nlogs = ['a']\nmethods = ['kalmann']", "possible: .any of laplace, .*, …"),
         ("group = [3]", "must be a"),
-        ("[[group]]\nname = 'junit.XML'\nlogs = ['a']", "or taken"),
+        ("[[group]]\nname = 'junit.XML'\nlogs = ['a']", "or reserved"),
         ("[[group]]\nname = 'a'\nlogs = ['a']\n[[group]]\nname = 'A'\nlogs = ['b']", "have the same name"),
         ("[[group", "cannot be read as TOML"),
         ("group = " + "[" * 100_000, "cannot be read as TOML"),
     ],
 )
-def test_what_makes_no_sense_is_refused(tmp_path, text, said):
-    with pytest.raises(ConfigError, match=said):
-        load(_manifest(tmp_path, text), Settings())
+def test_unsound_manifest_is_rejected(tmp_path, content, text):
+    with pytest.raises(ConfigError, match=text):
+        load(_manifest(tmp_path, content), Settings())
 
 
-def test_groups_run_into_folders_of_their_own(tmp_path, robot, run_cli):
+def test_groups_have_separate_folders(tmp_path, robot, run_cli):
     text = f"""
 [[group]]
 name = "arm"
@@ -72,6 +72,6 @@ methods = ["laplace", "kalman"]
     assert len((tmp_path / "out" / "results.jsonl").read_text().splitlines()) == 2
 
 
-def test_logs_behind_urls_are_not_beside_the_manifest(tmp_path):
+def test_manifest_keeps_urls(tmp_path):
     (group,) = load(_manifest(tmp_path, "[[group]]\nlogs = ['s3://bucket/a.mcap']"), Settings())
     assert group.logs == ("s3://bucket/a.mcap",)
