@@ -1,4 +1,4 @@
-"""Options that several commands share, and how they become settings."""
+"""Arguments and options that several commands share, and their settings."""
 
 import functools
 import math
@@ -20,33 +20,33 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class Named(click.Path):
-    """A path that says something: "", which an unset variable leaves, would be the current folder."""
+    """A path that is not empty: "", as from an unset shell variable, would be the current folder."""
 
     def __init__(self) -> None:
-        """Of a file that need not be there."""
+        """Accept paths that do not exist."""
         super().__init__(path_type=Path)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Path."""
+        """The path."""
         if not os.fspath(value):
-            self.fail("a name is expected, and this is empty", param, ctx)
+            self.fail("must not be empty", param, ctx)
         return Path(value)
 
 
 class Url(str):
-    """A URL whose file is fetched for the time of the command, once its outputs are known to be no inputs."""
+    """A URL whose file is fetched for the duration of the command, after the check that no output is an input."""
 
 
 class Log(Named):
-    """A log: a path, or a URL whose file is fetched before the command begins, or by the command itself if `late`."""
+    """A log: a path or a URL. Its file is fetched before the command starts, or by the command if `late`."""
 
     def __init__(self, late: bool = False) -> None:
-        """Fetch before, or leave URLs as they are."""
+        """Leave URLs to the command if `late`."""
         super().__init__()
         self._late = late
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Path, or the URL."""
+        """The path or the URL."""
         from bodylog.io import remote
 
         if not isinstance(value, str) or not remote.is_url(value):
@@ -55,42 +55,42 @@ class Log(Named):
 
 
 class Searched(Named):
-    """A log, a pattern, a folder to search or a URL, as it was typed."""
+    """A log, a pattern, a folder to search or a URL, as typed."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Text."""
+        """The text."""
         super().convert(value, param, ctx)
         return value
 
 
 class OutputFile(Named):
-    """A file to write, which may not be there yet."""
+    """A file to write."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Path."""
+        """The path."""
         path = super().convert(value, param, ctx)
         if os.fspath(value).endswith(os.sep):
-            raise _cannot_be_made(f"{value}: is a folder; give the name of a file")
+            raise _cannot_be_made(f"{value}: is a folder; type a file name")
         return path
 
 
 class OutputLog(OutputFile):
-    """A log to write: a file, or the folder of a dataset, which may not be there yet."""
+    """A log to write: a file or the folder of a dataset."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Path."""
+        """The path."""
         text = os.fspath(value)
         return super().convert(text.rstrip(os.sep) or text, param, ctx)
 
 
 class Folder(Named):
-    """A folder to write into, which may not be there yet; refused, before anything is done, where a file is."""
+    """A folder to write into; an existing file in its place is rejected before anything is done."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Path."""
+        """The path."""
         path = super().convert(value, param, ctx)
         if any(place.exists() and not place.is_dir() for place in (path, *path.parents)):
-            raise _cannot_be_made(f"{value}: a file is in its place; give the name of a folder")
+            raise _cannot_be_made(f"{value}: is a file; type a folder name")
         return path
 
 
@@ -110,14 +110,14 @@ SEARCHED = Searched()
 
 
 def finite(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
-    """An option's number, if it is one."""
+    """The number of an option, if it is finite."""
     if value is not None and not math.isfinite(value):
-        raise click.BadParameter(f"{value} where a finite number is expected")
+        raise click.BadParameter(f"{value} is not a finite number")
     return value
 
 
 def episodic(parameter: str) -> Callable[[Command], Command]:
-    """--episode, which names episodes of the datasets in an argument; ranges become several logs."""
+    """--episode: the episodes to read of the datasets in an argument; a range becomes several logs."""
 
     def decorated(function: Command) -> Command:
         @functools.wraps(function)
@@ -132,12 +132,12 @@ def episodic(parameter: str) -> Callable[[Command], Command]:
 
 def _episode(_context: click.Context, _option: click.Parameter, text: str | None) -> str | None:
     if text is not None and re.fullmatch(r"\d{1,9}(-\d{1,9})?", text) is None:
-        raise click.BadParameter(f"{text!r}; it must be a number, or a range of them, e.g. 3 or 0-9")
+        raise click.BadParameter(f"{text!r}; possible: a number or a range, e.g. 3 or 0-9")
     return text
 
 
 def _episodes(given: Any, text: str | None) -> Any:
-    """The logs with the episode that was asked for; of one argument that takes several logs, ranges as single ones."""
+    """The given log or logs with the episode; where several logs are possible, a range becomes one log per episode."""
     from bodylog.io import episodes
 
     if isinstance(given, tuple):
@@ -176,7 +176,7 @@ def out_option(what: str) -> Callable[[Command], Command]:
 
 @dataclass(frozen=True)
 class Common:
-    """What was typed that every command understands."""
+    """The options that every command has, as typed."""
 
     config_file: Path | None
     strict: bool
@@ -184,7 +184,7 @@ class Common:
     delay: str | None = None
 
     def settings(self, **sections: dict[str, Any]) -> "Settings":
-        """Settings from robot.toml and what was typed; options not given (None) do not override."""
+        """Settings from robot.toml and the typed options; None does not override."""
         from bodylog.config import load
 
         offset = _seconds(self.clock_offset)
@@ -199,7 +199,7 @@ def _seconds(text: str | None) -> float | str | None:
     try:
         return text if text in (None, "auto") else float(text)
     except ValueError:
-        raise click.BadParameter(f"{text!r}; it must be auto or seconds", param_hint="--clock-offset") from None
+        raise click.BadParameter(f"{text!r}; possible: auto, or seconds", param_hint="--clock-offset") from None
 
 
 def _delays(text: str | None) -> dict[str, float] | str | None:
@@ -231,6 +231,6 @@ def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def fail_option(function: Command) -> Command:
-    """--fail-if: bounds on scores, faults, delays and what was used."""
+    """--fail-if: bounds on scores, faults, delays and used readings."""
     help_ = "E.g. 'rmse/joint>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; broken: exit 4."
     return click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help=help_)(function)

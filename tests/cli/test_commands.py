@@ -153,7 +153,7 @@ def _wrong(robot, tmp_path):
         "no estimate": (65, "bodylog estimate", ("evaluate", reach)),
         "onto itself": (2, "is also an input", ("estimate", reach, "-o", reach, "--body", body)),
         "unknown option": (2, "--help", ("estimate", reach, "--bodi", body)),
-        "bad clock offset": (2, "auto or seconds", ("extract", reach, "-o", out, "--clock-offset", "soon")),
+        "bad clock offset": (2, "possible: auto, or seconds", ("extract", reach, "-o", out, "--clock-offset", "soon")),
         "bad delay": (2, "auto, off, or NAME=S", ("estimate", reach, *estimate, "--delay", "camera=soon")),
         "no such camera": (2, "'left' found, possible: joints", ("estimate", reach, *estimate, "--delay", "left=0.05")),
         "endless delay": (2, "possible: auto, off, or {NAME", ("fit", explore, "-o", out, "--delay", "camera=inf")),
@@ -162,8 +162,8 @@ def _wrong(robot, tmp_path):
         "no second": (2, "finite number", ("ingest", reach, "-o", out, "--start", "nan")),
         "no length": (2, "finite number", ("record", "reach", "-o", out, "--duration", "inf")),
         "no memory": (2, "must be a size", ("batch", reach, "-o", tmp_path / "b", *estimate[2:], "--memory", "0")),
-        "no name": (2, "a name is expected", ("estimate", "", *estimate)),
-        "no name for a batch": (2, "a name is expected", ("batch", "", "-o", tmp_path / "batch", *estimate[2:])),
+        "no name": (2, "must not be empty", ("estimate", "", *estimate)),
+        "no name for a batch": (2, "must not be empty", ("batch", "", "-o", tmp_path / "batch", *estimate[2:])),
         "no bound": (2, "not a bound", ("evaluate", reach, "--fail-if", "rmse/joint")),
     }
 

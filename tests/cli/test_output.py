@@ -50,7 +50,7 @@ def test_a_folder_where_a_file_is_is_refused_before_anything_is_written(tmp_path
     taken = write(tmp_path / "x.mcap", [joints("/joints", [(T0, joint_state(T0, ("a",), (0.1,)))])])
     for typed in (("ingest", "--csv", taken), ("extract", "--csv", taken / "in"), ("report", "--figures", taken)):
         assert run_cli(typed[0], taken, "-o", tmp_path / "out", *typed[1:]) == 73
-        assert "a file is in its place; give the name of a folder" in capsys.readouterr().err
+        assert "is a file; type a folder name" in capsys.readouterr().err
         assert [*tmp_path.iterdir()] == [taken]
 
 
