@@ -1,15 +1,13 @@
 """Every setting with its meaning, values and default: one record per section of robot.toml; config.py resolves them."""
 
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from .errors import ConfigError
 from .io.toml_keys import Declared, declared, key, spell
 from .logs.joint_units import counts
 from .logs.limits import Input
-from .sources import NAMED_COLOURS, RANGES, Colour, ColourSource, Source, check_colour, spelled
+from .sources import Colour, ColourSource, Source, colour_key, is_colour, spelled
 
 __all__ = [
     "Body", "Clocks", "Colour", "Colours", "Estimation", "Fit", "Kinematics", "Settings", "Skin", "Source",
@@ -22,21 +20,12 @@ PRESETS = ("default", "paper")
 CLOCKS = ("auto", "header", "log")
 
 
-def _colour(value: Any) -> bool:
-    with suppress(ConfigError):
-        return check_colour(value, "") is not None
-    return False
-
-
 def _markers(value: Mapping[str, Any]) -> bool:
-    return all(name and "/" not in name and _colour(colour) for name, colour in value.items())
+    return all(name and "/" not in name and is_colour(one) for name, one in value.items())
 
 
 def _unit(value: str) -> bool:
     return value in ("rad", "deg") or counts(value) is not None
-
-
-_COLOUR = f"{', '.join(NAMED_COLOURS)}, or {RANGES}"
 
 
 @dataclass(frozen=True)
@@ -86,10 +75,8 @@ class Body:
 class Colours:
     """[colours]: coloured markers to track in the images."""
 
-    effector: Colour = key("green", "Colour of the end effector.", choices=NAMED_COLOURS, accepts=_colour, form=_COLOUR)
-    hand: Colour = key(
-        "red", "Colour of the hand that touches the skin.", choices=NAMED_COLOURS, accepts=_colour, form=_COLOUR
-    )
+    effector: Colour = colour_key("green", "Colour of the end effector.")
+    hand: Colour = colour_key("red", "Colour of the hand that touches the skin.")
     markers: Mapping[str, Colour] = key(
         {}, "Further markers on the arm.", accepts=_markers, form="{NAME = COLOUR}, names without /", unset="no others"
     )
@@ -244,5 +231,5 @@ def wanted(settings: Settings) -> dict[str, Source]:
     found: dict[str, Source] = {"effector": ColourSource(colours.effector), "hand": ColourSource(colours.hand)}
     if settings.features and colours.effector == Colours().effector:
         del found["effector"]
-    found |= {name: ColourSource(colour) for name, colour in colours.markers.items()}
+    found |= {name: ColourSource(one) for name, one in colours.markers.items()}
     return found | dict(settings.features)

@@ -1,11 +1,12 @@
 """Where a track comes from: one record per kind of source of `[features]`, read from TOML and checked here."""
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 from .errors import ConfigError
+from .io.toml_keys import checked, declared, key
 
 Colour = str | Mapping[str, tuple[int, int, int]]
 """A name ("green"), or {"low": (h, s, v), "high": (h, s, v)} in OpenCV ranges; low h > high h wraps around red."""
@@ -28,35 +29,55 @@ RESERVED = ("encoders", "vision", "touch")
 """Names of other senses, which no feature may take."""
 
 
+_LENGTH: Any = {"unit": "m", "low": 1e-6, "high": 100}
+
+
+def is_colour(value: Any) -> bool:
+    """Whether a value is the name or the HSV range of a colour."""
+    with suppress(ConfigError):
+        return check_colour(value, "") is not None
+    return False
+
+
+def _is_board(value: str) -> bool:
+    sides = value.split("x")
+    return len(sides) == 2 and all(s.isdecimal() and s.isascii() and len(s) < 3 and 2 <= int(s) <= 64 for s in sides)
+
+
+def colour_key(default: Any, meaning: str) -> Any:
+    """Declare a key that is a colour."""
+    form = f"{', '.join(NAMED_COLOURS)}, or {RANGES}"
+    return key(default, meaning, choices=NAMED_COLOURS, accepts=is_colour, form=form)
+
+
 @dataclass(frozen=True)
 class ColourSource:
     """The blob of a colour."""
 
-    colour: Colour
+    colour: Colour = colour_key(MISSING, "Colour of the blob.")
 
 
 @dataclass(frozen=True)
 class TagSource:
-    """An ArUco or AprilTag of a dictionary: its centre, or four tracks NAME.0 to NAME.3 where `corners`; size in m."""
+    """An ArUco tag or AprilTag: its centre, or its corners as the tracks NAME.0 to NAME.3."""
 
-    tag: int
-    dictionary: str = "apriltag_36h11"
-    size: float | None = None
-    corners: bool = False
+    tag: int = key(MISSING, "Number of the tag.", low=0, high=10**6)
+    dictionary: str = key("apriltag_36h11", "Dictionary of the tag.", choices=tuple(DICTIONARIES))
+    size: float | None = key(None, "Side of the tag.", unset="unknown", **_LENGTH)
+    corners: bool = key(False, "Track the four corners.")
 
 
 @dataclass(frozen=True)
 class CharucoSource:
-    """A ChArUco board "COLUMNSxROWS" of squares: each inner corner k is the track NAME.k; square and marker in m.
+    """A ChArUco board: each inner corner k is the track NAME.k."""
 
-    `legacy`: whether it has the pattern of OpenCV before 4.6; None: whichever is seen.
-    """
-
-    charuco: str
-    square: float
-    marker: float
-    dictionary: str = "4x4_50"
-    legacy: bool | None = None
+    charuco: str = key(
+        MISSING, "Squares of the board.", accepts=_is_board, form='columns and rows, "10x14", each from 2 to 64'
+    )
+    square: float = key(MISSING, "Side of a square.", **_LENGTH)
+    marker: float = key(MISSING, "Side of a marker.", **_LENGTH)
+    dictionary: str = key("4x4_50", "Dictionary of the markers.", choices=tuple(DICTIONARIES))
+    legacy: bool | None = key(None, "Pattern of OpenCV before 4.6.", unset="either pattern")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -67,26 +88,29 @@ class CharucoSource:
 
 @dataclass(frozen=True)
 class TopicSource:
-    """Points that another detector published on a topic; `path` says where in a message, None: by its type."""
+    """Points that another detector published on a topic."""
 
-    topic: str
-    path: str | None = None
+    topic: str = key(MISSING, "Topic of the points.", noun="topic")
+    path: str | None = key(None, "Message path of a point.", noun="message path", unset="by message type")
 
 
 @dataclass(frozen=True)
 class TableSource:
-    """Columns u, v of a table beside the log (CSV or Parquet); None: NAME_u and NAME_v."""
+    """Columns of a table beside the log (CSV or Parquet)."""
 
-    table: str
-    columns: tuple[str, ...] | None = None
+    table: str = key(MISSING, "File of the table.", noun="file")
+    columns: tuple[str, ...] | None = key(
+        None, "Columns of u and v.", accepts=lambda names: len(names) > 1 and all(names), unset="NAME_u, NAME_v",
+        form="names of two or more columns",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class PointSource:
-    """The patch about `point` (u, v px) in the frame nearest `at` (s since the log's start)."""
+    """The patch around a point of one frame."""
 
-    point: tuple[float, float]
-    at: float = 0.0
+    point: tuple[float, float] = key(MISSING, "Place of the point.", unit="px", form="[u, v] in px")
+    at: float = key(0.0, "Time of the frame after the start of the log.", form="number of seconds")
 
 
 Source = ColourSource | TagSource | CharucoSource | TopicSource | TableSource | PointSource
@@ -104,20 +128,22 @@ SOURCES: Mapping[str, type[Source]] = {
 
 def parse(name: str, value: Any, where: str) -> Source:
     """The source that a value of `[features]` NAME describes; ConfigError names key, value and what is possible."""
-    key = f"{where}: features.{name}"
+    label = f"{where}: features.{name}"
     if not name or {"/", "."} & set(name):
         raise ConfigError(f"{where}: [features] names {name!r}; a feature's name is not empty and has no / and no .")
     if name in RESERVED:
         raise ConfigError(f"{where}: [features] names {name!r}, which is another sense; possible: any other name")
     if isinstance(value, str) or (isinstance(value, Mapping) and {"low", "high"} & set(value)):
-        return ColourSource(check_colour(value, key))
+        return ColourSource(check_colour(value, label))
     if not isinstance(value, Mapping):
-        raise ConfigError(f"{key} is {value!r}; possible: a colour's name, or a table with one of {', '.join(SOURCES)}")
+        raise ConfigError(
+            f"{label} is {value!r}; possible: a colour's name, or a table with one of {', '.join(SOURCES)}"
+        )
     kinds = [kind for kind in SOURCES if kind in value]
     if len(kinds) != 1:
         found = " and ".join(kinds) or f"only {', '.join(map(str, value)) or 'nothing'}"
-        raise ConfigError(f"{key} has {found}; it must have exactly one of {', '.join(SOURCES)}")
-    return _source(SOURCES[kinds[0]], value, key)
+        raise ConfigError(f"{label} has {found}; it must have exactly one of {', '.join(SOURCES)}")
+    return _source(SOURCES[kinds[0]], value, where, f"features.{name}")
 
 
 def check_colour(colour: Any, key: str) -> Colour:
@@ -173,21 +199,15 @@ def board_points(source: Source) -> list[tuple[float, float, float]] | None:
     return None
 
 
-def _source(kind: type[Source], value: Mapping[str, Any], key: str) -> Source:
-    known = {f.name: f for f in fields(kind)}
-    checked = {}
-    for name, given in value.items():
-        if name not in known:
-            import difflib
-
-            near = difflib.get_close_matches(str(name), known, 1, 0.0)[0]
-            raise ConfigError(f"{key} has {name!r}; did you mean {near}? possible: {', '.join(known)}")
-        if given is not None:
-            checked[name] = _checked(name, given, f"{key}.{name}")
-    missing = [name for name, field in known.items() if field.default is MISSING and name not in checked]
+def _source(kind: type[Source], value: Mapping[str, Any], where: str, label: str) -> Source:
+    spelled_out = {"dictionary": _dictionary, "charuco": _board}
+    given = {k: spelled_out.get(k, lambda one: one)(v) for k, v in value.items() if v is not None}
+    found = checked(kind, given, where, label)
+    known = declared(kind)
+    missing = [name for name, one in known.items() if one.default is MISSING and name not in found]
     if missing:
-        raise ConfigError(f"{key} has no {missing[0]}; it must have {', '.join(n for n in known)[:200]}")
-    return _consistent(kind(**checked), key)
+        raise ConfigError(f"{where}: {label} has no {missing[0]}; it must have {', '.join(known)}")
+    return _consistent(kind(**found), f"{where}: {label}")
 
 
 def _consistent(source: Source, key: str) -> Source:
@@ -203,85 +223,22 @@ def _consistent(source: Source, key: str) -> Source:
     return source
 
 
-def _checked(name: str, value: Any, key: str) -> Any:
-    if name == "colour":
-        return check_colour(value, key)
-    convert, possible = KEYS[name]
-    converted = convert(value)
-    if converted is None:
-        raise ConfigError(f"{key} is {value!r}; possible: {possible}")
-    return converted
-
-
 def _hsv(values: Any) -> bool:
     whole = isinstance(values, list | tuple) and all(isinstance(v, int) and not isinstance(v, bool) for v in values)
     return whole and len(values) == 3 and 0 <= values[0] <= 180 and all(0 <= v <= 255 for v in values[1:])
 
 
-def _whole(value: Any) -> int | None:
-    return value if isinstance(value, int) and not isinstance(value, bool) and value >= 0 else None
-
-
-def _number(value: Any) -> float | None:
-    usable = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    return float(value) if usable else None
-
-
-def _length(value: Any) -> float | None:
-    metres = _number(value)
-    return metres if metres is not None and 0 < metres <= 100 else None
-
-
-def _text(value: Any) -> str | None:
-    return value if isinstance(value, str) and value else None
-
-
-def _flag(value: Any) -> bool | None:
-    return value if isinstance(value, bool) else None
-
-
-def _texts(value: Any) -> tuple[str, ...] | None:
-    usable = isinstance(value, list | tuple) and len(value) >= 2 and all(map(_text, value))
-    return tuple(value) if usable else None
-
-
-def _pixel(value: Any) -> tuple[float, float] | None:
-    if not isinstance(value, list | tuple) or len(value) != 2:
-        return None
-    u, v = (_number(one) for one in value)
-    return None if u is None or v is None else (u, v)
-
-
-def _dictionary(value: Any) -> str | None:
-    """The name, also as OpenCV spells it (DICT_ARUCO_MIP_36H12)."""
+def _dictionary(value: Any) -> Any:
+    """The name of a dictionary that OpenCV spells otherwise (DICT_ARUCO_MIP_36H12)."""
     if not isinstance(value, str):
-        return None
+        return value
     name = value.lower().removeprefix("dict_")
-    name = name.removeprefix("aruco_") if name.startswith("aruco_mip") else name
-    return name if name in DICTIONARIES else None
+    return name.removeprefix("aruco_") if name.startswith("aruco_mip") else name
 
 
-def _board(value: Any) -> str | None:
-    sides = value.lower().split("x") if isinstance(value, str) else ()
-    if len(sides) != 2 or not all(s.isdecimal() and len(s) < 3 and 2 <= int(s) <= 64 for s in sides):
-        return None
-    return "x".join(str(int(side)) for side in sides)
-
-
-KEYS: Mapping[str, tuple[Callable[[Any], Any], str]] = {
-    "tag": (_whole, "a tag's number, from 0"),
-    "dictionary": (_dictionary, ", ".join(DICTIONARIES)),
-    "size": (_length, "a length in m, above 0: the tag's side"),
-    "corners": (_flag, "true (four corners), false (the centre)"),
-    "charuco": (_board, 'columns and rows of squares, "10x14", each from 2 to 64'),
-    "square": (_length, "a length in m, above 0: a square's side"),
-    "marker": (_length, "a length in m, above 0: a marker's side"),
-    "legacy": (_flag, "true (pattern of OpenCV before 4.6), false, or left out (either)"),
-    "topic": (_text, "a topic's name"),
-    "path": (_text, "a message path below the topic, or left out (by its type)"),
-    "table": (_text, "a file's name"),
-    "columns": (_texts, "names of two or more columns: u, v; or left out (NAME_u, NAME_v)"),
-    "point": (_pixel, "[u, v] in px"),
-    "at": (_number, "seconds since the log's start"),
-}
-"""How each key's value is read (None: not possible), and the values that are possible."""
+def _board(value: Any) -> Any:
+    """Columns and rows of a board without leading zeros."""
+    lower = value.lower() if isinstance(value, str) else value
+    return (
+        "x".join(str(int(side)) for side in lower.split("x")) if isinstance(lower, str) and _is_board(lower) else lower
+    )

@@ -2,13 +2,13 @@
 
 import inspect
 from collections.abc import Iterable
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from pathlib import Path
 
 from bodylog.batch.manifest import GroupTable
-from bodylog.io.toml_keys import declared, default_text, possible, toml_value
+from bodylog.io.toml_keys import declared, default_text, possible
 from bodylog.settings import Settings
-from bodylog.sources import DICTIONARIES, KEYS, SOURCES
+from bodylog.sources import SOURCES
 
 PAGE = Path(__file__).with_name("settings.md")
 BEGIN = """# Settings
@@ -40,17 +40,9 @@ that is left out.
 FEATURES = """## [features]
 
 Each key names a track, and its value is the track's source. A name has no `/` and no `.`, and is not `encoders`,
-`vision` or `touch`. A value is a colour, or a table that has one of these keys:
-
+`vision` or `touch`. A value is a colour, or a table with the keys of one of these sources. OpenCV's names of
+dictionaries (`DICT_4X4_50`) are possible, too.
 """
-SOURCE_ROW = {
-    "colour": "the blob of a colour: a name, or a range of HSV",
-    "tag": "an ArUco tag or AprilTag: its centre, or with `corners` four tracks `NAME.0` to `NAME.3`",
-    "charuco": "a ChArUco board: each inner corner k is the track `NAME.k`",
-    "topic": "points that another detector published on a topic",
-    "table": "two columns of a table beside the log (CSV or Parquet)",
-    "point": "the patch about a place in one frame",
-}
 BATCH = """## batch.toml
 
 `bodylog batch batch.toml -o out` runs groups of logs. Each group is a `[[group]]` table with its own logs, body,
@@ -100,28 +92,8 @@ def _rows(table: type) -> str:
 
 
 def _features() -> str:
-    kinds = [_row(f"`{name}`", SOURCE_ROW[name], _keys(name)) for name in SOURCES]
-    names = {name: None for source in SOURCES.values() for name in (f.name for f in fields(source)) if name in KEYS}
-    values = [_row(f"`{name}`", KEYS[name][1]) for name in names if name != "dictionary"]
-    dictionaries = (
-        f"`dictionary` is one of {', '.join(DICTIONARIES)}; OpenCV's names (`DICT_4X4_50`) are possible too.\n"
-    )
-    return "\n".join(
-        [
-            FEATURES + _table(("source", "track", "keys, with defaults"), kinds),
-            _table(("key", "values"), values),
-            dictionaries,
-        ]
-    )
-
-
-def _keys(source: str) -> str:
-    """The keys of a source, each with its default if it has one."""
-    found = []
-    for f in fields(SOURCES[source]):
-        default = "" if f.default in (MISSING, None) else f" = {toml_value(f.default)}"
-        found.append(f"`{f.name}{default}`{' (optional)' * (f.default is None)}")
-    return ", ".join(found)
+    parts = [f"### {name}\n\n{inspect.getdoc(source)}\n\n{_rows(source)}" for name, source in SOURCES.items()]
+    return "\n".join([FEATURES, *parts])
 
 
 def _row(*cells: str) -> str:

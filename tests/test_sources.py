@@ -1,6 +1,7 @@
 """The sources of [features]: from TOML to records and back, and what is refused."""
 
 import json
+import re
 from dataclasses import replace
 
 import cv2
@@ -56,32 +57,32 @@ def test_each_kind_is_read_from_toml_and_printed_as_what_is_read_back(tmp_path) 
 
 
 @pytest.mark.parametrize(
-    ("value", "told"),
+    ("value", "text"),
     [
         ("grene", r"features.it is 'grene'; possible: blue, .*yellow, or \{low"),
         ({"low": [0, 0, 0]}, "features.it is .*it must be {low"),
         ({"tag": 7, "point": [1, 2]}, "has tag and point; it must have exactly one of colour, tag"),
         ({"size": 0.1}, "has only size; it must have exactly one of"),
-        ({"tag": 7, "dictionnary": "4x4_50"}, "has 'dictionnary'; did you mean dictionary\\? possible: tag, dict"),
-        ({"tag": -1}, "features.it.tag is -1; possible: a tag's number"),
+        ({"tag": 7, "dictionnary": "4x4_50"}, "features.it.dictionnary; did you mean dictionary\\? possible: tag, di"),
+        ({"tag": -1}, "features.it.tag is -1; possible: whole number from 0"),
         ({"tag": True}, "features.it.tag is True"),
         ({"tag": 587}, "features.it.tag is 587; apriltag_36h11 has tags from 0 to 586"),
         ({"tag": 7, "dictionary": "36h11"}, "dictionary is '36h11'; possible: 4x4_50, .*apriltag_36h11"),
-        ({"tag": 7, "size": 0}, "size is 0; possible: a length in m"),
+        ({"tag": 7, "size": 0}, "size is 0; possible: number from 1e-06 to 100 m"),
         ({"charuco": "10x14", "square": 0.07}, "has no marker; it must have charuco, square, marker"),
         ({"charuco": "10x14", "square": 0.04, "marker": 0.07}, "marker is 0.07 m; it must be less than square"),
         ({"charuco": "10", "square": 0.07, "marker": 0.04}, "charuco is '10'; possible: columns and rows"),
         ({"charuco": "10x14", "square": 0.07, "marker": 0.04}, "needs 70 markers; 4x4_50 has 50"),
         ({"point": [1.0, float("nan")]}, "point is .*possible: \\[u, v\\] in px"),
         ({"table": "a.csv", "columns": ["u"]}, "columns is .*two or more columns"),
-        ({"topic": ""}, "topic is ''; possible: a topic's name"),
+        ({"topic": ""}, "topic is ''; possible: topic"),
         (7, "features.it is 7; possible: a colour's name, or a table"),
     ],
 )
-def test_what_is_no_source_is_refused_in_one_line_with_what_is_possible(value, told) -> None:
-    with pytest.raises(ConfigError, match=told) as caught:
+def test_what_is_no_source_is_refused_in_one_line_with_what_is_possible(value, text) -> None:
+    with pytest.raises(ConfigError, match=text) as caught:
         merge(Settings(), {"features": {"it": value}}, "robot.toml")
-    assert str(caught.value).startswith("robot.toml: features.it") and "\n" not in str(caught.value)
+    assert re.match(r"robot.toml: (unknown key )?features.it", str(caught.value)) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a.b", "encoders", "touch"])

@@ -97,6 +97,8 @@ def possible(about: Declared) -> str:
 
 def default_text(about: Declared) -> str:
     """The default of a key, in words or as in TOML."""
+    if about.default is MISSING:
+        return "required"
     return about.key.unset if about.default in (None, "", (), {}) and about.key.unset else toml_value(about.default)
 
 
@@ -132,6 +134,8 @@ def _advice(about: Declared, value: Any) -> str:
     if isinstance(value, str) and choices:
         return f"did you mean {nearest(value, choices)}?"
     default = default_text(about)
+    if about.default is MISSING:
+        return "it is required"
     return f"leave it out for: {default}" if about.default is None else f"default: {default}"
 
 
