@@ -19,7 +19,7 @@ from pathlib import Path
 from bodylog.io.atomic_files import replacing
 with replacing(Path(sys.argv[1])) as beside:
     beside.write_bytes(b"half")
-    print("begun", flush=True)
+    print("started", flush=True)
     sys.stdin.read()
 """
 
@@ -29,7 +29,7 @@ def writing(path):
     """Another process in the middle of writing `path`; killed at the end."""
     command = [sys.executable, "-c", WRITER, path]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"begun\n"
+        assert process.stdout.readline() == b"started\n"
         try:
             yield process
         finally:

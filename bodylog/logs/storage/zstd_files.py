@@ -74,10 +74,8 @@ def decompress_messages(
     batches: Iterable[Batch], topics: tuple[Topic, ...], diagnostics: Diagnostics
 ) -> Iterator[Batch]:
     """The batches, with CDR payloads that rosbag2 compressed one by one decompressed."""
-    cdr, allowance = (
-        {topic.id for topic in topics if topic.encoding == "cdr"},
-        Allowance(diagnostics.path, diagnostics.limits),
-    )
+    allowance = Allowance(diagnostics.path, diagnostics.limits)
+    cdr = {topic.id for topic in topics if topic.encoding == "cdr"}
     for batch in batches:
         first = batch.data[batch.offset[0] : batch.offset[0] + 4].tobytes()
         if first == ZSTD and batch.topic_id in cdr:
