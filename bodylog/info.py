@@ -31,10 +31,10 @@ def info(log: Path | str, settings: Settings) -> dict[str, Any]:
 
 
 def _info_remote(url: str, settings: Settings) -> dict[str, Any]:
-    from .logs.library import located
+    from .logs.library import local_path
     from .recording import recording
 
-    with located(url) as path:
+    with local_path(url) as path:
         told = recording.info(path, settings, settings.input.strict)
     findings = [{**said, "text": said["text"].replace(str(path), url)} for said in told["findings"]]
     return told | {"path": url, "findings": findings}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
-from ..io.values import believed
+from ..io.values import reject_impossible
 from ..logs.decode.columns import columns_of
 from ..logs.formats import open_log
 from ..logs.mcap.prefix import NAME
@@ -149,7 +149,7 @@ class _Table:
         for name, series in found.items():
             if len(series.names) != len(TRACK_NAMES):
                 raise self._unfit(TRACK + name, f"{len(series.names)} names, not {len(TRACK_NAMES)}")
-        return {name: replace(series, values=believed(series.values)[0]) for name, series in found.items()}
+        return {name: replace(series, values=reject_impossible(series.values)[0]) for name, series in found.items()}
 
     def aligned(self, name: str, joints: Series, width: int) -> Array:
         """Values (N,width) for each row of `joints`; LogError when they do not match."""

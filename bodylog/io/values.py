@@ -82,7 +82,7 @@ FARTHEST = 1e9
 """rad: the largest credible joint angle; readings beyond are rejected."""
 
 
-def believed(values: NDArray[Any]) -> tuple[NDArray[Any], int]:
+def reject_impossible(values: NDArray[Any]) -> tuple[NDArray[Any], int]:
     """Readings (N,D) with NaN for those beyond FARTHEST in any unit, and how many these were."""
     beyond = np.abs(values) > FARTHEST
     count = int(beyond.sum())

@@ -42,18 +42,18 @@ def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Ta
 def examine(path: str | Path) -> "tuple[Finding, ...]":
     """Read a log from end to end and return everything that is wrong with it."""
     from .conversion.examination import examine
-    from .library import located
+    from .library import local_path
 
-    with located(path) as here:
+    with local_path(path) as here:
         return examine(here)
 
 
 def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
     """Write the sound messages of a log to the MCAP `out`; return what is wrong with the log."""
     from .conversion.rewrite import repair
-    from .library import located
+    from .library import local_path
 
-    with located(path) as here:
+    with local_path(path) as here:
         return repair(here, Path(out))
 
 
@@ -67,9 +67,9 @@ def convert(
     writes datasets.
     """
     from .conversion.extract import convert
-    from .library import located
+    from .library import local_path
 
-    with located(path) as here:
+    with local_path(path) as here:
         return convert(here, Path(out), topics, start, end)
 
 

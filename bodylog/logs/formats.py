@@ -62,7 +62,7 @@ def _opener(path: Path, first: bytes) -> "Opener":
     if first and not first.startswith(_LFS) and table_kind(path):
         return _poses
     known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; datasets; tables of poses .csv, .parquet, .yaml"
-    raise LogError(f"{path}: {_what_it_is(first)}; {known}")
+    raise LogError(f"{path}: {_describe(first)}; {known}")
 
 
 def without_images(log: Log) -> "Source":
@@ -87,7 +87,7 @@ def payloads(batch: Batch) -> Iterator[memoryview]:
     return map(batch.data.data.__getitem__, map(slice, batch.offset.tolist(), (batch.offset + batch.length).tolist()))
 
 
-def _what_it_is(first: bytes) -> str:
+def _describe(first: bytes) -> str:
     if not first:
         return "the file is empty"
     if first.startswith(_LFS):

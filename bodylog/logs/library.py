@@ -46,7 +46,7 @@ class OpenLog:
         self.rejected: Counter[str] = Counter()
         self._open = ExitStack()
         with ExitStack() as opening:
-            self._log: Log = opening.enter_context(open_log(opening.enter_context(located(path)), strict))
+            self._log: Log = opening.enter_context(open_log(opening.enter_context(local_path(path)), strict))
             self._open = opening.pop_all()
         self.topics = self._log.topics
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns
@@ -148,7 +148,7 @@ class OpenLog:
 
 
 @contextmanager
-def located(path: str | Path) -> Iterator[Path]:
+def local_path(path: str | Path) -> Iterator[Path]:
     """A local path for a log: its own; for an MCAP behind a URL, a map that fetches on access; for others, a copy."""
     if not remote.is_url(str(path)):
         yield Path(path)

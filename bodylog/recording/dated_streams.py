@@ -8,7 +8,7 @@ from itertools import islice
 import numpy as np
 
 from ..errors import BodylogError, ConfigError, FormatError, LogError
-from ..io.values import FARTHEST, believed
+from ..io.values import FARTHEST, reject_impossible
 from ..logs.decode.columns import Source, columns, columns_of
 from ..logs.decode.parts import Columns
 from ..logs.images import messages
@@ -132,7 +132,7 @@ def _stream(role: Role, read: tuple[Columns, ...], settings: Settings, name: str
         values, beyond, turns = role_values.angles(values[keep], None if independent(role.topics) else unit.turn)
         wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
     elif values.dtype.kind == "f":
-        values, beyond = believed(values)
+        values, beyond = reject_impossible(values)
     rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(timing.rejected))
     rejected.update({"same stamp again": idle} if idle else {})
     rows, counts = signal.rows[timing.rows], tuple(len(some.log_ns) for some in read)

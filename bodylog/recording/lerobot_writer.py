@@ -12,7 +12,7 @@ from ..errors import FormatError, UsageError
 from ..io.atomic_files import sync, writable
 from ..io.temporary import scratch
 from ..logs.datasets.encode import Codec, codec, encode
-from ..logs.datasets.extra import needed
+from ..logs.datasets.extra import require_module
 from ..logs.datasets.statistics import Sampled, of_numbers, together
 from ..settings import Settings
 from ..types import Array, Finding
@@ -55,7 +55,7 @@ def write(
     form: lerobot (v3.0) or lerobot-2.1 · how: lossless, h264 or av1 · start, end: s since the log's first joints.
     """
     for module in ("pyarrow", "av"):
-        needed(module, out)
+        require_module(module, out)
     out = _place(out)
     with scratch(out.parent) as folder:
         done = _Written(folder / out.name, form, codec(how))
@@ -188,7 +188,7 @@ def _video(
 
 
 def _table(path: Path, columns: Mapping[str, Array]) -> None:
-    arrow, parquet = needed("pyarrow", path), needed("pyarrow.parquet", path)
+    arrow, parquet = require_module("pyarrow", path), require_module("pyarrow.parquet", path)
     made = {}
     for name, values in columns.items():
         flat = arrow.array(values.reshape(-1))
@@ -220,7 +220,7 @@ def _meta(done: _Written) -> None:
 
 
 def _listed_v3(done: _Written, meta: Path) -> None:
-    arrow, parquet = needed("pyarrow", meta), needed("pyarrow.parquet", meta)
+    arrow, parquet = require_module("pyarrow", meta), require_module("pyarrow.parquet", meta)
     place = {"meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
     flat = [
         {**row, **place, **{f"stats/{name}/{key}": value for name, one in stats.items() for key, value in one.items()}}

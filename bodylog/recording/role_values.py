@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..errors import LogError
-from ..io.values import believed
+from ..io.values import reject_impossible
 from ..logs.decode.parts import Columns
 from ..types import Array
 
@@ -143,7 +143,7 @@ def angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array
     A step of a whole turn, within a radian, is a wrap. Independent poses (`turn` None) are not unwrapped. `turn`: one
     turn in the values' unit.
     """
-    values, beyond = believed(values)
+    values, beyond = reject_impossible(values)
     values, turns = values.copy(), np.zeros(values.shape[1], int)
     whole = turn or _TURN
     for column in range(0 if turn is None else values.shape[1]):

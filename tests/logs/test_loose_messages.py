@@ -9,7 +9,7 @@ from mcap.writer import Writer
 from bodylog.errors import BodylogError
 from bodylog.logs.formats import open_log, payloads
 from bodylog.logs.mcap import resync
-from bodylog.logs.mcap.chunks import Loose, following, loose_messages
+from bodylog.logs.mcap.chunks import LooseRecords, following, loose_messages
 from bodylog.logs.mcap.records import HEAD, MAGIC, MESSAGE, iter_records
 
 SEEDS = range(12)
@@ -73,7 +73,7 @@ def test_following_finds_the_messages_of_iter_records(tmp_path, seed):
     data = memoryview(unchunked(tmp_path / "x.mcap", seed))
     end = len(data) - len(MAGIC)
     expected = [at - HEAD.size for opcode, at, _ in iter_records(data, len(MAGIC), end) if opcode == MESSAGE]
-    found = [int(at) for some in loose_messages(data, Loose(len(MAGIC), end)) for at in some.starts]
+    found = [int(at) for some in loose_messages(data, LooseRecords(len(MAGIC), end)) for at in some.starts]
     assert found == expected
 
 

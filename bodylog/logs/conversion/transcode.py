@@ -38,7 +38,7 @@ class _Carrier:
     convert: Converter | None = None
     carried: int = 0
     spare: int | None = None
-    resisted: int = 0
+    unconverted: int = 0
 
 
 Span = tuple[int, int]
@@ -70,7 +70,7 @@ def carry(
             writer.write(table)
         if only is None:
             findings += _extras(source, writer, ours, limits)
-        findings += [_resistance(source, c) for c in carriers.values() if c.resisted]
+        findings += [_unconverted(source, c) for c in carriers.values() if c.unconverted]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
 
 
@@ -169,7 +169,7 @@ def _converted(batch: Batch, carrier: _Carrier, channel: Array, writer: Writer) 
             single.append(carrier.convert(payload))
         except FormatError:
             carrier.spare = carrier.spare or _keep(writer, carrier.topic)
-            carrier.resisted += 1
+            carrier.unconverted += 1
             channel[i] = carrier.spare
             single.append(bytes(payload))
     length = np.array([len(part) for part in single], np.int64)
@@ -196,9 +196,9 @@ def _convert_same_layout(batch: Batch, convert: Converter) -> tuple[Array, list[
     return np.flatnonzero(left), parts
 
 
-def _resistance(source: Path, carrier: _Carrier) -> Finding:
+def _unconverted(source: Path, carrier: _Carrier) -> Finding:
     name = carrier.topic.name
-    text = f"{source}: topic {name}: {carrier.resisted} of {carrier.carried} messages contradict their definition"
+    text = f"{source}: topic {name}: {carrier.unconverted} of {carrier.carried} messages contradict their definition"
     return Finding("warning", f"{text}; they stay ROS 1, which ROS 2 tools do not read")
 
 

@@ -31,7 +31,7 @@ _GAP = 5.0
 
 
 @dataclass
-class _Look:
+class _ImageRecord:
     """Record of a camera's images: brightness (grey levels), change from the previous one, time (ns) of each."""
 
     bright: list[float] = field(default_factory=list)
@@ -61,7 +61,7 @@ class Checks:
         self._log = log
         topics = {topic.id: topic for topic in log.topics if topic.id in log.cameras}
         self._decoders = {number: messages.decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
-        self._looks = {number: _Look() for number in topics}
+        self._records = {number: _ImageRecord() for number in topics}
 
     def add(self, batch: Batch) -> None:
         """Examine the images of a batch."""
@@ -69,31 +69,31 @@ class Checks:
             return
         for ns, payload in zip(batch.log_ns.tolist(), payloads(batch), strict=True):
             try:
-                self._looks[batch.topic_id].add(ns, decode(bytes(payload), 1))
+                self._records[batch.topic_id].add(ns, decode(bytes(payload), 1))
             except BodylogError:  # the log counts it
                 continue
 
     def texts(self) -> Iterator[str]:
         """One line for each problem."""
         joints = next((one for one in self._log.signals if one.topic == JOINTS), None)
-        for number, look in self._looks.items():
-            yield from _camera(self._log.cameras[number], look, joints)
+        for number, record in self._records.items():
+            yield from _camera(self._log.cameras[number], record, joints)
         yield from () if joints is None else _joints(joints)
         yield from _length(self._log)
 
 
-def _camera(camera: Camera, look: _Look, joints: Signal | None) -> Iterator[str]:
+def _camera(camera: Camera, record: _ImageRecord, joints: Signal | None) -> Iterator[str]:
     name = camera.topic
-    if not look.ns:
+    if not record.ns:
         return
-    black = np.array(look.bright) < _BLACK
+    black = np.array(record.bright) < _BLACK
     if black.all():
         yield f"{name}: the camera is black in all {len(black)} images"
         return
-    for first, end in _runs(black, look.ns):
-        yield f"{name}: the camera is black {_when(look.ns, first, end)}"
-    same = np.append((np.array(look.change) < _SAME)[1:], False)
-    yield from _frozen(name, look.ns, list(_runs(same & ~black, look.ns)), joints)
+    for first, end in _runs(black, record.ns):
+        yield f"{name}: the camera is black {_when(record.ns, first, end)}"
+    same = np.append((np.array(record.change) < _SAME)[1:], False)
+    yield from _frozen(name, record.ns, list(_runs(same & ~black, record.ns)), joints)
 
 
 def _frozen(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: Signal | None) -> Iterator[str]:

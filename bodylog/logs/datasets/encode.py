@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import LogError, UsageError
 from ..records import Array
 from . import video
-from .extra import needed
+from .extra import require_module
 
 Images = Callable[[], Iterator[Array]]
 """Returns the images (H,W,3) uint8 BGR of a video in order, on each call."""
@@ -59,7 +59,7 @@ def encode(path: Path, how: Codec, images: Images, t: Array, size: tuple[int, in
 
 
 def _write(path: Path, how: Codec, images: Images, pts: Array, size: tuple[int, int]) -> None:
-    av = needed("av", path)
+    av = require_module("av", path)
     if how.encoder not in av.codecs_available:
         raise UsageError(f"{path.name}: this PyAV has no {how.encoder}; type: pip install -U av, or another --codec")
     with av.open(str(path), "w", format="mp4", options={"fflags": "+bitexact"}) as container:

@@ -15,7 +15,7 @@ _PACKAGES: Mapping[str, tuple[str, Callable[[], Any]]] = {
 }
 
 
-def needed(module: str, path: Path) -> Any:
+def require_module(module: str, path: Path) -> Any:
     """Import a module of the extra; UsageError names the package to install."""
     why, imported = _PACKAGES[module]
     try:

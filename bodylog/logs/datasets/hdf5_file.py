@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import FormatError, LogError
 from ...io.values import read_json
 from ..records import Finding
-from .extra import needed
+from .extra import require_module
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 _MOST_SETS = 2000
@@ -37,7 +37,7 @@ def numbers(file: Path) -> tuple[int, ...]:
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """Open an HDF5 file; FormatError when it is damaged or becomes unreadable."""
-    h5py = needed("h5py", path)
+    h5py = require_module("h5py", path)
     try:
         with h5py.File(path, "r") as file:
             yield file

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import FormatError, LogError
 from ..records import Array
-from .extra import needed
+from .extra import require_module
 
 MOST_VALUES = 1 << 26
 """The most numbers of one column that are read."""
@@ -21,7 +21,7 @@ _MOST_BYTES = 256 << 20
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """Open a Parquet file; LogError if it is not one, FormatError if it is damaged."""
-    arrow, parquet = needed("pyarrow", path), needed("pyarrow.parquet", path)
+    arrow, parquet = require_module("pyarrow", path), require_module("pyarrow.parquet", path)
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; is the dataset downloaded completely?")
     try:
@@ -55,7 +55,7 @@ def columns(path: Path, names: Sequence[str], where: Sequence[tuple[int, int]]) 
 def integers(path: Path, name: str, where: Sequence[tuple[int, int]]) -> Array | None:
     """A column of whole numbers (n,) int64 in runs of rows, without rounding; None for other columns."""
     with opened(path) as file:
-        types = needed("pyarrow", path).types
+        types = require_module("pyarrow", path).types
         if name not in file.schema_arrow.names or not types.is_integer(file.schema_arrow.field(name).type):
             return None
         pieces = [_column(file, name, run, path) for run in where]
@@ -106,7 +106,7 @@ def _found(file: Any, name: str, where: Sequence[tuple[int, int]], path: Path) -
 
 def _column(file: Any, name: str, run: tuple[int, int] | None, path: Path) -> Any:
     """One column of a run of rows, or of all; LogError if it declares too many values."""
-    arrow = needed("pyarrow", path)
+    arrow = require_module("pyarrow", path)
     pieces, first = [], 0
     for group in range(file.num_row_groups):
         about = file.metadata.row_group(group)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import LogError
 from ..records import Array
-from .extra import needed
+from .extra import require_module
 
 SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
 _MOST_FRAMES = 1 << 24
@@ -88,7 +88,7 @@ def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
 
     The file's first bytes select the format, so that FFmpeg reads no text as a list of other files or URLs.
     """
-    av = needed("av", path)
+    av = require_module("av", path)
     with path.open("rb") as file:
         form = _form(file.read(12))
     if form is None:
@@ -120,7 +120,7 @@ def _form(first: bytes) -> str | None:
 
 def _damage(path: Path) -> tuple[type[Exception], ...]:
     """Exceptions of FFmpeg's binding for damaged files."""
-    return (needed("av", path).error.FFmpegError, ValueError, EOFError)
+    return (require_module("av", path).error.FFmpegError, ValueError, EOFError)
 
 
 def _line(problem: BaseException) -> str:

@@ -82,7 +82,7 @@ def is_ros1(topic: Topic) -> bool:
     return topic.encoding == "ros1"
 
 
-def speaks_ros1(definition: Definition, payload: Payload) -> bool:
+def is_ros1_payload(definition: Definition, payload: Payload) -> bool:
     """Whether a payload declared CDR is ROS 1: not readable as CDR, but readable to its end as ROS 1."""
     if tuple(payload[:2]) in CDR_KINDS and _left_over(definition, payload, False) is not None:
         return False
@@ -113,7 +113,7 @@ class _Decoder:
     def feed(self, batch: Batch) -> None:
         """Decode one more batch: known layouts first, then new ones, then message by message."""
         if not self.seen and len(batch.log_ns) and not self.declared:
-            self.ros1 = speaks_ros1(self.definition, _payload(batch, 0))
+            self.ros1 = is_ros1_payload(self.definition, _payload(batch, 0))
         self.log_ns.append(np.array(batch.log_ns, np.int64))
         left = np.arange(len(batch.log_ns))
         for known in self.known:

@@ -112,7 +112,7 @@ class Picker:
 
     def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
         """The requested fields of one message; FormatError when it contradicts itself. Thread safe."""
-        walker = _again(self._last, payload) if self._last else None
+        walker = _reuse(self._last, payload) if self._last else None
         if walker is None:
             walker = CdrCursor(self._definition, payload, len(self._wanted), self._ros1)
             walker.struct(self._definition.root, tuple(enumerate(self._wanted)), True)
@@ -120,7 +120,7 @@ class Picker:
         return tuple(walker.single(k, end) for k, end in enumerate(self._ends))
 
 
-def _again(last: CdrCursor, payload: Payload) -> CdrCursor | None:
+def _reuse(last: CdrCursor, payload: Payload) -> CdrCursor | None:
     """A cursor for a payload that differs from the last one only in the length of its final bytes, or None."""
     start, stop = last.constants[-1] if last.constants else (0, 0)
     tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]

@@ -6,7 +6,7 @@ from typing import Any
 
 from ...errors import FormatError
 from ..records import Topic
-from .columns import definition_of, is_ros1, speaks_ros1
+from .columns import definition_of, is_ros1, is_ros1_payload
 from .definitions import PRIMITIVES, TEXTS, Definition, Field
 
 _TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError)
@@ -22,7 +22,7 @@ def decoder(topic: Topic) -> Decode:
     known: dict[bool, Decode] = {}
 
     def decode(payload: bytes) -> Any:
-        ros1 = is_ros1(topic) or ((True in known or not known) and speaks_ros1(definition, payload))
+        ros1 = is_ros1(topic) or ((True in known or not known) and is_ros1_payload(definition, payload))
         if ros1 not in known:
             known[ros1] = _ros1(topic) if ros1 else _cdr(topic, definition)
         return known[ros1](payload)

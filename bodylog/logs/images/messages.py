@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import FormatError
-from ..decode.columns import definition_of, is_ros1, speaks_ros1
+from ..decode.columns import definition_of, is_ros1, is_ros1_payload
 from ..decode.cursor import Payload
 from ..decode.dynamic import reader
 from ..decode.layout import Picker
@@ -114,7 +114,7 @@ def _reader(topic: Topic, fields: tuple[str, ...]) -> Callable[[Payload], Mappin
 
     def from_layout(payload: Payload) -> Mapping[str, Any]:
         nonlocal dialect
-        ros1 = speaks_ros1(definition, payload) if dialect is None else dialect
+        ros1 = is_ros1_payload(definition, payload) if dialect is None else dialect
         found = dict(zip(fields, pickers[ros1](payload), strict=True))
         # Only a sound payload determines the dialect of later ones.
         dialect = ros1

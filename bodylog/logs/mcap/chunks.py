@@ -47,7 +47,7 @@ class Chunk(NamedTuple):
     cut: bool = False
 
 
-class Loose(NamedTuple):
+class LooseRecords(NamedTuple):
     """A run of sound records outside chunks, with messages among them."""
 
     start: int
@@ -107,11 +107,11 @@ def load(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostic
     try:
         return unpack(data, chunk, buffer)
     except FormatError as problem:
-        lose(data, chunk, problem, diagnostics)
+        record_loss(data, chunk, problem, diagnostics)
         return None
 
 
-def lose(data: memoryview, chunk: Chunk, problem: FormatError, diagnostics: Diagnostics) -> None:
+def record_loss(data: memoryview, chunk: Chunk, problem: FormatError, diagnostics: Diagnostics) -> None:
     """Record the loss of a chunk."""
     count = sum(len(index_of(data, at)) for at in chunk.indexes.values()) if chunk.indexes else None
     seconds = max(0, chunk.end_ns - chunk.start_ns) / 1e9
@@ -139,7 +139,7 @@ def messages(content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagno
         diagnostics.warn(
             f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were read one by one"
         )
-    return _walked(content, chunk, diagnostics)
+    return _scan_messages(content, chunk, diagnostics)
 
 
 def heads_of(content: Array | memoryview) -> Array:
@@ -195,7 +195,7 @@ def _tiled(content: Array, places: Array, starts: Array, sizes: Array) -> bool:
         return False
 
 
-def _walked(content: Array, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
+def _scan_messages(content: Array, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
     starts = []
     try:
         for opcode, body, length in iter_records(content.data, 0, len(content)):
@@ -211,7 +211,7 @@ def _at(content: Array | memoryview, starts: list[int]) -> MessageRecords:
     return MessageRecords(where, heads_at(content, where))
 
 
-def loose_messages(data: memoryview, run: Loose) -> Iterator[MessageRecords]:
+def loose_messages(data: memoryview, run: LooseRecords) -> Iterator[MessageRecords]:
     """The messages of a run, in blocks."""
     at = run.start
     while at < run.end:

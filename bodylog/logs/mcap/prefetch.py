@@ -9,7 +9,7 @@ from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import advise_sequential
-from .chunks import Chunk, Loose, unpack
+from .chunks import Chunk, LooseRecords, unpack
 
 if TYPE_CHECKING:
     from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,8 +25,8 @@ Unpacked = Array | FormatError | None
 
 
 def unpacked_parts(
-    data: memoryview, parts: Sequence[Chunk | Loose], diagnostics: Diagnostics, alone: bool = False
-) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
+    data: memoryview, parts: Sequence[Chunk | LooseRecords], diagnostics: Diagnostics, alone: bool = False
+) -> Iterator[tuple[Chunk | LooseRecords, Unpacked]]:
     """Each part with its decompressed records, valid until the next; `alone`: nothing between is needed."""
     if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _processors() < 2:
         buffer = Buffer(diagnostics.path, diagnostics.limits)
@@ -39,8 +39,12 @@ def unpacked_parts(
 
 
 def _overlapped(
-    data: memoryview, parts: Sequence[Chunk | Loose], pool: "ThreadPoolExecutor", diagnostics: Diagnostics, alone: bool
-) -> Iterator[tuple[Chunk | Loose, Unpacked]]:
+    data: memoryview,
+    parts: Sequence[Chunk | LooseRecords],
+    pool: "ThreadPoolExecutor",
+    diagnostics: Diagnostics,
+    alone: bool,
+) -> Iterator[tuple[Chunk | LooseRecords, Unpacked]]:
     """Alternate between two buffers; the first part is not overlapped, as some callers read only a log's beginning."""
     here, there = Buffer(diagnostics.path, diagnostics.limits), Buffer(diagnostics.path, diagnostics.limits)
     waiting: Future[Unpacked] | None = None
@@ -53,8 +57,8 @@ def _overlapped(
         here, there = there, here
 
 
-def _unpacked(data: memoryview, part: Chunk | Loose, buffer: Buffer, alone: bool) -> Unpacked:
-    if isinstance(part, Loose):
+def _unpacked(data: memoryview, part: Chunk | LooseRecords, buffer: Buffer, alone: bool) -> Unpacked:
+    if isinstance(part, LooseRecords):
         return None
     advise_sequential(data, part.start, part.start + part.length, alone)
     try:

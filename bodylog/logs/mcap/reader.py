@@ -12,7 +12,7 @@ from ..records import Array, Batch, Finding, Topic
 from ..storage.mmapped import advise_sequential, check_untruncated, drop_pages, ensure_local, mapped
 from ..storage.zstd_files import decompress_messages
 from ..topics import Topics, span, split
-from .chunks import MESSAGE_HEAD, Chunk, Loose, MessageRecords, loose_messages, lose, messages
+from .chunks import MESSAGE_HEAD, Chunk, LooseRecords, MessageRecords, loose_messages, messages, record_loss
 from .prefetch import unpacked_parts
 from .records import HEAD, MAGIC, Record, parse
 from .survey import Survey
@@ -67,10 +67,10 @@ class McapLog:
             done = some[0].start
         drop_pages(self._data, done, len(self._data))
 
-    def _one_by_one(self, parts: Sequence[Chunk | Loose], alone: bool) -> Iterator[tuple[Array, MessageRecords]]:
+    def _one_by_one(self, parts: Sequence[Chunk | LooseRecords], alone: bool) -> Iterator[tuple[Array, MessageRecords]]:
         done = parts[0].start
         for part, content in unpacked_parts(self._data, parts, self._diagnostics, alone):
-            if isinstance(part, Loose):
+            if isinstance(part, LooseRecords):
                 advise_sequential(self._data, part.start, part.end)
                 whole = np.frombuffer(self._data, np.uint8)
                 for found in loose_messages(self._data, part):
@@ -78,7 +78,7 @@ class McapLog:
                     drop_pages(self._data, int(found.starts[0]), int(found.starts[-1] + found.heads["size"][-1]))
                 continue
             if isinstance(content, FormatError):
-                lose(self._data, part, content, self._diagnostics)
+                record_loss(self._data, part, content, self._diagnostics)
             elif content is not None:
                 yield content, messages(content, self._data, part, self._diagnostics)
             drop_pages(self._data, done, part.start + part.length)  # and the pages touched since the last chunk
@@ -112,9 +112,9 @@ class McapLog:
         check_untruncated(data, self.path, problem)
 
 
-def _holds(part: Chunk | Loose, wanted: frozenset[int] | None) -> bool:
+def _holds(part: Chunk | LooseRecords, wanted: frozenset[int] | None) -> bool:
     """Whether the part may hold messages of the channels `wanted`."""
-    if wanted is None or isinstance(part, Loose) or not part.listed or not part.indexes:
+    if wanted is None or isinstance(part, LooseRecords) or not part.listed or not part.indexes:
         return True
     return not wanted.isdisjoint(part.indexes)
 

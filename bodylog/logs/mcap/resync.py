@@ -72,7 +72,7 @@ def sound_records(
         if chunked is None:
             chunked = _chunked(data, at, min(end, at + _AHEAD))
         low = at if held is None or held[0] == CHUNK else held[1] + 1
-        found = resync(data, low, end, *_sought(chunked, channels))
+        found = resync(data, low, end, *_search_targets(chunked, channels))
         begin = at
         if held and found is not None and found < at:  # the length of the record before was wrong
             begin = held[1]
@@ -117,7 +117,7 @@ def _chunk_like(data: memoryview, at: int) -> bool:
     return False
 
 
-def _sought(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
+def _search_targets(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
     """Opcodes and channels to search for after damage, outside chunks: content of a damaged chunk is unchecked."""
     return ((*_IN_CHUNKED, DATA_END), ()) if chunked else ((SCHEMA, CHANNEL, DATA_END), channels)
 
@@ -151,7 +151,7 @@ def resync(data: memoryview, start: int, end: int, opcodes: Collection[int], cha
             continue
         high = min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)
         for at in _candidates(data[low:high], end - low, list(opcodes), known):
-            if _convincing(data, low + at, end):
+            if _is_sound(data, low + at, end):
                 return low + at
         drop_pages(data, low, high)
     return None
@@ -165,7 +165,7 @@ def _candidates(window: memoryview, left: int, opcodes: list[int], known: Array)
     return [int(at) for at in where[(opcode[where] != MESSAGE) | known[heads["channel"][where]]]]
 
 
-def _convincing(data: memoryview, at: int, end: int) -> bool:
+def _is_sound(data: memoryview, at: int, end: int) -> bool:
     """Whether a whole record is at `at`, and it is either a consistent chunk or followed by another record."""
     if not _plausible(data, at, end):
         return False

@@ -10,7 +10,7 @@ from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import STORED, Buffer
 from ..storage.mmapped import drop_pages, ensure_local
-from .chunks import Chunk, Loose, chunk_head, heads_at, index_of, load, messages, unpack
+from .chunks import Chunk, LooseRecords, chunk_head, heads_at, index_of, load, messages, unpack
 from .records import (
     CHANNEL,
     CHUNK,
@@ -25,7 +25,7 @@ from .records import (
     parse,
 )
 from .resync import sound_records
-from .summary import Summary, believe_counts, summary_of
+from .summary import Summary, summary_of, use_statistics
 from .survey import Survey
 
 _BLOCK = 4096
@@ -71,7 +71,7 @@ def _summarised(data: memoryview, summary: Summary, diagnostics: Diagnostics) ->
         survey.parts.append(chunk)
         at = end
     _scan(data, at, summary.start, survey, diagnostics)
-    if not believe_counts(summary, survey, diagnostics):
+    if not use_statistics(summary, survey, diagnostics):
         _learn(data, survey, diagnostics)
     return survey
 
@@ -155,7 +155,7 @@ class _Run:
         """End the run and add it to the survey if it has messages; the next run starts at byte `following`."""
         self._flush()
         if self._end > self._start:
-            self._survey.parts.append(Loose(self._start, self._end))
+            self._survey.parts.append(LooseRecords(self._start, self._end))
         self._start = self._end = following
 
     def credible(self, at: int, length: int) -> bool:

@@ -116,7 +116,7 @@ def _chunk(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
     return Chunk(start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored), after
 
 
-def believe_counts(summary: Summary, survey: Survey, diagnostics: Diagnostics) -> bool:
+def use_statistics(summary: Summary, survey: Survey, diagnostics: Diagnostics) -> bool:
     """Take counts and times from Statistics if they agree with indexes and channels; else change nothing."""
     statistics = next((record.fields for record in summary.records if record.opcode == STATISTICS), None)
     if statistics is None:

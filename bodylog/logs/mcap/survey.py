@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..records import Array
-from .chunks import Chunk, Loose
+from .chunks import Chunk, LooseRecords
 from .records import SCHEMA, Record
 
 
@@ -16,7 +16,7 @@ class Survey:
 
     schemas: dict[int, Record] = field(default_factory=dict)
     channels: dict[int, Record] = field(default_factory=dict)
-    parts: list[Chunk | Loose] = field(default_factory=list)
+    parts: list[Chunk | LooseRecords] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)
     times: list[int] = field(default_factory=list)
 

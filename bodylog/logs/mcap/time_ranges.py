@@ -3,15 +3,15 @@
 from collections.abc import Sequence
 
 from ..records import Array
-from .chunks import Chunk, Loose, index_of
+from .chunks import Chunk, LooseRecords, index_of
 
 
-def spans_of(data: memoryview, parts: Sequence[Chunk | Loose], topic_of: Array) -> dict[int, tuple[int, int]]:
+def spans_of(data: memoryview, parts: Sequence[Chunk | LooseRecords], topic_of: Array) -> dict[int, tuple[int, int]]:
     """First and last log time (ns) by topic id; empty when messages lie outside indexed chunks."""
     first: dict[int, int] = {}
     last: dict[int, int] = {}
     for part in parts:
-        if isinstance(part, Loose) or not part.indexes:
+        if isinstance(part, LooseRecords) or not part.indexes:
             return {}
         for channel, at in part.indexes.items():
             first.setdefault(channel, at)

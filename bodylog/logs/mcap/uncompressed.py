@@ -11,26 +11,28 @@ from ...errors import FormatError
 from ..records import Array
 from ..storage.compression import STORED
 from ..storage.mmapped import advise_sequential
-from .chunks import Chunk, Loose, MessageRecords, chunk_head, indexed, records_at
+from .chunks import Chunk, LooseRecords, MessageRecords, chunk_head, indexed, records_at
 
 _TOGETHER = 16 << 20
 
 
-def runs(parts: Sequence[Chunk | Loose]) -> Iterator[list[Chunk | Loose]]:
+def runs(parts: Sequence[Chunk | LooseRecords]) -> Iterator[list[Chunk | LooseRecords]]:
     """The parts in order, with uncompressed chunks grouped that begin in the same 16 MB of the file.
 
     The first part is alone, as some callers read only a log's beginning.
     """
 
-    def key(part: Chunk | Loose) -> tuple[bool, int]:
-        if isinstance(part, Loose) or not part.stored or not part.indexes:
+    def key(part: Chunk | LooseRecords) -> tuple[bool, int]:
+        if isinstance(part, LooseRecords) or not part.stored or not part.indexes:
             return False, 0
         return True, 0 if part is parts[0] else 1 + part.start // _TOGETHER
 
     return (list(some) for _, some in groupby(parts, key))
 
 
-def together(data: memoryview, parts: Sequence[Chunk | Loose], alone: bool) -> tuple[Array, MessageRecords] | None:
+def together(
+    data: memoryview, parts: Sequence[Chunk | LooseRecords], alone: bool
+) -> tuple[Array, MessageRecords] | None:
     """The file (bytes,) uint8 and all messages in a run of uncompressed chunks.
 
     `alone`: the bytes around it are not needed. None when the run holds other parts, or a CRC or index in it is wrong:

@@ -95,7 +95,7 @@ def messages(
     if found is None:
         if indexes:
             diagnostics.warn(f"the index of the chunk at byte {place} is wrong; its records were read one by one")
-        return walked(content.data, 0, len(content), place, diagnostics)
+        return scan_messages(content.data, 0, len(content), place, diagnostics)
     return found
 
 
@@ -175,7 +175,7 @@ def _tiled(content: Array, starts: Array, ends: Array) -> bool:
     return True
 
 
-def walked(data: memoryview, start: int, end: int, place: int, diagnostics: Diagnostics) -> BagMessages:
+def scan_messages(data: memoryview, start: int, end: int, place: int, diagnostics: Diagnostics) -> BagMessages:
     """The messages between two bytes of `data`, record by record; losses are reported at byte `place`."""
 
     def lost(at: int, size: int) -> None:

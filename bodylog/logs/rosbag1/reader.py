@@ -11,7 +11,7 @@ from ..records import Array, Batch, Finding, Topic
 from ..storage.compression import Buffer
 from ..storage.mmapped import check_untruncated, drop_pages, mapped
 from ..topics import Topics, span, split
-from .chunks import BagMessages, BagRun, load, messages, walked
+from .chunks import BagMessages, BagRun, load, messages, scan_messages
 from .survey import BagSurvey
 
 
@@ -44,7 +44,7 @@ class BagLog:
             if isinstance(part, BagRun):
                 whole = np.frombuffer(self._data, np.uint8)
                 yield from _split(
-                    whole, walked(self._data, part.start, part.end, part.start, self._diagnostics), wanted
+                    whole, scan_messages(self._data, part.start, part.end, part.start, self._diagnostics), wanted
                 )
             elif not part.counts or wanted.keys() & part.counts.keys():
                 loaded = load(self._data, part, buffer, self._diagnostics)

@@ -8,7 +8,7 @@ import numpy as np
 from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..storage.compression import STORED, Buffer
-from .chunks import BagChunk, BagRun, load, messages, walked
+from .chunks import BagChunk, BagRun, load, messages, scan_messages
 from .records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord, record_at, sound_records
 from .survey import BagSurvey
 from .truncated import cut_at, decompress_truncated
@@ -103,7 +103,7 @@ def _cut(data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics)
         diagnostics.add_loss(at, found.lacks, None, None, why + "go")
         return len(data) - len(found.packed)
     content = decompress_truncated(found)
-    if not len(walked(memoryview(content), 0, len(content), at, Diagnostics(Path())).starts):
+    if not len(scan_messages(memoryview(content), 0, len(content), at, Diagnostics(Path())).starts):
         return None
     diagnostics.add_loss(at, None, None, None, why + "unpack")
     _open(data, BagChunk(at, {}, cut=True), survey, Buffer(diagnostics.path, diagnostics.limits), diagnostics)
