@@ -9,7 +9,7 @@ import pytest
 
 from bodylog.estimation import estimate
 from bodylog.estimation.faults.screening import screened
-from bodylog.estimation.inference.assemble import NEVER, START_STD, Assumed, assemble, outset
+from bodylog.estimation.inference.assemble import NEVER, START_STD, Assumed, assemble, initial_states
 from bodylog.estimation.inference.beliefs import given_all, given_past
 from bodylog.estimation.inference.initial_path import OFFSET_STD
 from bodylog.estimation.inference.mixture import inlier
@@ -144,8 +144,8 @@ def test_a_linear_body_is_the_textbooks(linear_model, order, walk, blur):
     motion = MotionModel(order, PROCESS[order], None if walk is None else np.maximum(walk, NEVER**2))
     log, *parts = posed(world, motion)
     mean, cov, cost, smooth, smooth_cov = textbook(*parts, motion, R, blur)
-    filtered = solve(log, outset(log), smooth=False)
-    past, all_of_it = given_past(filtered), given_all(solve(log, outset(log), smooth=True))
+    filtered = solve(log, initial_states(log), smooth=False)
+    past, all_of_it = given_past(filtered), given_all(solve(log, initial_states(log), smooth=True))
     near = 1e-9 if order == 2 else 1e-8
     np.testing.assert_allclose(past.states[:, :, 0], mean, atol=near)
     np.testing.assert_allclose(all_of_it.states[:, :, 0], smooth, atol=near)
@@ -164,7 +164,7 @@ def test_what_an_offset_wins_to_first_order_is_what_it_wins(order):
     off = joints.values + 0.01 * (joints.t > 8.0)[:, None] * (np.array(joints.names) == "lift")
     world.features = replace(world.features, joints=replace(joints, values=off))
     log, *_ = posed(world, MotionModel(order, PROCESS[order] / 100.0), np.full(3, 4e-4))
-    without = solve(log, outset(log), smooth=True)
+    without = solve(log, initial_states(log), smooth=True)
     score = offset_score(without)
     for joint in range(3):
         walk = np.where(np.arange(3) == joint, 1e-5, 0.0)
@@ -188,7 +188,7 @@ def test_an_outlier_costs_more_the_farther_out_it_is(method, sense):
         tracks = {"effector": replace(track, values=places)}
         features = replace(world.features, joints=replace(joints, values=values), tracks=tracks)
         monkey = assembled(features, world.body)
-        costs.append(nats(solve(monkey, outset(monkey), smooth=method == "smoother")))
+        costs.append(nats(solve(monkey, initial_states(monkey), smooth=method == "smoother")))
     assert all(before <= after + 0.01 for before, after in pairwise(costs))
 
 
@@ -230,7 +230,7 @@ def test_the_order_of_tracks_does_not_show():
     both = {"effector": track, "other": other}
     body = replace(body, senses=dict.fromkeys(both, body.senses["effector"]))
     logs = [assembled(replace(world.features, tracks=tracks), body) for tracks in (both, dict(reversed(both.items())))]
-    one, two = (given_all(solve(log, outset(log), smooth=True)) for log in logs)
+    one, two = (given_all(solve(log, initial_states(log), smooth=True)) for log in logs)
     np.testing.assert_array_equal(one.states, two.states)
     np.testing.assert_array_equal(one.cov, two.cov)
 

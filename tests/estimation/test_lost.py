@@ -106,14 +106,14 @@ def test_no_word_crosses_where_all_is_forgotten(world, linear_model, solve):
     drawn = world(0, duration=9.0, model=linear_model)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
 
-    def solved(begin, end, anew=None):
+    def solved(begin, end, resets=None):
         rows, frames = ((t >= begin) & (t < end) for t in (joints.t, track.t))
         part = replace(joints, t=joints.t[rows], values=joints.values[rows], source_ns=joints.source_ns[rows])
         seen = replace(track, t=track.t[frames], values=track.values[frames], std=track.std[frames],
                        source_ns=track.source_ns[frames])  # fmt: skip
         features = replace(drawn.features, joints=part, tracks={"effector": seen})
         problem, _, _ = filtering.pose(features, drawn.body, Estimation(precision="model", bias="off"))
-        found = solve(replace(problem, anew=anew))
+        found = solve(replace(problem, resets=resets))
         z, cov = (found.z, found.cov) if solve is smoother.solve else (found.trace.z, found.trace.p[:, :3, :3])
         return problem.timeline.t, found.fold.unfold(z)[:, :3], found.fold.unfold(cov)
 

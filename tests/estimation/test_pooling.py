@@ -126,7 +126,7 @@ def test_a_spike_is_heard_by_itself_and_no_more_than_most_are_pooled():
     rng = np.random.default_rng(0)
     said = np.sin(np.arange(400) / 50)[:, None] + rng.normal(0, 0.01, (400, 1))
     said[123] += 0.1
-    assert pooling.loud(said)[123] and pooling.loud(said).mean() < 0.05
-    events = pooling.kept(pooling.loud(said))
+    assert pooling.outlier_candidates(said)[123] and pooling.outlier_candidates(said).mean() < 0.05
+    events = pooling.kept(pooling.outlier_candidates(said))
     assert 123 in events and events[-1] == 399
     assert np.diff(events).max() <= pooling.MOST + 1

@@ -384,7 +384,7 @@ def test_an_instant_in_plain_floats_is_that_of_matrices(seed, offsets):
     process = [float(v) for v in motion._spread[0].diagonal()[m : 2 * m]]
     ours_z, ours_p = scalar_steps.moved(z.tolist(), p.tolist(), 0.013, process, [] if drift is None else drift.tolist())
     np.testing.assert_allclose(ours_p, moved_p, atol=1e-12, rtol=0)
-    ours_z, ours_p, nats, d = scalar_steps.heard(ours_z, ours_p, stated.tolist(), var.tolist())
+    ours_z, ours_p, nats, d = scalar_steps.condition(ours_z, ours_p, stated.tolist(), var.tolist())
     scalar_steps.even(ours_p)
     np.testing.assert_allclose(ours_z, found.z, atol=1e-12, rtol=0)
     np.testing.assert_allclose(ours_p, found.p, atol=1e-12, rtol=0)

@@ -148,7 +148,7 @@ def faults(
         off = certain[:, joint]
         lasting = off & (np.cumsum(off[::-1])[::-1] > 0.5 * np.arange(len(t), 0, -1))
         if lasting.any():
-            alternatives = problem.rivals.get(joint, ())
+            alternatives = problem.alternatives.get(joint, ())
             own = offset[:, joint], var[:, joint], float(walks[joint])
             size = np.nan if alternatives else _largest_smoothed(t, *own)
             either = EITHER.join([name, *(names[k] for k in alternatives)])

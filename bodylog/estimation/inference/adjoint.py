@@ -1,4 +1,4 @@
-"""The way back over a filtered log, in Bryson and Frazier's form: the filter's gains, but no inverse."""
+"""Backward pass of the smoother in Bryson–Frazier form: it needs the filter's gains, and no inverse."""
 
 import numpy as np
 
@@ -14,41 +14,41 @@ def means(trace: Trace, after: Array) -> Array:
 
 
 def adjoints(readings: Readings, trace: Trace, end: Array) -> tuple[Array, Array]:
-    """Adjoints (L,K,C) after each instant and (K,C) before all, from that at the `end` (K,C)."""
+    """Adjoints (L,K,C) after each instant and (K,C) before the first, from the adjoint at the `end` (K,C)."""
     assert trace.back is not None
     gains, weights, nus = trace.back
     adjoint, after, m = end.copy(), np.empty_like(trace.z), readings.encoders.shape[1]
     jac = readings.jac.reshape(len(after), -1, m, end.shape[1])
-    push, heard = nus * weights, _heard(trace, m, m + jac.shape[1])
+    push, used = nus * weights, _used_rows(trace, m, m + jac.shape[1])
     for i in range(len(after) - 1, -1, -1):
         after[i] = adjoint
-        for row in heard[i]:
+        for row in used[i]:
             pull = np.einsum("kc,kc->c", gains[i, row], adjoint) + push[i, row]
             if row < m:
                 adjoint[row :: 2 * m] -= pull  # angle and, where there is one, offset
             else:
                 adjoint[:m] -= jac[i, row - m] * pull
-        if readings.anew is not None:
-            adjoint *= _kept(readings.anew[i], len(adjoint))
+        if readings.reset is not None:
+            adjoint *= _kept(readings.reset[i], len(adjoint))
         if isinstance(readings, KnotReadings):
             assert trace.left is not None
-            _unleap(readings.pooled, i, adjoint, trace.left[i])
+            _undo_pooled(readings.pooled, i, adjoint, trace.left[i])
         else:
             adjoint[m : 2 * m] += readings.dt[i] * adjoint[:m]
     return after, adjoint
 
 
-def _kept(anew: Array, states: int) -> Array:
-    """States (K,C) bool that go on past an instant by which joints `anew` (M,C) were forgotten: no word crosses it."""
-    keep, m = np.ones((states, anew.shape[1]), bool), len(anew)
-    keep[:m] = keep[m : 2 * m] = ~anew
+def _kept(reset: Array, states: int) -> Array:
+    """States (K,C) bool that survive a reset of joints `reset` (M,C); the adjoint of the others becomes zero."""
+    keep, m = np.ones((states, reset.shape[1]), bool), len(reset)
+    keep[:m] = keep[m : 2 * m] = ~reset
     return keep
 
 
-def _unleap(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
-    """Carry the adjoint λ (K,C) back over what was pooled before instant i; `left` is the belief before it moved.
+def _undo_pooled(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
+    """Carry the adjoint λ (K,C) back over the pooled readings before instant i; `left` is the belief before the move.
 
-    Each reading y of the smoothed state z − P λ there takes Hᵀ R⁻¹ (y − H (z − P λ)) from it.
+    Each reading y of the smoothed state z − P λ subtracts Hᵀ R⁻¹ (y − H (z − P λ)) from λ.
     """
     lean, parts = pooled.lean[i], adjoint.reshape(pooled.shift[i].shape)
     parts[:] = np.einsum("abjc,ajc->bjc", pooled.move[i], parts)
@@ -65,11 +65,11 @@ def _unleap(pooled: Pooled, i: int, adjoint: Array, left: Array) -> None:
 def covariances(readings: Readings, trace: Trace) -> Array:
     """Smoothed covariances (L,M,M,C) of the angles.
 
-    What the future knows at a stretch's end, Λ, is W + Ψ Λ Ψᵀ at an instant before, where Ψ is what becomes of the
-    adjoints at the end. Without Λ the angles' covariance is cov there, with it less by R Λ Rᵀ, R = P Ψ.
+    The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at an earlier instant, where Ψ maps adjoints at
+    the end back to that instant. The smoothed covariance is the one for Λ = 0 minus R Λ Rᵀ, with R = P Ψ.
     """
     (k, _, c), m = trace.p[0].shape, readings.encoders.shape[1]
-    known, heard = np.zeros((k, 2 * k, c)), _heard(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
+    known, used = np.zeros((k, 2 * k, c)), _used_rows(trace, m, m + readings.y.shape[1] * readings.y.shape[2])
     np.einsum("kkc->kc", known[:, k:])[:] = 1.0
     cov, reach = np.empty_like(trace.prior_cov), np.empty((len(trace.p), m, k, c))
     for i in range(len(cov) - 1, -1, -1):
@@ -77,9 +77,9 @@ def covariances(readings: Readings, trace: Trace) -> Array:
         half = np.einsum("jkc,klc->jlc", p[:m], known)
         np.subtract(p[:m, :m], np.einsum("jlc,lkc->jkc", half[:, :k], p[:, :m]), out=cov[i])
         reach[i] = half[:, k:]
-        _unhear(readings, trace, i, heard[i], known)
-        if readings.anew is not None:
-            keep = _kept(readings.anew[i], k)
+        _undo_rows(readings, trace, i, used[i], known)
+        if readings.reset is not None:
+            keep = _kept(readings.reset[i], k)
             known *= keep[:, None]
             known[:, :k] *= keep
         known[m : 2 * m] += dt * known[:m]
@@ -93,7 +93,7 @@ def covariances(readings: Readings, trace: Trace) -> Array:
 
 
 def _ends(at_start: Array) -> Array:
-    """What the future knows (K,K,C) at stretches' ends, by W and Ψ (K,2K,C) over each: nothing at the last one's."""
+    """Information (K,K,C) of everything after each stretch, from its W and Ψ (K,2K,C); zero after the last stretch."""
     k, _, c = at_start.shape
     before, ends = np.moveaxis(at_start, -1, 0), np.zeros((c, k, k))
     for j in range(c - 1, 0, -1):
@@ -102,14 +102,14 @@ def _ends(at_start: Array) -> Array:
     return np.ascontiguousarray(np.moveaxis(ends, 0, -1))
 
 
-def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array) -> None:
-    """Carry W and Ψ (K,2K,C) back over the rows heard at instant i, last heard first."""
+def _undo_rows(readings: Readings, trace: Trace, i: int, rows: list[int], information: Array) -> None:
+    """Carry W and Ψ (K,2K,C) back over the rows of instant i, in reverse order."""
     assert trace.back is not None
     gains, weights, _ = (part[i] for part in trace.back)
     k, m = len(information), readings.encoders.shape[1]
     tracks = [row for row in rows if row >= m]
     for row in rows[: len(rows) - len(tracks)]:
-        b, curve = _said(information, gains[row], weights[row])
+        b, curve = _row_information(information, gains[row], weights[row])
         information[row :: 2 * m] -= b
         information[:, row : k : 2 * m] -= b[:k, None]
         information[row :: 2 * m, row : k : 2 * m] += curve
@@ -118,7 +118,7 @@ def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], informati
     some, jac = (part.take(seen, axis=-1) if few else part for part in (information, readings.jac[i]))
     for row in tracks:
         gain, weight = (part[row].take(seen, axis=-1) if few else part[row] for part in (gains, weights))
-        h, (b, curve) = jac.reshape(-1, m, jac.shape[-1])[row - m], _said(some, gain, weight)
+        h, (b, curve) = jac.reshape(-1, m, jac.shape[-1])[row - m], _row_information(some, gain, weight)
         some[:m] -= h[:, None] * b[None]
         some[:, :m] -= b[:k, None] * h[None]
         some[:m, :m] += (h * curve)[:, None] * h[None]
@@ -126,22 +126,22 @@ def _unhear(readings: Readings, trace: Trace, i: int, rows: list[int], informati
         information[..., seen] = some
 
 
-def _said(information: Array, gain: Array, weight: Array) -> tuple[Array, Array]:
-    """The gain times every column (…,C), and what that and the weight make of the reading's own information (C,)."""
+def _row_information(information: Array, gain: Array, weight: Array) -> tuple[Array, Array]:
+    """Gain times every column (…,C), and the row's own information (C,)."""
     b = np.einsum("klc,kc->lc", information, gain)
     return b, np.einsum("kc,kc->c", gain, b[: len(gain)]) + weight
 
 
-def _heard(trace: Trace, m: int, rows: int) -> list[list[int]]:
-    """Rows that some stretch hears, by instant, last heard first: m encoders are heard after the tracks."""
+def _used_rows(trace: Trace, m: int, rows: int) -> list[list[int]]:
+    """Rows with a reading in some stretch, per instant and in reverse order: the m encoders come after the tracks."""
     assert trace.back is not None
-    heard: Array = np.any(trace.back[1], axis=2)
+    used: Array = np.any(trace.back[1], axis=2)
     order = [*range(m - 1, -1, -1), *range(rows - 1, m - 1, -1)]
-    return [[row for row in order if said[row]] for said in heard]
+    return [[row for row in order if flags[row]] for flags in used]
 
 
 def before(at_start: Array) -> Array:
-    """Ends (…,C) for the next round: each stretch ends where its successor began; nothing comes after the last."""
+    """Ends (…,C) for the next round: each stretch ends with its successor's start, the last one with zero."""
     ends = np.zeros_like(at_start)
     ends[..., :-1] = at_start[..., 1:]
     return ends

@@ -1,4 +1,4 @@
-"""A gathered log with its noise model as a `Log` to be solved, and the angles its encoders alone put it at."""
+"""Turn a gathered log and its noise model into a `Log` for the solver; initial states from encoders alone."""
 
 from dataclasses import dataclass, replace
 
@@ -11,7 +11,7 @@ from .banded import factored
 from .bridge import Slots
 from .images import Images
 from .initial_path import OFFSET_STD
-from .interior import foretold
+from .interior import predicted
 from .knots import BEFORE, Knots
 from .mixture import inlier, raised
 from .motion_model import MotionModel
@@ -19,14 +19,14 @@ from .posed import Chain, posed
 from .solver import Log, distance, points
 
 START_STD = (1.0, 1.0, 3.0)
-"""rad, rad/s, rad/s²: how little is known of the joints before the first reading."""
+"""rad, rad/s, rad/s²: prior standard deviations of the joints before the first reading."""
 NEVER = 1e-6
-"""rad, and 1e-12 rad²/s: an offset that is not allowed, as a state beside others that are."""
+"""rad, and 1e-12 rad²/s: offset of a joint without one, where other joints have offset states."""
 
 
 @dataclass(frozen=True, eq=False)
 class Assumed:
-    """encoder (M,) rad² · motion · scale {track: factor of perception's variance} · explored (M,) rad²: see `Log`."""
+    """Encoder variances (M,) rad² · motion · scale {track: variance factor} · explored (M,) rad²: see `Log`."""
 
     encoder: Array
     motion: MotionModel
@@ -35,14 +35,14 @@ class Assumed:
 
 
 def assemble(evidence: Evidence, line: Timeline, start: Array, assumed: Assumed) -> Log:
-    """The log, nothing of it solved yet."""
+    """The log as knots, slots and images, not solved yet."""
     motion = assumed.motion
     visual = [events for one, events in zip(evidence.sightings, line.sightings, strict=True)]
     knots = Knots.of(line.t, np.unique(np.concatenate([*visual, np.empty(0, int)])), motion.order)
     y, var = _readings(evidence, line, assumed.encoder)
     slots = Slots(knots.steps(), knots.fold(y, np.nan), knots.fold(var, 1.0))
     chain = Chain(motion, knots, slots, *before(motion, start, BEFORE))
-    # by name, so that the order in which tracks come does not show
+    # by name, so that the result does not depend on the order of tracks
     shown = [one for one in zip(evidence.sightings, line.sightings, strict=True) if np.isfinite(one[0].values).any()]
     tracks = sorted(shown, key=lambda track: track[0].name)
     images = tuple(
@@ -64,7 +64,7 @@ def _readings(evidence: Evidence, line: Timeline, encoder: Array) -> tuple[Array
 
 
 def _density(one: Images) -> float:
-    """Of outliers among a track's images: they may be anywhere where nine tenths of its places are."""
+    """Density of outliers among a track's images: uniform over the range of nine tenths of its places."""
     if not len(one.events):
         return 1.0
     low, high = np.quantile(one.y, [0.05, 0.95], axis=1)
@@ -72,7 +72,7 @@ def _density(one: Images) -> float:
 
 
 def before(motion: MotionModel, start: Array, dt: float) -> tuple[Array, Array]:
-    """Mean (M,S) and covariance (M,S,S) a time dt (s) before the first instant, where they are the prior's."""
+    """Mean (M,S) and covariance (M,S,S) at dt (s) before the first instant, such that they grow to the prior there."""
     mean = np.zeros((motion.joints, motion.states))
     mean[:, 0] = start
     spread = np.moveaxis(motion.spread(np.array([dt]))[..., 0], -1, 0)
@@ -85,8 +85,8 @@ def before(motion: MotionModel, start: Array, dt: float) -> tuple[Array, Array]:
     return mean, back[..., 0] @ (np.einsum("js,st->jst", var, np.eye(motion.states)) - spread) @ back[..., 0].T
 
 
-def outset(log: Log) -> Array:
-    """Nominal states (K,B) by the encoders alone; images that disagree with these by far are taken for outliers."""
+def initial_states(log: Log) -> Array:
+    """Nominal states (K,B) from encoders alone; images far from these start as outliers."""
     chain = log.chain
     k, knots = chain.motion.joints * chain.motion.states, chain.knots.count
     bridge, nominal = chain.bridge(), np.zeros((k, knots))
@@ -101,7 +101,7 @@ def outset(log: Log) -> Array:
         h, index = row.of_states(chain.motion)
         belief = np.concatenate([cov, past[:, None]], axis=1)[..., one.knots]
         var = one.pixel + one.model
-        innovation, total = foretold(belief, h, index, row.y, var)
+        innovation, total = predicted(belief, h, index, row.y, var)
         weight = inlier(*distance(innovation, total), len(total), density)[0]
         own = np.einsum("ddf->df", total)
         one.extra = raised(np.zeros_like(own), own, np.minimum(2.0 * weight, 1.0))

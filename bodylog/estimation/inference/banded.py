@@ -1,6 +1,6 @@
-"""Block tridiagonal information over knots: factored by LAPACK's banded Cholesky, read forwards as a filter.
+"""Block tridiagonal information matrix over knots, factored by LAPACK's banded Cholesky.
 
-A knot's K = M S states stand joint by joint, so that motion, which knows joints one by one, keeps the band narrow.
+A knot's K = M S states are ordered joint by joint. Motion couples each joint only with itself, so the band is narrow.
 """
 
 from dataclasses import dataclass
@@ -12,12 +12,12 @@ from .bridge import Information
 from .small import outer, spd_inverse
 
 CHUNK = 512
-"""Knots inverted at a time: as many as stay in the processor's cache."""
+"""Knots inverted at a time, so that they fit into the processor's cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fading:
-    """Of unit states u' = κ u + √(1 − κ²) w: information before and across (N,B−1), right-hand side before (N,B−1)."""
+    """Unit states u' = κ u + √(1 − κ²) w: information before and across (N,B−1), right-hand side before (N,B−1)."""
 
     before: Array
     across: Array
@@ -25,7 +25,7 @@ class Fading:
 
     @staticmethod
     def of(kappa: Array, units: Array) -> tuple["Fading", Array, Array]:
-        """By shares κ (N,B−1) about nominal states (N,B); and about the knots after: information, right-hand side."""
+        """For shares κ (N,B−1) about nominal states (N,B); also information and right-hand side of the next knots."""
         inverse = 1.0 / (1.0 - kappa * kappa)
         miss = (kappa * units[:, :-1] - units[:, 1:]) * inverse
         return Fading(kappa * kappa * inverse, -kappa * inverse, -kappa * miss), inverse, miss
@@ -33,9 +33,9 @@ class Fading:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Of B knots: own information (K,K,B), right-hand side `pull` (K,B), what the intervals after them say `ahead`.
+    """B knots: own information (K,K,B), right-hand side `pull` (K,B), information `ahead` of the intervals after them.
 
-    The first M S states are the joints', and what is left, N of K, unit states that fade by κ (N,B−1) each by itself.
+    The first M S states belong to the joints. The other N are unit states, which fade independently by κ (N,B−1).
     """
 
     own: Array
@@ -45,18 +45,18 @@ class System:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """States S of M joints."""
+        """Number S of states per joint and number M of joints."""
         return len(self.ahead.across), self.ahead.across.shape[2]
 
 
 def joints_apart(own: Array, states: int) -> Array:
-    """The view (S,S,M,B) of (K,K,B) where joints meet themselves."""
+    """View (S,S,M,B) of the diagonal joint blocks of (K,K,B)."""
     m, knots = len(own) // states, own.shape[-1]
     return np.asarray(np.einsum("jajbk->abjk", own.reshape(m, states, m, states, knots)))
 
 
 def system(ahead: Information, joints: int, kappa: Array, units: Array) -> System:
-    """What motion and encoders say of the knots; images and the prior are yet to be added to `own` and `pull`."""
+    """The system of motion and encoders; the caller adds images and the prior to `own` and `pull`."""
     s, knots, first = len(ahead.across), ahead.across.shape[-1] + 1, len(ahead.across) * joints
     size = first + len(kappa)
     own, pull = np.zeros((size, size, knots)), np.zeros((size, knots))
@@ -88,14 +88,14 @@ class Factor:
         return 2.0 * float(np.log(self.band[-1]).sum())
 
     def solution(self) -> Array:
-        """Means (K,B) given all the log."""
+        """Means (K,B) given the whole log."""
         from scipy.linalg.blas import dtbsv
 
         k, knots = self.system.pull.shape
         return np.ascontiguousarray(dtbsv(len(self.band) - 1, self.band, self.forward).reshape(knots, k).T)
 
     def filtered(self) -> tuple[Array, Array]:
-        """Means (K,B) and covariances (K,K,B) of the knots given what was measured up to each."""
+        """Means (K,B) and covariances (K,K,B) of the knots given the measurements up to each."""
         k, knots = self.system.pull.shape
         s, m = self.system.shape
         width, ahead, fade = len(self.band) - 1, self.system.ahead, self.system.fade
@@ -129,7 +129,7 @@ def _schur(upper: Array, forward: Array) -> tuple[Array, Array]:
 
 
 def factored(given: System) -> Factor:
-    """The system's factor; LinAlgError where it is not positive definite."""
+    """Cholesky factor of the system; LinAlgError if it is not positive definite."""
     from scipy.linalg.blas import dtbsv
     from scipy.linalg.lapack import dpbtrf
 

@@ -1,4 +1,4 @@
-"""What a solved log believes at all its instants: given the past alone, or all of it."""
+"""Beliefs of a solved log at all its instants: filtered (given the past) or smoothed (given the whole log)."""
 
 from dataclasses import dataclass
 
@@ -12,10 +12,10 @@ from .solver import Solved
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """At E instants: states (E,M,S) and angles' cov (E,M,M); before them, angles and cov; nats (E,), encoder errors.
+    """At E instants: states (E,M,S) and angles' cov (E,M,M); angles and cov before the instant; nats (E,).
 
-    error (E,M): encoders' innovations in standard deviations, NaN where silent · offset, offset_var (E,M): of encoders,
-    given the past, where these have any.
+    error (E,M): encoders' innovations in standard deviations, NaN where silent · offset, offset_var (E,M): filtered
+    encoder offsets, where there are any.
     """
 
     states: Array
@@ -29,7 +29,7 @@ class Instants:
 
 
 def given_past(solved: Solved) -> Instants:
-    """The filter's beliefs."""
+    """Filtered beliefs."""
     forth, knots = solved.forth, solved.log.chain.knots
     m, s = solved.log.chain.motion.joints, solved.log.chain.motion.states
     k, (mean, cov) = m * s, solved.past
@@ -37,11 +37,11 @@ def given_past(solved: Solved) -> Instants:
     states[knots.events] = np.moveaxis(mean[:k, 1:], -1, 0).reshape(-1, m, s)
     spread[knots.events] = np.moveaxis(cov[:k:s, :k:s, 1:], -1, 0)
     prior, prior_cov = knots.unfold(forth.prior)[:, :, 0], knots.unfold(forth.prior_cov)
-    return Instants(states, spread, prior, prior_cov, *_told(solved))
+    return Instants(states, spread, prior, prior_cov, *_by_instant(solved))
 
 
 def given_all(solved: Solved) -> Instants:
-    """The smoother's beliefs."""
+    """Smoothed beliefs."""
     chain = solved.log.chain
     m, s, knots = chain.motion.joints, chain.motion.states, chain.knots
     k, count = m * s, knots.count
@@ -52,11 +52,11 @@ def given_all(solved: Solved) -> Instants:
     path, at = between(chain.motion, chain.slots, solved.bridge), solved.nominal[:k].reshape(m, s, count)
     states = knots.unfold(smoothed(path, at))
     cov = knots.unfold(smoothed_cov(path, own, across))
-    return Instants(states, cov, states[:, :, 0], cov, *_told(solved))
+    return Instants(states, cov, states[:, :, 0], cov, *_by_instant(solved))
 
 
-def _told(solved: Solved) -> tuple[Array, Array, Array, Array]:
-    """Nats (E,), encoder errors, offsets and their variances (E,M) of all instants."""
+def _by_instant(solved: Solved) -> tuple[Array, Array, Array, Array]:
+    """Nats (E,), encoder innovations, filtered offsets and their variances (E,M) of all instants."""
     forth, log = solved.forth, solved.log
     knots = log.chain.knots
     nats = knots.unfold(forth.nats)

@@ -1,6 +1,6 @@
-"""What encoders read between two knots, joint by joint and exactly, as information about the states at both.
+"""Encoder readings between two knots, integrated exactly into information about the states at both knots.
 
-Given the state at a knot, joints know nothing of each other until the next image. So one joint's readings are one
+Given the state at a knot, joints are independent until the next image. So one joint's readings form one
 element of Särkkä & García-Fernández (2021): z' = A z + b + noise C, and information η, J about z.
 """
 
@@ -15,7 +15,7 @@ from .small import outer, product, spd_inverse, transposed_product
 
 @dataclass(frozen=True, eq=False)
 class Slots:
-    """What happens in each interval, slot by slot: dt (L,B) s · encoders, var (L,M,B), NaN if silent · more (L,M,B)."""
+    """Readings of each interval, slot by slot: dt (L,B) s · encoders, var (L,M,B), NaN if silent · more (L,M,B)."""
 
     dt: Array
     encoders: Array
@@ -23,20 +23,20 @@ class Slots:
     more: Array | None = None
 
     def part(self, some: slice) -> "Slots":
-        """Of some intervals."""
+        """The slots of some intervals."""
         more = None if self.more is None else self.more[..., some]
         return Slots(self.dt[:, some], self.encoders[..., some], self.var[..., some], more)
 
     def grown(self, motion: MotionModel, slot: int) -> Array:
-        """Noise (S,S,M,B) of the motion up to a slot."""
+        """Process noise (S,S,M,B) up to a slot."""
         return motion.spread(self.dt[slot], 1.0 if self.more is None else self.more[slot])
 
 
 @dataclass(frozen=True, eq=False)
 class Bridge:
-    """Over each interval: move A (S,S,M,B), shift b (S,M,B), noise C (S,S,M,B); info J (S,S,M,B), pull η (S,M,B), nats.
+    """Per interval: move A (S,S,M,B), shift b (S,M,B), noise C (S,S,M,B); info J (S,S,M,B), pull η (S,M,B), nats.
 
-    prefix: the same A, b, C before and after each slot's reading, where they were asked for.
+    prefix: A, b, C before and after each slot's reading, if requested.
     """
 
     move: Array
@@ -49,7 +49,7 @@ class Bridge:
 
 
 def bridge(motion: MotionModel, slots: Slots, remember: bool = False) -> Bridge:
-    """All intervals' elements; `remember` keeps those of every slot, which a smoother goes back by."""
+    """Elements of all intervals; `remember` keeps those of every slot for the smoother."""
     s, m, b = motion.states, motion.joints, slots.dt.shape[1]
     move, shift, noise = np.zeros((s, s, m, b)), np.zeros((s, m, b)), np.zeros((s, s, m, b))
     np.einsum("ssjb->sjb", move)[:] = 1.0
@@ -62,15 +62,15 @@ def bridge(motion: MotionModel, slots: Slots, remember: bool = False) -> Bridge:
         motion.carry(noise.swapaxes(0, 1), dt)
         noise += slots.grown(motion, slot)
         before = (move.copy(), shift.copy(), noise.copy()) if remember else None
-        heard = np.isfinite(y)
-        if heard.any():
+        present = np.isfinite(y)
+        if present.any():
             slope, reach = motion.observe(move), motion.observe(noise)
             total = motion.observe(reach) + var
-            weight = heard / total
-            nu = np.where(heard, y - motion.observe(shift), 0.0)
+            weight = present / total
+            nu = np.where(present, y - motion.observe(shift), 0.0)
             info += outer(slope * weight, slope)
             pull += slope * (weight * nu)
-            nats += 0.5 * (nu * nu * weight + np.log(np.where(heard, 2.0 * np.pi * total, 1.0)))
+            nats += 0.5 * (nu * nu * weight + np.log(np.where(present, 2.0 * np.pi * total, 1.0)))
             gain = reach * weight
             move -= outer(gain, slope)
             shift += gain * nu
@@ -82,7 +82,7 @@ def bridge(motion: MotionModel, slots: Slots, remember: bool = False) -> Bridge:
 
 @dataclass(frozen=True, eq=False)
 class Information:
-    """Of all intervals: about the knot before (S,S,M,B), the one after, across; and their right-hand sides (S,M,B)."""
+    """Per interval: information about the knot before (S,S,M,B), the one after and across; right-hand sides (S,M,B)."""
 
     before: Array
     after: Array

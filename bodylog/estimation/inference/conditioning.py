@@ -1,7 +1,7 @@
-"""The belief conditioned on all that is heard at one instant, in many stretches of a log at once.
+"""Condition beliefs on the measurements of one instant, in many stretches of a log at once.
 
-A belief is one array (K,K+1,C): the covariance's rows and, last in each, the mean. A reading's row h times that is P Hᵀ
-and what it foretells, so both are conditioned at once.
+A belief is one array (K,K+1,C): the rows of the covariance, each followed by the mean. The product of a row h with it
+is P Hᵀ and the predicted reading, so both are updated at once.
 """
 
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,88 +14,88 @@ if TYPE_CHECKING:
     from .filter_records import Pooled, Readings
 
 MANY = 0.6
-"""Share of stretches above which all are worked on rather than some copied out and back."""
+"""Share of stretches above which all are updated in place instead of copying some out and back."""
 GATE = 5.0
-"""Standard deviations: a rarer innovation d has its noise raised until its pull falls as GATE²/d (redescending)."""
+"""Standard deviations: a larger innovation d has its noise inflated so that its weight falls as (GATE/d)⁴."""
 
 
 class AdjointRecord(NamedTuple):
-    """What is kept of each row: gains (rows,K,C) if they are asked for, weights and innovations (rows,C)."""
+    """Per row: gains (rows,K,C) if requested, weights and innovations (rows,C)."""
 
     gains: Array | None
     weights: Array
     nus: Array
 
     def at(self, which: int | slice) -> "AdjointRecord":
-        """Those of an instant, or of some rows of one."""
+        """The record of one instant, or of some rows."""
         return AdjointRecord(None if self.gains is None else self.gains[which], self.weights[which], self.nus[which])
 
 
 class Rows(NamedTuple):
-    """Rows' readings y, 0 where silent · variances · whether they are heard, 0 or 1: (…,C) each."""
+    """Readings y, 0 where silent · variances · present: 1 where there is a reading, else 0; (…,C) each."""
 
     y: Array
     var: Array
-    heard: Array
+    present: Array
 
     @staticmethod
     def of(y: Array, var: Array) -> "Rows":
-        """Of readings that are NaN where silent."""
-        heard = np.isfinite(y)
-        return Rows(np.where(heard, y, 0.0), var, heard.astype(float))
+        """From readings that are NaN where silent."""
+        present = np.isfinite(y)
+        return Rows(np.where(present, y, 0.0), var, present.astype(float))
 
     def at(self, i: int, seen: Array | None = None) -> "Rows":
-        """At one instant; in the stretches `seen` alone."""
+        """The rows of one instant, optionally of the stretches `seen` only."""
         return Rows(*(part[i] if seen is None else part[i].take(seen, axis=-1) for part in self))
 
 
 def update(
-    readings: "Readings", said: tuple[Rows, Rows], i: int, seen: Array, is_prior: Array | None, belief: Array,
+    readings: "Readings", measured: tuple[Rows, Rows], i: int, seen: Array, is_prior: Array | None, belief: Array,
     encoder_d: Array, back: AdjointRecord,
 ) -> None:  # fmt: skip
-    """Condition the belief in place on all that is heard at instant i, tracks in the stretches `seen` alone.
+    """Condition the belief in place on all measurements of instant i; tracks only in the stretches `seen`.
 
-    Noise is gated by the prior, so order is no matter. `said` are the readings' encoders and tracks.
+    Noise is gated by the prior, so the result does not depend on the order. `measured`: encoders and tracks.
     """
-    encoders, tracks = said
-    m, told = encoders.y.shape[1], encoders.at(i)
-    spoken = bool(told.heard.any())
+    encoders, tracks = measured
+    m, projected = encoders.y.shape[1], encoders.at(i)
+    spoken = bool(projected.present.any())
     if spoken:
-        var, encoder_d[:] = _gated_encoders(readings.encoders[i], told.var, is_prior, belief)
+        var, encoder_d[:] = _gated_encoders(readings.encoders[i], projected.var, is_prior, belief)
     else:
         encoder_d[:] = np.nan
     if len(seen):
         _condition_tracks(tracks, readings.jac, i, seen, belief, back.at(slice(m, m + 2 * tracks.y.shape[1])))
     if spoken:
-        _condition_encoders(told._replace(var=var), belief, back.at(slice(m)))
+        _condition_encoders(projected._replace(var=var), belief, back.at(slice(m)))
 
 
-def _condition_encoders(said: Rows, belief: Array, back: AdjointRecord) -> None:
+def _condition_encoders(measured: Rows, belief: Array, back: AdjointRecord) -> None:
     """Condition the belief in place on the encoders' rows (M,C)."""
-    m, offsets = len(said.y), len(belief) > 2 * len(said.y)
-    told = np.empty((m, *belief.shape[1:]))
-    for j, ph in enumerate(told):
+    m, offsets = len(measured.y), len(belief) > 2 * len(measured.y)
+    projected = np.empty((m, *belief.shape[1:]))
+    for j, ph in enumerate(projected):
         ph[:] = belief[j]
         if offsets:
             ph += belief[2 * m + j]
-        s = ph[j] + said.var[j]
+        s = ph[j] + measured.var[j]
         if offsets:
             s += ph[2 * m + j]
-        np.divide(said.heard[j], s, out=back.weights[j])
-        ph[-1] -= said.y[j]
+        np.divide(measured.present[j], s, out=back.weights[j])
+        ph[-1] -= measured.y[j]
         _condition(belief, ph, back, j)
-    np.negative(told[:, -1], out=back.nus)
+    np.negative(projected[:, -1], out=back.nus)
 
 
 def condition_pooled(pooled: "Pooled", i: int, belief: Array, back: AdjointRecord, left: Array | None) -> None:
-    """Condition the belief in place on what was pooled before instant i, ungated, and move it there.
+    """Condition the belief in place on the readings pooled before instant i, ungated, and move it to that instant.
 
-    `left` (K,K+1,C) takes the belief before it moves.
+    `left` (K,K+1,C) receives the belief before the move.
     """
     lean, (y, var) = pooled.lean[i], (pooled.y[i], pooled.var[i])
     m, offsets = len(lean), len(belief) > 2 * len(lean)
-    told = np.empty((2 * m, *belief.shape[1:]))
-    for j, ph in enumerate(told[:m]):
+    projected = np.empty((2 * m, *belief.shape[1:]))
+    for j, ph in enumerate(projected[:m]):
         np.multiply(lean[j], belief[m + j], out=ph)
         ph += belief[j]
         if offsets:
@@ -108,25 +108,25 @@ def condition_pooled(pooled: "Pooled", i: int, belief: Array, back: AdjointRecor
         np.divide(1.0, s, out=back.weights[j])
         ph[-1] -= y[0, j]
         _condition(belief, ph, back, j)
-    for j, ph in enumerate(told[m:]):
+    for j, ph in enumerate(projected[m:]):
         ph[:] = belief[m + j]
         np.divide(1.0, ph[m + j] + var[1, j], out=back.weights[m + j])
         ph[-1] -= y[1, j]
         _condition(belief, ph, back, m + j)
-    np.negative(told[:, -1], out=back.nus)
+    np.negative(projected[:, -1], out=back.nus)
     if left is not None:
         left[:] = belief
     _move(pooled.move[i], pooled.shift[i], pooled.noise[i], belief)
 
 
 def _condition(belief: Array, ph: Array, back: AdjointRecord, row: int) -> None:
-    """One scalar reading: ph (K+1,C) is P Hᵀ and, last, minus the innovation; its weight is in its row of `back`."""
+    """Condition on one scalar reading: ph (K+1,C) is P Hᵀ followed by minus the innovation; `back` has its weight."""
     gain = np.multiply(ph[:-1], back.weights[row], out=None if back.gains is None else back.gains[row])
     belief -= gain[:, None] * ph
 
 
 def _move(move: Array, shift: Array, noise: Array, belief: Array) -> None:
-    """The belief, in place, through move (S,S,M,C) and shift (S,M,C) of each joint's own states."""
+    """Move the belief in place by move (S,S,M,C) and shift (S,M,C) of each joint's states."""
     states, m, c = shift.shape
     k = states * m
     half = np.einsum("abjc,bjkc->ajkc", move, belief.reshape(states, m, k + 1, c))
@@ -136,58 +136,58 @@ def _move(move: Array, shift: Array, noise: Array, belief: Array) -> None:
     np.add(half[:, :, -1], shift, out=belief[:, -1].reshape(states, m, c))
 
 
-def _condition_tracks(said: Rows, jac: Array, i: int, seen: Array, belief: Array, back: AdjointRecord) -> None:
-    """Condition the belief in place on the tracks' rows at instant i, in the stretches `seen` alone where few."""
+def _condition_tracks(measured: Rows, jac: Array, i: int, seen: Array, belief: Array, back: AdjointRecord) -> None:
+    """Condition the belief in place on the tracks' rows of instant i, in the stretches `seen` only if these are few."""
     if len(seen) > MANY * belief.shape[-1]:
-        _condition_track_rows(said.at(i), jac[i], belief, back)
+        _condition_track_rows(measured.at(i), jac[i], belief, back)
         return
     some, rows = belief.take(seen, axis=-1), len(back.nus)
     part = AdjointRecord(
         None if back.gains is None else np.empty((rows, *some[:, -1].shape)), *np.empty((2, rows, len(seen)))
     )
-    _condition_track_rows(said.at(i, seen), jac[i].take(seen, axis=-1), some, part)
+    _condition_track_rows(measured.at(i, seen), jac[i].take(seen, axis=-1), some, part)
     belief[..., seen] = some
     for whole, found in zip(back, part, strict=True):
         if whole is not None:
             whole[..., seen] = found
 
 
-def _condition_track_rows(said: Rows, jac: Array, belief: Array, back: AdjointRecord) -> None:
+def _condition_track_rows(measured: Rows, jac: Array, belief: Array, back: AdjointRecord) -> None:
     """Condition the belief in place on tracks' rows (T,2,C), jac (T,2,M,C), all gated by the prior."""
-    foretold = [_project(h, belief) for h in jac]
-    own = [_gated(*told, *rows) for told, *rows in zip(foretold, *said, strict=True)]
-    for t, (h, y, heard, var) in enumerate(zip(jac, said.y, said.heard, own, strict=True)):
-        # tracks heard before have moved the belief since
-        ph, s = foretold[0] if t == 0 else _project(h, belief)
+    predicted = [_project(h, belief) for h in jac]
+    own = [_gated(*projected, *rows) for projected, *rows in zip(predicted, *measured, strict=True)]
+    for t, (h, y, present, var) in enumerate(zip(jac, measured.y, measured.present, own, strict=True)):
+        # earlier tracks have moved the belief
+        ph, s = predicted[0] if t == 0 else _project(h, belief)
         rows = back.at(slice(2 * t, 2 * t + 2))
         ph[:, -1] -= y
-        ph[:, -1] *= heard
-        np.divide(heard[0], s[0, 0] + var[0], out=rows.weights[0])
+        ph[:, -1] *= present
+        np.divide(present[0], s[0, 0] + var[0], out=rows.weights[0])
         share = rows.weights[0] * s[0, 1]
         ph[1] -= share * ph[0]
-        np.divide(heard[1], s[1, 1] - share * s[0, 1] + var[1], out=rows.weights[1])
+        np.divide(present[1], s[1, 1] - share * s[0, 1] + var[1], out=rows.weights[1])
         np.negative(ph[:, -1], out=rows.nus)
         gains = np.multiply(ph[:, :-1], rows.weights[:, None], out=rows.gains)
         belief -= np.einsum("dkc,dlc->klc", gains, ph)
 
 
 def _project(h: Array, belief: Array) -> tuple[Array, Array]:
-    """H times the belief (2,K+1,C), and H P Hᵀ (2,2,C), of rows h (2,M,C)."""
+    """H times the belief (2,K+1,C), and H P Hᵀ (2,2,C), for rows h (2,M,C)."""
     m = h.shape[1]
-    told = np.einsum("dmc,mkc->dkc", h, belief[:m])
-    return told, np.einsum("emc,dmc->dec", h, told[:, :m])
+    projected = np.einsum("dmc,mkc->dkc", h, belief[:m])
+    return projected, np.einsum("emc,dmc->dec", h, projected[:, :m])
 
 
-def _gated(told: Array, s: Array, y: Array, var: Array, heard: Array) -> Array:
-    """Variances (2,C) of a track's rows after gating it as a whole; told (2,K+1,C) and s (2,2,C) by the prior."""
-    total, nu = np.einsum("ddc->dc", s) + var, (y - told[:, -1]) * heard
+def _gated(projected: Array, s: Array, y: Array, var: Array, present: Array) -> Array:
+    """Gated variances (2,C) of a track's rows; projected (2,K+1,C) and s (2,2,C) are by the prior."""
+    total, nu = np.einsum("ddc->dc", s) + var, (y - projected[:, -1]) * present
     share = s[0, 1] / total[0]
     rest = nu[1] - share * nu[0]
     return raised(var, total, nu[0] * nu[0] / total[0] + rest * rest / (total[1] - share * s[0, 1]))
 
 
 def _gated_encoders(y: Array, var: Array, is_prior: Array | None, belief: Array) -> tuple[Array, Array]:
-    """Encoders' variances (M,C) after gating, and the innovations of y (M,C) in standard deviations, NaN if silent."""
+    """Gated encoder variances (M,C), and innovations of y (M,C) in standard deviations, NaN if silent."""
     m, diagonal = len(y), np.einsum("iic->ic", belief[:, :-1])
     total, nu = diagonal[:m] + var, y - belief[:m, -1]
     if len(belief) > 2 * m:
@@ -201,6 +201,6 @@ def _gated_encoders(y: Array, var: Array, is_prior: Array | None, belief: Array)
 
 
 def raised(var: Array, total: Array, d2: Array) -> Array:
-    """Noise `var` of innovations of variance `total`: outside the gate (d/GATE)⁴ − 1 totals more."""
+    """Noise `var` for innovations of variance `total`, inflated by (d/GATE)⁴ − 1 totals outside the gate."""
     over = d2 > GATE * GATE
     return var + total * np.where(over, (d2 / (GATE * GATE)) ** 2 - 1.0, 0.0) if over.any() else var

@@ -1,4 +1,4 @@
-"""A long log folded into stretches that are filtered side by side: (E,…) in time order <-> (L,…,C)."""
+"""A long log folded into stretches that are filtered in parallel: (E,…) in time order <-> (L,…,C)."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from ...types import Array
 
 SHORTEST = 32
-"""Instants of a stretch at least: it must have forgotten where it began by the time it hands over."""
+"""Least number of instants in a stretch: its end must not depend on its start."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,6 @@ class Fold:
 
 
 def fold_for(events: int) -> Fold:
-    """More stretches than instants in each, four times at the most, so that numpy calls do not dominate."""
+    """Fold with up to four times as many stretches as instants in each, so that numpy calls do not dominate."""
     length = max(SHORTEST, int(np.ceil(np.sqrt(events) / 2)))
     return Fold(events, length, -(-events // length))

@@ -1,4 +1,4 @@
-"""Where a folded log's stretches start and its frames are linearised first: by the encoders alone, or as before."""
+"""Initial starts of a folded log's stretches and initial linearisation points of its frames."""
 
 from typing import TYPE_CHECKING
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from .solution import Solution
 
 OFFSET_STD = 0.01
-"""rad: how far an encoder that is allowed an offset may be off before the first reading."""
+"""rad: prior standard deviation of an encoder offset."""
 
 
 def prior(problem: "Problem") -> tuple[Array, Array]:
-    """State z (K,) and covariance p (K,K) before anything is heard."""
+    """State z (K,) and covariance p (K,K) before any measurement."""
     m, drift = len(problem.start), problem.precision.drift
     z = np.concatenate([problem.start, np.zeros(problem.dynamics.size - m)])
     var = np.full(len(z), START_STD**2)
@@ -36,7 +36,7 @@ def priors(problem: "Problem", fold: Fold) -> tuple[Array, Array]:
 
 
 def starts(problem: "Problem", fold: Fold, known: "Solution", events: Array) -> tuple[Array, Array]:
-    """Each stretch's start z (K,C), p (K,K,C) as a solution has it at its `events` (C−1,); new offsets as at first."""
+    """Each stretch's start z (K,C), p (K,K,C) from a solution at its `events` (C−1,); new offsets from the prior."""
     z, p = priors(problem, fold)
     k = min(len(z), known.trace.z.shape[1])
     z[:k, 1:] = known.fold.pick(known.trace.z, events)[:, :k].T
@@ -45,16 +45,16 @@ def starts(problem: "Problem", fold: Fold, known: "Solution", events: Array) -> 
 
 
 def handed_over(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, Array]:
-    """Starts for the next sweep: each stretch begins where its predecessor ended."""
+    """Starts for the next sweep: each stretch starts from its predecessor's end."""
     z, p = z.copy(), p.copy()
     z[:, 1:], p[:, :, 1:] = z_end[:, :-1], p_end[:, :, :-1]
     return z, p
 
 
-def outset(problem: "Problem", fold: Fold, readings: KnotReadings) -> tuple[Tangents, Array, Array]:
-    """Tangents at the path, or where encoders alone have the joints, and each stretch's start z (K,C), p (K,K,C)."""
+def initial_tangents(problem: "Problem", fold: Fold, readings: KnotReadings) -> tuple[Tangents, Array, Array]:
+    """Tangents at the initial path, or at the angles from encoders alone; each stretch's start z (K,C), p (K,K,C)."""
     (z, p), t = priors(problem, fold), problem.timeline.t
-    path, sightings = problem.path or _said(problem), problem.evidence.sightings
+    path, sightings = problem.path or _encoder_path(problem), problem.evidence.sightings
     z[: len(problem.start), 1:] = _between(path, problem.start, t[fold.lasts()]).T
     points = tuple(_between(path, problem.start, sighting.t) for sighting in sightings)
     if problem.path is None and problem.evidence.encoders is not None:
@@ -64,9 +64,9 @@ def outset(problem: "Problem", fold: Fold, readings: KnotReadings) -> tuple[Tang
 
 
 def _reckon(readings: KnotReadings, dynamics: Dynamics, z: Array, p: Array) -> tuple[Array, Array, Array]:
-    """States (L,K,C) by the encoders alone from guesses z (K,C), p (K,K,C), and where these have stretches start.
+    """States (L,K,C) from encoders alone, given guesses z (K,C), p (K,K,C); and the starts of the stretches.
 
-    Without pictures joints know nothing of each other: each joint of a stretch is scanned as a stretch of its own.
+    Without images joints are independent: each joint of a stretch is scanned as its own stretch.
     """
     length, m, c = readings.encoders.shape
     s = len(z) // m
@@ -75,15 +75,15 @@ def _reckon(readings: KnotReadings, dynamics: Dynamics, z: Array, p: Array) -> t
         """(L,…,M,C) -> (L,…,1,M·C)."""
         return a.reshape(*a.shape[:-2], 1, m * c)
 
-    told = readings.pooled
+    between = readings.pooled
     unseen = np.empty((length, 0, 2, m * c)), np.empty((length, 0, 2, 1, m * c)), np.empty((length, 0, 2, m * c))
     alone = KnotReadings(
         np.tile(readings.dt, m), apart(readings.encoders), apart(readings.encoder_var), *unseen,
         Pooled(
-            apart(told.y), apart(told.var), apart(told.lean), apart(told.move), apart(told.shift), apart(told.noise),
-            np.zeros((length, m * c)),
+            apart(between.y), apart(between.var), apart(between.lean), apart(between.move), apart(between.shift),
+            apart(between.noise), np.zeros((length, m * c)),
         ),
-        anew=None if readings.anew is None else apart(readings.anew),
+        reset=None if readings.reset is None else apart(readings.reset),
     )  # fmt: skip
     own = np.einsum("ajbjc->abjc", p.reshape(s, m, s, m, c)).reshape(s, s, m * c)
     trace = scan(alone, Dynamics(np.ones(1), None if s == 2 else np.zeros(1)), z.reshape(s, m * c), own)
@@ -93,13 +93,13 @@ def _reckon(readings: KnotReadings, dynamics: Dynamics, z: Array, p: Array) -> t
     return trace.z.reshape(length, *z.shape), z, p
 
 
-def _said(problem: "Problem") -> tuple[Array, Array]:
+def _encoder_path(problem: "Problem") -> tuple[Array, Array]:
     encoders = problem.evidence.encoders
     return (np.empty(0), np.empty((0, len(problem.start)))) if encoders is None else (encoders.t, encoders.values)
 
 
 def _between(path: tuple[Array, Array], start: Array, at: Array) -> Array:
-    """Angles (N,M) at the times `at`, between those of the path (t, angles) that are known, else the start's."""
+    """Angles (N,M) at the times `at`, interpolated on the path (t, angles); the start angles where it is unknown."""
     x = np.repeat(start[None], len(at), axis=0)
     for j, column in enumerate(path[1].T):
         known = np.isfinite(column)

@@ -1,4 +1,4 @@
-"""One instant at a time: the same filter in plain matrices, linearised anew until the belief of this instant rests."""
+"""The filter one instant at a time in plain matrices, linearised until the belief of that instant converges."""
 
 import copy
 import math
@@ -15,15 +15,15 @@ from .filter_records import Dynamics
 
 ITERATIONS = 40
 RESTING = 1e-9
-"""rad: how little the point of linearisation may still move: beliefs move by a tenth of that."""
+"""rad: tolerance on the linearisation point; the belief moves by a tenth of it."""
 
 
 @dataclass(frozen=True, eq=False)
 class StepResult:
-    """After an instant: state z (K,), p (K,K) · nats · point (M,) of linearisation · what each track remembers now.
+    """After an instant: state z (K,), p (K,K) · nats · linearisation point (M,) · what each track remembers.
 
-    Errors in standard deviations: encoder_d (M,), NaN where silent, and `errors` (2,) of each track · lines: the tracks
-    as heard, but for the gate.
+    Errors in standard deviations: encoder_d (M,), NaN where silent, and `errors` (2,) of each track · lines: the
+    tracks' linearisations before gating.
     """
 
     z: Array
@@ -37,10 +37,10 @@ class StepResult:
 
 
 class Motion:
-    """How a state moves with time: constant velocity, exact discretisation, in plain matrices."""
+    """Constant-velocity motion, exactly discretised, in plain matrices."""
 
     def __init__(self, dynamics: Dynamics) -> None:
-        """Of dynamics with process (M,)."""
+        """Motion for dynamics with process (M,)."""
         k, m = dynamics.size, len(dynamics.process)
         angles, rates = np.arange(m), np.arange(m, 2 * m)
         self.joints, self.offsets, self.is_prior = m, k > 2 * m, dynamics.is_prior
@@ -53,7 +53,7 @@ class Motion:
             self._spread[0, range(2 * m, k), range(2 * m, k)] = dynamics.drift
 
     def move(self, z: Array, p: Array, dt: float, more: Array | None = None) -> tuple[Array, Array]:
-        """z (K,) and p (K,K) a time dt (s) later, the process variance being `more` (M,) times as large."""
+        """z (K,) and p (K,K) after dt (s), with `more` (M,) times the process variance."""
         linear, square, cube = self._spread
         f = self._still + dt * self._shift
         spread = dt * (linear + dt * (square + dt * cube))
@@ -63,16 +63,16 @@ class Motion:
         return f @ z, 0.5 * (p + p.T)
 
     def recalling(self, joints: Array) -> "Motion":
-        """The same where what is said of these joints, too, (M,) bool, is no encoder's."""
+        """The same motion, where readings of these joints (M,) bool come from the posture prior."""
         other = copy.copy(self)
         other.is_prior = joints if self.is_prior is None else self.is_prior | joints
         return other
 
 
 class Line(NamedTuple):
-    """A track as D straight lines about a point: y (D,) = jac (D,M) x with independent variances var (D,).
+    """A track linearised to D rows: y (D,) = jac (D,M) x with independent variances var (D,).
 
-    nats: what the rows' own scale costs, where they were turned and scaled to be independent · memory of the track.
+    nats: log determinant of the whitening of correlated rows · memory of the track.
     """
 
     y: Array
@@ -84,7 +84,7 @@ class Line(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """All tracks as straight lines about one point (M,)."""
+    """All tracks, linearised about one point (M,)."""
 
     point: Array
     tracks: tuple[Line, ...]
@@ -94,17 +94,17 @@ def hear(
     motion: Motion, z: Array, p: Array, encoders: Array, encoder_var: Array, sights: Sequence[PendingFrame],
     resting: float = RESTING, adrift: bool = False,
 ) -> StepResult:  # fmt: skip
-    """What comes of z (K,), p (K,K) once encoders (M,) rad, NaN where silent, and sights are heard.
+    """Condition z (K,), p (K,K) on encoders (M,) rad, NaN where silent, and on tracks.
 
-    `resting` (rad) is how little the point of linearisation may still move · adrift: a tangent would not do.
+    `resting` (rad): tolerance on the linearisation point · adrift: use a statistical linearisation, not a tangent.
     """
     encoder_var, encoder_d = _gated_encoders(motion, z, p, encoders, encoder_var)
-    told = _encoders(motion, z, p, encoders, encoder_var)
+    given = _encoders(motion, z, p, encoders, encoder_var)
     if not sights:
-        return StepResult(*told, told[0][: motion.joints], encoder_d, (), ())
-    whole, errors = _statistical_linearisation(motion.joints, (z, p), told[:2], sights) if adrift else (None, ())
+        return StepResult(*given, given[0][: motion.joints], encoder_d, (), ())
+    whole, errors = _statistical_linearisation(motion.joints, (z, p), given[:2], sights) if adrift else (None, ())
     if whole is None:
-        lines, errors = _rested(motion.joints, (z, p), told[:2], sights, resting)
+        lines, errors = _rested(motion.joints, (z, p), given[:2], sights, resting)
     else:
         m = motion.joints
         lines = replace(whole, tracks=tuple(_gated(line, z[:m], p[:m, :m]) for line in whole.tracks))
@@ -114,10 +114,10 @@ def hear(
     return StepResult(z, p, seen + nats, lines.point, encoder_d, errors, memories, whole)
 
 
-def _gated_encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tuple[Array, Array]:
+def _gated_encoders(motion: Motion, z: Array, p: Array, readings: Array, var: Array) -> tuple[Array, Array]:
     """Encoder variances (M,) after gating, and the innovations in standard deviations (M,)."""
     m, diagonal = motion.joints, np.diagonal(p)
-    s, nu = diagonal[:m] + var, said - z[:m]
+    s, nu = diagonal[:m] + var, readings - z[:m]
     if motion.offsets:
         s, nu = s + diagonal[2 * m :] + 2.0 * np.diagonal(p[:m, 2 * m :]), nu - z[2 * m :]
     d = nu / np.sqrt(s)
@@ -126,21 +126,21 @@ def _gated_encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array)
 
 
 def _excess(d2: Array) -> Array:
-    """By how many prior variances the noise must grow: 0 inside the gate, (d/GATE)⁴ − 1 outside; NaN is inside."""
+    """Prior variances by which the noise grows: 0 inside the gate, (d/GATE)⁴ − 1 outside; NaN counts as inside."""
     return np.asarray(np.square(np.fmax(d2 / GATE**2, 1.0)) - 1.0)
 
 
-def _encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tuple[Array, Array, float]:
-    """z, p given one encoder after the other, and the nats of those that are not recalled."""
+def _encoders(motion: Motion, z: Array, p: Array, readings: Array, var: Array) -> tuple[Array, Array, float]:
+    """z, p given the encoders, one after the other, and the nats of those not from the posture prior."""
     z, p, m, nats = z.copy(), p.copy(), motion.joints, 0.0
-    for j in np.flatnonzero(np.isfinite(said)):
-        ph, nu = p[:, j].copy(), float(said[j] - z[j])
+    for j in np.flatnonzero(np.isfinite(readings)):
+        ph, nu = p[:, j].copy(), float(readings[j] - z[j])
         if motion.offsets:
             ph += p[:, 2 * m + j]
             nu -= float(z[2 * m + j])
         s = float(ph[j] + (ph[2 * m + j] if motion.offsets else 0.0) + var[j])
         if not s > 0.0:
-            raise np.linalg.LinAlgError(f"the variance {s:.3g} rad² is foretold of encoder {j + 1}")
+            raise np.linalg.LinAlgError(f"encoder {j + 1} has the predicted variance {s:.3g} rad²")
         gain = ph / s
         z += gain * nu
         p -= gain[:, None] * ph
@@ -150,20 +150,20 @@ def _encoders(motion: Motion, z: Array, p: Array, said: Array, var: Array) -> tu
 
 
 def _rested(
-    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[PendingFrame], resting: float
+    m: int, prior: tuple[Array, Array], given: tuple[Array, Array], sights: Sequence[PendingFrame], resting: float
 ) -> tuple[Lines, tuple[Array, ...]]:
-    """The sights' lines about where the belief rests, or moves least, that they make of what the encoders `told`.
+    """Linearise the tracks where the belief converges, or moves least, starting from the encoders' posterior `given`.
 
-    And their errors in standard deviations. These and the gate are by the `prior`, so that order is no matter.
+    Also their errors in standard deviations. Errors and gate use the `prior`, so the order of senses does not matter.
     """
     x, first, cov = prior[0][:m], prior[0][:m], prior[1][:m, :m]
-    start, spread, errors = told[0][:m], told[1][:m, :m], tuple[Array, ...]()
+    start, spread, errors = given[0][:m], given[1][:m, :m], tuple[Array, ...]()
     went = last = np.zeros(m)
     least, best = math.inf, None
     for iteration in range(ITERATIONS):
         drawn = [_line(sight, x) for sight in sights]
         if iteration == 0:
-            errors = tuple(apart for _, apart in (_apart(sight, x, cov) for sight in sights))
+            errors = tuple(apart for _, apart in (_innovation(sight, x, cov) for sight in sights))
         lines = [_gated(line, first, cov) for line in drawn]
         move = start + _pulled(start, spread, lines) - x
         size = max(map(abs, move.tolist()))
@@ -178,15 +178,15 @@ def _rested(
 
 
 def _statistical_linearisation(
-    m: int, prior: tuple[Array, Array], told: tuple[Array, Array], sights: Sequence[PendingFrame]
+    m: int, prior: tuple[Array, Array], given: tuple[Array, Array], sights: Sequence[PendingFrame]
 ) -> tuple[Lines, tuple[Array, ...]]:
-    """The sights' lines through x ± √M σ along each axis of what the encoders `told`; errors by the prior's tangents.
+    """Lines through x ± √M σ along each axis of the encoders' posterior `given`; errors by the prior's tangents.
 
-    What a line misses there is noise: a wide belief's tangent says what no picture shows. Rows are turned such that
+    The residual of the line is added as noise: the tangent of a wide belief claims too much. Rows are rotated such that
     their noise is independent.
     """
-    errors = tuple(_apart(sight, prior[0][:m], prior[1][:m, :m])[1] for sight in sights)
-    x, (var, axes) = told[0][:m], np.linalg.eigh(told[1][:m, :m])
+    errors = tuple(_innovation(sight, prior[0][:m], prior[1][:m, :m])[1] for sight in sights)
+    x, (var, axes) = given[0][:m], np.linalg.eigh(given[1][:m, :m])
     steps, tracks = np.sqrt(m * np.maximum(var, np.finfo(float).tiny))[:, None] * axes.T, []
     for sight in sights:
         *_, own, memory = sight.at(x)
@@ -200,7 +200,7 @@ def _statistical_linearisation(
 
 
 def _line(sight: PendingFrame, x: Array) -> Line:
-    """The track's line about x; rows that err together are turned and scaled to be independent."""
+    """The track's tangent at x; correlated rows are whitened."""
     mean, jac, _, var, memory = sight.at(x)
     y = sight.value - mean + jac @ x
     if var.ndim == 1:
@@ -210,23 +210,22 @@ def _line(sight: PendingFrame, x: Array) -> Line:
     return Line(rows[:, 0], rows[:, 1:], np.ones(len(y)), memory, float(np.log(np.diagonal(root)).sum()))
 
 
-def _apart(sight: PendingFrame, x: Array, cov: Array) -> tuple[Array, Array]:
-    """News (D,) beyond what x (M,) foretells, with covariance (M,M); the same in standard deviations, as perception and
-    the model have these."""
-    mean, jac, model = sight.foretold(x)
-    news = sight.value - mean
-    return news, news / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model)
+def _innovation(sight: PendingFrame, x: Array, cov: Array) -> tuple[Array, Array]:
+    """Innovation (D,) for a belief x (M,), cov (M,M); and the same in standard deviations."""
+    mean, jac, model = sight.predicted(x)
+    innovation = sight.value - mean
+    return innovation, innovation / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model)
 
 
 def _accelerated(move: Array, last: Array, went: Array) -> Array:
-    """How far to go where Gauss–Newton says `move` (M,), and said `last` before one went `went`: Anderson mixing."""
+    """Next step (M,) from Gauss–Newton's `move`, the `last` one and the step taken then: Anderson mixing."""
     turn = move - last
     size = turn @ turn
     return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
 
 
 def _gated(line: Line, x: Array, cov: Array) -> Line:
-    """The line with its variances raised if it lies beyond the gate as a whole, by the prior x (M,), cov (M,M)."""
+    """The line with inflated variances if it lies outside the gate of the prior x (M,), cov (M,M)."""
     total, nu = line.jac @ cov @ line.jac.T, line.y - line.jac @ x
     if len(nu) == 2:
         (a, b), (_, c) = total.tolist()
@@ -243,7 +242,7 @@ def _gated(line: Line, x: Array, cov: Array) -> Line:
 
 
 def _pulled(x: Array, cov: Array, lines: Sequence[Line]) -> Array:
-    """How far (M,) the lines draw a belief x (M,), cov (M,M)."""
+    """Move (M,) of a belief x (M,), cov (M,M) by the lines."""
     h, y, var = _rows(lines)
     lean = cov @ h.T
     s = h @ lean
@@ -262,7 +261,7 @@ def _rows(lines: Sequence[Line]) -> tuple[Array, Array, Array]:
 
 
 def _seen(z: Array, p: Array, lines: Lines) -> tuple[Array, Array, float]:
-    """z, p given the lines, and their nats."""
+    """z, p conditioned on the lines, and their nats."""
     h, y, var = _rows(lines.tracks)
     m = h.shape[1]
     ph = p[:, :m] @ h.T

@@ -1,4 +1,4 @@
-"""Beliefs at every instant from those at the knots: forwards through all intervals at once, or between both ends."""
+"""Beliefs at every instant, from those at the knots: forward through all intervals, or between both ends."""
 
 from dataclasses import dataclass, fields
 
@@ -15,8 +15,8 @@ from .small import product, spd_inverse
 class Forward:
     """Each slot's state (L,M,S,B) and angles' covariance (L,M,M,B), before its readings and after; nats (L,B).
 
-    innovation, total (L,M,B): of each encoder, with its variance, NaN where silent · offset_var (L,M,B): of its offset
-    · end (K,K+1,B): covariance and mean at the knots after the intervals, but for what images there say.
+    innovation, total (L,M,B): each encoder's, with its variance, NaN where silent · offset_var (L,M,B): of its offset
+    · end (K,K+1,B): covariance and mean at the next knots, before their images.
     """
 
     prior: Array
@@ -31,9 +31,9 @@ class Forward:
 
 
 def forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: Array) -> Forward:
-    """Through all intervals from the knots before them: mean (K,B), cov (K,K,B) given what was measured by then.
+    """Filter all intervals from the knots before them: mean (K,B), cov (K,K,B), given the measurements up to there.
 
-    kappa (N,B): what is left of the last N of K states, unit ones, at the knots after.
+    kappa (N,B): share of the last N of K states, the unit states, that is left at the next knots.
     """
     parts = [
         _forward(motion, slots.part(some), mean[:, some], cov[..., some], kappa[:, some])
@@ -44,9 +44,9 @@ def forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: A
 
 
 def _forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: Array) -> Forward:
-    """Through some intervals."""
+    """Filter some intervals."""
     (length, m, b), s = slots.encoders.shape, motion.states
-    # one array of covariance and, last in each row, mean: P Hᵀ and what H foretells are one product
+    # one array of covariance and, last in each row, mean: P Hᵀ and the predictions H x are one product
     belief, k = np.concatenate([cov, mean[:, None]], axis=1), m * s
     rows, columns = belief[:k].reshape(m, s, -1, b), belief[:, :k].reshape(len(belief), m, s, b)
     alone, angles = joints_apart(belief[:k, :k], s), slice(0, k, s)
@@ -58,7 +58,7 @@ def _forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: 
         motion.carry(np.moveaxis(columns, 2, 0), dt)
         alone += slots.grown(motion, i)
         prior[i], prior_cov[i] = rows[:, :, -1], belief[angles, angles]
-        nats[i], innovation[i], total[i] = heard(motion, belief, slots.encoders[i], slots.var[i])
+        nats[i], innovation[i], total[i] = condition_encoders(motion, belief, slots.encoders[i], slots.var[i])
         state[i], own[i], offset_var[i] = rows[:, :, -1], belief[angles, angles], alone[-1, -1]
     belief[k:] *= kappa[:, None]
     belief[:, k:-1] *= kappa[None]
@@ -66,10 +66,10 @@ def _forward(motion: MotionModel, slots: Slots, mean: Array, cov: Array, kappa: 
     return Forward(prior, prior_cov, state, own, nats, innovation, total, offset_var, belief)
 
 
-def heard(motion: MotionModel, belief: Array, y: Array, var: Array) -> tuple[Array, Array, Array]:
+def condition_encoders(motion: MotionModel, belief: Array, y: Array, var: Array) -> tuple[Array, Array, Array]:
     """Condition the belief (K,K+1,B) in place on encoders y (M,B), NaN where silent; nats (B,).
 
-    And innovations (M,B) by the belief before any of them, with their variances.
+    Also innovations (M,B) by the belief before all of them, and their variances.
     """
     nats, spoken = np.zeros(y.shape[1]), np.isfinite(y).any(axis=1)
     if not spoken.any():
@@ -83,13 +83,13 @@ def heard(motion: MotionModel, belief: Array, y: Array, var: Array) -> tuple[Arr
 
 
 def _reach(motion: MotionModel, belief: Array, joint: int) -> Array:
-    """P Hᵀ (K,B) and, last, what is foretold of one encoder."""
+    """P Hᵀ (K,B) followed by the prediction of one encoder."""
     first, s = joint * motion.states, motion.states
     return belief[first] if motion.walk is None else np.asarray(belief[first] + belief[first + s - 1])
 
 
 def _own(motion: MotionModel, reach: Array, joint: int) -> Array:
-    """H P Hᵀ (B,) of P Hᵀ (K+1,B)."""
+    """H P Hᵀ (B,) from P Hᵀ (K+1,B)."""
     first, s = joint * motion.states, motion.states
     return reach[first] if motion.walk is None else np.asarray(reach[first] + reach[first + s - 1])
 
@@ -105,8 +105,8 @@ def _condition(motion: MotionModel, belief: Array, joint: int, y: Array, var: Ar
     return np.asarray(0.5 * (left * left * weight + np.log(np.where(spoken, 2.0 * np.pi * total, 1.0))))
 
 
-def foretold(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[Array, Array]:
-    """By the belief (K,K+1,F): innovations (D,F) of rows y (D,F) = h (D,A,F) of some states, and their covariance."""
+def predicted(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[Array, Array]:
+    """Innovations (D,F) of rows y (D,F) = h (D,A,F) of states `index` (A,), and covariance, by belief (K,K+1,F)."""
     few = belief[index][:, [*index, -1]]
     reach = np.einsum("daf,akf->dkf", h, few)
     total = np.einsum("daf,eaf->def", h, reach[:, :-1])
@@ -117,7 +117,7 @@ def foretold(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tup
 def seen(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[Array, Array, Array]:
     """Condition the belief (K,K+1,F) on rows y (D,F) = h (D,A,F) of the states `index` (A,), of variance var (D,F).
 
-    The belief after; and by the one before: innovations (D,F) and their covariance (D,D,F).
+    Returns the belief, the innovations (D,F) and their covariance (D,D,F).
     """
     reach = np.einsum("daf,akf->dkf", h, belief[index])
     total = np.einsum("daf,eaf->def", h, reach[:, index])
@@ -130,7 +130,7 @@ def seen(belief: Array, h: Array, index: Array, y: Array, var: Array) -> tuple[A
 
 @dataclass(frozen=True, eq=False)
 class Between:
-    """Each slot's states by those at both ends: low (L,S,S,M,B) z + high z' + shift (L,S,M,B), and what varies still.
+    """Each slot's states from both ends: low (L,S,S,M,B) z + high z' + shift (L,S,M,B).
 
     rest (L,M,B): variance of the angle given both ends.
     """
@@ -142,7 +142,7 @@ class Between:
 
 
 def between(motion: MotionModel, slots: Slots, found: Bridge) -> Between:
-    """By Rauch, Tung & Striebel's recursion within each interval, given the state at its beginning."""
+    """Rauch–Tung–Striebel recursion within each interval, given the state at its beginning."""
     length, (s, _, m, b) = len(slots.dt), found.move.shape
     low, high, shift = np.zeros((length, s, s, m, b)), np.zeros((length, s, s, m, b)), np.zeros((length, s, m, b))
     rest, spread = np.zeros((length, m, b)), np.zeros((s, s, m, b))
@@ -162,14 +162,14 @@ def between(motion: MotionModel, slots: Slots, found: Bridge) -> Between:
 
 
 def smoothed(path: Between, mean: Array) -> Array:
-    """States (L,M,S,B) of the slots from those (M,S,B+1) of the knots, given all the log."""
+    """Smoothed states (L,M,S,B) of the slots from those (M,S,B+1) of the knots."""
     low, high = (np.moveaxis(part, 0, 1) for part in (mean[..., :-1], mean[..., 1:]))
     found = np.einsum("labjk,bjk->ljak", path.low, low) + np.einsum("labjk,bjk->ljak", path.high, high)
     return np.asarray(found + path.shift.swapaxes(1, 2))
 
 
 def smoothed_cov(path: Between, own: Array, across: Array) -> Array:
-    """Angles' covariances (L,M,M,B) from those of the knots (M,S,M,S,B+1), and of each with the next (M,S,M,S,B)."""
+    """Smoothed covariances (L,M,M,B) of angles from those of the knots (M,S,M,S,B+1) and across (M,S,M,S,B)."""
     low, high = path.low[:, 0], path.high[:, 0]
     length, _, m, b = low.shape
     found = np.zeros((length, m, m, b))

@@ -1,4 +1,4 @@
-"""A log told in few instants: its pictures, and the encoder readings that must be weighed one by one."""
+"""A log reduced to knots: its images, and the encoder readings that need a gate; other readings are pooled."""
 
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -9,7 +9,7 @@ from ...types import Array
 from ..measurements.timeline import Timeline
 from .filter_records import Dynamics, KnotReadings, Pooled, Readings
 from .folds import Fold, fold_for
-from .pooling import Blocks, blocks, kept, loud, pooled
+from .pooling import Blocks, blocks, kept, outlier_candidates, pooled
 
 if TYPE_CHECKING:
     from .problem import Problem
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class KnotProblem:
-    """The problem on few instants, which events (B,) of the log they are, what is said in between, and all of it."""
+    """The problem at knots, which events (B,) of the log they are, the blocks in between, and the folded readings."""
 
     problem: "Problem"
     events: Array
@@ -26,34 +26,36 @@ class KnotProblem:
 
     @property
     def fold(self) -> Fold:
-        """Its stretches."""
+        """The stretches."""
         return fold_for(len(self.events))
 
     def pooled(self, dynamics: Dynamics) -> Pooled:
-        """What is said in between, folded."""
+        """Readings between knots, pooled and folded."""
         return pooled(self.blocks, dynamics, self.fold, self.problem.more)
 
     def of(self, problem: "Problem") -> "KnotProblem":
-        """The same log with another process or other pixels, told as before."""
+        """The same log with another process or other pixel variances."""
         few = replace(self, problem=replace(problem, timeline=self.problem.timeline))
         return replace(few, readings=replace(self.readings, pooled=few.pooled(problem.dynamics)))
 
 
-def tile(brief: KnotProblem, var: Array, processes: Array) -> KnotReadings:
-    """The log in brief for processes (M,G), side by side each stretch, whose frames have variances var (L,T,D,C,G)."""
-    told, g = brief.readings, processes.shape[-1]
-    dt, said, said_var, y, jac = (
-        np.repeat(part, g, axis=-1) for part in (told.dt, told.encoders, told.encoder_var, told.y, told.jac)
+def tile(knots: KnotProblem, var: Array, processes: Array) -> KnotReadings:
+    """The knots' readings for processes (M,G), side by side in each stretch, with frame variances var (L,T,D,C,G)."""
+    found, g = knots.readings, processes.shape[-1]
+    dt, values, values_var, y, jac = (
+        np.repeat(part, g, axis=-1) for part in (found.dt, found.encoders, found.encoder_var, found.y, found.jac)
     )
-    between = brief.pooled(replace(brief.problem.dynamics, process=processes))
-    anew = None if told.anew is None else np.repeat(told.anew, g, axis=-1)
-    return KnotReadings(dt, said, said_var, y, jac, var.reshape(*var.shape[:-2], dt.shape[-1]), between, anew=anew)
+    between = knots.pooled(replace(knots.problem.dynamics, process=processes))
+    reset = None if found.reset is None else np.repeat(found.reset, g, axis=-1)
+    return KnotReadings(
+        dt, values, values_var, y, jac, var.reshape(*var.shape[:-2], dt.shape[-1]), between, reset=reset
+    )
 
 
 def knot_problem(problem: "Problem", gated: Array | None = None) -> KnotProblem:
-    """The log in brief; `gated` are instants (E,) known to have a reading that the gate weighs less."""
-    line, (said, var) = problem.timeline, encoder_rows(problem)
-    alone = loud(said) if gated is None else loud(said) | gated
+    """Reduce the log to knots; `gated`: instants (E,) with a reading that the gate is known to reject."""
+    line, (values, var) = problem.timeline, encoder_rows(problem)
+    alone = outlier_candidates(values) if gated is None else outlier_candidates(values) | gated
     alone[np.concatenate([*line.sightings, np.empty(0, int)])] = True
     alone[problem.resets_at(line.t)[0]] = True
     wanted = alone.copy()
@@ -61,31 +63,31 @@ def knot_problem(problem: "Problem", gated: Array | None = None) -> KnotProblem:
     events = kept(wanted)
     sightings, none = tuple(np.searchsorted(events, frames) for frames in line.sightings), np.empty(0, int)
     few = replace(problem, timeline=Timeline(line.t[events], none, sightings, none, none))
-    between, fold = blocks(line.t, said, var, events, alone), fold_for(len(events))
-    rest = heard(few, fold, np.where(alone[:, None], said, np.nan)[events], var[events])
-    told = pooled(between, few.dynamics, fold, few.more)
-    leaps = KnotReadings(*rest, pooled=told, anew=forgotten(few, fold))
+    between, fold = blocks(line.t, values, var, events, alone), fold_for(len(events))
+    rest = folded_readings(few, fold, np.where(alone[:, None], values, np.nan)[events], var[events])
+    found = pooled(between, few.dynamics, fold, few.more)
+    leaps = KnotReadings(*rest, pooled=found, reset=forgotten(few, fold))
     return KnotProblem(few, events, between, leaps)
 
 
 def full(problem: "Problem", fold: Fold) -> Readings:
-    """Everything at every instant but the frames' linearisation, folded."""
+    """Readings of all instants, folded, without the frames' tangents."""
     more = None if problem.more is None else fold.fold(problem.more, 1.0)
-    return Readings(*heard(problem, fold, *encoder_rows(problem)), anew=forgotten(problem, fold), more=more)
+    return Readings(*folded_readings(problem, fold, *encoder_rows(problem)), reset=forgotten(problem, fold), more=more)
 
 
 def forgotten(problem: "Problem", fold: Fold) -> Array | None:
-    """Joints (L,M,C) bool of which nothing is known any more by then; None if that never happens."""
+    """Joints (L,M,C) bool that restart from a wide prior at an instant; None if none does."""
     events, joints = problem.resets_at(problem.timeline.t)
     if not len(events):
         return None
-    anew = np.zeros((fold.length, len(problem.start), fold.count), bool)
-    fold.put(anew, events, joints)
-    return anew
+    reset = np.zeros((fold.length, len(problem.start), fold.count), bool)
+    fold.put(reset, events, joints)
+    return reset
 
 
-def heard(
-    problem: "Problem", fold: Fold, said: Array, said_var: Array
+def folded_readings(
+    problem: "Problem", fold: Fold, values: Array, values_var: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """The parts of `Readings`: encoder rows (E,M) with variances, and room for the frames."""
     line, m = problem.timeline, len(problem.start)
@@ -93,20 +95,20 @@ def heard(
     y, var = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
     jac = np.zeros((*shape, m, fold.count))
     dt = fold.fold(np.diff(line.t, prepend=line.t[0]), 0.0)
-    return dt, fold.fold(said, np.nan), fold.fold(said_var, 1.0), y, jac, var
+    return dt, fold.fold(values, np.nan), fold.fold(values_var, 1.0), y, jac, var
 
 
 def encoder_rows(problem: "Problem", until: int | None = None) -> tuple[Array, Array]:
-    """Readings (E,M) rad, NaN where silent, and their variances (E,M); of joints without an encoder, their habit.
+    """Readings (E,M) rad, NaN where silent, and variances (E,M); the posture prior for joints without an encoder.
 
-    Of the first instants `until` some one alone, if that is given.
+    Only of the first `until` instants, if given.
     """
     t, at = problem.timeline.t[:until], problem.timeline.encoders
-    encoders, told = np.full((len(t), len(problem.start)), np.nan), problem.evidence.encoders
+    encoders, found = np.full((len(t), len(problem.start)), np.nan), problem.evidence.encoders
     var = np.tile(problem.precision.encoder, (len(t), 1))
-    if told is not None:
+    if found is not None:
         rows = int(np.searchsorted(at, len(t)))
-        encoders[at[:rows]] = told.values[:rows]
-        if told.relative is not None:
-            var[at[:rows]] *= told.relative[:rows]
-    return (encoders, var) if problem.habit is None else problem.habit.fill(t, encoders, var)
+        encoders[at[:rows]] = found.values[:rows]
+        if found.relative is not None:
+            var[at[:rows]] *= found.relative[:rows]
+    return (encoders, var) if problem.posture_prior is None else problem.posture_prior.fill(t, encoders, var)

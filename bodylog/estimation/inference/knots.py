@@ -1,4 +1,4 @@
-"""A log cut into intervals between knots: one instant of each, a slot, is worked on at a time, side by side."""
+"""A log cut into intervals between knots; one instant of each interval, a slot, is processed in parallel."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -8,28 +8,28 @@ import numpy as np
 from ...types import Array
 
 MOST = 8
-"""Instants of an interval at most: a shorter one wastes knots, a longer one numpy calls."""
+"""Most instants of an interval: shorter intervals cost knots, longer ones numpy calls."""
 LONG = 0.03
-"""s: an interval without an image is as long at least, so that fast encoders make no stiff knots."""
+"""s: least length of an interval without an image, so that fast encoders give no ill-conditioned knots."""
 BEFORE = 0.05
-"""s from knot 0, of which nothing is measured, to the first instant: a shorter interval is a stiff one."""
+"""s from knot 0, which has no measurement, to the first instant; a shorter interval is ill-conditioned."""
 CLOSE = {2: 1e-4, 3: 5e-3}
-"""s, by the motion's order: images closer than this share the later one's knot, lest their information be all rounding.
+"""s, by the motion's order: images closer than this share the later one's knot, to avoid rounding errors.
 
-The motion's noise that is neglected then moves an angle by √(q dt³/3) or √(q dt⁵/20), 1e-6 to 1e-5 rad.
+The neglected process noise moves an angle by √(q dt³/3) or √(q dt⁵/20), 1e-6 to 1e-5 rad.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Knots:
-    """Times t (E,) s of all instants · events (B−1,): which of them are knots; knot 0 is BEFORE the first instant."""
+    """Times t (E,) s of all instants · events (B−1,): indices of the knots; knot 0 is BEFORE the first instant."""
 
     t: Array
     events: Array
 
     @staticmethod
     def of(t: Array, images: Array, order: int) -> "Knots":
-        """Knots at instants `images` (ascending numbers) but where close together, at the end, and in between."""
+        """Knots at instants `images` (ascending indices) unless close together, at the end, and in between."""
         wanted = np.zeros(len(t), bool)
         wanted[_apart(t, images, CLOSE[order])] = True
         wanted[-1] = True
@@ -66,17 +66,17 @@ class Knots:
         return np.asarray(np.moveaxis(a, -1, 1)[slot, interval])
 
     def steps(self) -> Array:
-        """Time (slots,B−1) s from each instant's predecessor, or from knot 0."""
+        """Time (slots,B−1) s since each instant's predecessor, or since knot 0."""
         return self.fold(np.diff(self.t, prepend=self.t[0] - BEFORE), 0.0)
 
     def holding(self, images: Array) -> tuple[Array, Array]:
-        """The knot (F,) at or next after each of the instants `images`, and how much earlier (F,) s they are."""
+        """The knot (F,) at or after each of the instants `images`, and by how much (F,) s it is later."""
         event = np.searchsorted(self.events, images)
         return event + 1, self.t[images] - self.t[self.events[event]]
 
 
 def _apart(t: Array, images: Array, close: float) -> Array:
-    """Those of the instants that are the last of a group within `close` s."""
+    """The last instant of each group within `close` s."""
     if not len(images) or not (np.diff(t[images]) < close).any():
         return images
     kept = [int(images[-1])]

@@ -1,4 +1,4 @@
-"""Smoothed covariances of the knots: the inverse of a block tridiagonal matrix, of its own blocks alone."""
+"""Smoothed covariances of the knots: blocks of the inverse of a block tridiagonal matrix."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from .banded import System
 
 
 def marginals(given: System) -> tuple[Array, Array]:
-    """Covariances (B,K,K) of the knots given all the log, and (B−1,K,K) of each with the next."""
+    """Smoothed covariances (B,K,K) of the knots, and (B−1,K,K) of each with the next."""
     k, knots = given.pull.shape
     s, m = given.shape
     upper = np.zeros((knots - 1, k, k))

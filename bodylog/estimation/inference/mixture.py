@@ -1,6 +1,6 @@
-"""Outliers: a measurement is an inlier with probability 1 − ε, else anywhere in its sense's range, with density 1/V.
+"""Outlier mixture: a measurement is an inlier with probability 1 − ε, else uniform with density 1/V.
 
-−ln[(1 − ε) N(ν; 0, S) + ε/V] grows with |ν| everywhere, so that no cost is saved by pushing an outlier further out.
+−ln[(1 − ε) N(ν; 0, S) + ε/V] grows with |ν| everywhere, so that pushing an outlier further out saves no cost.
 """
 
 import numpy as np
@@ -8,11 +8,11 @@ import numpy as np
 from ...types import Array
 
 RATE = 1e-3
-"""ε: how many measurements are outliers, before any evidence."""
+"""ε: prior probability of an outlier."""
 
 
 def inlier(distance: Array, logdet: Array, rows: int, density: float) -> tuple[Array, Array]:
-    """How likely each is an inlier, and its cost in nats, which is the Gaussian's where it surely is one.
+    """Probability of being an inlier, and cost in nats, which equals the Gaussian's for sure inliers.
 
     distance: νᵀ S⁻¹ ν · logdet: ln|S| · rows: D · density: 1/V of outliers, in the measurement's own units.
     """
@@ -25,5 +25,5 @@ def inlier(distance: Array, logdet: Array, rows: int, density: float) -> tuple[A
 
 
 def raised(var: Array, total: Array, weight: Array) -> Array:
-    """Noise `var` of an innovation of variance `total` such that its pull falls by `weight`."""
+    """Noise `var` of an innovation of variance `total`, inflated such that its weight falls by `weight`."""
     return np.asarray(var + total * (1.0 / np.maximum(weight, 1e-12) - 1.0))

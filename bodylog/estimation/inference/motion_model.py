@@ -1,4 +1,4 @@
-"""How joints move: the highest derivative of each angle is white noise; an encoder's offset walks at random.
+"""Motion of the joints: the highest derivative of each angle is white noise; encoder offsets are random walks.
 
 A joint's S states are angle, rate[, acceleration][, offset]. Arrays are (S, S, M, B): joints M, intervals B last.
 """
@@ -30,11 +30,11 @@ class MotionModel:
         return self.order + (self.walk is not None)
 
     def observe(self, a: Array) -> Array:
-        """What an encoder reads of states a (S, …): the angle, with the offset where there is one."""
+        """Predicted encoder reading from states a (S, …): the angle, plus the offset where there is one."""
         return np.asarray(a[0] if self.walk is None else a[0] + a[-1])
 
     def carry(self, a: Array, dt: Array) -> None:
-        """States a (S, …, B) a time dt (B,) s later, in place."""
+        """Move states a (S, …, B) by dt (B,) s, in place."""
         for state in range(self.order - 1):
             power = dt
             for lag in range(1, self.order - state):
@@ -42,7 +42,7 @@ class MotionModel:
                 power = power * dt
 
     def spread(self, dt: Array, more: Array | float = 1.0) -> Array:
-        """Covariance (S,S,M,B) that the noise adds within dt (B,) s, the process being `more` (M,B) times as large."""
+        """Covariance (S,S,M,B) of the process noise within dt (B,) s, with `more` (M,B) times the process."""
         s, p = self.states, self.order
         noise = np.zeros((s, s, self.joints, len(dt)))
         scaled = self.process[:, None] * more

@@ -1,7 +1,7 @@
-"""What an offset of each encoder would explain, to first order about a solved log, for every way it may wander.
+"""Evidence for an encoder offset, to first order about a solved log, for every random-walk variance.
 
-With readings y − b the log's nats are quadratic in b, where the states are solved for: F(b) = F − sᵀb + ½ bᵀ I b. An
-offset is constant over each of some spans; a prior of variance Q for these wins ½ sᵀ(I + Q⁻¹)⁻¹s − ½ ln|1 + Q I| nats.
+With readings y − b the log's nats, minimised over the states, are quadratic in b: F(b) = F − sᵀb + ½ bᵀ I b. An
+offset is constant within each span; a prior of variance Q gains ½ sᵀ(I + Q⁻¹)⁻¹s − ½ ln|1 + Q I| nats.
 """
 
 from dataclasses import dataclass, replace
@@ -16,24 +16,24 @@ from .small import outer
 from .solver import Solved
 
 SPAN, MOST = 0.5, 240
-"""s over which an offset is taken for constant at least, and spans at most."""
+"""s: least span within which an offset is constant; most spans."""
 APART = 6.0
-"""s between spans that are solved for at once, each of which then knows nothing of the others."""
+"""s between spans that are solved for at once, and treated as independent."""
 
 
 @dataclass(frozen=True, eq=False)
 class OffsetScore:
-    """t (N,) s where spans begin · score s (M,N) per rad · information I (M,N,N) per rad² of each joint's offset."""
+    """t (N,) s: begins of spans · score s (M,N) per rad · information I (M,N,N) per rad² of each joint's offset."""
 
     t: Array
     score: Array
     information: Array
 
     def won(self, joint: int, walk: float) -> tuple[float, Array, Array]:
-        """Nats that an offset of a joint wins that wanders by `walk` rad²/s, what it is (N,) rad and its variance."""
+        """Nats that an offset of a joint with random walk `walk` rad²/s gains, its mean (N,) rad and variance."""
         prior = OFFSET_STD**2 + walk * (np.minimum.outer(self.t, self.t) - self.t[0])
-        told, score = self.information[joint], self.score[joint]
-        both = np.eye(len(score)) + prior @ told
+        linear, score = self.information[joint], self.score[joint]
+        both = np.eye(len(score)) + prior @ linear
         mean = np.linalg.solve(both, prior @ score)
         var = np.diagonal(np.linalg.solve(both, prior))
         return 0.5 * float(score @ mean - np.linalg.slogdet(both)[1]), mean, var
@@ -49,19 +49,19 @@ def offset_score(solved: Solved) -> OffsetScore:
     # by each joint's own unit offset
     each = replace(up, shift=0.5 * (up.shift - down.shift), pull=0.5 * (up.pull - down.pull))
     low, high = _ends(chain.motion, solved.nominal)
-    told = information(each, np.zeros_like(low), np.zeros_like(high))
-    slope, bend = _direct(up, down, solved.bridge, each, (low, high), told.after)
+    linear = information(each, np.zeros_like(low), np.zeros_like(high))
+    slope, bend = _direct(up, down, solved.bridge, each, (low, high), linear.after)
     low, high = _ends(chain.motion, solved.factor.solution())
-    slope = slope - (told.pull_before * low + told.pull_after * high).sum(axis=0)
+    slope = slope - (linear.pull_before * low + linear.pull_after * high).sum(axis=0)
     count = len(begins)
     score = np.stack([np.bincount(span, row, count) for row in slope])
     known = np.stack([np.diag(np.bincount(span, row, count)) for row in bend])
-    known -= np.stack([_through(solved, joint, told, span, begins) for joint in range(len(slope))])
+    known -= np.stack([_through(solved, joint, linear, span, begins) for joint in range(len(slope))])
     return OffsetScore(begins, score, 0.5 * (known + known.swapaxes(1, 2)))
 
 
 def _spans(t: Array, events: Array) -> tuple[Array, Array]:
-    """Where spans begin (N,) s, and which of them each interval (B−1,) is in."""
+    """Begins (N,) s of spans, and the span of each interval (B−1,)."""
     width = max(SPAN, float(t[-1] - t[0]) / MOST)
     which = np.floor((t[events] - t[0]) / width).astype(int)
     found, span = np.unique(which, return_inverse=True)
@@ -78,7 +78,7 @@ def _ends(motion: MotionModel, states: Array) -> tuple[Array, Array]:
 def _direct(
     up: Bridge, down: Bridge, own: Bridge, each: Bridge, ends: tuple[Array, Array], inverse: Array
 ) -> tuple[Array, Array]:
-    """−dF/db and d²F/db² (M,B−1) at given states, of readings y − b."""
+    """−dF/db and d²F/db² (M,B−1) at fixed states, for readings y − b."""
     low, high = ends
     miss = own.shift + (own.move * low[None]).sum(axis=1) - high
     slope = (each.shift * (inverse * miss[None]).sum(axis=1)).sum(axis=0) - (each.pull * low).sum(axis=0)
@@ -87,12 +87,12 @@ def _direct(
     return slope, bend
 
 
-def _through(solved: Solved, joint: int, told: Information, span: Array, begins: Array) -> Array:
-    """hᵀ Λ⁻¹ h (N,N): what the states make of offsets of one joint in the spans, near ones alone."""
+def _through(solved: Solved, joint: int, linear: Information, span: Array, begins: Array) -> Array:
+    """hᵀ Λ⁻¹ h (N,N): effect of one joint's offsets through the states, for neighbouring spans only."""
     from scipy.linalg.lapack import dpbtrs
 
     (k, knots), count = solved.nominal.shape, len(begins)
-    before, after, s = told.pull_before, told.pull_after, solved.log.chain.motion.states
+    before, after, s = linear.pull_before, linear.pull_after, solved.log.chain.motion.states
     first = joint * s
     width = float(begins[1] - begins[0]) if count > 1 else APART
     groups = min(max(3, int(np.ceil(APART / width))), count)

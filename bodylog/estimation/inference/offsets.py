@@ -1,4 +1,4 @@
-"""Which encoders are off by an offset, as the log's evidence has it, one after the other."""
+"""Encoder offsets that the log's evidence asks for, added one after the other."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,27 +17,27 @@ from .posed import Chain, energy, posed
 from .solver import Log, Solved, distance, solve
 
 WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
-"""rad²/s: how fast an offset may wander; the last is a joint homed differently, and stays."""
+"""rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
 CLIP = 4.0
-"""Standard deviations: no image pulls at an offset by more, though it pulls at nothing else as an outlier."""
+"""Standard deviations: bound on an image's innovation in the offset score, also for outliers."""
 SIGMAS = 4.0
-"""An offset is one when it is this many of its standard deviations somewhere."""
+"""Standard deviations that an offset must reach somewhere."""
 
 
 @dataclass(frozen=True, eq=False)
 class Offsets:
-    """The solved log · walk (M,) rad²/s, 0 for none · nats won by each joint's (M,) · rivals of each that has one."""
+    """The solved log · walk (M,) rad²/s, 0 for none · nats gained (M,) · joints whose offset explains it as well."""
 
     solved: Solved
     walk: Array
     won: Array
-    rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
 
 def offsets(solved: Solved, walk: Array, least: Array | float, smooth: bool) -> Offsets:
-    """The log with an offset of each encoder for which that wins NATS nats; `walk` (M,) of those given already.
+    """Add an encoder offset wherever that gains NATS nats; `walk` (M,) of the offsets given already.
 
-    least (M,) or () rad: smaller ones are none.
+    least (M,) or () rad: smallest offset to add.
     """
     found = Offsets(solved, walk, np.zeros(len(walk)))
     while (walk := found.walk) is not None:
@@ -49,7 +49,7 @@ def offsets(solved: Solved, walk: Array, least: Array | float, smooth: bool) -> 
         if gains[best] < NATS:
             return replace(found, won=won)
         near = [j for j in np.flatnonzero(gains > gains[best] - NATS)]
-        # of those that cannot be told apart the one that wanders least: others follow what the body model errs
+        # of those with equal evidence the one with the smallest walk: others follow the body model's errors
         joint = min(near, key=lambda j: (tried[j][1], -gains[j]))
         more = walk.copy()
         more[joint] = tried[joint][1]
@@ -59,13 +59,13 @@ def offsets(solved: Solved, walk: Array, least: Array | float, smooth: bool) -> 
             return replace(found, won=won)
         if nats(found.solved) - nats(other) < NATS:
             return replace(found, won=won)
-        rivals = tuple(int(j) for j in near if j != joint)
-        found = Offsets(other, more, won, {**found.rivals, int(joint): rivals})
+        alternatives = tuple(int(j) for j in near if j != joint)
+        found = Offsets(other, more, won, {**found.alternatives, int(joint): alternatives})
     return found
 
 
 def _best(score: OffsetScore, joint: int, least: Array | float) -> tuple[float, float]:
-    """The most nats that an offset of a joint wins which is large enough to be one, and how fast it wanders then."""
+    """Most nats gained by an offset of a joint above the least size, and its random-walk variance."""
     ways = []
     for walk in WALKS:
         gain, mean, var = score.won(joint, walk)
@@ -81,7 +81,7 @@ def nats(solved: Solved) -> float:
 
 
 def clipped(solved: Solved) -> Solved:
-    """The same where images that are outliers pull with CLIP standard deviations rather than not at all."""
+    """The same log, where outlier images have innovations of CLIP standard deviations instead of no weight."""
     extras = [one.extra for one in solved.log.images]
     for one, sight in zip(solved.log.images, solved.sights, strict=True):
         far = np.sqrt(distance(sight.innovation, sight.total)[0] / len(sight.total))
@@ -93,7 +93,7 @@ def clipped(solved: Solved) -> Solved:
 
 
 def evidence(solved: Solved, motion: MotionModel | None = None) -> float:
-    """Laplace's free energy (nats) of the log along the lines of a solution; of another motion, where that is given."""
+    """Laplace's free energy (nats) of the log with a solution's linearisation, optionally for another motion."""
     log, nominal = solved.log, solved.nominal
     if motion is None:
         return energy(log.chain, solved.bridge, log.rows(), nominal)
@@ -102,7 +102,7 @@ def evidence(solved: Solved, motion: MotionModel | None = None) -> float:
 
 
 def moved_by(log: Log, nominal: Array, motion: MotionModel) -> tuple[Chain, Array]:
-    """The log's chain, and nominal states (K,B), for another motion."""
+    """The log's chain and nominal states (K,B) for another motion."""
     old, m, knots = log.chain.motion, log.chain.motion.joints, nominal.shape[1]
     mean, cov = before(motion, log.chain.mean[:, 0], BEFORE)
     states, kept = np.zeros((m, motion.states, knots)), min(motion.order, old.order)
@@ -112,7 +112,7 @@ def moved_by(log: Log, nominal: Array, motion: MotionModel) -> tuple[Chain, Arra
 
 
 def with_walks(solved: Solved, walk: Array, smooth: bool) -> Solved:
-    """The log solved again with offsets that wander by `walk` (M,) rad²/s, 0 for none."""
+    """Solve the log again with offsets of random walk `walk` (M,) rad²/s, 0 for none."""
     log, old = solved.log, solved.log.chain.motion
     motion = MotionModel(old.order, old.process, np.maximum(walk, NEVER**2) if walk.any() else None)
     chain, nominal = moved_by(log, solved.nominal, motion)

@@ -1,4 +1,4 @@
-"""A log as one linear system about nominal states: motion and encoders between knots, images at knots, their errors."""
+"""A log as one linear system about nominal states: motion and encoders between knots, images and errors at knots."""
 
 from dataclasses import dataclass
 from math import factorial
@@ -15,9 +15,9 @@ from .small import outer
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """One track's F images as straight lines at knots (F,), `early` (F,) s before these: y (D,F) of J (D,M,F) x.
+    """One track's F images, linearised at knots (F,), `early` (F,) s before these: y (D,F) = J (D,M,F) x.
 
-    reads (D,N,F): what they read of the first N unit states of errors · white (D,F): variance · kappa (D,F−1), or None.
+    reads (D,N,F): coefficients of the first N unit error states · white (D,F): variance · kappa (D,F−1), or None.
     """
 
     knots: Array
@@ -30,11 +30,11 @@ class Rows:
 
     @property
     def errors(self) -> int:
-        """How many unit states this track's images err by."""
+        """Number of this track's unit error states."""
         return 0 if self.reads is None else len(self.y)
 
     def of_states(self, motion: MotionModel) -> tuple[Array, Array]:
-        """H (D,A,F) of those states that are read, and which of the K these are (A,)."""
+        """H (D,A,F) for the observed states, and their indices (A,) among the K."""
         joints, s = np.arange(motion.joints) * motion.states, motion.states
         parts, index = [self.jac], [joints]
         if self.early.any():
@@ -49,7 +49,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """What a log says but for its images: motion, knots, slots; and mean (M,S), cov (M,S,S) of the joints at knot 0."""
+    """A log without its images: motion, knots, slots; mean (M,S) and cov (M,S,S) of the joints at knot 0."""
 
     motion: MotionModel
     knots: Knots
@@ -58,12 +58,12 @@ class Chain:
     cov: Array
 
     def bridge(self, remember: bool = False) -> Bridge:
-        """What encoders say between knots."""
+        """Integrated encoder readings between knots."""
         return bridge(self.motion, self.slots, remember)
 
 
 def posed(chain: Chain, found: Bridge, tracks: list[Rows], nominal: Array) -> tuple[System, float]:
-    """The system about nominal states (K,B), and the nats of these that stand beside its determinant."""
+    """The system about nominal states (K,B), and its nats apart from the determinant."""
     m, s, knots = chain.motion.joints, chain.motion.states, nominal.shape[1]
     errors = len(nominal) - m * s
     states = np.ascontiguousarray(nominal[: m * s].reshape(m, s, knots).swapaxes(0, 1))
@@ -86,7 +86,7 @@ def energy(chain: Chain, found: Bridge, tracks: list[Rows], nominal: Array) -> f
 
 
 def fade(tracks: list[Rows], errors: int, knots: int) -> Array:
-    """Share κ (N,B−1) of each unit state that is left from one knot to the next."""
+    """Share κ (N,B−1) of each unit error state that is left from one knot to the next."""
     found, first = np.full((errors, knots - 1), 0.5), 0
     for rows in tracks:
         if rows.kappa is None:
@@ -100,7 +100,7 @@ def fade(tracks: list[Rows], errors: int, knots: int) -> Array:
 
 
 def _first(chain: Chain, into: System, nominal: Array) -> float:
-    """Add what is known before anything is measured to knot 0; its nats."""
+    """Add the prior of knot 0; its nats."""
     m, s, nats = chain.motion.joints, chain.motion.states, 0.0
     for j, (mean, inverse, cov) in enumerate(zip(chain.mean, np.linalg.inv(chain.cov), chain.cov, strict=True)):
         own = slice(j * s, j * s + s)
@@ -115,21 +115,21 @@ def _first(chain: Chain, into: System, nominal: Array) -> float:
 
 
 def _motion_nats(found: Bridge, inverse: Array, logdet: float, low: Array, high: Array) -> float:
-    """Of states at both ends of all intervals, with the encoders in between."""
+    """Nats of the states at both ends of all intervals, and of the encoders in between."""
     miss = found.shift + (found.move * low[None]).sum(axis=1) - high
-    said = 0.5 * (outer(low, low) * found.info).sum() - (found.pull * low).sum() + found.nats.sum()
-    return float(0.5 * (outer(miss, miss) * inverse).sum() + 0.5 * logdet + said)
+    quadratic = 0.5 * (outer(low, low) * found.info).sum() - (found.pull * low).sum() + found.nats.sum()
+    return float(0.5 * (outer(miss, miss) * inverse).sum() + 0.5 * logdet + quadratic)
 
 
 def _errors_nats(fade: Array, units: Array) -> float:
-    """Of unit states (N,B)."""
+    """Nats of the unit error states (N,B)."""
     var = 1.0 - fade * fade
     miss = units[:, 1:] - fade * units[:, :-1]
     return 0.5 * float((miss * miss / var + np.log(var)).sum())
 
 
 def _add(motion: MotionModel, into: System, rows: Rows, nominal: Array) -> float:
-    """Add a track's lines; their nats."""
+    """Add a track's rows; their nats."""
     h, index = rows.of_states(motion)
     left = rows.y - np.einsum("daf,af->df", h, nominal[index][:, rows.knots])
     weighed = h / rows.white[:, None]

@@ -1,4 +1,4 @@
-"""A log to be filtered, and its solution."""
+"""A log to be filtered."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,12 +16,12 @@ from .filter_records import Dynamics
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """One log to be filtered: evidence, its instants, where the belief starts, the precisions.
+    """One log to be filtered: evidence, instants, start of the belief, noise model.
 
-    path: times (E,) s and angles (E,M) rad to linearise along first, where the encoders do not say · habit: where
-    joints without an encoder are wont to be · anew: times (R,) s by which nothing is known any more of
-    joints (R,M) bool · stepwise: pictures alone lead it for long, where sweeps may rest in another posture ·
-    rivals: joints by number whose offsets explain nearly as much as that of another.
+    path: times (E,) s and angles (E,M) rad to linearise along first, if encoders do not give them · posture_prior: of
+    joints without an encoder · resets: times (R,) s at which joints (R,M) bool restart from a wide prior · stepwise:
+    images alone determine the arm for long, where sweeps may converge to another posture · alternatives: joints with
+    an offset that explains nearly as much.
     """
 
     evidence: Evidence
@@ -29,28 +29,28 @@ class Problem:
     start: Array
     precision: NoiseModel
     path: tuple[Array, Array] | None = None
-    habit: PosturePrior | None = None
-    anew: tuple[Array, Array] | None = None
+    posture_prior: PosturePrior | None = None
+    resets: tuple[Array, Array] | None = None
     stepwise: bool = False
-    rivals: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
     def resets_at(self, t: Array) -> tuple[Array, Array]:
-        """Which of instants t (E,) s begin anew, and what joints (R,M) bool of them."""
-        if self.anew is None:
+        """Indices of resets among the instants t (E,) s, and their joints (R,M) bool."""
+        if self.resets is None:
             return np.empty(0, int), np.empty((0, len(self.start)), bool)
-        times, joints = self.anew
+        times, joints = self.resets
         here = np.isin(times, t)
         return np.searchsorted(t, times[here]), joints[here]
 
     @property
     def dynamics(self) -> Dynamics:
-        """How the state moves."""
-        is_prior = None if self.habit is None else self.habit.joints
+        """The dynamics of the state."""
+        is_prior = None if self.posture_prior is None else self.posture_prior.joints
         return Dynamics(self.precision.process, self.precision.drift, is_prior)
 
     @property
     def more(self) -> Array | None:
-        """How many times the process variance (E,M) moves joints where fewer tracks are in view; None if nowhere."""
+        """Factor on the process variance (E,M) where fewer tracks are in view, or None."""
         fewer, usual = self.precision.fewer, self.precision.process
         if not fewer:
             return None

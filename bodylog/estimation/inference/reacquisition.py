@@ -1,7 +1,7 @@
-"""A belief that lost the arm, at first or while encoders were silent: told by what these say, where pictures agree.
+"""Re-acquisition: detect a belief that lost the arm, at first or while encoders were silent, and reset it.
 
-Pictures alone may leave a direction unknown or have several solutions, and a belief linearised at the wrong one is
-sure of it. Of one encoder that lies no posture is in line with what was seen.
+Images alone may leave a direction undetermined or have several solutions, and a belief linearised at the wrong one is
+overconfident. If a single encoder is wrong, no posture fits both it and the images.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,24 +15,24 @@ from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import PosturePrior
 
 START_STD = 1.0
-"""rad and rad/s: how little is known of angles and rates before the first reading."""
+"""rad and rad/s: prior standard deviation of angles and rates before the first reading."""
 SURE = 0.5
-"""Share of that which must not be left for a reading to bear a belief out rather than to make it."""
+"""Share of that below which a belief counts as known, so that a reading can confirm it."""
 SILENCE = 0.5
-"""s: after a longer one an encoder is to bear out the belief before this may contradict it."""
+"""s: after a longer silence an encoder must confirm the belief before the gate may reject it."""
 VAGUE = 100.0
-"""rad: a belief less sure of an angle holds nothing of it; its variance would soon swallow a reading's by rounding."""
+"""rad: a larger standard deviation resets the angle, before rounding swallows a reading's variance."""
 NAMED = 3
-"""Times that are named of those at which a belief was lost."""
+"""Resets named in a finding."""
 APART = 3.0
-"""Standard deviations by which a posture disagrees with what was seen."""
+"""Standard deviations between a posture and an image that disagree."""
 
 
 @dataclass(frozen=True, eq=False)
 class AcquisitionState:
-    """When each encoder bore out the belief last, (M,) s, −∞ for never, and what was last seen of each track.
+    """When each encoder confirmed the belief last, (M,) s, −∞ for never, and the last frame of each track.
 
-    loose (M,) bool: joints that were adrift by the last picture, and have not been borne out since.
+    loose (M,) bool: joints adrift at the last image and not confirmed since.
     """
 
     borne: Array
@@ -40,84 +40,86 @@ class AcquisitionState:
     loose: Array
 
     @staticmethod
-    def begun(joints: int) -> "AcquisitionState":
+    def initial(joints: int) -> "AcquisitionState":
         """Before the first instant."""
         return AcquisitionState(np.full(joints, -np.inf), {}, np.zeros(joints, bool))
 
     def mute(self, t: float) -> Array:
-        """Joints (M,) bool whose encoders have long said nothing by t (s), or have been contradicting since then."""
+        """Joints (M,) bool whose encoders have not confirmed the belief for SILENCE before t (s)."""
         return np.asarray(t - self.borne > SILENCE)
 
     def adrift(self, t: float) -> Array:
-        """Joints (M,) bool silent for long by t (s) that what is seen, no more numbers than joints, hardly holds."""
+        """Silent joints (M,) bool at t (s) that images, with no more numbers than these joints, hardly determine."""
         silent = self.mute(t) & np.isfinite(self.borne)
         numbers = sum(len(sight.value) for sight in self.seen.values() if t - sight.t <= SILENCE)
         return np.asarray(silent & (0 < numbers <= silent.sum()))
 
-    def reminded(self, t: float, wont: PosturePrior | None, said: Array, var: Array) -> tuple[Array, Array, Array]:
-        """Readings said (M,) rad, NaN if silent, and variances with reminders of joints adrift by t (s); of which."""
-        if wont is None:
-            return said, var, np.zeros(len(said), bool)
+    def add_prior(
+        self, t: float, adrift_prior: PosturePrior | None, readings: Array, var: Array
+    ) -> tuple[Array, Array, Array]:
+        """Readings (M,) rad, NaN if silent, and variances with the prior for joints adrift at t (s); which joints."""
+        if adrift_prior is None:
+            return readings, var, np.zeros(len(readings), bool)
         last = np.maximum(self.borne, max((sight.t for sight in self.seen.values()), default=-np.inf))
-        return wont.remind(said, var, self.adrift(t), t - last)
+        return adrift_prior.add_prior(readings, var, self.adrift(t), t - last)
 
-    def remembered(self, track: Any, sight: PendingFrame) -> PendingFrame:
-        """A sight of a track with what is remembered of its last one."""
+    def with_last_frame(self, track: Any, sight: PendingFrame) -> PendingFrame:
+        """A frame with its track's last one."""
         return replace(sight, memory=self.seen[track].memory) if track in self.seen else sight
 
     def after(
         self, t: float, borne: Array, here: Mapping[Any, PendingFrame], memories: Iterable[LastFrame]
     ) -> "AcquisitionState":
-        """The same once encoders bore the belief out at t (s), (M,) bool, and sights were heard and left memories."""
+        """The state after encoders confirmed the belief at t (s), (M,) bool, and frames left memories."""
         seen = {track: replace(sight, memory=left) for (track, sight), left in zip(here.items(), memories, strict=True)}
         loose = (self.adrift(t) if seen else self.loose) & ~borne
         return AcquisitionState(np.where(borne, t, self.borne), {**self.seen, **seen} if seen else self.seen, loose)
 
     def judge(
-        self, t: float, z: Array, p: Array, said: Array, var: Array, seen: bool
+        self, t: float, z: Array, p: Array, readings: Array, var: Array, seen: bool
     ) -> tuple[Array | None, Array]:  # fmt: skip
-        """Joints (M,) bool that the belief z (K,), p (K,K) lost by t (s), or None; those whose encoders bear it out.
+        """Joints (M,) bool that the belief z (K,), p (K,K) has lost by t (s), or None; encoders that confirm it.
 
-        These read `said` (M,), NaN where silent, with variances var; `seen`: there is a picture. A joint is lost that
-        has become vague by the time something is heard of it. Where some are mute, the belief is lost, too, if what
-        all say is likelier by one that knows nothing of these joints, and pictures agree with that.
+        readings (M,), NaN where silent, with variances var; `seen`: there is an image. A joint is lost if the belief
+        is vague when its encoder reads. If some are mute, the belief is also lost if a wide prior for these joints
+        makes all readings likelier, and the images agree with that.
         """
-        heard, mute, m = np.isfinite(said), self.mute(t), len(said)
-        vague = (np.diagonal(p)[:m] > VAGUE**2) & (heard | seen)
+        present, mute, m = np.isfinite(readings), self.mute(t), len(readings)
+        vague = (np.diagonal(p)[:m] > VAGUE**2) & (present | seen)
         if vague.any():
-            return vague, heard & ~mute
-        # a belief that knows nothing is made by a reading, not borne out
-        tested = heard & mute & (np.diagonal(p)[:m] < (SURE * START_STD) ** 2)
+            return vague, present & ~mute
+        # a wide belief follows a reading, so the reading does not confirm it
+        tested = present & mute & (np.diagonal(p)[:m] < (SURE * START_STD) ** 2)
         if not tested.any():
-            return None, heard & ~mute
+            return None, present & ~mute
         rows = np.eye(m, len(z)) + np.eye(m, len(z), 2 * m)
-        h, nu, noise = rows[heard], (said - rows @ z)[heard], np.diag(var[heard])
+        h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
         x, cov = z.copy(), p.copy()
-        forget(x, cov, mute, said, 0.0)
-        anew = h @ cov @ h.T + noise
-        # encoders that were not mute still contradict the belief that starts again
-        if _nats((said - rows @ x)[heard], anew) >= _nats(nu, h @ p @ h.T + noise):
-            return None, heard & ~mute | tested
-        gain = np.linalg.solve(anew, h @ cov).T
-        x, cov = x + gain @ (said[heard] - h @ x), cov - gain @ h @ cov
+        forget(x, cov, mute, readings, 0.0)
+        total = h @ cov @ h.T + noise
+        # encoders that were not mute still contradict the reset belief
+        if _nats((readings - rows @ x)[present], total) >= _nats(nu, h @ p @ h.T + noise):
+            return None, present & ~mute | tested
+        gain = np.linalg.solve(total, h @ cov).T
+        x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
         lost = all(_agree(x, cov, m, t - sight.t, sight) for sight in self.seen.values())
-        return mute if lost else None, heard & ~mute
+        return mute if lost else None, present & ~mute
 
 
-def named(names: tuple[str, ...], t: Array, anew: Array) -> Iterator[Finding]:
-    """A warning for joints lost at some of the instants t (E,) s, anew (E,M) bool."""
-    at, joints = np.flatnonzero(anew.any(axis=1)), ", ".join(names[j] for j in np.flatnonzero(anew.any(axis=0)))
+def named(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:
+    """A warning for joints reset at some of the instants t (E,) s, reset (E,M) bool."""
+    at, joints = np.flatnonzero(reset.any(axis=1)), ", ".join(names[j] for j in np.flatnonzero(reset.any(axis=0)))
     if len(at):
         more = f" and {len(at) - NAMED} times more" if len(at) > NAMED else ""
         times = ", ".join(f"{t[k]:.3f}" for k in at[:NAMED])
-        text = f"belief: lost {joints} until {times} s{more}, begun anew there by what encoders say; angles just before"
+        text = f"belief: lost {joints} until {times} s{more} and reset there by the encoders; the angles just before"
         yield Finding("warning", f"{text} are wrong")
 
 
-def forget(z: Array, p: Array, joints: Array, said: Array, dt: Array | float) -> None:
-    """Of `joints` (M,…) let z (K,…) and p (K,K,…), in place, know what they did before any reading but the one `said`.
+def forget(z: Array, p: Array, joints: Array, readings: Array, dt: Array | float) -> None:
+    """Reset `joints` (M,…) of z (K,…) and p (K,K,…), in place, to the prior and the one reading.
 
-    That is where they begin; those of which nothing is said, NaN, stay where they were a step dt (…) s before.
+    Their angles start at `readings`; where that is NaN, at the angle a step dt (…) s before.
     """
     m = len(joints)
     gone = np.zeros(z.shape, bool)
@@ -126,17 +128,17 @@ def forget(z: Array, p: Array, joints: Array, said: Array, dt: Array | float) ->
     np.einsum("kk...->k...", p)[:] += START_STD**2 * gone
     offset = z[2 * m :] if len(z) > 2 * m else 0.0
     z[:m] -= joints * (dt * z[m : 2 * m])
-    z[:m] = np.where(joints & np.isfinite(said), said - offset, z[:m])
+    z[:m] = np.where(joints & np.isfinite(readings), readings - offset, z[:m])
     z[m : 2 * m] *= ~joints
 
 
 def _nats(nu: Array, s: Array) -> float:
-    """Of innovations nu (R,) with covariance s (R,R), but for what does not depend on these."""
+    """Nats of innovations nu (R,) with covariance s (R,R), without constants."""
     return float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(s)[1])
 
 
 def _agree(z: Array, p: Array, m: int, age: float, sight: PendingFrame) -> bool:
-    """Whether a belief agrees with what was seen `age` s before."""
+    """Whether a belief agrees with frames seen `age` s before."""
     back = np.concatenate([np.eye(m), -age * np.eye(m)], axis=1)
     x, cov = back @ z[: 2 * m], back @ p[: 2 * m, : 2 * m] @ back.T
     mean, jac, model = (part[0] for part in sight.model.predict(x[None]))

@@ -1,7 +1,7 @@
-"""What a track's images err alike: an error e of each row that fades as the arm moves on, as a state of its own.
+"""Correlated errors of a track's images: a state e per row that decorrelates as the arm moves.
 
-The body model errs by its own variance, alike at postures within its reach; perception errs by what it states, alike at
-places within the same pixel. Errors are e = L u with L Lᵀ their covariance and u unit states, u' = κ u + √(1 − κ²) w.
+Errors of the body model correlate between postures within its reach, and those of perception between places within
+the same pixel. e = L u with L Lᵀ their covariance and unit states u, u' = κ u + √(1 − κ²) w.
 """
 
 from dataclasses import dataclass
@@ -11,22 +11,22 @@ import numpy as np
 from ...types import Array
 
 FADE = 0.5
-"""How errors of the model part over one reach: κ = exp(−FADE d), d being the postures' distance in reaches."""
+"""Decorrelation of the model's errors: κ = exp(−FADE d), with d the postures' distance in reaches."""
 NEAR = 0.5
-"""px: places farther apart share little of perception's error, which has the period of the pixels."""
+"""px: correlation length of perception's error, which has the period of the pixels."""
 WHITE = 0.02
-"""Share of perception's variance that every image has anew."""
+"""Share of perception's variance that is independent in every image."""
 ALIKE = 0.7
-"""Share of a model's variance that comes of the exploring encoders, which all rows of all tracks err alike by."""
+"""Share of a model's variance from the exploring encoders, which is common to all rows of all tracks."""
 STILL = 1e-5
-"""1 − κ at least: an error never stays exactly what it was."""
+"""Least 1 − κ."""
 
 
 @dataclass(frozen=True, eq=False)
 class RowErrors:
-    """Of one track's F images: what its D rows read of the unit states of its own and all tracks before, (D,N,F).
+    """One track's F images: coefficients (D,N,F) of the unit states of its own and all tracks before.
 
-    kappa (D,F−1): share of each unit state that is left from one image to the next · white (D,F): variance besides.
+    kappa (D,F−1): share of each unit state left from one image to the next · white (D,F): independent variance.
     """
 
     reads: Array
@@ -38,7 +38,7 @@ class RowErrors:
 class Looks:
     """One track's F images about points (M,F): y (D,F), J (D,M,F), perception's variance (D,F), the model's (D,F).
 
-    reach (M,): joints' angles, rad, within which the model errs alike.
+    reach (M,) rad: distance of joint angles within which the model's errors correlate.
     """
 
     y: Array
@@ -59,7 +59,7 @@ def kappa(looks: Looks) -> Array:
 
 
 def reads(before: list[Looks], own: Looks, encoder: Array) -> Array:
-    """L's rows (D,N,F) of a track, `before` being the tracks before it as last seen at its images.
+    """L's rows (D,N,F) of a track; `before`: the tracks before it, as in their last images.
 
     encoder (M,): variances of the exploring encoders.
     """

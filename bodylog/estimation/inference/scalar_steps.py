@@ -1,6 +1,6 @@
-"""One instant of encoder readings in plain floats: for few joints numpy's calls take longer than the arithmetic.
+"""One instant of encoder readings in plain floats, which is faster than numpy for few joints.
 
-The same equations as `instant.Motion.move` and `instant.hear` without sights; a state is a list z (K) and rows p (K,K).
+The same equations as `instant.Motion.move` and `instant.hear` without tracks; a state is a list z (K) and rows p (K,K).
 """
 
 import math
@@ -16,7 +16,7 @@ _LOG = math.log(2.0 * math.pi)
 def moved(
     z: Sequence[float], p: Rows, dt: float, process: Sequence[float], drift: Sequence[float]
 ) -> tuple[list[float], Rows]:  # fmt: skip
-    """z (K) and p (K,K) a time dt (s) later, under white acceleration process (M) and drift (M or none) of offsets."""
+    """z (K) and p (K,K) after dt (s), with white acceleration process (M) and offset random walks drift (M or none)."""
     m = len(process)
     z = [a + dt * b for a, b in zip(z[:m], z[m:])] + list(z[m:])  # noqa: B905
     angles = [[a + dt * b for a, b in zip(*pair)] for pair in zip(p, p[m : 2 * m])]  # noqa: B905
@@ -36,17 +36,17 @@ def moved(
     return z, rows
 
 
-def heard(
-    z: list[float], p: Rows, said: Sequence[float], var: Sequence[float]
+def condition(
+    z: list[float], p: Rows, readings: Sequence[float], var: Sequence[float]
 ) -> tuple[list[float], Rows, float, list[float]]:
-    """z (K) and p (K,K) given encoders said (M) rad, NaN where silent, of variances var (M); nats, and innovations (M)
-    in standard deviations.
+    """z (K) and p (K,K) given encoder readings (M) rad, NaN where silent, of variances var (M); nats, innovations (M).
 
-    Gated by the prior, so that order is no matter. ArithmeticError where a variance is not above 0.
+    Innovations are in standard deviations. The prior's gate makes the result independent of the order. ArithmeticError
+    where a variance is not above 0.
     """
-    m, offsets, nats = len(said), len(z) > 2 * len(said), 0.0
+    m, offsets, nats = len(readings), len(z) > 2 * len(readings), 0.0
     d, noise = [math.nan] * m, list(var)
-    for j, reading in enumerate(said):
+    for j, reading in enumerate(readings):
         if reading == reading:
             s, nu = p[j][j] + var[j], reading - z[j]
             if offsets:
@@ -54,14 +54,14 @@ def heard(
             d[j] = nu / math.sqrt(s) if s > 0.0 else math.inf
             if (over := d[j] * d[j] / (GATE * GATE)) > 1.0:
                 noise[j] += s * (over * over - 1.0)
-    for j, reading in enumerate(said):
+    for j, reading in enumerate(readings):
         if reading == reading:
             ph, nu = p[j], reading - z[j]
             if offsets:
                 ph, nu = [a + b for a, b in zip(ph, p[2 * m + j], strict=True)], nu - z[2 * m + j]
             s = ph[j] + noise[j] + (ph[2 * m + j] if offsets else 0.0)
             if not s > 0.0:
-                raise ArithmeticError(f"the variance {s:.3g} rad² is foretold of encoder {j + 1}")
+                raise ArithmeticError(f"encoder {j + 1} has the predicted variance {s:.3g} rad²")
             weight = 1.0 / s
             pull = nu * weight
             z = [a + pull * b for a, b in zip(z, ph)]  # noqa: B905
@@ -71,7 +71,7 @@ def heard(
 
 
 def even(p: Rows) -> None:
-    """Take rounding's asymmetry out of p (K,K), in place, where it would grow without bound."""
+    """Make p (K,K) symmetric, in place, before rounding errors grow."""
     for i, row in enumerate(p):
         for k in range(i):
             row[k] = p[k][i] = 0.5 * (row[k] + p[k][i])

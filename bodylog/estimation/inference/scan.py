@@ -1,4 +1,4 @@
-"""The Gaussian filter kernel: many stretches of one log side by side, one instant of each per numpy call.
+"""The Gaussian filter kernel: many stretches of one log in parallel, one instant of each per numpy call.
 
 State z (K,C) = joint angles, rates and, where drift is given, encoder offsets; the last axis C is the stretch.
 """
@@ -17,14 +17,14 @@ from .reacquisition import forget
 R = TypeVar("R", "Readings", "Trace", "Pooled")
 
 EVEN = 16
-"""Instants after which rounding's asymmetry is taken out of p, where it would grow without bound."""
+"""Instants after which p is made symmetric, before rounding errors grow."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Per instant: prior mean and covariance of x, posterior state z and covariance p, nats; and for going back:
+    """Per instant: prior mean and covariance of x, posterior state z and covariance p, nats; for the smoother:
 
-    gains, weights and innovations of rows · left (L,K,K+1,C): covariance and mean given what was pooled, before moving.
+    gains, weights and innovations of rows · left (L,K,K+1,C): covariance and mean after the pooled readings.
     """
 
     prior: Array
@@ -41,10 +41,10 @@ def scan(
     readings: Readings, dynamics: Dynamics, z: Array, p: Array, remember: bool = False, into: Trace | None = None,
     every: int = 1,
 ) -> Trace:  # fmt: skip
-    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps what the smoother goes back by.
+    """Filter every stretch from its own start z (K,C), p (K,K,C); `remember` keeps what the smoother needs.
 
-    `into` is a trace of the same shape to overwrite: fresh memory costs as much as the arithmetic. Of others than
-    `every` so many stretches only nats are kept.
+    `into`: a trace of the same shape to overwrite, as fresh memory costs as much as the arithmetic. Only every
+    `every`-th stretch keeps more than nats.
     """
     belief = np.empty((len(z), len(z) + 1, z.shape[1]))
     belief[:, :-1], belief[:, -1] = p, z
@@ -52,23 +52,23 @@ def scan(
     length, m, c = readings.encoders.shape
     trace, kept, errors = into or _empty(readings, len(z), remember, every), slice(None, None, every), np.empty((m, c))
     propagate = propagator(belief, dynamics)
-    said = Rows.of(readings.encoders, readings.encoder_var), Rows.of(readings.y, readings.var)
-    visible: Array = np.any(said[1].heard, axis=(1, 2))
+    measured = Rows.of(readings.encoders, readings.encoder_var), Rows.of(readings.y, readings.var)
+    visible: Array = np.any(measured[1].present, axis=(1, 2))
     seen = [np.flatnonzero(row) for row in visible]
     back = AdjointRecord(*(trace.back or (None, *np.zeros((2, length, _rows(readings), c)))))
-    anew = {} if readings.anew is None else {i: joints for i, joints in enumerate(readings.anew) if joints.any()}
+    reset = {} if readings.reset is None else {i: joints for i, joints in enumerate(readings.reset) if joints.any()}
     leaps = AdjointRecord(None, *np.empty((2, length, 2 * m if isinstance(readings, KnotReadings) else 0, c)))
     for i in range(length):
         if isinstance(readings, KnotReadings):
             condition_pooled(readings.pooled, i, belief, leaps.at(i), None if trace.left is None else trace.left[i])
         else:
             propagate(readings.dt[i], None if readings.more is None else readings.more[i])
-        if i in anew:
-            forget(z, p, anew[i], readings.encoders[i], readings.dt[i])
+        if i in reset:
+            forget(z, p, reset[i], readings.encoders[i], readings.dt[i])
         if i % EVEN == 0:
             p[:] = 0.5 * (p + p.transpose(1, 0, 2))
         trace.prior[i], trace.prior_cov[i] = z[:m, kept], p[:m, :m, kept]
-        update(readings, said, i, seen[i], dynamics.is_prior, belief, errors, back.at(i))
+        update(readings, measured, i, seen[i], dynamics.is_prior, belief, errors, back.at(i))
         trace.z[i], trace.p[i], trace.encoder_d[i] = z[:, kept], p[..., kept], errors[:, kept]
     own = np.ones(m, bool) if dynamics.is_prior is None else ~dynamics.is_prior
     trace.nats[:] = _nats(back, own)
@@ -78,7 +78,7 @@ def scan(
 
 
 def _nats(back: AdjointRecord, own: Array) -> Array:
-    """Free energy (L,C) of innovations, 0 where nothing was heard; the first rows count where they are `own` word."""
+    """Free energy (L,C) of innovations, 0 where there are none; of the first rows only `own` ones count."""
     weights, nus = back.weights, back.nus
     if not own.all():
         weights = weights.copy()
@@ -91,7 +91,7 @@ def rescan(
     readings: Readings, dynamics: Dynamics, z: Array, p: Array, moving: Array, trace: Trace | None,
     remember: bool = False,
 ) -> Trace:  # fmt: skip
-    """`scan`, but only of the stretches `moving` (C,); the others stay as they are in `trace`, which is overwritten."""
+    """`scan` of the stretches `moving` (C,) only; the others keep their part of `trace`, which is overwritten."""
     if trace is None or moving.mean() > MANY:
         return scan(readings, dynamics, z, p, remember, into=trace)
     if not moving.any():
@@ -106,7 +106,7 @@ def rescan(
 
 
 def columns(record: R, some: Array) -> R:
-    """The record (Readings or Trace) of the stretches `some` (C,) alone."""
+    """The record (Readings or Trace) of the stretches `some` (C,) only."""
 
     def cut(part: Any) -> Any:
         if isinstance(part, Pooled):
@@ -119,7 +119,7 @@ def columns(record: R, some: Array) -> R:
 
 
 def _rows(readings: Readings) -> int:
-    """Rows heard at each instant: M encoders, the tracks' rows."""
+    """Rows per instant: M encoders and the tracks' rows."""
     return int(readings.encoders.shape[1] + readings.y.shape[1] * readings.y.shape[2])
 
 
@@ -137,7 +137,7 @@ def _empty(readings: Readings, k: int, remember: bool, every: int) -> Trace:
 def propagator(belief: Array, dynamics: Dynamics) -> Callable[[Array, Array | None], None]:
     """A function of dt (C,) that moves the belief in place: constant velocity, exact discretisation.
 
-    And of how many times (M,C) its process variance the dynamics have.
+    Its second argument (M,C) is a factor on the process variance.
     """
     m = len(dynamics.process)
     q = dynamics.process.reshape(m, -1)

@@ -1,4 +1,4 @@
-"""Many small matrices at once, (n, m, …) with what they are many of last: numpy's own stacks are slow below 10 rows."""
+"""Many small matrices at once, (n, m, …), stacked along the last axes: numpy's own stacks are slow below 10 rows."""
 
 import numpy as np
 
@@ -24,7 +24,7 @@ def transposed_product(a: Array, b: Array) -> Array:
 
 
 def spd_inverse(a: Array) -> tuple[Array, Array]:
-    """Inverse (n,n,…) and ln|a| (…) of symmetric positive definite matrices, by sweeping rows out (Beaton 1964)."""
+    """Inverse (n,n,…) and ln|a| (…) of symmetric positive definite matrices, by the sweep operator (Beaton 1964)."""
     a, logdet = a.copy(), np.zeros(a.shape[2:])
     for row in range(len(a)):
         pivot, column = a[row, row].copy(), a[:, row].copy()

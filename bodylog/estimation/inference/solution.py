@@ -1,4 +1,4 @@
-"""A filtered log: the belief at every instant, and what it was linearised about."""
+"""A filtered log: the belief at every instant, and the linearisation."""
 
 from dataclasses import dataclass, field
 
@@ -15,13 +15,13 @@ from .tangents import Tangents
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A filtered log: fold, its readings as last linearised, where that was, trace; and how it was told in brief."""
+    """A filtered log: fold, its linearised readings, tangents, trace; and the knot problem with its solution."""
 
     fold: Fold
     readings: Readings
     tangents: Tangents
     trace: Trace
-    brief: "tuple[KnotProblem, Solution] | None" = field(default=None, kw_only=True)
+    knots: "tuple[KnotProblem, Solution] | None" = field(default=None, kw_only=True)
 
     def gated(self) -> Array:
         """Instants (E,) with an encoder reading beyond the gate."""

@@ -1,4 +1,4 @@
-"""The belief about a whole log by Gauss–Newton on its banded information: given the past alone, or all of it."""
+"""Belief about a whole log by Gauss–Newton on its banded information matrix: filtered or smoothed."""
 
 from dataclasses import dataclass, replace
 from math import factorial
@@ -10,28 +10,28 @@ from .banded import Factor, factored
 from .bridge import Bridge
 from .convergence import DidNotConverge
 from .images import RESTING, Images
-from .interior import Forward, foretold, forward, seen
+from .interior import Forward, forward, predicted, seen
 from .mixture import inlier, raised
 from .posed import Chain, Rows, fade, posed
 from .small import spd_inverse
 
 SWEEPS = 30
 ROUNDS = 12
-"""Rounds at most in which outliers are found."""
+"""Most rounds of outlier weighting."""
 ROUNDING = 1e-5
-"""rad: smaller moves that no longer shrink are rounding's, where joints rest and little noise moves them."""
+"""rad: smaller moves that no longer shrink come from rounding, where joints rest and process noise is small."""
 ROW = 2
-"""Readings in a row of one encoder that may be outliers on the same side."""
+"""Most consecutive readings of one encoder that can be outliers on the same side."""
 SAME = 1e-2
-"""How little outliers' weights may still change."""
+"""Tolerance on outliers' weights."""
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One log to be solved: its chain, images by track, and what learned the tracks' models: encoder (M,) rad².
+    """One log to be solved: its chain, images by track, and variances (M,) rad² of the exploring encoders.
 
-    slots_var: encoders' variances where none is an outlier · density: of outliers, for encoders (per rad) and
-    for each track (per px²).
+    slots_var: encoders' variances without outliers · density: of outliers, for encoders (per rad) and for each track
+    (per px²).
     """
 
     chain: Chain
@@ -42,11 +42,11 @@ class Log:
 
     @property
     def errors(self) -> int:
-        """How many unit states the images err by."""
+        """Number of unit error states of all images."""
         return sum(len(one.y) for one in self.images if one.errors)
 
     def rows(self) -> list[Rows]:
-        """All tracks' lines."""
+        """All tracks' linear rows."""
         found: list[Rows] = []
         for k, one in enumerate(self.images):
             found.append(one.rows([other for other in self.images[:k] if other.errors], self.encoder))
@@ -55,7 +55,7 @@ class Log:
 
 @dataclass(frozen=True, eq=False)
 class TrackInnovations:
-    """One track's innovations (D,F) by the belief before each image, their covariance (D,D,F), nats (F,)."""
+    """One track's innovations (D,F) before each image, their covariance (D,D,F), nats (F,)."""
 
     innovation: Array
     total: Array
@@ -64,9 +64,9 @@ class TrackInnovations:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Nominal states (K,B) at the knots, where lines are drawn; the last factor, and what led to each instant.
+    """Nominal states (K,B) at the knots, about which rows are linearised; the last factor, and the filter's results.
 
-    past: means (K,B) and covariances (K,K,B) of the knots given the past · sights: of each track.
+    past: filtered means (K,B) and covariances (K,K,B) of the knots · sights: innovations of each track.
     """
 
     log: Log
@@ -79,9 +79,9 @@ class Solved:
 
 
 def solve(log: Log, nominal: Array, smooth: bool) -> Solved:
-    """From nominal states (K,B): the filter's, each image linearised where the past puts it, or the path of all.
+    """Solve from nominal states (K,B): images are linearised at the filtered means, or along the smoothed path.
 
-    DidNotConverge where it does not come to rest.
+    DidNotConverge if it does not converge.
     """
     for _ in range(ROUNDS):
         found = log.chain.bridge(remember=smooth)
@@ -106,7 +106,7 @@ def points(chain: Chain, one: Images, nominal: Array) -> Array:
 
 
 def _swept(log: Log, found: Bridge, nominal: Array, smooth: bool) -> tuple[Array, Factor, tuple[Array, Array]]:
-    """Nominal states (K,B) where all rests, the factor about there, and the knots given the past."""
+    """Converged nominal states (K,B), the factor about them, and the filtered knots."""
     s, step, last, factor = log.chain.motion.states, np.inf, np.inf, None
     angles = slice(0, log.chain.motion.joints * s, s)
     for _ in range(SWEEPS):
@@ -129,7 +129,7 @@ def _swept(log: Log, found: Bridge, nominal: Array, smooth: bool) -> tuple[Array
 
 
 def filtered(log: Log, factor: Factor, about: Array) -> tuple[Array, Array]:
-    """Deviations (K,B) from nominal states and covariances (K,K,B) of the knots given the past; knot 0 is as given."""
+    """Filtered deviations (K,B) from nominal states and covariances (K,K,B) of the knots; knot 0 is the prior."""
     mean, cov = factor.filtered()
     size, s = log.chain.mean.size, log.chain.motion.states
     mean[:size, 0], cov[..., 0] = log.chain.mean.ravel() - about[:size, 0], np.eye(len(mean))
@@ -140,18 +140,18 @@ def filtered(log: Log, factor: Factor, about: Array) -> tuple[Array, Array]:
 
 
 def judged(log: Log, past: tuple[Array, Array]) -> tuple[Forward, tuple[TrackInnovations, ...]]:
-    """What was foretold of every measurement, from the knots given the past."""
+    """Predictions and innovations of every measurement, from the filtered knots."""
     motion, rows, units = log.chain.motion, log.rows(), log.errors
     kappa = fade(rows, units, past[0].shape[1])
     forth = forward(motion, log.chain.slots, past[0][:, :-1], past[1][..., :-1], kappa)
-    told, sights = forth.end.copy() if len(rows) > 1 else forth.end, []
+    belief, sights = forth.end.copy() if len(rows) > 1 else forth.end, []
     for one, row, density in zip(log.images, rows, log.density[1:], strict=True):
         h, index = row.of_states(motion)
-        innovation, total = foretold(forth.end[..., row.knots - 1], h, index, row.y, row.white - one.extra)
+        innovation, total = predicted(forth.end[..., row.knots - 1], h, index, row.y, row.white - one.extra)
         one.weight = inlier(*distance(innovation, total), len(total), density)[0]
         if len(rows) > 1:
-            after, left, spread = seen(told[..., row.knots - 1], h, index, row.y, row.white)
-            told[..., row.knots - 1] = after
+            after, left, spread = seen(belief[..., row.knots - 1], h, index, row.y, row.white)
+            belief[..., row.knots - 1] = after
             np.einsum("ddf->df", spread)[:] -= one.extra
         else:
             left, spread = innovation, total
@@ -166,7 +166,7 @@ def distance(innovation: Array, total: Array) -> tuple[Array, Array]:
 
 
 def weighed(solved: Solved) -> tuple[Log, float]:
-    """The log with outliers' noise raised, and by how much of itself any variance changed."""
+    """The log with outliers' noise inflated, and the largest relative change of a variance."""
     log, chain = solved.log, solved.log.chain
     var = softened(log, solved.forth)
     changed = float(np.abs(log.slots_var / var - log.slots_var / chain.slots.var).max(initial=0.0))
@@ -179,9 +179,9 @@ def weighed(solved: Solved) -> tuple[Log, float]:
 
 
 def softened(log: Log, forth: Forward) -> Array:
-    """Variances (L,M,B) of encoders' readings, raised where these are rather outliers than not.
+    """Variances (L,M,B) of encoder readings, inflated where these are likely outliers.
 
-    Two in a row at most: where a third is off the same way, the joint moves so.
+    At most two consecutive ones: if a third is off on the same side, the joint moves so.
     """
     base, own = log.slots_var, _own_total(log, forth)
     nu = np.where(np.isfinite(forth.innovation), forth.innovation, 0.0)
@@ -189,28 +189,28 @@ def softened(log: Log, forth: Forward) -> Array:
     if (weight == 1.0).all():
         return base
     knots = log.chain.knots
-    heard, off = knots.unfold(np.isfinite(forth.innovation)), knots.unfold(np.where(weight < 1.0, np.sign(nu), 0.0))
-    for column, spoken in zip(off.T, heard.T, strict=True):
-        said = np.flatnonzero(spoken)
-        column[said[_lasting(column[said])]] = 0.0
+    present, off = knots.unfold(np.isfinite(forth.innovation)), knots.unfold(np.where(weight < 1.0, np.sign(nu), 0.0))
+    for column, known in zip(off.T, present.T, strict=True):
+        at = np.flatnonzero(known)
+        column[at[_lasting(column[at])]] = 0.0
     weight = np.where(knots.fold(off, 0.0) == 0.0, 1.0, weight)
     return raised(base, own, weight)
 
 
 def _lasting(off: Array) -> Array:
-    """Which of readings (N,), off by their sign or 0, are at least the third in a row that is off the same way."""
+    """Readings (N,), given as sign of the outlier or 0, that are at least the third in a row on the same side."""
     begins = np.flatnonzero(np.append(True, np.diff(off) != 0.0))
     place = np.arange(len(off)) - np.repeat(begins, np.diff(np.append(begins, len(off))))
     return np.asarray((off != 0.0) & (place >= ROW))
 
 
 def _own_total(log: Log, forth: Forward) -> Array:
-    """Variances (L,M,B) of innovations as if none were an outlier, 1 where nothing was read."""
+    """Variances (L,M,B) of innovations without outlier inflation, 1 where there is no reading."""
     return np.where(np.isfinite(forth.total), forth.total - log.chain.slots.var + log.slots_var, 1.0)
 
 
 def mixed(log: Log, forth: Forward) -> Forward:
-    """The same with outliers' nats as the mixture has them."""
+    """The same beliefs, with outliers' nats by the mixture."""
     off = np.isfinite(forth.total) & (log.chain.slots.var > log.slots_var)
     if not off.any():
         return forth

@@ -1,4 +1,4 @@
-"""Where frames are linearised: predicted anew only as far as their points still move."""
+"""Linearisation points of frames; only frames whose point moved are predicted again."""
 
 from typing import TYPE_CHECKING
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
     from .problem import Problem
 
 RESTING = 1e-9
-"""rad: a frame whose point of linearisation is moved less keeps its tangent, for beliefs move by a tenth of that."""
+"""rad: a frame whose linearisation point moves less keeps its tangent; the belief moves by a tenth of it."""
 SAME = 1e-9
-"""Relative change of a frame's variance that does not count."""
+"""Relative change of a frame's variance that is ignored."""
 
 
 class Tangents:
-    """Where each sighting's frames are linearised, (F,M) rad each; frames that rest are not predicted anew."""
+    """Linearisation points (F,M) rad of each sighting's frames, and the tangents there."""
 
     def __init__(self, sightings: tuple[Sighting, ...], points: tuple[Array, ...]) -> None:
-        """Start from points (F,M), all to be drawn; moves below `resting` rad are not followed · share: PAST, WHOLE."""
+        """Start from points (F,M), all stale; moves below `resting` rad are ignored · share: PAST, WHOLE."""
         self._sightings, self.points, self.resting, self.share = sightings, points, RESTING, PAST
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
         seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
@@ -34,17 +34,17 @@ class Tangents:
         self._jac = tuple(np.zeros((len(x), 2, x.shape[1])) for x in points)
         self._model_var = tuple(np.zeros((len(x), 2)) for x in points)
         self._var = tuple(np.ones((len(x), 2)) for x in points)
-        # what no kernel can follow is each model's own
+        # the misfit of the kernel is each model's own
         common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
         counted = [int(some.sum()) for some in seen]
         models = [one.model for one, share, count in zip(sightings, common, counted, strict=True) if share * count > 0]
-        told = directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
-        self._repeated = repeated(counted, common, told)
+        distinct = directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
+        self._repeated = repeated(counted, common, distinct)
 
     def draw(self, problem: "Problem", fold: Fold, readings: Readings) -> Array:
-        """Write stale tangents into the readings: y = s − g + J x°, var as alike frames have it.
+        """Write stale tangents into the readings: y = s − g + J x°, with the variances of correlated frames.
 
-        Which stretches (C,) now read otherwise.
+        Returns which stretches (C,) changed.
         """
         touched = np.zeros(fold.count, bool)
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
@@ -65,7 +65,7 @@ class Tangents:
         return touched
 
     def weighed(self, problem: "Problem", fold: Fold, readings: Readings, share: float) -> Array:
-        """Variances (L,T,D,C) of readings, those of frames as the problem's precision and a share have them."""
+        """Variances (L,T,D,C) of readings, with frames as in the problem's noise model and a share."""
         var = readings.var.copy()
         for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
             fold.put(var[:, index], events, self._variances(index, sighting, problem.precision, share))
@@ -82,9 +82,9 @@ class Tangents:
         self._jac[index][stale] = jac
 
     def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, share: float) -> Array:
-        """Variances (F,D), of alike frames such that together they say no more than they know."""
+        """Variances (F,D), inflated such that correlated frames together do not count more than they inform."""
         var, seen = precision.scale.get(sighting.name, 1.0) * sighting.var, self._seen[index]
-        # a belief by the past alone errs by far more than models do, and pays for what is no noise in its rates
+        # a filtered belief errs by far more than models do
         often, stated = (self._repeated[index], precision.stated) if share == WHOLE else (1.0, 1.0)
         near = precision.near.get(sighting.name, 0.0)
         like = ErrorCorrelation(precision.process, reach(sighting.model), near, share, stated)
@@ -95,14 +95,14 @@ class Tangents:
         return var
 
     def write(self, problem: "Problem", fold: Fold, readings: Readings) -> None:
-        """What is drawn by now, written into other readings of the same log."""
+        """Write all tangents into other readings of the same log."""
         for index, events in enumerate(problem.timeline.sightings):
             fold.put(readings.y[:, index], events, self._y[index])
             fold.put(readings.jac[:, index], events, self._jac[index])
             fold.put(readings.var[:, index], events, self._var[index])
 
     def again(self) -> "Tangents":
-        """The same, to be moved on by itself."""
+        """An independent copy."""
         other = Tangents(self._sightings, self.points)
         other._stale, other.share = self._stale, self.share
         for name in ("_y", "_jac", "_model_var", "_var"):
@@ -111,7 +111,7 @@ class Tangents:
         return other
 
     def follow(self, problem: "Problem", fold: Fold, means: Array) -> None:
-        """Move to the angles of folded states (L,K,C) where they are further away than rest allows."""
+        """Move to the angles of folded states (L,K,C) that are farther away than `resting`."""
         wanted = [fold.pick(means[:, : len(problem.start)], events) for events in problem.timeline.sightings]
         pairs = list(zip(wanted, self.points, strict=True))
         # a row of frames for each joint: numpy is slow along short axes
@@ -123,5 +123,5 @@ class Tangents:
 
 
 def _rows(some: Array) -> Array | slice:
-    """How to take the rows some (F,) bool, without a copy if that is all."""
+    """Index of the rows some (F,) bool, without a copy if that is all."""
     return slice(None) if some.all() else np.flatnonzero(some)

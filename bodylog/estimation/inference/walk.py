@@ -1,4 +1,4 @@
-"""The filter one instant after the other, for logs whose encoders do not say where the arm is: slower, but sure."""
+"""The filter one instant after the other, for logs whose encoders do not determine the arm: slower but robust."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import PAST, WHOLE, ErrorCorrelation, LastFrame, PendingFrame, reach
-from ..noise.posture_prior import LASTING, wont
+from ..noise.posture_prior import LASTING, adrift_prior
 from .filter_records import Readings
 from .folds import Fold, fold_for
 from .initial_path import prior, priors
@@ -21,60 +21,58 @@ from .solution import Solution
 from .tangents import Tangents
 
 ROUGHLY = 1e-3
-"""rad: near enough for a path that is only to be linearised along first."""
+"""rad: tolerance of a path that only serves to linearise along first."""
 FIRST = 4
-"""Readings of an encoder by which the belief it began is borne out, or begun anew where one of them is mistaken."""
+"""Readings of an encoder that confirm the belief it started, or reset it if one of them was wrong."""
 
 
 @dataclass(frozen=True, eq=False)
 class Adrift:
-    """What was heard `at` an instant of joints adrift: encoders said (M,) rad and var with reminders, which
-    tracks, and what came of it.
-    """
+    """Measurements `at` an instant with joints adrift: readings (M,) rad and var with the prior, tracks, result."""
 
     at: int
-    said: Array
+    readings: Array
     var: Array
     tracks: tuple[int, ...]
-    told: StepResult
+    result: StepResult
 
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """The filter gone through: points (E,M) rad of linearisation, where a fold's stretches start, z (K,C), p (K,K,C).
+    """The filtered log: points (E,M) rad of linearisation, starts z (K,C), p (K,K,C) of a fold's stretches.
 
-    anew: when (R,) s it lost which joints (R,M), or None · watch: what it heard last · more (E,M): how many times the
-    process variance moved joints · adrift: where pictures hardly held them.
+    resets: times (R,) s of resets and their joints (R,M), or None · watch: the last state · more (E,M): factor on the
+    process variance · adrift: instants where images hardly determined some joints.
     """
 
     points: Array
     z: Array
     p: Array
-    anew: tuple[Array, Array] | None
+    resets: tuple[Array, Array] | None
     watch: AcquisitionState
     more: Array
     adrift: tuple[Adrift, ...]
 
 
-def led(problem: Problem) -> Problem:
-    """The problem with where it begins anew, and a path to linearise along first where encoders do not say that."""
+def find_initial_path(problem: Problem) -> Problem:
+    """Add resets, and a path to linearise along first where encoders do not give one."""
     line = problem.timeline.t
     few, often = _few(problem)
     doubted = bool((often & (first := _stepped(problem, PAST, RESTING, _only(few))).watch.mute(line[0])).any())
     if not doubted and not _quiet(problem, line[-1:]):
-        return replace(problem, anew=first.anew)
+        return replace(problem, resets=first.resets)
     whole = _stepped(problem, PAST, ROUGHLY, _only(len(line)))
     stepwise = doubted or _quiet(problem, line[:0]) or len(whole.adrift) > 0
-    return replace(problem, path=(line, whole.points), anew=whole.anew, stepwise=stepwise)
+    return replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
 
 
 def walk(problem: Problem, remember: bool = False) -> Solution:
-    """The filter's solution; `remember` keeps gains, and counts frames, for the smoother, all in one single stretch."""
+    """The filter's solution; `remember` keeps gains, and counts frames, for the smoother, in one single stretch."""
     share, events = WHOLE if remember else PAST, len(problem.timeline.t)
     fold = _only(events) if remember else fold_for(events)
     found = _stepped(problem, share, RESTING, fold)
     tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
-    tangents.share, readings = share, full(replace(problem, anew=found.anew), fold)
+    tangents.share, readings = share, full(replace(problem, resets=found.resets), fold)
     tangents.draw(problem, fold, readings)
     if not found.adrift:
         return Solution(fold, readings, tangents, scan(readings, problem.dynamics, found.z, found.p, remember))
@@ -82,18 +80,18 @@ def walk(problem: Problem, remember: bool = False) -> Solution:
     _write(found.adrift, fold, readings)
     trace = scan(readings, problem.dynamics, found.z, found.p, remember)
     at = np.array([one.at for one in found.adrift])
-    # reminders are no readings: they have no error and cost nothing
-    fold.put(trace.nats, at, np.array([one.told.nats for one in found.adrift]))
-    fold.put(trace.encoder_d, at, np.stack([one.told.encoder_d for one in found.adrift]))
+    # the prior is no reading: it has no error and costs nothing
+    fold.put(trace.nats, at, np.array([one.result.nats for one in found.adrift]))
+    fold.put(trace.encoder_d, at, np.stack([one.result.encoder_d for one in found.adrift]))
     return Solution(fold, readings, tangents, trace)
 
 
 def _write(adrift: tuple[Adrift, ...], fold: Fold, readings: Readings) -> None:
-    """What was heard of joints adrift, as it was, into the readings."""
+    """Write the measurements of joints adrift into the readings."""
     for one in adrift:
-        at, lines = np.array([one.at]), one.told.lines
+        at, lines = np.array([one.at]), one.result.lines
         assert lines is not None
-        fold.put(readings.encoders, at, one.said[None])
+        fold.put(readings.encoders, at, one.readings[None])
         fold.put(readings.encoder_var, at, one.var[None])
         for track, line in zip(one.tracks, lines.tracks, strict=True):
             parts = ((readings.y, line.y), (readings.jac, line.jac), (readings.var, line.var))
@@ -107,7 +105,7 @@ def _only(events: int) -> Fold:
 
 
 def _quiet(problem: Problem, end: Array) -> bool:
-    """Whether an encoder is silent for long, up to the `end` (0 or 1,) s of the log if that is to count."""
+    """Whether an encoder is silent for long; `end` (0 or 1,) s: end of the log, if that counts."""
     encoders, line = problem.evidence.encoders, problem.timeline.t
     if encoders is None:
         return len(end) > 0
@@ -116,7 +114,7 @@ def _quiet(problem: Problem, end: Array) -> bool:
 
 
 def _few(problem: Problem) -> tuple[int, Array]:
-    """Instants until each encoder has spoken FIRST times, if soon; and which (M,) have more than once."""
+    """Instants until each encoder has FIRST readings, if soon; and which (M,) have more than one."""
     encoders, line = problem.evidence.encoders, problem.timeline
     soon = 0 if encoders is None else int(np.searchsorted(encoders.t, line.t[0] + SILENCE, "right"))
     if encoders is None or not soon:
@@ -127,14 +125,16 @@ def _few(problem: Problem) -> tuple[int, Array]:
 
 
 def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walked:
-    """The filter up to the fold's last instant, each linearised anew until that moves less than `resting` rad."""
+    """Filter up to the fold's last instant, each linearised until it moves less than `resting` rad."""
     line, motion, m = problem.timeline.t[: fold.events], Motion(problem.dynamics), len(problem.start)
     encoders, var = encoder_rows(problem, len(line))
     own = encoders if motion.is_prior is None else np.where(motion.is_prior, np.nan, encoders)
-    points, lost, watch = np.empty((len(line), m)), dict[float, Array](), AcquisitionState.begun(m)
+    points, lost, watch = np.empty((len(line), m)), dict[float, Array](), AcquisitionState.initial(m)
     sights, adrift, more = _sights(problem, share, len(line)), list[Adrift](), np.ones((len(line), m))
     more[:] = 1.0 if problem.more is None else problem.more[: len(line)]
-    usual = wont({s.name: s.model for s in problem.evidence.sightings}, problem.precision.process, problem.start)
+    loose_prior = adrift_prior(
+        {s.name: s.model for s in problem.evidence.sightings}, problem.precision.process, problem.start
+    )
     (z, p), (begin_z, begin_p) = prior(problem), priors(problem, fold)
     for k, dt in enumerate(np.diff(line, prepend=line[0])):
         if k and k % fold.length == 0:
@@ -145,24 +145,24 @@ def _stepped(problem: Problem, share: float, resting: float, fold: Fold) -> Walk
         if joints is not None:
             forget(z, p, joints, own[k], dt)
             lost[line[k]] = joints
-        here = {track: watch.remembered(track, sight) for track, sight in sights.get(k, ())}
+        here = {track: watch.with_last_frame(track, sight) for track, sight in sights.get(k, ())}
         if here and watch.adrift(line[k]).any():
-            said, said_var, reminded = watch.reminded(line[k], usual, encoders[k], var[k])
+            readings, readings_var, is_prior = watch.add_prior(line[k], loose_prior, encoders[k], var[k])
             with _at(line[k]):
-                found = hear(motion.recalling(reminded), z, p, said, said_var, list(here.values()), adrift=True)
-            adrift.append(Adrift(k, said, said_var, tuple(here), found))
+                found = hear(motion.recalling(is_prior), z, p, readings, readings_var, list(here.values()), adrift=True)
+            adrift.append(Adrift(k, readings, readings_var, tuple(here), found))
         else:
             with _at(line[k]):
                 found = hear(motion, z, p, encoders[k], var[k], list(here.values()), resting)
         z, p, points[k] = found.z, found.p, found.point
         watch = watch.after(line[k], borne, here, found.memories)
-    anew = (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
-    return Walked(points, begin_z, begin_p, anew, watch, more, tuple(adrift))
+    resets = (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
+    return Walked(points, begin_z, begin_p, resets, watch, more, tuple(adrift))
 
 
 @contextmanager
 def _at(t: float) -> Iterator[None]:
-    """Numbers that break down do so at t (s)."""
+    """Add the time t (s) to numerical errors."""
     try:
         yield
     except np.linalg.LinAlgError as problem:
@@ -170,7 +170,7 @@ def _at(t: float) -> Iterator[None]:
 
 
 def _sights(problem: Problem, share: float, before: int) -> dict[int, list[tuple[int, PendingFrame]]]:
-    """What is seen of which track, by instant, `before` some one."""
+    """Frames by instant, and by track, of the first `before` instants."""
     found: dict[int, list[tuple[int, PendingFrame]]] = {}
     precision, line = problem.precision, problem.timeline
     for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):

@@ -21,7 +21,7 @@ from ..methods.table import METHODS
 from ..noise import typed
 from ..noise.correlated_noise import PAST, ErrorCorrelation, LastFrame, PendingFrame, reach
 from ..noise.noise_model import carried
-from ..noise.posture_prior import LASTING, PosturePrior, usual, wont
+from ..noise.posture_prior import LASTING, PosturePrior, adrift_prior, prior_of
 from .inputs import Angles, Inputs, Observation, Place, ToAngles, finite
 from .replay_buffer import Instant, ReplayBuffer, State
 
@@ -129,19 +129,19 @@ class Estimator:
             unknown = ", ".join(name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle))
             raise LogError(f"joints: no reading of {unknown} yet; pass every joint once, or set `start`")
         drift = np.full(len(names), WALKS[1]) if self._settings.bias == "on" else None
-        posture = usual(self._inputs.silent, self._inputs.wanted, precision.process, x)
+        posture = prior_of(self._inputs.silent, self._inputs.wanted, precision.process, x)
         dynamics = Dynamics(precision.process, drift, None if posture is None else posture.joints)
         models = self._inputs.models
         process, near = precision.process, precision.near
         like = {n: ErrorCorrelation(process, reach(model), near.get(n, 0.0), PAST) for n, model in models.items()}
-        adrift = wont(self._inputs.wanted, precision.process, x)
+        adrift = adrift_prior(self._inputs.wanted, precision.process, x)
         steady = Steady(
             precision.process.tolist(), [] if drift is None else drift.tolist(), precision.encoder.tolist()
         )  # fmt: skip
         one = _Filter(Motion(dynamics), steady, posture, adrift, precision.encoder, precision.scale, like, models)
         z = np.concatenate([x, np.zeros(dynamics.size - len(x))])
         std = np.repeat([START_STD, OFFSET_STD], [2 * len(x), dynamics.size - 2 * len(x)])
-        watch = AcquisitionState.begun(len(x))
+        watch = AcquisitionState.initial(len(x))
         first = State(-np.inf, z.tolist(), np.diag(std**2).tolist(), watch, watch.borne.tolist())
         return ReplayBuffer(first, self._lag, one.hear)
 
@@ -185,7 +185,7 @@ class _Filter:
             return State(t, z, p, before.watch, before.borne, before.oldest, before.uneven + 1)
         angles = at.angles.tolist()
         try:
-            z, p, nats, d = scalar_steps.heard(z, p, angles, encoder)
+            z, p, nats, d = scalar_steps.condition(z, p, angles, encoder)
         except ArithmeticError:
             return None  # the full step reports the error
         uneven = before.uneven + 1
@@ -205,12 +205,13 @@ class _Filter:
         if lost is not None:
             forget(z, p, lost, angles, dt)
         here = {
-            name: before.watch.remembered(name, self._sight(name, at.t, *place)) for name, place in at.places.items()
+            name: before.watch.with_last_frame(name, self._sight(name, at.t, *place))
+            for name, place in at.places.items()
         }
         angles, var, motion = *self._encoders(angles, dt), self.motion
         if adrift := bool(here and before.watch.adrift(at.t).any()):
-            angles, var, reminded = before.watch.reminded(at.t, self.adrift_posture, angles, var)
-            motion = motion.recalling(reminded)
+            angles, var, is_prior = before.watch.add_prior(at.t, self.adrift_posture, angles, var)
+            motion = motion.recalling(is_prior)
         found = hear(motion, z, p, angles, var, list(here.values()), adrift=adrift)
         errors = dict(zip(at.places, found.errors, strict=True)) | {"encoders": found.encoder_d}
         watch = before.watch.after(at.t, borne, here, found.memories)

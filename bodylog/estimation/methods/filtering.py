@@ -18,13 +18,13 @@ from ..inference.gauss_newton import solve
 from ..inference.problem import Problem
 from ..inference.reacquisition import named
 from ..inference.solution import Solution
-from ..inference.walk import led, walk
+from ..inference.walk import find_initial_path, walk
 from ..measurements.gather import start
 from ..measurements.timeline import timeline
 from ..noise import encoder_noise, typed
 from ..noise.evidence_search import ROUGHLY, tune
 from ..noise.noise_model import resolve, warned, weighed
-from ..noise.posture_prior import habit
+from ..noise.posture_prior import learn_prior
 from . import results, whole_log
 from .contract import Method
 from .results import Beliefs
@@ -82,11 +82,11 @@ def gathered(features: Features, body: BodyModel, settings: Estimation) -> tuple
     precision = typed.precision(resolve(evidence, body, settings), settings, body.joints)
     evidence = replace(evidence, findings=(*evidence.findings, *typed.remark(settings, precision, evidence.sightings)))
     evidence = weighed(evidence, precision, settings)
-    usual = habit(evidence, precision.process, first)
-    problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, habit=usual)
+    usual = learn_prior(evidence, precision.process, first)
+    problem = Problem(evidence, timeline(evidence, settings.rate), first, precision, posture_prior=usual)
     allowed = encoder_offset.preset_walks(settings.bias, body.joints, faults)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
-    return led(problem), faults
+    return find_initial_path(problem), faults
 
 
 def tuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
@@ -145,7 +145,7 @@ def offset(problem: Problem, solved: Solution) -> Problem | None:
     if chosen.problem is problem:
         return None
     names = {joint: others for joint, others in chosen.alternatives.items() if others}
-    return replace(chosen.problem, rivals=names)
+    return replace(chosen.problem, alternatives=names)
 
 
 def retuned(problem: Problem, settings: Estimation) -> tuple[Problem, Solution | None]:
@@ -168,8 +168,8 @@ def cost(problem: Problem, warm: Solution | None = None) -> float:
 
 def lost(problem: Problem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
     """Where the belief began anew, as a warning."""
-    anew = solved.readings.anew
-    return iter(()) if anew is None else named(names, problem.timeline.t, solved.fold.unfold(anew))
+    resets = solved.readings.reset
+    return iter(()) if resets is None else named(names, problem.timeline.t, solved.fold.unfold(resets))
 
 
 def drifts(problem: Problem, names: tuple[str, ...], solved: Solution, known: tuple[Fault, ...]) -> tuple[Fault, ...]:

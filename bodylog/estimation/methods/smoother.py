@@ -16,7 +16,7 @@ from ..inference import adjoint
 from ..inference.convergence import DidNotConverge, Progress
 from ..inference.filter_records import Readings
 from ..inference.folds import Fold, fold_for
-from ..inference.gauss_newton import SWEEPS, begun, far
+from ..inference.gauss_newton import SWEEPS, far, initial_sweep
 from ..inference.initial_path import handed_over, starts
 from ..inference.knot_problem import full
 from ..inference.problem import Problem
@@ -81,20 +81,20 @@ METHOD = Method(estimate, Capabilities(causal=False))
 
 def solve(problem: Problem, warm: Solution | None = None) -> Smooth:
     """The maximum a posteriori path, first in brief, then in full; DidNotConverge when the rounds do not settle."""
-    brief, tangents, z, p = begun(problem, warm)
+    knots, tangents, z, p = initial_sweep(problem, warm)
     tangents.resting, tangents.share = STILL, WHOLE
     forth = FORTH if warm is None else 0
-    first = _rounds(brief.problem, brief.fold, brief.readings, tangents, z, p, np.zeros_like(z), LASTING, forth)
+    first = _rounds(knots.problem, knots.fold, knots.readings, tangents, z, p, np.zeros_like(z), LASTING, forth)
     fold = fold_for(len(problem.timeline.t))
-    lasts = np.searchsorted(brief.events, fold.lasts())
+    lasts = np.searchsorted(knots.events, fold.lasts())
     z, p = starts(problem, fold, first, lasts)
     ends = np.zeros_like(z)
-    ends[:, :-1] = brief.fold.pick(first.after, lasts).T
+    ends[:, :-1] = knots.fold.pick(first.after, lasts).T
     # what brief stretches leave of moves is no news to the full ones
     path = _rounds(problem, fold, full(problem, fold), tangents, z, p, ends, 2.0 * LASTING)
     return Smooth(
         fold, path.readings, tangents, path.trace, path.z, path.after, adjoint.covariances(path.readings, path.trace),
-        brief=(brief, first),
+        knots=(knots, first),
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from ...body_model import BodyModel
 from ...settings import Estimation
 from ...types import Array, Estimate, Fault
 from ..faults import encoder_offset
-from ..inference.assemble import Assumed, assemble, outset
+from ..inference.assemble import Assumed, assemble, initial_states
 from ..inference.beliefs import Instants, given_all, given_past
 from ..inference.motion_model import MotionModel
 from ..inference.offsets import Offsets, evidence, offsets
@@ -40,7 +40,9 @@ class Answer:
 
 def possible(problem: Problem, settings: Estimation) -> bool:
     """Whether all encoders speak throughout, so that no posture has to be found again; and noise is the log's own."""
-    led = problem.path is not None or problem.anew is not None or problem.stepwise or problem.habit is not None
+    led = (
+        problem.path is not None or problem.resets is not None or problem.stepwise or problem.posture_prior is not None
+    )
     # typed variances are the sweeps' so far, and so are images: beside them error bars are up to a tenth too wide
     other = bool(settings.typed) or bool(problem.evidence.sightings)
     return settings.precision == "auto" and problem.precision.white is not None and not led and not other
@@ -54,7 +56,9 @@ def estimate(
     answer = solved(body, problem, settings, smooth)
     at = (given_all if smooth else given_past)(answer.found.solved)
     walk = answer.found.walk if answer.found.walk.any() else None
-    known = replace(problem, precision=replace(problem.precision, drift=walk), rivals=_named(answer.found.rivals))
+    known = replace(
+        problem, precision=replace(problem.precision, drift=walk), alternatives=_named(answer.found.alternatives)
+    )
     drifting = () if walk is None else encoder_offset.faults(known, body.joints, at.offset, at.offset_var, faults)
     beliefs = Beliefs(
         _states(at, walk), at.cov, at.nats, at.before, at.before_cov, at.error, answer.scale,
@@ -97,7 +101,7 @@ def _ordered(
 
 def _solution(problem: Problem, noise: OwnNoise, motion: Learned, explored: Array, walk: Array, smooth: bool) -> Solved:
     log = assemble(problem.evidence, problem.timeline, problem.start, _assumed(noise, motion, explored, walk))
-    return solve(log, outset(log), smooth)
+    return solve(log, initial_states(log), smooth)
 
 
 def _assumed(noise: OwnNoise, motion: Learned, explored: Array, walk: Array) -> Assumed:
@@ -111,8 +115,8 @@ def _states(at: Instants, walk: Array | None) -> Array:
     return np.concatenate(parts if walk is None else [*parts, np.where(walk > 0.0, at.states[:, :, -1], 0.0)], axis=1)
 
 
-def _named(rivals: Mapping[int, tuple[int, ...]]) -> dict[int, tuple[int, ...]]:
-    return {joint: others for joint, others in rivals.items() if others}
+def _named(alternatives: Mapping[int, tuple[int, ...]]) -> dict[int, tuple[int, ...]]:
+    return {joint: others for joint, others in alternatives.items() if others}
 
 
 def _plain(answer: Answer, body: BodyModel, white: NoiseModel) -> dict[str, Any]:

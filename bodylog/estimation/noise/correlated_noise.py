@@ -86,14 +86,14 @@ def variances(
     """
     if not len(t):
         return pixel + model
-    alike = like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0))
-    lasting = pixel[1:] * alike[0][:, None] + model[1:] * alike[1][:, None]
+    similarity = like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0))
+    lasting = pixel[1:] * similarity[0][:, None] + model[1:] * similarity[1][:, None]
     fade = like.fade(np.diff(t), lasting, jac[1:])
-    spots, postures = (like.times(counts(fade * one), np.append(0.0, one))[:, None] for one in alike)
+    spots, postures = (like.times(counts(fade * one), np.append(0.0, one))[:, None] for one in similarity)
     return np.asarray(pixel * spots + often * model * postures)
 
 
-def repeated(frames: Sequence[int], common: Sequence[float], told: float) -> tuple[float, ...]:
+def repeated(frames: Sequence[int], common: Sequence[float], distinct: float) -> tuple[float, ...]:
     """How many times its model's variance E each track counts with, of what share in common with other tracks' models.
 
     frames: how many each was seen in · told: directions of joints that their rows tell apart, in which the error lies:
@@ -102,7 +102,7 @@ def repeated(frames: Sequence[int], common: Sequence[float], told: float) -> tup
     """
     rows = 2.0 * sum(count for count, share in zip(frames, common, strict=True) if share > 0)
     return tuple(
-        1.0 + share * (max(rows / (told * max(count, 1)), 1.0) - 1.0) if share > 0 and told else 1.0
+        1.0 + share * (max(rows / (distinct * max(count, 1)), 1.0) - 1.0) if share > 0 and distinct else 1.0
         for count, share in zip(frames, common, strict=True)
     )
 
@@ -152,7 +152,7 @@ class PendingFrame:
     memory: LastFrame
     cov: Array | None = None
 
-    def foretold(self, x: Array) -> tuple[Array, Array, Array]:
+    def predicted(self, x: Array) -> tuple[Array, Array, Array]:
         """At angles x (M,): mean (D,), Jacobian (D,M) and the model's variance (D,)."""
         one = getattr(self.model, "predict_one", None)
         if one is not None:
@@ -165,14 +165,14 @@ class PendingFrame:
 
         The whole is a covariance (D,D) where rows err together.
         """
-        mean, jac, model = self.foretold(x)
-        spots, postures, memory = self._alike(x, jac, model)
+        mean, jac, model = self.predicted(x)
+        spots, postures, memory = self._inflation(x, jac, model)
         var = self.var * spots + model * postures
         if self.cov is not None:
             var = self.cov * spots + np.diag(model * postures)
         return mean, jac, model, var, memory
 
-    def _alike(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
+    def _inflation(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
         """How many times perception's and the model's variance count, and what is remembered then."""
         last, like, share = self.memory, self.like, LASTING[self.like.share]
         if last.place is None or last.point is None:
@@ -187,6 +187,7 @@ class PendingFrame:
         by_spot, by_posture = last.count.tolist()
         counts = 1.0 + fade * spot * by_spot, 1.0 + fade * posture * by_posture
         spots, postures = (
-            2.0 * count - 1.0 + share * alike / count for count, alike in zip(counts, (spot, posture), strict=True)
+            2.0 * count - 1.0 + share * similarity / count
+            for count, similarity in zip(counts, (spot, posture), strict=True)
         )
         return spots, postures, LastFrame(self.t, self.value, x, np.array(counts))

@@ -72,7 +72,7 @@ def learn(
     beside: times and readings of other senses, whose noise is learned as well.
     """
     encoder, process, joints, nats = encoder.copy(), process.copy(), list[int](), 0.0
-    heard, coarse = list[tuple[Array, Array]](), list[list[float]]()
+    series, coarse = list[tuple[Array, Array]](), list[list[float]]()
     other = np.empty(0)
     for joint, column in enumerate(encoders.values.T):
         known = np.flatnonzero(np.isfinite(column))
@@ -82,26 +82,26 @@ def learn(
         if len(known) > FEWEST and np.ptp(column[known]) > 0.0:
             joints.append(joint)
             spread, *own = dithered(encoders.t[known], column[known])
-            heard.append((encoders.t[known], spread))
+            series.append((encoders.t[known], spread))
             coarse.append(own)
         elif len(known):
             encoder[joint] *= repeated(encoders.t[known], column[known])
     if joints or beside:
-        count, (found, density, won) = len(joints), likeliest([*heard, *beside], order)
+        count, (found, density, won) = len(joints), likeliest([*series, *beside], order)
         found, other, density, nats = found[:count], found[count:], density[:count], float(won[:count].sum())
     if joints:
         added, least = np.transpose(coarse)
         encoder[joints] = np.maximum(found - added, least)
         noise = np.maximum(found, encoder[joints])
         if order == 2:
-            density = np.array([_followed(*one) for one in zip(heard, noise, density, strict=True)])
+            density = np.array([_followed(*one) for one in zip(series, noise, density, strict=True)])
         process[joints] = density
     return Learned(order, encoder, process, nats, other)
 
 
-def _followed(heard: tuple[Array, Array], noise: float, process: float) -> float:
+def _followed(series: tuple[Array, Array], noise: float, process: float) -> float:
     """The density that the motion in times and readings (N,) asks for, `process` at least."""
-    t, y = heard
+    t, y = series
     return followed(t, y, _alone(np.abs(np.diff(y, 2))), noise, process)
 
 
@@ -121,26 +121,26 @@ def floor(encoders: Encoders, encoder: Array) -> Array:
     return np.asarray(encoder * step / MEMORY**4)
 
 
-def likeliest(heard: list[tuple[Array, Array]], order: int = 2) -> tuple[Array, Array, Array]:
+def likeliest(series: list[tuple[Array, Array]], order: int = 2) -> tuple[Array, Array, Array]:
     """Noise variances and densities (M,) that maximise the evidence (M,) of each joint's times and readings."""
-    fellows = np.array([_fellows(t) for t, _ in heard])
-    means = [_averaged(t, y, k) for (t, y), k in zip(heard, fellows, strict=True)]
-    told = _side_by_side(means)
+    fellows = np.array([_fellows(t) for t, _ in series])
+    means = [_averaged(t, y, k) for (t, y), k in zip(series, fellows, strict=True)]
+    folded = _side_by_side(means)
     step = np.array([float(np.median(np.diff(t))) for t, *_ in means])
     # process / noise variance, scaled so that 1 is balanced per reading
     ratios = np.geomspace(*RANGE[order], TRIED)[:, None] / step ** (2 * order - 1)
-    score, noise, lag = evidence(*told, ratios, order)
+    score, noise, lag = evidence(*folded, ratios, order)
     nats = np.asarray(score.max(axis=0))
     ratio, variance = _peak(ratios, score, noise)
-    if (lag[score.argmax(axis=0), np.arange(len(heard))] > LAGGING).any():
-        ratio = _followed_by(told, ratio, variance, order)
+    if (lag[score.argmax(axis=0), np.arange(len(series))] > LAGGING).any():
+        ratio = _followed_by(folded, ratio, variance, order)
     return variance * fellows, variance * ratio, nats
 
 
-def _followed_by(told: tuple[Array, Array, Array], ratio: Array, variance: Array, order: int) -> Array:
+def _followed_by(folded: tuple[Array, Array, Array], ratio: Array, variance: Array, order: int) -> Array:
     """Ratios (M,), at least those given, with which a filter of such a noise variance (M,) keeps up with all motion."""
     raised = ratio * RAISED ** np.arange(24)[:, None]
-    _, noise, lag = evidence(*told, raised, order)
+    _, noise, lag = evidence(*folded, raised, order)
     off = lag * np.sqrt(noise / variance)
     keeps: Array = np.asarray(off <= LAGGING)
     return np.asarray(raised[np.where(keeps.any(axis=0), keeps.argmax(axis=0), len(raised) - 1), np.arange(len(ratio))])
@@ -175,13 +175,17 @@ def _averaged(t: Array, y: Array, fellows: int) -> tuple[Array, Array, Array]:
     return t, y, broken
 
 
-def _side_by_side(heard: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
+def _side_by_side(series: list[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
     """Time steps, readings (NaN after the last) and where the filter starts anew, folded: (L,M,C) each."""
-    most = max(len(t) for t, *_ in heard)
-    dt, y, fresh = np.zeros((most, len(heard))), np.full((most, len(heard)), np.nan), np.ones((most, len(heard)), bool)
-    for joint, (t, column, anew) in enumerate(heard):
+    most = max(len(t) for t, *_ in series)
+    dt, y, fresh = (
+        np.zeros((most, len(series))),
+        np.full((most, len(series)), np.nan),
+        np.ones((most, len(series)), bool),
+    )
+    for joint, (t, column, breaks) in enumerate(series):
         rows = slice(len(t)), joint
-        dt[rows], y[rows], fresh[rows] = np.diff(t, prepend=t[0]), column, anew
+        dt[rows], y[rows], fresh[rows] = np.diff(t, prepend=t[0]), column, breaks
     fold = Fold(most, STRETCH, -(-most // STRETCH))
     return fold.fold(dt, 0.0), fold.fold(y, np.nan), fold.fold(fresh, 1.0) > 0
 
@@ -196,7 +200,7 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
     counts = np.asarray(finite & (count - np.maximum.accumulate(np.where(fresh, count, 0)) >= SKIP))
     begins = np.asarray(fresh.any(axis=(1, 2)))
     # readings of the same times and ratios have the same covariance: it is found once for all of them
-    first, which = _alike(dt, finite, fresh, ratios)
+    first, which = _same_covariance(dt, finite, fresh, ratios)
     own_dt, own_counts, q = dt[:, first], counts[:, first], ratios[:, first, None]
     x, (squares, lag) = np.zeros((order, *ratios.shape, y.shape[2])), np.zeros((2, *ratios.shape, y.shape[2]))
     logs, recent = np.zeros((*q.shape[:2], y.shape[2])), np.zeros((3, *squares.shape))
@@ -229,7 +233,7 @@ def evidence(dt: Array, y: Array, fresh: Array, ratios: Array, order: int = 2) -
     return np.where(np.isfinite(score), score, -np.inf), noise, np.sqrt(lag.max(axis=2) / noise)
 
 
-def _alike(*parts: Array) -> tuple[Array, Array | slice]:
+def _same_covariance(*parts: Array) -> tuple[Array, Array | slice]:
     """The first (U,) of each group of columns that are alike in all parts (L,M,…), and each column's group (M,)."""
     keys = [b"".join(part[:, column].tobytes() for part in parts) for column in range(parts[0].shape[1])]
     numbers = {key: number for number, key in enumerate(dict.fromkeys(keys))}

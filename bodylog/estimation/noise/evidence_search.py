@@ -43,17 +43,17 @@ def tune(problem: Problem, whole: bool) -> tuple[NoiseModel, Solution | None]:
     names = [s.name for s in part.evidence.sightings if s.name != "touch" and _seen(s) >= FEWEST]
     if not names:
         return problem.precision, None
-    m, told = len(part.start), solve_knots(part, None, "posterior", NEARLY)
+    m, solved = len(part.start), solve_knots(part, None, "posterior", NEARLY)
     for half in ROUNDS:
         logs = np.array([*np.log(part.precision.process), *(np.log(part.precision.scale[name]) for name in names)])
         candidates = np.concatenate([logs[None], logs + half * np.eye(len(logs)), logs - half * np.eye(len(logs))])
-        nats, told = costs(part, told, np.exp(candidates), names)
+        nats, solved = costs(part, solved, np.exp(candidates), names)
         nats += _prior(candidates, m)
         part = replace(part, precision=_with(part, np.exp(logs + _step(nats, half)), names))
-    warm = replace(told[1], brief=told) if part.timeline is problem.timeline else None
-    fewer = {view: _moving(problem, *_told(part, view), whole).process for view in _less(problem)}
-    likeliest = _moving(problem, part, told, False).process if whole else None
-    return replace(_moving(problem, part, told, whole), fewer=fewer, likeliest=likeliest), warm
+    warm = replace(solved[1], knots=solved) if part.timeline is problem.timeline else None
+    fewer = {view: _moving(problem, *_with_view(part, view), whole).process for view in _less(problem)}
+    likeliest = _moving(problem, part, solved, False).process if whole else None
+    return replace(_moving(problem, part, solved, whole), fewer=fewer, likeliest=likeliest), warm
 
 
 def _less(problem: Problem) -> list[View]:
@@ -62,14 +62,14 @@ def _less(problem: Problem) -> list[View]:
     return [] if problem.path else [v for v in views(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
 
 
-def _moving(problem: Problem, part: Problem, told: tuple[KnotProblem, Solution], whole: bool) -> NoiseModel:
+def _moving(problem: Problem, part: Problem, solved: tuple[KnotProblem, Solution], whole: bool) -> NoiseModel:
     """The part's precisions for a belief by the whole log or by the past, with what of its covariance to state."""
     encoders, floor = problem.evidence.encoders, _floor(part)
     if whole:
         held = replace(part.precision, process=np.maximum(part.precision.process, floor))
-        process, stated = least(replace(part, precision=held), told)
+        process, stated = least(replace(part, precision=held), solved)
         return replace(part.precision, process=_led(part, np.maximum(process, floor)), stated=stated)
-    evident, white = _own(problem, part, told[1])
+    evident, white = _own(problem, part, solved[1])
     if encoders is None:
         return replace(part.precision, process=evident)
     return part.precision.held(evident, encoders, white)
@@ -81,7 +81,7 @@ def _led(part: Problem, process: Array) -> Array:
     return process if encoders is None else followable(encoders, part.precision.encoder, process)
 
 
-def _told(part: Problem, view: View) -> tuple[Problem, tuple[KnotProblem, Solution]]:
+def _with_view(part: Problem, view: View) -> tuple[Problem, tuple[KnotProblem, Solution]]:
     """The part as if only these of its tracks had been in view, and as it is told then."""
     sightings = tuple(s for s in part.evidence.sightings if s.name in view)
     evidence = replace(part.evidence, sightings=sightings)
@@ -149,14 +149,14 @@ def _step(nats: Array, half: float) -> Array:
 
 
 def costs(
-    part: Problem, told: tuple[KnotProblem, Solution], candidates: Array, names: list[str]
+    part: Problem, solved: tuple[KnotProblem, Solution], candidates: Array, names: list[str]
 ) -> tuple[Array, tuple[KnotProblem, Solution]]:
     """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
 
-    Filtered from where stretches ended as `told`; and the log as told by the first candidate, which the problem has.
+    Filtered from where stretches ended as `solved`; and the log as told by the first candidate, which the problem has.
     """
-    (brief, first), g, m = told, len(candidates), len(part.start)
-    few, readings, fold = replace(part, timeline=brief.problem.timeline), brief.readings, brief.fold
+    (knots, first), g, m = solved, len(candidates), len(part.start)
+    few, readings, fold = replace(part, timeline=knots.problem.timeline), knots.readings, knots.fold
     first.tangents.draw(few, fold, readings)
     z, p = handed_over(*priors(few, fold), first.trace.z[-1], first.trace.p[-1])
     var = np.repeat(readings.var[..., None], g, axis=-1)
@@ -167,11 +167,11 @@ def costs(
             more = candidates[:, m + names.index(sighting.name)] - part.precision.scale[sighting.name]
             # a lasting error counts for less than itself where a filter extrapolates
             var[:, index] += np.minimum(pixels, readings.var[:, index])[..., None] * more
-    tiled = tile(brief, var, candidates[:, :m].T)
+    tiled = tile(knots, var, candidates[:, :m].T)
     dynamics = replace(few.dynamics, process=np.tile(candidates[:, :m].T, fold.count))
     trace = scan(tiled, dynamics, np.repeat(z, g, axis=-1), np.repeat(p, g, axis=-1), every=g)
     own = replace(trace, nats=trace.nats[:, ::g])
-    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (brief, replace(first, trace=own))
+    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), (knots, replace(first, trace=own))
 
 
 def middle(problem: Problem) -> Problem:

@@ -32,29 +32,29 @@ class PosturePrior:
         var[1:, self.joints] = self.density[self.joints] / dt[1:, None]
         return encoders, var
 
-    def remind(self, said: Array, var: Array, joints: Array, since: Array) -> tuple[Array, Array, Array]:
+    def add_prior(self, readings: Array, var: Array, joints: Array, since: Array) -> tuple[Array, Array, Array]:
         """Readings said (M,) rad and variances with a reminder of those `joints` (M,) bool that say nothing; and which.
 
         since (M,): s after the last one.
         """
-        own = joints & self.joints & ~np.isfinite(said)
-        return np.where(own, self.mean, said), np.where(own, self.density / since, var), own
+        own = joints & self.joints & ~np.isfinite(readings)
+        return np.where(own, self.mean, readings), np.where(own, self.density / since, var), own
 
 
-def habit(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
+def learn_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
     """The habit of joints that no encoder of a log speaks of, by what its tracks' models were learned from."""
     silent: Array = np.ones(len(process), bool)
     if evidence.encoders is not None:
         silent = np.all(~np.isfinite(evidence.encoders.values), axis=0)
-    return usual(silent, {s.name: s.model for s in evidence.sightings}, process, start)
+    return prior_of(silent, {s.name: s.model for s in evidence.sightings}, process, start)
 
 
-def wont(models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
+def adrift_prior(models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
     """The habit of joints adrift, all that may be; process (M,) rad²/s³ as it is where encoders speak."""
-    return usual(np.ones(len(process), bool), models, LASTING * process, start)
+    return prior_of(np.ones(len(process), bool), models, LASTING * process, start)
 
 
-def usual(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
+def prior_of(silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array) -> PosturePrior | None:
     """The habit of the `silent` joints (M,) bool; None when all encoders speak or no track's model tells.
 
     A reminder of density R under white acceleration q alone holds a joint to the variance √2 q^¼ R^¾: R is such that

@@ -44,13 +44,13 @@ TURNS = 2
 """Times stretches hand over their ends."""
 
 
-def least(part: Problem, told: tuple[KnotProblem, Solution]) -> tuple[Array, float]:
+def least(part: Problem, solved: tuple[KnotProblem, Solution]) -> tuple[Array, float]:
     """Process variances (M,) of least error, the problem's times one factor, and the share of V that this error is.
 
-    `told` is the solution of its filter.
+    `solved` is the solution of its filter.
     """
-    heard = _heard(part, told[0].problem.timeline.t)
-    moved = np.square(np.diff(_paths(part, told, FACTORS)[0][:, heard], axis=0)).mean(axis=1)
+    present = _outside_silences(part, solved[0].problem.timeline.t)
+    moved = np.square(np.diff(_paths(part, solved, FACTORS)[0][:, present], axis=0)).mean(axis=1)
     # noise's share of it grows as q^¼
     noise = moved[-1] * (FACTORS[:-1] / FACTORS[-2])[:, None] ** 0.25
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
@@ -58,10 +58,10 @@ def least(part: Problem, told: tuple[KnotProblem, Solution]) -> tuple[Array, flo
     over = np.log(ratios / np.interp(power, POWERS, MOST))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
     factor = FACTORS[0] if last < 0 else FACTORS[last] * STEP ** (0.5 + over[last] / (over[last] - over[last + 1]))
-    return np.asarray(part.precision.process * factor), _stated(part, told, float(factor), power)
+    return np.asarray(part.precision.process * factor), _stated(part, solved, float(factor), power)
 
 
-def _heard(part: Problem, t: Array) -> Array:
+def _outside_silences(part: Problem, t: Array) -> Array:
     """Which of the times t (E,) s are in no long silence of an encoder, where a path moves with q as nowhere else."""
     encoders = part.evidence.encoders
     known = np.empty(0) if encoders is None else encoders.t[np.isfinite(encoders.values).all(axis=1)]
@@ -72,11 +72,11 @@ def _heard(part: Problem, t: Array) -> Array:
     return quick[np.searchsorted(known, t)]
 
 
-def _stated(part: Problem, told: tuple[KnotProblem, Solution], factor: float, power: float) -> float:
+def _stated(part: Problem, solved: tuple[KnotProblem, Solution], factor: float, power: float) -> float:
     """The share of V that the error is at a factor: noise's, and motion's by how far the path moves there."""
-    paths, var = _paths(part, told, factor * STEP ** np.array([-0.5, 0.5]))
-    heard = _heard(part, told[0].problem.timeline.t)
-    moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1]))[heard].mean())
+    paths, var = _paths(part, solved, factor * STEP ** np.array([-0.5, 0.5]))
+    present = _outside_silences(part, solved[0].problem.timeline.t)
+    moved = float((np.square(paths[1] - paths[0]) / np.sqrt(var[0] * var[1]))[present].mean())
     return float(np.clip(NOISE + np.interp(power, POWERS, LEFT) * (moved - SWAY), NOISE, 1.0))
 
 
@@ -89,18 +89,18 @@ def _power(ratios: Array) -> float:
     return float(np.clip(4.0 * np.log(before / after) / np.log(STEP), POWERS[0], POWERS[-1]))
 
 
-def _paths(part: Problem, told: tuple[KnotProblem, Solution], factors: Array) -> tuple[Array, Array]:
-    """Smoothed angles (G,E,M) of the log in brief for each of the factors, along the tangents of `told`; and V there.
+def _paths(part: Problem, solved: tuple[KnotProblem, Solution], factors: Array) -> tuple[Array, Array]:
+    """Smoothed angles (G,E,M) of the log in brief for each of the factors, along the tangents of `solved`; and V there.
 
     A steady smoother has a quarter of its filter's variance.
     """
-    (brief, first), g, m = told, len(factors), len(part.start)
-    few, fold = replace(part, timeline=brief.problem.timeline), brief.fold
-    first.tangents.draw(few, fold, brief.readings)
+    (knots, first), g, m = solved, len(factors), len(part.start)
+    few, fold = replace(part, timeline=knots.problem.timeline), knots.fold
+    first.tangents.draw(few, fold, knots.readings)
     processes = part.precision.process[:, None] * factors
     precisions = [replace(part.precision, process=process, stated=NOISE) for process in processes.T]
-    var = [first.tangents.weighed(replace(few, precision=p), fold, brief.readings, WHOLE) for p in precisions]
-    tiled = tile(brief, np.stack(var, axis=-1), processes)
+    var = [first.tangents.weighed(replace(few, precision=p), fold, knots.readings, WHOLE) for p in precisions]
+    tiled = tile(knots, np.stack(var, axis=-1), processes)
     dynamics = replace(few.dynamics, process=np.tile(processes, fold.count))
     z, p = (np.repeat(a, g, axis=-1) for a in handed_over(*priors(few, fold), first.trace.z[-1], first.trace.p[-1]))
     trace = None
